@@ -1,0 +1,97 @@
+"""The one family of errors a user may see. Imports nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+__all__ = [
+    "DriveError",
+    "ExportError",
+    "LogError",
+    "MapError",
+    "NumericalRepairWarning",
+    "SetError",
+    "SplitError",
+    "VehicleError",
+    "nearest_names",
+]
+
+
+class SplitError(Exception):
+    """Something in the input is at fault; the text says what, where and what to do.
+
+    The command line prints it as one line on stderr and leaves with exit code 1.
+
+    Parameters
+    ----------
+    what : str
+        What is wrong, with the offending value.
+    where : str, optional
+        File, topic, column, row or key.
+    advice : str, optional
+        What the reader can do about it.
+    """
+
+    def __init__(self, what: str, *, where: str | None = None, advice: str | None = None) -> None:
+        self.what = what
+        self.where = where
+        self.advice = advice
+        text = f"{where}: {what}" if where else what
+        if advice:
+            text = f"{text.rstrip('.')}. {advice}"
+        super().__init__(text)
+
+
+class LogError(SplitError):
+    """A recording cannot be read or holds nothing usable."""
+
+
+class MapError(SplitError):
+    """A signal map is malformed or names channels the recording does not have."""
+
+
+class DriveError(SplitError):
+    """A canonical drive is malformed or lacks what a step needs."""
+
+
+class VehicleError(SplitError):
+    """A vehicle file is malformed, incomplete or physically impossible."""
+
+
+class SetError(SplitError):
+    """A trained set is malformed, of another version, or of another vehicle."""
+
+
+class ExportError(SplitError):
+    """An export failed or its self-check against Python did."""
+
+
+class NumericalRepairWarning(UserWarning):
+    """A bounded numerical repair (jitter) was needed; said each time."""
+
+
+def nearest_names(name: str, known: Iterable[str], count: int = 3) -> str:
+    """Return `` Did you mean a, b?`` material: the known names nearest to `name`, or all if few.
+
+    Parameters
+    ----------
+    name : str
+        What the user wrote.
+    known : iterable of str
+        What exists.
+    count : int
+        At most so many suggestions.
+    """
+    known = sorted(set(known))
+    close = get_close_matches(name, known, n=count, cutoff=0.4)
+    if not close:
+        lowered = {candidate.lower(): candidate for candidate in known}
+        close = [lowered[hit] for hit in get_close_matches(name.lower(), list(lowered), n=count, cutoff=0.4)]
+    if close:
+        return f"Did you mean {', '.join(close)}?"
+    if not known:
+        return "There are none."
+    shown = ", ".join(known[:12])
+    more = f" and {len(known) - 12} more" if len(known) > 12 else ""
+    return f"There are: {shown}{more}."

@@ -1,0 +1,322 @@
+"""The canonical recording: one row a sample on a uniform clock, SI units, ISO 8855 at the CG."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+
+from split_cli.errors import DriveError, nearest_names
+from split_cli.files import atomic_path, sha256_of_file
+from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, convert_to_si, split_name_and_unit
+
+__all__ = ["Drive", "DriveMetadata", "NoiseEstimate", "Source", "read_drive", "write_drive"]
+
+DRIVE_FORMAT = "split-drive/1"
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file a drive was made of: its name (no folder) and the SHA-256 of its content."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """Sensor noise of one channel.
+
+    Attributes
+    ----------
+    channel : str
+    sigma : float or None
+        Standard deviation of a sample of the drive, after its filter [SI unit of the channel]; None if unknown.
+    sigma_raw : float or None
+        The same at the recording's full rate, before any filter.
+    autocorrelation : tuple of float
+        Autocorrelation of the noise on the drive's clock at lags 0, 1, 2, ... samples, from the filter's
+        impulse response; ``(1.0,)`` for white noise.
+    reason : str
+        Why sigma is None, else empty.
+    """
+
+    channel: str
+    sigma: float | None
+    sigma_raw: float | None
+    autocorrelation: tuple[float, ...] = (1.0,)
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class DriveMetadata:
+    """What is known of a drive beside its samples.
+
+    Attributes
+    ----------
+    sources : tuple of Source
+        The recordings it was made of.
+    vehicle : str
+        Name of the vehicle file it was made with; empty if none.
+    kinds : mapping of str to str
+        For a channel, ``command``, ``measured`` or ``derived: how``; ``T_is`` and ``delta_is`` of the contract.
+    signal_map : mapping
+        The map as applied, channel by channel, with what was assumed.
+    conversions : tuple of str
+        Frame, sign, unit and time conversions that were made, in words.
+    noise : tuple of NoiseEstimate
+    quality : mapping
+        The quality report: rates, gaps, drops by reason, spikes, ranges, findings of the consistency checks.
+    """
+
+    sources: tuple[Source, ...] = ()
+    vehicle: str = ""
+    kinds: Mapping[str, str] = field(default_factory=dict)
+    signal_map: Mapping[str, object] = field(default_factory=dict)
+    conversions: tuple[str, ...] = ()
+    noise: tuple[NoiseEstimate, ...] = ()
+    quality: Mapping[str, object] = field(default_factory=dict)
+
+    def noise_of(self, channel: str) -> NoiseEstimate | None:
+        """Return the noise estimate of a channel, None when ingest made none."""
+        return next((estimate for estimate in self.noise if estimate.channel == channel), None)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A recording on a uniform clock.
+
+    Attributes
+    ----------
+    name : str
+        Name of the file, without folder.
+    columns : mapping of str to ndarray
+        Channel name to samples `(N,)`, float64, SI units; always has ``t`` and the required channels.
+    segment : ndarray of int32, shape (N,)
+        Changes at every gap; nothing may be computed across a change.
+    period : float
+        Sample period [s].
+    metadata : DriveMetadata
+    sha256 : str
+        Of the file it was read from; empty for a drive made in memory.
+    """
+
+    name: str
+    columns: Mapping[str, np.ndarray]
+    segment: np.ndarray
+    period: float
+    metadata: DriveMetadata = DriveMetadata()
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        missing = [name for name in ("t", *REQUIRED_CHANNELS) if name not in self.columns]
+        if missing:
+            raise DriveError(
+                f"the drive lacks {', '.join(missing)}",
+                where=self.name,
+                advice=nearest_names(missing[0], self.columns) + " Map it with `split ingest --map`.",
+            )
+        length = len(self.columns["t"])
+        for name, values in self.columns.items():
+            if len(values) != length:
+                raise DriveError(f"column {name} has {len(values)} samples, t has {length}", where=self.name)
+        if len(self.segment) != length:
+            raise DriveError(f"segment has {len(self.segment)} samples, t has {length}", where=self.name)
+
+    def __len__(self) -> int:
+        return len(self.segment)
+
+    def __contains__(self, channel: str) -> bool:
+        return channel in self.columns
+
+    def __getitem__(self, channel: str) -> np.ndarray:
+        """Return the samples of a channel, shape (N,).
+
+        Raises
+        ------
+        DriveError
+            If the drive has no such channel; names the nearest.
+        """
+        if channel not in self.columns:
+            raise DriveError(
+                f"no channel {channel!r}", where=self.name, advice=nearest_names(channel, self.columns)
+            )
+        return self.columns[channel]
+
+    @property
+    def rate(self) -> float:
+        """Sample rate [Hz]."""
+        return 1.0 / self.period
+
+    @property
+    def has_position(self) -> bool:
+        """Whether X, Y and yaw were recorded or derived."""
+        return all(name in self.columns for name in ("X", "Y", "yaw"))
+
+    def segments(self) -> list[slice]:
+        """Return the runs of rows without a gap, in order."""
+        if len(self) == 0:
+            return []
+        starts = np.flatnonzero(np.diff(self.segment, prepend=self.segment[0] - 1))
+        ends = np.append(starts[1:], len(self))
+        return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
+
+    def select(self, rows: np.ndarray | slice) -> Drive:
+        """Return the drive restricted to `rows` (a slice or a boolean mask); a removed run starts a segment."""
+        if isinstance(rows, slice):
+            index = np.arange(len(self))[rows]
+        else:
+            rows = np.asarray(rows)
+            index = np.flatnonzero(rows) if rows.dtype == bool else rows
+        segment = self.segment[index]
+        broken = np.diff(index, prepend=index[0] - 1 if len(index) else 0) != 1
+        changed = np.diff(segment, prepend=segment[0] if len(segment) else 0) != 0
+        renumbered = np.cumsum(broken | changed).astype(np.int32)
+        columns = {name: values[index] for name, values in self.columns.items()}
+        return Drive(self.name, columns, renumbered, self.period, self.metadata, self.sha256)
+
+
+def read_drive(path: str | Path) -> Drive:
+    """Read a drive: a Parquet that `split ingest` wrote, or a plain Parquet or CSV with a drive's columns.
+
+    Headers may carry units (``vx(km/h)``); without units SI is taken, as the contract for drive files says.
+
+    Raises
+    ------
+    DriveError
+        If the file cannot be read, lacks a required column, is empty, holds non-finite values in a required
+        column, or its clock is not uniform inside segments.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DriveError("no such file", where=str(path))
+    try:
+        if path.suffix.lower() == ".csv":
+            table = pa.csv.read_csv(path)
+        else:
+            table = pa.parquet.read_table(path)
+    except (pa.ArrowInvalid, pa.ArrowException, OSError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise DriveError(
+            f"cannot be read as a drive ({reason})",
+            where=str(path),
+            advice="A drive is the Parquet that `split ingest` writes.",
+        ) from error
+    if table.num_rows < 2:
+        raise DriveError(f"holds {table.num_rows} samples", where=str(path), advice="A drive needs two or more.")
+    return _drive_from_table(table, path)
+
+
+def _drive_from_table(table: pa.Table, path: Path) -> Drive:
+    metadata, period = _metadata_from_schema(table.schema.metadata or {}, path)
+    columns: dict[str, np.ndarray] = {}
+    segment: np.ndarray | None = None
+    for header, column in zip(table.column_names, table.columns, strict=True):
+        name, unit = split_name_and_unit(header)
+        try:
+            values = column.to_numpy()
+            values = values.astype(np.int32) if name == "segment" else values.astype(float)
+        except (TypeError, ValueError):
+            continue  # text columns ride along in logs; a drive has no use for them
+        if name == "segment":
+            segment = values
+        else:
+            columns[name] = convert_to_si(values, unit, where=str(path)) if unit and name in CHANNELS else values
+    if "t" not in columns:
+        raise DriveError("the drive lacks t", where=str(path), advice=nearest_names("t", columns))
+    time = columns["t"]
+    if segment is None:
+        segment = _segments_from_time(time, path)
+    if period is None:
+        period = _period_from_time(time, segment, path)
+    drive = Drive(path.name, columns, segment, period, metadata, sha256_of_file(path))
+    _check_drive(drive, path)
+    return drive
+
+
+def _check_drive(drive: Drive, path: Path) -> None:
+    for name in ("t", *REQUIRED_CHANNELS):
+        bad = np.flatnonzero(~np.isfinite(drive.columns[name]))
+        if len(bad):
+            raise DriveError(
+                f"{len(bad)} non-finite values in {name}, the first in row {bad[0]}",
+                where=str(path),
+                advice="Run the recording through `split ingest`, which drops and counts them.",
+            )
+    for run in drive.segments():
+        step = np.diff(drive.columns["t"][run])
+        uneven = np.flatnonzero(np.abs(step - drive.period) > 0.02 * drive.period + 1e-6)
+        if len(uneven):
+            row = run.start + int(uneven[0])
+            raise DriveError(
+                f"the clock is not uniform: row {row} to {row + 1} takes {step[uneven[0]]:.6g} s, "
+                f"the period is {drive.period:.6g} s",
+                where=str(path),
+                advice="Run the recording through `split ingest`.",
+            )
+
+
+def _segments_from_time(time: np.ndarray, path: Path) -> np.ndarray:
+    step = np.diff(time)
+    if len(step) and not np.all(step > 0):
+        row = int(np.flatnonzero(~(step > 0))[0])
+        raise DriveError(
+            f"time does not increase at row {row + 1} ({time[row]!r} then {time[row + 1]!r})",
+            where=str(path),
+            advice="Run the recording through `split ingest`, which drops and counts such samples.",
+        )
+    return np.concatenate([[0], np.cumsum(step > 1.5 * np.median(step))]).astype(np.int32)
+
+
+def _period_from_time(time: np.ndarray, segment: np.ndarray, path: Path) -> float:
+    inside = np.diff(segment) == 0
+    step = np.diff(time)[inside]
+    if not len(step) or not np.isfinite(step).all():
+        raise DriveError("no two samples follow each other without a gap", where=str(path))
+    return float(np.round(np.median(step), 9))
+
+
+def _metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[DriveMetadata, float | None]:
+    if b"split" not in raw:
+        return DriveMetadata(), None
+    try:
+        stored = json.loads(raw[b"split"])
+        if stored["format"] != DRIVE_FORMAT:
+            raise DriveError(
+                f"is of format {stored['format']!r}, this version reads {DRIVE_FORMAT!r}",
+                where=str(path),
+                advice="Ingest the recording again.",
+            )
+        noise = tuple(
+            NoiseEstimate(**{**entry, "autocorrelation": tuple(entry["autocorrelation"])})
+            for entry in stored["noise"]
+        )
+        metadata = DriveMetadata(
+            sources=tuple(Source(**entry) for entry in stored["sources"]),
+            vehicle=stored["vehicle"],
+            kinds=stored["kinds"],
+            signal_map=stored["signal_map"],
+            conversions=tuple(stored["conversions"]),
+            noise=noise,
+            quality=stored["quality"],
+        )
+        return metadata, float(stored["period"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise DriveError(f"its metadata is damaged ({error})", where=str(path)) from error
+
+
+def write_drive(drive: Drive, path: str | Path) -> None:
+    """Write a drive as Parquet, whole or not at all. No time of writing is stored: equal drives, equal bytes."""
+    fields = {name: pa.array(values) for name, values in drive.columns.items()}
+    fields["segment"] = pa.array(drive.segment.astype(np.int32))
+    stored = {"format": DRIVE_FORMAT, "period": drive.period, **asdict(drive.metadata)}
+    text = json.dumps(stored, sort_keys=True, allow_nan=False)
+    table = pa.table(fields).replace_schema_metadata({b"split": text.encode()})
+    with atomic_path(path) as temporary:
+        pa.parquet.write_table(table, temporary, compression="zstd")

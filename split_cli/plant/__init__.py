@@ -1,0 +1,4 @@
+"""The double-track car that makes test recordings: sensors, drivers, tracks, standard tests.
+
+May import: signals, files, errors and itself. It never sees the nominal model's equations.
+"""

@@ -1,0 +1,4 @@
+"""Figures; the only place that imports matplotlib.
+
+May import: scoring, prediction, learning, logs, vehicle, signals, files, errors.
+"""

@@ -1,0 +1,215 @@
+"""The channels of a drive and the units logs come in. Imports only `errors`.
+
+Frames and signs are ISO 8855 at the centre of gravity: x forward, y left, z up, yaw counter-clockwise
+positive. A left turn has positive steer angle, yaw rate and lateral acceleration; driving torque is positive.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from split_cli.errors import MapError, nearest_names
+
+__all__ = [
+    "CHANNELS",
+    "REQUIRED_CHANNELS",
+    "Channel",
+    "Unit",
+    "convert_to_si",
+    "find_unit",
+    "split_name_and_unit",
+]
+
+Kind = Literal["continuous", "held", "angle"]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One canonical channel of a drive.
+
+    Attributes
+    ----------
+    name : str
+        Column name in the drive file.
+    unit : str
+        SI unit.
+    kind : {"continuous", "held", "angle"}
+        How it is resampled: continuous signals are low-passed before decimation and interpolated, held ones
+        (commands) keep their last value, angles are unwrapped first.
+    meaning : str
+        What it is, with frame and sign.
+    """
+
+    name: str
+    unit: str
+    kind: Kind
+    meaning: str
+
+
+CHANNELS: dict[str, Channel] = {
+    channel.name: channel
+    for channel in (
+        Channel("t", "s", "continuous", "time from the first sample of the recording's uniform clock"),
+        Channel("X", "m", "continuous", "position of the CG, world frame, east or along the map's X"),
+        Channel("Y", "m", "continuous", "position of the CG, world frame, north or along the map's Y"),
+        Channel("yaw", "rad", "angle", "yaw angle, counter-clockwise from X, unwrapped"),
+        Channel("vx", "m/s", "continuous", "longitudinal velocity of the CG, forward positive"),
+        Channel("vy", "m/s", "continuous", "lateral velocity of the CG, left positive"),
+        Channel("r", "rad/s", "continuous", "yaw rate, counter-clockwise positive"),
+        Channel("T", "N m", "held", "total torque at the wheels, driving positive, braking negative"),
+        Channel("delta", "rad", "held", "road-wheel steer angle, left positive"),
+        Channel("ax", "m/s^2", "continuous", "longitudinal specific force at the CG, in the vehicle plane"),
+        Channel("ay", "m/s^2", "continuous", "lateral specific force at the CG, left positive"),
+    )
+}
+
+REQUIRED_CHANNELS = ("vx", "vy", "r", "T", "delta")
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit and its way to SI: SI value = factor * value + offset.
+
+    Attributes
+    ----------
+    symbol : str
+        How it is written here.
+    si : str
+        The SI unit it converts to.
+    factor, offset : float
+    """
+
+    symbol: str
+    si: str
+    factor: float
+    offset: float = 0.0
+
+
+_DEGREE = np.pi / 180.0
+_POUND_FORCE = 4.4482216152605
+
+_UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
+    (Unit("s", "s", 1.0), "sec second seconds"),
+    (Unit("ms", "s", 1e-3), "msec millisecond milliseconds"),
+    (Unit("us", "s", 1e-6), "µs usec microseconds"),
+    (Unit("ns", "s", 1e-9), "nsec nanoseconds"),
+    (Unit("min", "s", 60.0), "minutes"),
+    (Unit("m", "m", 1.0), "metre metres meter meters"),
+    (Unit("mm", "m", 1e-3), ""),
+    (Unit("cm", "m", 1e-2), ""),
+    (Unit("km", "m", 1e3), ""),
+    (Unit("ft", "m", 0.3048), "feet foot"),
+    (Unit("in", "m", 0.0254), "inch"),
+    (Unit("m/s", "m/s", 1.0), "mps m/sec ms-1 m.s-1 m*s-1"),
+    (Unit("km/h", "m/s", 1.0 / 3.6), "kmh kph kmph km/hr"),
+    (Unit("mph", "m/s", 0.44704), "mi/h miles/h"),
+    (Unit("kn", "m/s", 0.514444), "knot knots kt"),
+    (Unit("rad", "rad", 1.0), "radian radians"),
+    (Unit("mrad", "rad", 1e-3), ""),
+    (Unit("deg", "rad", _DEGREE), "° degree degrees"),
+    (Unit("rad/s", "rad/s", 1.0), "radps rad/sec rad.s-1 rps rads"),
+    (Unit("deg/s", "rad/s", _DEGREE), "degps °/s deg/sec dps degs"),
+    (Unit("rpm", "rad/s", 2.0 * np.pi / 60.0), "1/min rev/min"),
+    (Unit("m/s^2", "m/s^2", 1.0), "m/s2 m/s² mps2 mpss m/s/s m/sec^2 ms-2 m.s-2"),
+    (Unit("g", "m/s^2", 9.80665), "gn G"),
+    (Unit("rad/s^2", "rad/s^2", 1.0), "rad/s2 rad/s² radps2"),
+    (Unit("deg/s^2", "rad/s^2", _DEGREE), "deg/s2 deg/s²"),
+    (Unit("N m", "N m", 1.0), "nm n.m n*m n·m newtonmetre newtonmeter"),
+    (Unit("lbf ft", "N m", _POUND_FORCE * 0.3048), "lbft ft-lb ftlb lbf.ft lbf-ft"),
+    (Unit("N", "N", 1.0), "newton"),
+    (Unit("kN", "N", 1e3), ""),
+    (Unit("lbf", "N", _POUND_FORCE), ""),
+    (Unit("kg", "kg", 1.0), ""),
+    (Unit("Pa", "Pa", 1.0), "pascal"),
+    (Unit("kPa", "Pa", 1e3), ""),
+    (Unit("MPa", "Pa", 1e6), ""),
+    (Unit("bar", "Pa", 1e5), ""),
+    (Unit("psi", "Pa", 6894.757293168), ""),
+    (Unit("A", "A", 1.0), "amp ampere"),
+    (Unit("V", "V", 1.0), "volt"),
+    (Unit("%", "1", 1e-2), "percent pct"),
+    (Unit("1", "1", 1.0), "- none unitless ratio"),
+    (Unit("degC", "K", 1.0, 273.15), "°c c celsius"),
+    (Unit("K", "K", 1.0), "kelvin"),
+)
+
+
+def _spelling(symbol: str) -> str:
+    return re.sub(r"\s+", "", symbol.strip()).strip("[](){}")
+
+
+_BY_EXACT: dict[str, Unit] = {}
+_BY_FOLDED: dict[str, Unit] = {}
+for _unit, _aliases in _UNIT_TABLE:
+    for _name in (_unit.symbol, *_aliases.split()):
+        _BY_EXACT[_spelling(_name)] = _unit
+        # Case decides between mPa and MPa, and g and G; a folded spelling never overrides an earlier one.
+        _BY_FOLDED.setdefault(_spelling(_name).lower(), _unit)
+
+
+def find_unit(symbol: str) -> Unit | None:
+    """Return the unit written `symbol`, or None when it is not known."""
+    spelled = _spelling(symbol)
+    return _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower())
+
+
+def convert_to_si(values: np.ndarray, unit: str, *, where: str | None = None) -> np.ndarray:
+    """Convert an array from `unit` to the SI unit of the same quantity.
+
+    Parameters
+    ----------
+    values : ndarray
+        Any shape.
+    unit : str
+        A symbol of this module's table, for example ``km/h``.
+    where : str, optional
+        What to name in the error.
+
+    Raises
+    ------
+    MapError
+        If the unit is not known; never guessed.
+    """
+    found = find_unit(unit)
+    if found is None:
+        symbols = [entry.symbol for entry, _ in _UNIT_TABLE]
+        raise MapError(f"unknown unit {unit!r}", where=where, advice=nearest_names(unit, symbols))
+    values = np.asarray(values, dtype=float)
+    if found.factor == 1.0 and found.offset == 0.0:
+        return values
+    return values * found.factor + found.offset
+
+
+_BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[](?P<unit>[^()\[\]]*)[\)\]]\s*$")
+_SUFFIXES = (
+    "mps2", "mpss", "mps", "kmph", "kph", "kmh", "mph", "radps", "rad", "degps", "dps", "deg", "rpm", "nm", "bar",
+    "kpa", "psi", "pct", "ns", "us", "ms", "sec", "mm",
+)  # fmt: skip
+
+
+def split_name_and_unit(header: str) -> tuple[str, str | None]:
+    """Split a column header into name and unit.
+
+    ``vx(m/s)`` and ``vx [m/s]`` give ``("vx", "m/s")``; a known suffix as in ``vx_mps`` gives
+    ``("vx_mps", "m/s")`` with the name left as it is, since users address columns by it.
+
+    Returns
+    -------
+    (str, str or None)
+        The name, stripped of quotes, ``#`` and a bracketed unit; the unit's symbol as this module writes it,
+        the bracket's own text when not known, None when nothing was said.
+    """
+    text = header.strip().lstrip("#").strip().strip('"').strip()
+    match = _BRACKETED.match(text)
+    if match and match["name"]:
+        unit = find_unit(match["unit"]) if match["unit"].strip() else None
+        return match["name"].strip(), unit.symbol if unit else (match["unit"].strip() or None)
+    lowered = text.lower()
+    for suffix in _SUFFIXES:
+        if lowered.endswith("_" + suffix):
+            return text, find_unit(suffix).symbol
+    return text, None
