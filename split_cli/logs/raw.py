@@ -1,0 +1,138 @@
+"""What a reader hands over: named signals as recorded, each with its own clock, nothing converted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+
+from split_cli.errors import LogError, nearest_names
+
+__all__ = ["Clock", "RawChannelInfo", "RawSignal", "ReadNote", "Recording", "TableRecording"]
+
+Clock = Literal["header", "publish", "log"]
+
+
+@dataclass(frozen=True)
+class RawChannelInfo:
+    """One addressable channel of a recording.
+
+    Attributes
+    ----------
+    name : str
+        How a signal map addresses it: ``/topic/field.path`` (array elements as ``field[3]``) or a column name.
+    type_name : str
+        Message type or column type.
+    count : int or None
+        Messages or rows, where the file says so without decoding.
+    unit : str or None
+        As the file states it.
+    """
+
+    name: str
+    type_name: str
+    count: int | None
+    unit: str | None = None
+
+
+@dataclass(frozen=True)
+class ReadNote:
+    """Something a reader dropped, repaired or assumed: `count` of `what`, in `where`."""
+
+    what: str
+    where: str
+    count: int = 1
+
+
+@dataclass(frozen=True)
+class RawSignal:
+    """Samples of one channel as recorded.
+
+    Attributes
+    ----------
+    name : str
+        As in `RawChannelInfo`.
+    time : ndarray of float64, shape (N,), or None
+        Seconds of the chosen clock, relative to the recording's `origin`; None for a table without a clock.
+    values : ndarray of float64, shape (N,)
+        As recorded; missing values are NaN.
+    unit : str or None
+        As the file states it.
+    """
+
+    name: str
+    time: np.ndarray | None
+    values: np.ndarray
+    unit: str | None = None
+
+
+class Recording(Protocol):
+    """An opened log. Opening reads as little as the format allows.
+
+    Attributes
+    ----------
+    name : str
+        File or folder name.
+    path : Path
+    origin : float
+        What was subtracted from every time [s]: the first log time, so that nanosecond epochs keep precision.
+    clocks : tuple of str
+        The clocks this recording has, best first; empty for tables (their time is a column).
+    notes : list of ReadNote
+        Filled while reading: undecodable messages, truncated tails, repaired records.
+    """
+
+    name: str
+    path: Path
+    origin: float
+    clocks: tuple[Clock, ...]
+    notes: list[ReadNote]
+
+    def channels(self) -> list[RawChannelInfo]:
+        """Return every addressable channel, fields expanded from the definitions inside the file."""
+        ...
+
+    def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
+        """Return the named signals, decoding only the topics that are needed.
+
+        Raises
+        ------
+        LogError
+            If a name does not exist (with the nearest that do) or the file is damaged beyond its first records.
+        """
+        ...
+
+
+@dataclass
+class TableRecording:
+    """A recording whose channels are columns; shared by CSV, Parquet, MAT and MF4 without groups.
+
+    Attributes
+    ----------
+    signals : dict of str to RawSignal
+        In file order.
+    """
+
+    name: str
+    path: Path
+    signals: dict[str, RawSignal]
+    type_name: str = "column"
+    origin: float = 0.0
+    clocks: tuple[Clock, ...] = ()
+    notes: list[ReadNote] = field(default_factory=list)
+
+    def channels(self) -> list[RawChannelInfo]:
+        """Return the columns with their units."""
+        return [RawChannelInfo(s.name, self.type_name, len(s.values), s.unit) for s in self.signals.values()]
+
+    def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
+        """Return the named columns; see `Recording.read`."""
+        missing = [name for name in names if name not in self.signals]
+        if missing:
+            raise LogError(
+                f"no column {missing[0]!r}", where=self.name, advice=nearest_names(missing[0], self.signals)
+            )
+        return {name: self.signals[name] for name in names}

@@ -1,0 +1,25 @@
+"""Fixtures shared by all tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def datasets() -> Path:
+    """Folder of the foreign recordings; tests that need it skip when it is absent."""
+    folder = Path(os.environ.get("SPLIT_DATASETS", ROOT.parent / "shared" / "datasets"))
+    if not folder.is_dir():
+        pytest.skip("the foreign recordings are not here (set SPLIT_DATASETS)")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def sample_logs() -> Path:
+    """Folder of the bundled sample logs."""
+    return ROOT / "sample_logs"
