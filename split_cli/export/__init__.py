@@ -1,4 +1,4 @@
 """Trained sets as C99, CasADi, npz and json, each verified against Python.
 
-May import: scoring, prediction, learning, logs, vehicle, signals, files, errors. Imports casadi (as control does).
+May import: scoring, prediction, learning, logs, vehicle, signals, files, errors. Imports casadi.
 """

@@ -1,4 +1,52 @@
 """Named physical terms that may be added to the nominal single track, one file a family.
 
-May import: vehicle (tire, operations), errors.
+May import: vehicle (single_track, tire, operations, parameters), errors.
 """
+
+from __future__ import annotations
+
+from split_cli.errors import VehicleError, nearest_names
+from split_cli.vehicle.effects.forces import AeroDrag, RollingResistance, YawMomentDifferential
+from split_cli.vehicle.effects.term import Term
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["CATALOGUE", "Term", "build_terms"]
+
+CATALOGUE: dict[str, type[Term]] = {term.id: term for term in (AeroDrag, RollingResistance, YawMomentDifferential)}
+
+
+def build_terms(vehicle: Vehicle) -> tuple[Term, ...]:
+    """Return the terms a vehicle file's ``effects`` name.
+
+    Raises
+    ------
+    VehicleError
+        If a term is unknown, or a parameter is unknown or missing.
+    """
+    terms = []
+    for effect in vehicle.effects:
+        where = f"vehicle {vehicle.name}, effects"
+        if effect.term not in CATALOGUE:
+            raise VehicleError(
+                f"unknown term {effect.term!r}", where=where, advice=nearest_names(effect.term, CATALOGUE)
+            )
+        kind = CATALOGUE[effect.term]
+        unknown = set(effect.parameters) - set(kind.units)
+        missing = set(kind.units) - set(effect.parameters)
+        if unknown:
+            name = sorted(unknown)[0]
+            raise VehicleError(
+                f"{effect.term} has no parameter {name!r}",
+                where=where,
+                advice=nearest_names(name, kind.units),
+            )
+        if missing:
+            raise VehicleError(f"{effect.term} lacks {', '.join(sorted(missing))}", where=where)
+        if effect.variant not in kind.variants:
+            raise VehicleError(
+                f"{effect.term} has no variant {effect.variant!r}",
+                where=where,
+                advice=nearest_names(effect.variant, kind.variants),
+            )
+        terms.append(kind(dict(effect.parameters), effect.variant))
+    return tuple(terms)

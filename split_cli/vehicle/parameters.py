@@ -1,0 +1,297 @@
+"""The vehicle file: parameters of the nominal single track, with where each value comes from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from split_cli.errors import VehicleError, nearest_names
+from split_cli.files import atomic_write_text
+from split_cli.vehicle.tire import MagicFormula
+
+__all__ = [
+    "EffectSpec",
+    "Vehicle",
+    "read_vehicle",
+    "vehicle_from_mapping",
+    "vehicle_to_mapping",
+    "write_vehicle",
+]
+
+VALUE_SOURCES = ("published", "assumed", "calibrated")
+
+
+@dataclass(frozen=True)
+class EffectSpec:
+    """A named physical term that the nominal model includes.
+
+    Attributes
+    ----------
+    term : str
+        Id of the catalogue, for example ``aero_drag``.
+    parameters : mapping of str to float
+        What the real car has beyond the plain nominal vehicle, SI.
+    variant : str
+        Where physics allows several; empty for the term's default.
+    """
+
+    term: str
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    variant: str = ""
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """Parameters of the nominal single-track model, SI units.
+
+    Attributes
+    ----------
+    name : str
+    mass : float
+        m [kg].
+    yaw_inertia : float
+        I_z [kg m^2].
+    cg_to_front_axle, cg_to_rear_axle : float
+        l_f, l_r [m].
+    wheel_radius : float
+        Rolling radius r_e [m].
+    drive_split_front : float
+        kappa [1], share of the torque at the front axle where T >= 0.
+    brake_split_front : float
+        The same where T < 0 [1].
+    front_tire, rear_tire : MagicFormula
+        Whole-axle lateral force.
+    max_torque, max_brake_torque : float
+        Largest total wheel torque, driving and braking (as a positive number) [N m].
+    rolling_resistance_front, rolling_resistance_rear : float
+        C_fr, C_rr [N].
+    drag_coefficient : float
+        C_w [N/(m/s)^2].
+    cg_height : float or None
+        [m]; informs some terms only.
+    friction_coefficient : float or None
+        [1]; informs some terms only.
+    effects : tuple of EffectSpec
+        Terms the nominal model includes.
+    origins : mapping of str to str
+        For a key, ``published``, ``assumed`` or ``calibrated``, where the file says so.
+    """
+
+    name: str
+    mass: float
+    yaw_inertia: float
+    cg_to_front_axle: float
+    cg_to_rear_axle: float
+    wheel_radius: float
+    drive_split_front: float
+    brake_split_front: float
+    front_tire: MagicFormula
+    rear_tire: MagicFormula
+    max_torque: float
+    max_brake_torque: float
+    rolling_resistance_front: float = 0.0
+    rolling_resistance_rear: float = 0.0
+    drag_coefficient: float = 0.0
+    cg_height: float | None = None
+    friction_coefficient: float | None = None
+    effects: tuple[EffectSpec, ...] = ()
+    origins: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def wheelbase(self) -> float:
+        """l_f + l_r [m]."""
+        return self.cg_to_front_axle + self.cg_to_rear_axle
+
+    @property
+    def static_load_front(self) -> float:
+        """Vertical load of the front axle at rest [N]."""
+        return self.mass * 9.80665 * self.cg_to_rear_axle / self.wheelbase
+
+    @property
+    def static_load_rear(self) -> float:
+        """Vertical load of the rear axle at rest [N]."""
+        return self.mass * 9.80665 * self.cg_to_front_axle / self.wheelbase
+
+    @property
+    def minimum_speed(self) -> float:
+        """Speed below which samples are not used, 5 sqrt(wheelbase/2.7) [m/s]."""
+        return 5.0 * float(np.sqrt(self.wheelbase / 2.7))
+
+    def force_matrix(self) -> np.ndarray:
+        """Return the invariant matrix, shape (3, 3): forces to rates at small steer angles.
+
+        Columns are total longitudinal, front lateral and rear lateral force [N]; rows the derivatives of v_x,
+        v_y [m/s^2] and r [rad/s^2]: SPLIT paper, the simplified error dynamics.
+        """
+        m, i, a, b = self.mass, self.yaw_inertia, self.cg_to_front_axle, self.cg_to_rear_axle
+        return np.array([[1 / m, 0, 0], [0, 1 / m, 1 / m], [0, a / i, -b / i]])
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the physics: every value, without name and origins."""
+        mapping = vehicle_to_mapping(replace(self, name="", origins={}))
+        return hashlib.sha256(json.dumps(mapping, sort_keys=True).encode()).hexdigest()
+
+    def with_effects(self, *effects: EffectSpec) -> Vehicle:
+        """Return the vehicle with terms appended."""
+        return replace(self, effects=(*self.effects, *effects))
+
+
+_POSITIVE = (
+    "mass", "yaw_inertia", "cg_to_front_axle", "cg_to_rear_axle", "wheel_radius", "max_torque", "max_brake_torque",
+    "cg_height", "friction_coefficient",
+)  # fmt: skip
+_NOT_NEGATIVE = ("rolling_resistance_front", "rolling_resistance_rear", "drag_coefficient")
+_SHARES = ("drive_split_front", "brake_split_front")
+_OPTIONAL = {
+    "brake_split_front", "max_brake_torque", "rolling_resistance_front", "rolling_resistance_rear",
+    "drag_coefficient", "cg_height", "friction_coefficient",
+}  # fmt: skip
+_NUMBERS = (*_POSITIVE, *_NOT_NEGATIVE, *_SHARES)
+_KEYS = ("name", *_NUMBERS, "front_tire", "rear_tire", "effects")
+
+
+def read_vehicle(path: str | Path) -> Vehicle:
+    """Read a vehicle YAML.
+
+    Raises
+    ------
+    VehicleError
+        If the file is missing, not YAML, has unknown keys (the nearest known is named), lacks keys, or holds
+        physically impossible values.
+    """
+    path = Path(path)
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise VehicleError("no such file", where=str(path)) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise VehicleError(f"cannot be read ({error})", where=str(path)) from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        raise VehicleError(f"is not YAML ({getattr(error, 'problem', error)}{line})", where=str(path)) from error
+    if not isinstance(content, dict):
+        raise VehicleError("holds no keys", where=str(path), advice="See the vehicle file in docs/formats.md.")
+    return vehicle_from_mapping(content, where=str(path))
+
+
+def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") -> Vehicle:
+    """Build a vehicle from the mapping a vehicle file holds; see `read_vehicle`."""
+    for key in content:
+        if key not in _KEYS:
+            raise VehicleError(f"unknown key {key!r}", where=where, advice=nearest_names(str(key), _KEYS))
+    origins: dict[str, str] = {}
+    numbers = {}
+    for key in _NUMBERS:
+        if content.get(key) is not None:
+            numbers[key] = _number(key, content[key], origins, where)
+        elif key not in _OPTIONAL:
+            raise VehicleError(f"lacks {key}", where=where, advice="See the vehicle file in docs/formats.md.")
+    for key in _POSITIVE:
+        if key in numbers and not numbers[key] > 0:
+            raise VehicleError(f"{key} is {numbers[key]:g}, it must be positive", where=where)
+    for key in _NOT_NEGATIVE:
+        if numbers.get(key, 0.0) < 0:
+            raise VehicleError(f"{key} is {numbers[key]:g}, it must not be negative", where=where)
+    for key in _SHARES:
+        if not 0.0 <= numbers.get(key, 0.0) <= 1.0:
+            raise VehicleError(f"{key} is {numbers[key]:g}, it must lie in 0 to 1", where=where)
+    numbers.setdefault("brake_split_front", numbers["drive_split_front"])
+    numbers.setdefault("max_brake_torque", numbers["max_torque"])
+    tires = {key: _tire(key, content.get(key), origins, where) for key in ("front_tire", "rear_tire")}
+    effects = _effects(content.get("effects") or [], where)
+    name = str(content.get("name") or Path(where).stem)
+    return Vehicle(name=name, **numbers, **tires, effects=effects, origins=origins)
+
+
+def _number(key: str, value: Any, origins: dict[str, str], where: str) -> float:
+    if isinstance(value, Mapping):
+        unknown = set(value) - {"value", "source", "note"}
+        if unknown or "value" not in value:
+            raise VehicleError(f"{key} must be a number or {{value, source}}", where=where)
+        source = value.get("source")
+        if source is not None:
+            if source not in VALUE_SOURCES:
+                raise VehicleError(
+                    f"{key} has source {source!r}",
+                    where=where,
+                    advice=nearest_names(str(source), VALUE_SOURCES),
+                )
+            origins[key] = source
+        value = value["value"]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise VehicleError(f"{key} is {value!r}, a finite number was expected", where=where)
+    return float(value)
+
+
+def _tire(key: str, content: Any, origins: dict[str, str], where: str) -> MagicFormula:
+    if not isinstance(content, Mapping):
+        raise VehicleError(f"lacks {key}", where=where, advice="It needs B, C and D.")
+    for name in content:
+        if name not in ("B", "C", "D"):
+            advice = "Convert tyres with E or normalised D by `split calibrate --convert`."
+            raise VehicleError(f"unknown key {name!r} in {key}", where=where, advice=advice)
+    values = {}
+    for name in ("B", "C", "D"):
+        if name not in content:
+            raise VehicleError(f"{key} lacks {name}", where=where)
+        values[name] = _number(f"{key}.{name}", content[name], origins, where)
+        if not values[name] > 0:
+            raise VehicleError(f"{key}.{name} is {values[name]:g}, it must be positive", where=where)
+    if values["C"] >= 2.0:
+        raise VehicleError(f"{key}.C is {values['C']:g}: the force would change sign at large slip", where=where)
+    return MagicFormula(**values)
+
+
+def _effects(content: Any, where: str) -> tuple[EffectSpec, ...]:
+    if not isinstance(content, list):
+        raise VehicleError("effects must be a list of {term, parameters}", where=where)
+    effects = []
+    for entry in content:
+        if not isinstance(entry, Mapping) or "term" not in entry or set(entry) - {"term", "parameters", "variant"}:
+            raise VehicleError(f"an effect is {entry!r}, {{term, parameters, variant}} was expected", where=where)
+        term = str(entry["term"])
+        parameters = entry.get("parameters") or {}
+        values = {str(k): _number(f"effects.{term}.{k}", v, {}, where) for k, v in parameters.items()}
+        effects.append(EffectSpec(term, values, str(entry.get("variant") or "")))
+    return tuple(effects)
+
+
+def vehicle_to_mapping(vehicle: Vehicle) -> dict[str, Any]:
+    """Return what a vehicle file holds; `vehicle_from_mapping` reads it back to an equal vehicle."""
+
+    def entry(key: str, value: float) -> Any:
+        return {"value": value, "source": vehicle.origins[key]} if key in vehicle.origins else value
+
+    mapping: dict[str, Any] = {"name": vehicle.name}
+    for key in _NUMBERS:
+        value = getattr(vehicle, key)
+        if value is not None:
+            mapping[key] = entry(key, value)
+    for key in ("front_tire", "rear_tire"):
+        tire = getattr(vehicle, key)
+        mapping[key] = {name: entry(f"{key}.{name}", getattr(tire, name)) for name in ("B", "C", "D")}
+    if vehicle.effects:
+        mapping["effects"] = [
+            {
+                "term": e.term,
+                "parameters": dict(e.parameters),
+                **({"variant": e.variant} if e.variant else {}),
+            }
+            for e in vehicle.effects
+        ]
+    return mapping
+
+
+def write_vehicle(vehicle: Vehicle, path: str | Path, *, comment: str = "") -> None:
+    """Write a vehicle YAML, whole or not at all, with `comment` as leading ``#`` lines."""
+    head = "".join(f"# {line}\n" for line in comment.splitlines())
+    body = yaml.safe_dump(vehicle_to_mapping(vehicle), sort_keys=False, default_flow_style=None, width=100)
+    atomic_write_text(path, head + body)

@@ -1,0 +1,254 @@
+"""The nominal single-track model, staged so that named terms can be added between the stages.
+
+One evaluation runs: actuate (what a command becomes), body (mass, inertia, CG), slip angles and longitudinal
+forces, tire (B, C, D of an axle), lateral forces, lateral (what becomes of them), external forces, balance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from split_cli.vehicle.operations import NUMPY, Operations
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.tire import lateral_force, lateral_force_slope
+
+__all__ = ["AxleFlow", "Flow", "SingleTrack", "Stage", "slip_angles"]
+
+
+@dataclass
+class AxleFlow:
+    """One axle while the derivative is evaluated: B [1/rad], C [1], D [N], slip angle [rad], forces [N]."""
+
+    B: Any
+    C: Any
+    D: Any
+    slip_angle: Any = 0.0
+    longitudinal_force: Any = 0.0
+    lateral_force: Any = 0.0
+
+
+@dataclass
+class Flow:
+    """Everything a term may read or alter while the derivative is evaluated, in SI units and CG frame.
+
+    Attributes
+    ----------
+    ops : Operations
+    vehicle : Vehicle
+    vx, vy, r : array or symbol
+        Velocities at the CG [m/s], [m/s], [rad/s].
+    T, delta : array or symbol
+        Torque [N m] and road-wheel angle [rad], as commanded until the stage `actuate` has passed.
+    yaw, t, s : array or symbol
+        Yaw angle [rad], time [s], track position [m]; 0 where the caller has none.
+    mass, yaw_inertia, l_f, l_r : array or symbol
+    front, rear : AxleFlow
+    force_x, force_y, moment : array or symbol
+        External forces [N] and moment [N m] at the CG.
+    """
+
+    ops: Operations
+    vehicle: Vehicle
+    vx: Any
+    vy: Any
+    r: Any
+    T: Any
+    delta: Any
+    yaw: Any
+    t: Any
+    s: Any
+    mass: Any
+    yaw_inertia: Any
+    l_f: Any
+    l_r: Any
+    front: AxleFlow
+    rear: AxleFlow
+    force_x: Any = 0.0
+    force_y: Any = 0.0
+    moment: Any = 0.0
+
+
+class Stage(Protocol):
+    """A named term: it overrides the stages at which its physics acts; each alters the flow in place."""
+
+    def actuate(self, flow: Flow) -> None: ...
+    def body(self, flow: Flow) -> None: ...
+    def tire(self, flow: Flow) -> None: ...
+    def lateral(self, flow: Flow) -> None: ...
+    def external(self, flow: Flow) -> None: ...
+
+
+def slip_angles(
+    vx: Any, vy: Any, r: Any, delta: Any, l_f: Any, l_r: Any, ops: Operations = NUMPY
+) -> tuple[Any, Any]:
+    """Return front and rear slip angle [rad]; a positive angle gives a positive (leftward) force.
+
+    Notes
+    -----
+    alpha_f = delta - atan((v_y + l_f r)/v_x), alpha_r = -atan((v_y - l_r r)/v_x). The front angle is the
+    negative of the one the SPLIT paper prints (docs/errata.md).
+    """
+    return delta - ops.atan2(vy + l_f * r, vx), -ops.atan2(vy - l_r * r, vx)
+
+
+class SingleTrack:
+    """Continuous single-track model with the terms the vehicle file names.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    terms : sequence of Stage, optional
+        Terms to include, in order; by default those of ``vehicle.effects``.
+    """
+
+    def __init__(self, vehicle: Vehicle, terms: Sequence[Stage] | None = None) -> None:
+        self.vehicle = vehicle
+        if terms is None and vehicle.effects:
+            from split_cli.vehicle.effects import build_terms
+
+            terms = build_terms(vehicle)
+        self.terms: tuple[Stage, ...] = tuple(terms or ())
+
+    def flow(
+        self,
+        vx: Any,
+        vy: Any,
+        r: Any,
+        T: Any,
+        delta: Any,
+        *,
+        yaw: Any = 0.0,
+        t: Any = 0.0,
+        s: Any = 0.0,
+        ops: Operations = NUMPY,
+    ) -> Flow:
+        """Evaluate every stage and return the flow with all forces, before the balance.
+
+        Parameters are arrays of one shape, in the units of `Flow`.
+        """
+        car = self.vehicle
+        flow = Flow(
+            ops=ops,
+            vehicle=car,
+            vx=vx,
+            vy=vy,
+            r=r,
+            T=T,
+            delta=delta,
+            yaw=yaw,
+            t=t,
+            s=s,
+            mass=car.mass,
+            yaw_inertia=car.yaw_inertia,
+            l_f=car.cg_to_front_axle,
+            l_r=car.cg_to_rear_axle,
+            front=AxleFlow(car.front_tire.B, car.front_tire.C, car.front_tire.D),
+            rear=AxleFlow(car.rear_tire.B, car.rear_tire.C, car.rear_tire.D),
+        )
+        for term in self.terms:
+            term.actuate(flow)
+        for term in self.terms:
+            term.body(flow)
+        front, rear = flow.front, flow.rear
+        front.slip_angle, rear.slip_angle = slip_angles(vx, vy, r, flow.delta, flow.l_f, flow.l_r, ops)
+        front.longitudinal_force, rear.longitudinal_force = self._longitudinal_forces(flow.T, ops)
+        for term in self.terms:
+            term.tire(flow)
+        for axle in (front, rear):
+            axle.lateral_force = lateral_force(axle.B, axle.C, axle.D, axle.slip_angle, ops)
+        for term in self.terms:
+            term.lateral(flow)
+        flow.force_x = -car.drag_coefficient * vx * vx
+        for term in self.terms:
+            term.external(flow)
+        return flow
+
+    def _longitudinal_forces(self, T: Any, ops: Operations) -> tuple[Any, Any]:
+        """Return F_fx and F_rx [N]: SPLIT paper, longitudinal tire forces, with a split of its own for T < 0."""
+        car = self.vehicle
+        kappa = car.drive_split_front
+        if car.brake_split_front != kappa:
+            kappa = ops.where(T < 0.0, car.brake_split_front, kappa)
+        force = T / car.wheel_radius
+        return kappa * force - car.rolling_resistance_front, (1.0 - kappa) * force - car.rolling_resistance_rear
+
+    def velocity_derivative(self, vx: Any, vy: Any, r: Any, T: Any, delta: Any, **situation: Any) -> tuple:
+        """Return (v_x', v_y', r') [m/s^2], [m/s^2], [rad/s^2].
+
+        Parameters
+        ----------
+        vx, vy, r, T, delta : array
+            Any one shape.
+        **situation
+            ``yaw``, ``t``, ``s``, ``ops`` as for `flow`.
+
+        Notes
+        -----
+        SPLIT paper, the nominal model; terms act between its stages.
+        """
+        f = self.flow(vx, vy, r, T, delta, **situation)
+        sine, cosine = f.ops.sin(f.delta), f.ops.cos(f.delta)
+        front_x = f.front.longitudinal_force * cosine - f.front.lateral_force * sine
+        front_y = f.front.lateral_force * cosine + f.front.longitudinal_force * sine
+        dvx = (f.rear.longitudinal_force + front_x + f.force_x) / f.mass + vy * r
+        dvy = (f.rear.lateral_force + front_y + f.force_y) / f.mass - vx * r
+        dr = (front_y * f.l_f - f.rear.lateral_force * f.l_r + f.moment) / f.yaw_inertia
+        return dvx, dvy, dr
+
+    def velocity_jacobian(
+        self,
+        vx: np.ndarray,
+        vy: np.ndarray,
+        r: np.ndarray,
+        T: np.ndarray,
+        delta: np.ndarray,
+        **situation: Any,
+    ) -> np.ndarray:
+        """Return A, the Jacobian of (v_x', v_y', r') with respect to (v_x, v_y, r), shape (N, 3, 3).
+
+        Closed form for the plain nominal model; with terms, central differences of steps 1e-6 (1 + |v|), whose
+        error is about 1e-9 of the entries.
+        """
+        if self.terms:
+            return self._jacobian_by_differences(vx, vy, r, T, delta, **situation)
+        car = self.vehicle
+        m, i_z, l_f, l_r = car.mass, car.yaw_inertia, car.cg_to_front_axle, car.cg_to_rear_axle
+        alpha_f, alpha_r = slip_angles(vx, vy, r, delta, l_f, l_r)
+        slope_f = lateral_force_slope(car.front_tire.B, car.front_tire.C, car.front_tire.D, alpha_f)
+        slope_r = lateral_force_slope(car.rear_tire.B, car.rear_tire.C, car.rear_tire.D, alpha_r)
+        w_f, w_r = vy + l_f * r, vy - l_r * r
+        q_f, q_r = vx * vx + w_f * w_f, vx * vx + w_r * w_r
+        # Rows: derivative of the lateral force with respect to v_x, v_y, r.
+        d_front = slope_f / q_f * np.stack([w_f, -vx, -l_f * vx])
+        d_rear = slope_r / q_r * np.stack([w_r, -vx, l_r * vx])
+        sine, cosine = np.sin(delta), np.cos(delta)
+        jacobian = np.empty((*np.shape(vx), 3, 3))
+        for column in range(3):
+            jacobian[..., 0, column] = -d_front[column] * sine / m
+            jacobian[..., 1, column] = (d_rear[column] + d_front[column] * cosine) / m
+            jacobian[..., 2, column] = (d_front[column] * cosine * l_f - d_rear[column] * l_r) / i_z
+        jacobian[..., 0, 0] -= 2.0 * car.drag_coefficient * vx / m
+        jacobian[..., 0, 1] += r
+        jacobian[..., 0, 2] += vy
+        jacobian[..., 1, 0] -= r
+        jacobian[..., 1, 2] -= vx
+        return jacobian
+
+    def _jacobian_by_differences(self, vx, vy, r, T, delta, **situation: Any) -> np.ndarray:
+        velocity = [np.asarray(component, dtype=float) for component in (vx, vy, r)]
+        jacobian = np.empty((*np.shape(vx), 3, 3))
+        for column in range(3):
+            step = 1e-6 * (1.0 + np.abs(velocity[column]))
+            ahead, behind = list(velocity), list(velocity)
+            ahead[column] = velocity[column] + step
+            behind[column] = velocity[column] - step
+            width = ahead[column] - behind[column]
+            after = self.velocity_derivative(*ahead, T, delta, **situation)
+            before = self.velocity_derivative(*behind, T, delta, **situation)
+            for row in range(3):
+                jacobian[..., row, column] = (after[row] - before[row]) / width
+        return jacobian

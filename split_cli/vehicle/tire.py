@@ -1,0 +1,57 @@
+"""The Magic Formula of a whole axle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from split_cli.vehicle.operations import NUMPY, Operations
+
+__all__ = ["MagicFormula", "lateral_force", "lateral_force_slope"]
+
+
+@dataclass(frozen=True)
+class MagicFormula:
+    """Coefficients of one axle's lateral force.
+
+    Attributes
+    ----------
+    B : float
+        Stiffness factor [1/rad], positive.
+    C : float
+        Shape factor [1], in (0, 2).
+    D : float
+        Peak lateral force of the whole axle [N], friction and load included.
+    """
+
+    B: float
+    C: float
+    D: float
+
+    @property
+    def cornering_stiffness(self) -> float:
+        """Slope of the lateral force at zero slip angle, B C D [N/rad]."""
+        return self.B * self.C * self.D
+
+
+def lateral_force(B: Any, C: Any, D: Any, slip_angle: Any, ops: Operations = NUMPY) -> Any:
+    """Return the lateral force of an axle [N], left positive.
+
+    Parameters
+    ----------
+    B, C, D : float or array
+        Magic Formula coefficients [1/rad], [1], [N].
+    slip_angle : array
+        Slip angle [rad]; positive gives a positive (leftward) force.
+
+    Notes
+    -----
+    F_y = D sin(C atan(B alpha)): SPLIT paper, the simplified Magic Formula, after Pacejka (2005).
+    """
+    return D * ops.sin(C * ops.atan(B * slip_angle))
+
+
+def lateral_force_slope(B: Any, C: Any, D: Any, slip_angle: Any, ops: Operations = NUMPY) -> Any:
+    """Return dF_y/dalpha [N/rad] of `lateral_force`."""
+    reduced = B * slip_angle
+    return D * C * B * ops.cos(C * ops.atan(reduced)) / (1.0 + reduced * reduced)
