@@ -1,0 +1,82 @@
+"""What the residual is a function of: z2 = [alpha_f, alpha_r, T/T_max], z1, or any list of named signals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.errors import DriveError, nearest_names
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["Z1", "Z2", "FeatureSet", "parse_features"]
+
+
+@dataclass(frozen=True)
+class FeatureSet:
+    """An ordered list of named features.
+
+    Attributes
+    ----------
+    names : tuple of str
+        ``alpha_f``, ``alpha_r`` [rad], ``torque_ratio`` (T/T_max) [1], ``speed`` [m/s], ``steer_rate`` [rad/s],
+        or any channel of the drive.
+    """
+
+    names: tuple[str, ...]
+
+    @property
+    def is_z2(self) -> bool:
+        """Whether these are the three features the valid region is defined over."""
+        return self.names == Z2.names
+
+    def compute(self, model: SingleTrack, drive: Drive) -> np.ndarray:
+        """Return the features of every sample of a drive, shape (N, D).
+
+        Raises
+        ------
+        DriveError
+            If a feature is neither computed nor a channel of the drive.
+        """
+        flow = model.flow(drive["vx"], drive["vy"], drive["r"], drive["T"], drive["delta"])
+        computed = {
+            "alpha_f": flow.front.slip_angle,
+            "alpha_r": flow.rear.slip_angle,
+            "torque_ratio": drive["T"] / model.vehicle.max_torque,
+            "speed": np.hypot(drive["vx"], drive["vy"]),
+        }
+        if "steer_rate" in self.names:
+            computed["steer_rate"] = _rate_inside_segments(drive, "delta")
+        columns = []
+        for name in self.names:
+            if name not in computed and name not in drive:
+                known = [*computed, "steer_rate", *drive.columns]
+                raise DriveError(f"no feature {name!r}", where=drive.name, advice=nearest_names(name, known))
+            columns.append(computed[name] if name in computed else drive[name])
+        return np.ascontiguousarray(np.stack(columns, axis=1))
+
+
+Z1 = FeatureSet(("vx", "vy", "r", "torque_ratio", "delta"))
+Z2 = FeatureSet(("alpha_f", "alpha_r", "torque_ratio"))
+
+
+def parse_features(text: str | Sequence[str]) -> FeatureSet:
+    """Return the feature set named ``z1``, ``z2`` or by a comma-separated list."""
+    if isinstance(text, str):
+        if text.lower() in ("z1", "z2"):
+            return Z1 if text.lower() == "z1" else Z2
+        text = [name.strip() for name in text.split(",") if name.strip()]
+    names = tuple(text)
+    if not names or len(set(names)) != len(names):
+        raise DriveError(f"features {','.join(names)!r}: a list of distinct names was expected")
+    return FeatureSet(names)
+
+
+def _rate_inside_segments(drive: Drive, channel: str) -> np.ndarray:
+    rate = np.zeros(len(drive))
+    for run in drive.segments():
+        if run.stop - run.start > 1:
+            rate[run] = np.gradient(drive[channel][run], drive.period)
+    return rate

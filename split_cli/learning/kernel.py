@@ -1,0 +1,58 @@
+"""The squared-exponential kernel: one set of length scales for all outputs, variances an output."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["OUTPUTS", "Kernel", "correlation"]
+
+OUTPUTS = ("vx", "vy", "r")
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Hyperparameters of the residual's Gaussian process.
+
+    Attributes
+    ----------
+    length_scales : ndarray, shape (D,)
+        One a feature, in the feature's unit; shared by the outputs, so that a cell keeps one point set.
+    signal_variance : ndarray, shape (3,)
+        S0 of v_x', v_y' [m^2/s^4] and r' [rad^2/s^4].
+    noise_variance : ndarray, shape (3,)
+        Label noise s^2, same units.
+    origin : {"default", "given", "fitted"}
+    """
+
+    length_scales: np.ndarray
+    signal_variance: np.ndarray
+    noise_variance: np.ndarray
+    origin: str = "given"
+
+    def __post_init__(self) -> None:
+        for name in ("length_scales", "signal_variance", "noise_variance"):
+            values = np.ascontiguousarray(getattr(self, name), dtype=float)
+            if not (np.isfinite(values).all() and (values > 0).all()):
+                raise ValueError(f"{name} must be finite and positive, got {values}")
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+
+    def correlation(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return the unit-variance kernel between rows of `a` (N, D) and `b` (M, D), shape (N, M)."""
+        return correlation(a, b, self.length_scales)
+
+
+def correlation(a: np.ndarray, b: np.ndarray, length_scales: np.ndarray) -> np.ndarray:
+    """Return exp(-|a_i - b_j|^2/2) with features divided by their length scales, shape (N, M).
+
+    Notes
+    -----
+    SPLIT paper, the Squared Exponential kernel with sigma_f = 1. Distances are summed feature by feature, not by
+    the expanded square, so that near points keep their digits.
+    """
+    squared = np.zeros((len(a), len(b)))
+    for feature, scale in enumerate(length_scales):
+        squared += np.square((a[:, feature, None] - b[None, :, feature]) / scale)
+    return np.exp(-0.5 * squared)

@@ -1,0 +1,130 @@
+"""The valid region of the feature space and the grid of cells it is kept in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.tire import lateral_force
+
+__all__ = ["Grid", "Region", "z2_grid"]
+
+
+@dataclass(frozen=True)
+class Region:
+    """Limits of the physically valid region.
+
+    Attributes
+    ----------
+    p_long, p_ellipse : float
+        Shape of the force ellipse [1].
+    alpha_max : float
+        Largest slip angle [rad].
+    dalpha_max : float
+        Largest |alpha_f - alpha_r| [rad].
+    minimum_speed : float
+        [m/s].
+    """
+
+    p_long: float = 0.9
+    p_ellipse: float = 0.95
+    alpha_max: float = 0.18
+    dalpha_max: float = 0.10
+    minimum_speed: float = 5.0
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, **overrides: float) -> Region:
+        """Return the defaults for a vehicle, its minimum speed scaled by the root of the wheelbase."""
+        return cls(**{"minimum_speed": vehicle.minimum_speed, **overrides})
+
+    def inside_ellipse(
+        self, vehicle: Vehicle, alpha_f: np.ndarray, alpha_r: np.ndarray, torque: np.ndarray
+    ) -> np.ndarray:
+        """Return whether both axles' nominal forces satisfy (p_long F_x)^2 + F_y^2 <= (p_ellipse D)^2, shape (N,).
+
+        SPLIT paper, the tire forces constraint.
+        """
+        kappa = np.where(torque < 0.0, vehicle.brake_split_front, vehicle.drive_split_front)
+        force = torque / vehicle.wheel_radius
+        inside = np.ones(np.shape(torque), dtype=bool)
+        for tire, alpha, force_x in (
+            (vehicle.front_tire, alpha_f, kappa * force - vehicle.rolling_resistance_front),
+            (vehicle.rear_tire, alpha_r, (1.0 - kappa) * force - vehicle.rolling_resistance_rear),
+        ):
+            force_y = lateral_force(tire.B, tire.C, tire.D, alpha)
+            inside &= (self.p_long * force_x) ** 2 + force_y**2 <= (self.p_ellipse * tire.D) ** 2
+        return inside
+
+    def inside_slip(self, alpha_f: np.ndarray, alpha_r: np.ndarray) -> np.ndarray:
+        """Return whether both slip angles are within alpha_max, shape (N,)."""
+        return (np.abs(alpha_f) <= self.alpha_max) & (np.abs(alpha_r) <= self.alpha_max)
+
+    def inside_slip_difference(self, alpha_f: np.ndarray, alpha_r: np.ndarray) -> np.ndarray:
+        """Return whether |alpha_f - alpha_r| is within dalpha_max, shape (N,)."""
+        return np.abs(alpha_f - alpha_r) <= self.dalpha_max
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cells of equal edges: index floor(z/edge), half-open, the last cell of a bounded feature closed.
+
+    Attributes
+    ----------
+    edges : tuple of float
+        Cell edge a feature, in the feature's unit.
+    lower, upper : tuple of float
+        Bounds a feature; infinite where there are none. A sample outside has no cell.
+    """
+
+    edges: tuple[float, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+
+    @property
+    def bits(self) -> int:
+        """Bits of a cell number each feature's index takes."""
+        return 62 // len(self.edges)
+
+    def index(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the cell index a feature, int64 shape (N, D), and whether the sample has a cell, shape (N,)."""
+        z = np.asarray(z, dtype=float)
+        edges, lower, upper = (np.array(values) for values in (self.edges, self.lower, self.upper))
+        half = 1 << (self.bits - 1)
+        with np.errstate(invalid="ignore"):
+            position = np.floor(z / edges)
+            # A value on the upper bound belongs to the cell below it: the last cell is closed.
+            last = np.ceil(upper / edges - 1e-9) - 1.0
+            position = np.where((z <= upper) & (position > last), last, position)
+            valid = ((z >= lower) & (z <= upper) & (np.abs(position) < half)).all(axis=1)
+        index = np.where(valid[:, None], position, 0.0).astype(np.int64)
+        return index, valid
+
+    def pack(self, index: np.ndarray) -> np.ndarray:
+        """Return the cell number, int64 shape (N,), of indices (N, D); the first feature is most significant."""
+        half = 1 << (self.bits - 1)
+        number = np.zeros(len(index), dtype=np.int64)
+        for feature in range(index.shape[1]):
+            number = (number << self.bits) | (index[:, feature] + half)
+        return number
+
+    def unpack(self, number: np.ndarray) -> np.ndarray:
+        """Return the indices (N, D) of cell numbers (N,)."""
+        number = np.asarray(number, dtype=np.int64).copy()
+        half, mask = 1 << (self.bits - 1), (1 << self.bits) - 1
+        index = np.empty((len(number), len(self.edges)), dtype=np.int64)
+        for feature in range(len(self.edges) - 1, -1, -1):
+            index[:, feature] = (number & mask) - half
+            number >>= self.bits
+        return index
+
+    def centers(self, number: np.ndarray) -> np.ndarray:
+        """Return cell centres, shape (N, D), in feature units."""
+        return (self.unpack(number) + 0.5) * np.array(self.edges)
+
+
+def z2_grid(vehicle: Vehicle, region: Region, edges: tuple[float, float, float] = (0.02, 0.02, 0.1)) -> Grid:
+    """Return the grid over [alpha_f, alpha_r, T/T_max], reaching -max_brake_torque/max_torque."""
+    lower = (-region.alpha_max, -region.alpha_max, -vehicle.max_brake_torque / vehicle.max_torque)
+    return Grid(edges, lower, (region.alpha_max, region.alpha_max, 1.0))

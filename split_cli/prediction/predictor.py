@@ -1,0 +1,66 @@
+"""The seam every predictor stands behind."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from split_cli.learning.training_set import TrainingSet
+
+__all__ = ["Prediction", "Predictor"]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predicted residual of a batch of queries.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (N, 3)
+        Of v_x', v_y' [m/s^2] and r' [rad/s^2].
+    variance : ndarray, shape (N, 3)
+        Latent variance, without label noise, same units squared.
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray
+
+
+class Predictor(ABC):
+    """Mean, variance and Jacobian of the residual g(z) from a trained set.
+
+    Attributes
+    ----------
+    name : str
+        How the command line calls it.
+    needs_context : bool
+        Whether `at` must be called before predicting; reports then say that the recorded future was used.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    """
+
+    name: ClassVar[str]
+    needs_context: ClassVar[bool] = False
+
+    def __init__(self, training_set: TrainingSet) -> None:
+        self.training_set = training_set
+
+    def at(self, context: np.ndarray) -> Predictor:
+        """Return the predictor for a situation: `context`, shape (P, D), are the features expected next.
+
+        Predictors that need none return themselves.
+        """
+        return self
+
+    @abstractmethod
+    def predict(self, z: np.ndarray) -> Prediction:
+        """Return mean and latent variance at queries `z`, shape (N, D)."""
+
+    @abstractmethod
+    def jacobian(self, z: np.ndarray) -> np.ndarray:
+        """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
