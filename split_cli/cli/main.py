@@ -1,0 +1,152 @@
+"""The group of commands, loaded one by one, and the one place where an error becomes a line and an exit code."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import warnings
+
+import click
+
+from split_cli import __version__
+from split_cli.errors import NumericalRepairWarning, SplitError, nearest_names
+
+__all__ = ["COMMANDS", "group", "main"]
+
+COMMANDS = {
+    "ingest": "Read recordings into drives on one clock, in SI units.",
+    "label": "Compute what the nominal model gets wrong, sample by sample.",
+    "train": "Learn drives into a trained set, cell by cell.",
+    "evaluate": "Score predictors and features on held-out blocks of time.",
+    "export": "Write a trained set as C, CasADi, npz or json.",
+    "calibrate": "Fit a vehicle file to gentle drives, or convert a foreign one.",
+    "diagnose": "Say where a simulation and a real drive differ, and why.",
+    "simulate": "Drive the double-track plant and write its logs.",
+    "info": "Tell what a file of ours is.",
+    "verify": "Check a trained set or an export against itself.",
+    "demo": "Run the whole path on the bundled samples.",
+}
+
+_COREUTILS_OPTIONS = (
+    "-a",
+    "-b",
+    "-C",
+    "-d",
+    "-e",
+    "-l",
+    "-n",
+    "-t",
+    "-u",
+    "-x",
+    "-",
+    "--bytes",
+    "--lines",
+    "--number",
+)
+
+
+class LazyGroup(click.Group):
+    """A group that knows its commands by name and imports one only when it is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the commands in the order in which one uses them."""
+        return [name for name in COMMANDS if _exists(name)]
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """Import and return one command."""
+        if name not in COMMANDS or not _exists(name):
+            return None
+        return importlib.import_module(f"split_cli.cli.{name}").command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, COMMANDS[name]) for name in self.list_commands(ctx)])
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple:
+        """Find the command; name the nearest, or say that this is not the split of coreutils."""
+        name = args[0] if args else ""
+        if name not in COMMANDS and (os.path.exists(name) or name.startswith(_COREUTILS_OPTIONS)):
+            raise click.UsageError(_not_coreutils(name), ctx)
+        if self.get_command(ctx, name) is None:
+            advice = nearest_names(name, self.list_commands(ctx))
+            raise click.UsageError(f"No such command {name!r}. {advice}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the group's own options."""
+        if args and args[0].startswith(_COREUTILS_OPTIONS) and not args[0].startswith("--help"):
+            raise click.UsageError(_not_coreutils(args[0]), ctx)
+        return super().parse_args(ctx, args)
+
+
+def _exists(name: str) -> bool:
+    folder = os.path.dirname(__file__)
+    return os.path.isfile(os.path.join(folder, f"{name}.py"))
+
+
+def _not_coreutils(name: str) -> str:
+    return (
+        f"{name!r} is not a command. This `split` learns vehicle models from driving logs; the `split` of coreutils, "
+        "which cuts files into pieces, is usually /usr/bin/split. To avoid the clash call this one `split-cli`."
+    )
+
+
+@click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="split", message="%(prog)s %(version)s")
+def group() -> None:
+    """Turn driving logs into vehicle models that a controller can trust.
+
+    \b
+    Example, from a log to C code:
+      split ingest lap.mcap --vehicle car.yaml --map map.yaml -o lap.parquet
+      split train lap.parquet --vehicle car.yaml -o car.split
+      split evaluate lap2.parquet --vehicle car.yaml --set car.split
+      split export car.split --target c -o controller/
+
+    Figures and tables go to stdout, progress and notes to stderr. Exit codes: 0 done, 1 the input is at fault,
+    2 usage.
+    """
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line; leave with 0, 1 (the input is at fault) or 2 (usage), never with a traceback."""
+    warnings.showwarning = _show_warning
+    warnings.simplefilter("always", NumericalRepairWarning)
+    try:
+        result = group.main(args=arguments, prog_name="split", standalone_mode=False)
+        sys.stdout.flush()
+    except SplitError as error:
+        _fail(str(error), 1)
+    except click.exceptions.Abort:
+        _fail("stopped; what was being written is left as it was before", 130)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except BrokenPipeError:
+        # A reader such as `head` went away: point stdout elsewhere so that the exit is quiet.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except MemoryError:
+        _fail("not enough memory; try shorter recordings or fewer at once", 1)
+    except Exception as error:
+        if os.environ.get("SPLIT_TRACEBACK"):
+            raise
+        _fail(
+            f"an error of this program, not of yours: {type(error).__name__}: {error}. "
+            "Set SPLIT_TRACEBACK=1 and report what it prints",
+            1,
+        )
+    sys.exit(result if isinstance(result, int) else 0)
+
+
+def _fail(text: str, code: int) -> None:
+    line = " ".join(text.split())
+    click.echo(f"split: {line}", err=True)
+    sys.exit(code)
+
+
+def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
+    """Show our own warnings as one line each; leave out where in the source they arose."""
+    click.echo(f"split: warning: {message}", err=True)

@@ -1,0 +1,87 @@
+"""Options that several commands share, and how results are printed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+__all__ = ["existing_file", "json_option", "output_option", "print_json", "print_table", "vehicle_option"]
+
+existing_file = click.Path(path_type=Path)
+
+
+def vehicle_option(required: bool = True) -> Callable:
+    """``--vehicle FILE``, the vehicle YAML."""
+    return click.option(
+        "--vehicle", "vehicle_path", type=existing_file, required=required, metavar="FILE", help="Vehicle YAML."
+    )
+
+
+def json_option(function: Callable) -> Callable:
+    """``--json``: print the result as JSON on stdout instead of a table."""
+    return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")(function)
+
+
+def output_option(meaning: str, required: bool = True) -> Callable:
+    """``-o PATH``."""
+    return click.option(
+        "-o",
+        "--output",
+        "output",
+        type=click.Path(path_type=Path),
+        required=required,
+        metavar="PATH",
+        help=meaning,
+    )
+
+
+def print_json(result: Any) -> None:
+    """Print a result (dataclasses, arrays, paths) as JSON; not-a-number becomes null."""
+    click.echo(json.dumps(_plain(result), indent=2, sort_keys=False, allow_nan=False))
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, str | bool | int) or value is None:
+        return value
+    if isinstance(value, float):
+        return value if abs(value) < float("inf") else None
+    if isinstance(value, Iterable):
+        return [_plain(entry) for entry in value]
+    return str(value)
+
+
+def print_table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    """Print an aligned table: text to the left, numbers to the right."""
+    texts = [[_cell(value) for value in row] for row in rows]
+    widths = [max(len(column), *(len(row[i]) for row in texts), 0) for i, column in enumerate(header)]
+    numeric = [all(isinstance(row[i], int | float) or row[i] is None for row in rows) for i in range(len(header))]
+
+    def line(cells: Sequence[str]) -> str:
+        parts = [c.rjust(w) if n else c.ljust(w) for c, w, n in zip(cells, widths, numeric, strict=True)]
+        return "  ".join(parts).rstrip()
+
+    click.echo(line(header))
+    click.echo("  ".join("-" * width for width in widths))
+    for row in texts:
+        click.echo(line(row))
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)
