@@ -39,7 +39,6 @@ _COREUTILS_OPTIONS = (
     "-t",
     "-u",
     "-x",
-    "-",
     "--bytes",
     "--lines",
     "--number",
@@ -62,12 +61,12 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, COMMANDS[name]) for name in self.list_commands(ctx)])
+            formatter.write_dl([(name, COMMANDS[name]) for name in self.list_commands(ctx)] or [("-", "none")])
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple:
         """Find the command; name the nearest, or say that this is not the split of coreutils."""
         name = args[0] if args else ""
-        if name not in COMMANDS and (os.path.exists(name) or name.startswith(_COREUTILS_OPTIONS)):
+        if name not in COMMANDS and (os.path.exists(name) or name == "-"):
             raise click.UsageError(_not_coreutils(name), ctx)
         if self.get_command(ctx, name) is None:
             advice = nearest_names(name, self.list_commands(ctx))
@@ -76,7 +75,7 @@ class LazyGroup(click.Group):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the group's own options."""
-        if args and args[0].startswith(_COREUTILS_OPTIONS) and not args[0].startswith("--help"):
+        if args and args[0].startswith(_COREUTILS_OPTIONS):
             raise click.UsageError(_not_coreutils(args[0]), ctx)
         return super().parse_args(ctx, args)
 
@@ -88,8 +87,9 @@ def _exists(name: str) -> bool:
 
 def _not_coreutils(name: str) -> str:
     return (
-        f"{name!r} is not a command. This `split` learns vehicle models from driving logs; the `split` of coreutils, "
-        "which cuts files into pieces, is usually /usr/bin/split. To avoid the clash call this one `split-cli`."
+        f"{name!r} is not a command. This `split` learns vehicle models from driving logs; the `split` of "
+        "coreutils, which cuts files into pieces, is usually /usr/bin/split. To avoid the clash call this one "
+        "`split-cli`."
     )
 
 
