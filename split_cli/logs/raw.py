@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
@@ -11,7 +11,16 @@ import numpy as np
 
 from split_cli.errors import LogError, nearest_names
 
-__all__ = ["Clock", "RawChannelInfo", "RawSignal", "ReadNote", "Recording", "TableRecording"]
+__all__ = [
+    "Clock",
+    "LazyTableRecording",
+    "RawChannelInfo",
+    "RawSignal",
+    "ReadNote",
+    "Recording",
+    "TableRecording",
+    "note_once",
+]
 
 Clock = Literal["header", "publish", "log"]
 
@@ -136,3 +145,42 @@ class TableRecording:
                 f"no column {missing[0]!r}", where=self.name, advice=nearest_names(missing[0], self.signals)
             )
         return {name: self.signals[name] for name in names}
+
+
+@dataclass
+class LazyTableRecording:
+    """A recording of columns that are read only when asked for.
+
+    Attributes
+    ----------
+    infos : list of RawChannelInfo
+        In file order.
+    load : callable
+        Takes names that exist and returns their signals, in that order.
+    """
+
+    name: str
+    path: Path
+    infos: list[RawChannelInfo]
+    load: Callable[[Sequence[str]], dict[str, RawSignal]]
+    origin: float = 0.0
+    clocks: tuple[Clock, ...] = ()
+    notes: list[ReadNote] = field(default_factory=list)
+
+    def channels(self) -> list[RawChannelInfo]:
+        """Return the columns with their units."""
+        return list(self.infos)
+
+    def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
+        """Return the named columns; see `Recording.read`."""
+        known = {info.name for info in self.infos}
+        for name in names:
+            if name not in known:
+                raise LogError(f"no column {name!r}", where=self.name, advice=nearest_names(name, known))
+        return self.load(list(dict.fromkeys(names)))
+
+
+def note_once(notes: list[ReadNote], note: ReadNote) -> None:
+    """Add `note`; one about the same thing in the same place is replaced, so that reading twice counts once."""
+    notes[:] = [other for other in notes if (other.what, other.where) != (note.what, note.where)]
+    notes.append(note)

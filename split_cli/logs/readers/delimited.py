@@ -1,0 +1,198 @@
+"""Delimited text: plain CSV, and logger exports with preambles, unit rows and decimal commas."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from split_cli.errors import LogError
+from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawSignal, ReadNote, Recording, note_once
+from split_cli.logs.readers.dialect import Dialect, Sniffed, sniff
+from split_cli.signals import find_unit, split_name_and_unit
+
+__all__ = ["open_delimited"]
+
+_EMPTY = ["", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--"]
+_TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
+_BLOCK_BYTES = 4 << 20
+
+
+def open_delimited(path: Path) -> Recording:
+    """Open delimited text; separator, encoding, decimal mark, header and units are found from its beginning.
+
+    Cells that are no numbers read as NaN, rows with another number of cells than the header are left out, and
+    both are counted in the notes. A column that is mostly text is listed, with the type ``text``, but not read.
+
+    Raises
+    ------
+    LogError
+        If it is not a table of numbers.
+    """
+    sniffed = sniff(path)
+    notes: list[ReadNote] = []
+    columns = _columns(sniffed, path, notes)
+    width = len(sniffed.header)
+    infos = [
+        RawChannelInfo(name, "text" if _is_text(sniffed, index) else "column", None, unit)
+        for name, (index, unit) in columns.items()
+    ]
+
+    def load(names: Sequence[str]) -> dict[str, RawSignal]:
+        for info in infos:
+            if info.type_name == "text" and info.name in names:
+                raise LogError(f"column {info.name!r} holds text, not numbers", where=path.name)
+        chosen = {name: columns[name] for name in names}
+        values = _read_columns(path, sniffed.dialect, width, [index for index, _ in chosen.values()], notes)
+        return {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
+
+    return LazyTableRecording(path.name, path, infos, load, notes=notes)
+
+
+def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, tuple[int, str | None]]:
+    """Return position and unit of every named column."""
+    columns: dict[str, tuple[int, str | None]] = {}
+    renamed = 0
+    for index, title in enumerate(sniffed.header):
+        name, unit = split_name_and_unit(title)
+        stated = sniffed.units[index].strip().strip("[]()") if sniffed.units else ""
+        if stated:
+            known = find_unit(stated)
+            unit = known.symbol if known else stated
+        if not name:
+            continue
+        if name in columns:
+            renamed += 1
+            name = next(
+                f"{name}_{n}" for n in range(2, len(sniffed.header) + 2) if f"{name}_{n}" not in columns
+            )
+        columns[name] = (index, unit)
+    if renamed:
+        note_once(notes, ReadNote("column names that occur twice, numbered", path.name, renamed))
+    if sniffed.unnamed:
+        note_once(notes, ReadNote("no header row: columns are called column1, column2, ...", path.name))
+    return columns
+
+
+def _is_text(sniffed: Sniffed, index: int) -> bool:
+    cells = [row[index].strip() for row in sniffed.rows if index < len(row)]
+    cells = [cell for cell in cells if cell not in _EMPTY]
+    numeric = sum(np.isfinite(_number(cell, sniffed.dialect.decimal)) for cell in cells)
+    return bool(cells) and 2 * numeric < len(cells)
+
+
+def _number(cell: str, decimal: str) -> float:
+    try:
+        return float(cell.replace(decimal, ".") if decimal != "." else cell)
+    except ValueError:
+        folded = cell.lower()
+        if folded in _TRUE or folded in _FALSE:
+            return float(folded in _TRUE)
+        return _seconds(cell)
+
+
+def _seconds(cell: str) -> float:
+    """Return the seconds since 1970 of an ISO 8601 time, UTC where it names no zone, else NaN."""
+    from datetime import UTC, datetime
+
+    if len(cell) < 16 or cell[4:5] != "-":
+        return float("nan")
+    try:
+        moment = datetime.fromisoformat(cell)
+    except ValueError:
+        return float("nan")
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def _read_columns(
+    path: Path, dialect: Dialect, width: int, indices: list[int], notes: list[ReadNote]
+) -> dict[int, np.ndarray]:
+    """Return the columns `indices` as numbers."""
+    import pyarrow as pa
+
+    try:
+        table, ragged = _read_table(path, dialect, width, indices, pa.float64())
+    except pa.ArrowInvalid:
+        # Some cell is no number: read as text, then cell by cell where the quick conversion fails.
+        try:
+            table, ragged = _read_table(path, dialect, width, indices, pa.string())
+        except pa.ArrowException as error:
+            raise _unreadable(path, error) from error
+    except pa.ArrowException as error:
+        raise _unreadable(path, error) from error
+    if ragged:
+        note_once(notes, ReadNote("rows with too few or too many cells, left out", path.name, ragged))
+    if not table.num_rows:
+        raise LogError("holds no rows", where=path.name)
+    values = {}
+    for index in indices:
+        column = table[str(index)]
+        if pa.types.is_string(column.type):
+            values[index], bad = _numbers(column, dialect.decimal)
+            if bad:
+                note_once(
+                    notes,
+                    ReadNote(
+                        "cells that are no numbers, read as missing", f"{path.name}, column {index + 1}", bad
+                    ),
+                )
+        else:
+            values[index] = np.array(column.fill_null(float("nan")), dtype=np.float64)
+    return values
+
+
+def _read_table(path: Path, dialect: Dialect, width: int, indices: list[int], kind: Any) -> tuple[Any, int]:
+    from pyarrow import csv as arrow_csv
+
+    ragged: Counter[str] = Counter()
+
+    def skip(row: Any) -> str:
+        # Blank lines between unit row and values, and at the end, are layout and no loss.
+        ragged["rows"] += bool((row.text or "").strip())
+        return "skip"
+
+    names = [str(index) for index in range(width)]
+    with path.open("rb") as stream:
+        stream.seek(dialect.offset)
+        table = arrow_csv.read_csv(
+            stream,
+            read_options=arrow_csv.ReadOptions(
+                column_names=names, encoding=dialect.encoding, block_size=_BLOCK_BYTES, use_threads=False
+            ),
+            parse_options=arrow_csv.ParseOptions(
+                delimiter=dialect.separator, invalid_row_handler=skip, newlines_in_values=False
+            ),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=dict.fromkeys(names, kind),
+                include_columns=[str(index) for index in indices],
+                null_values=_EMPTY,
+                strings_can_be_null=True,
+                decimal_point=dialect.decimal,
+                check_utf8=False,
+            ),
+        )
+    return table, ragged["rows"]
+
+
+def _numbers(column: Any, decimal: str) -> tuple[np.ndarray, int]:
+    """Return a column of text as numbers, and how many cells are none."""
+    import pandas as pd
+
+    text = column.to_pandas().str.strip()
+    plain = text.str.replace(decimal, ".", regex=False) if decimal != "." else text
+    values = pd.to_numeric(plain, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+    unread = np.flatnonzero(np.isnan(values) & text.notna().to_numpy())
+    cells = text.iloc[unread].tolist()
+    values[unread] = [_number(cell, decimal) for cell in cells]
+    bad = sum(
+        1 for row, cell in zip(unread, cells, strict=True) if np.isnan(values[row]) and cell not in _EMPTY
+    )
+    return values, bad
+
+
+def _unreadable(path: Path, error: Exception) -> LogError:
+    reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+    return LogError(f"cannot be read as delimited text ({reason})", where=path.name)

@@ -1,0 +1,190 @@
+"""Finding out how a delimited text file is written, from its first lines."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from split_cli.errors import LogError
+from split_cli.signals import find_unit
+
+__all__ = ["Dialect", "Sniffed", "sniff"]
+
+_SAMPLE_BYTES = 1 << 18
+_SEPARATORS = (",", ";", "\t", "|")
+_CHECKED_ROWS = 200
+_CONFIRMING_ROWS = 3
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+_NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
+_NUMBER_WITH_COMMA = re.compile(r"^[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d+)?$")
+_UNIT_LIKE = re.compile(r"^[\[(]?[A-Za-z°µ%/*^·.\-\d² ]{0,12}[\])]?$")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How the rows of values are written.
+
+    Attributes
+    ----------
+    separator, decimal : str
+        One character each.
+    encoding : str
+    offset : int
+        Byte at which the first row of values begins.
+    """
+
+    separator: str
+    decimal: str
+    encoding: str
+    offset: int
+
+
+@dataclass(frozen=True)
+class Sniffed:
+    """What stands before the values.
+
+    Attributes
+    ----------
+    dialect : Dialect
+    header : list of str
+        A title a column.
+    units : list of str or None
+        A unit a column, where there is a row of them.
+    rows : list of list of str
+        The first rows of values.
+    unnamed : bool
+        Whether there is no header and the titles were made up.
+    """
+
+    dialect: Dialect
+    header: list[str]
+    units: list[str] | None
+    rows: list[list[str]]
+    unnamed: bool
+
+
+def sniff(path: Path) -> Sniffed:
+    """Find separator, decimal mark, encoding, header, units and the first row of values.
+
+    The values begin at the first row from which on several rows hold numbers in most of their cells; the
+    header is the last row of titles, as wide as they are, before it; a row of units may stand between.
+
+    Raises
+    ------
+    LogError
+        If no such row exists.
+    """
+    with path.open("rb") as stream:
+        sample = stream.read(_SAMPLE_BYTES)
+        whole = len(sample) < _SAMPLE_BYTES
+    mark, encoding = next(((m, e) for m, e in _MARKS if sample.startswith(m)), (b"", _encoding(sample)))
+    text = sample[len(mark) :].decode(encoding, errors="replace")
+    lines = text.splitlines(keepends=True)
+    if not whole and len(lines) > 1:
+        lines.pop()
+    if "\ufffd" in text[:1000] or sum(ch < " " and ch not in "\t\r\n\f" for ch in text[:1000]) > 5:
+        raise LogError("is of no known format: neither a log nor text", where=path.name)
+    for separator, decimal in _candidates(lines):
+        rows = [_split(line, separator) for line in lines]
+        first = _first_values(rows, decimal)
+        if first is not None:
+            offset = len(mark) + sum(len(line.encode(encoding)) for line in lines[:first])
+            return _described(rows, first, Dialect(separator, decimal, encoding, offset))
+    raise LogError(
+        "is no table of numbers: no rows of numbers were found in its beginning",
+        where=path.name,
+        advice="Values are expected in columns, separated by comma, semicolon or tab.",
+    )
+
+
+def _encoding(sample: bytes) -> str:
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(sample, final=False)
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
+def _candidates(lines: list[str]) -> list[tuple[str, str]]:
+    """Return separators with decimal marks, the most plausible first, judged by the last lines of the sample."""
+    tail = [line for line in lines if line.strip()][-_CHECKED_ROWS:]
+    scored = []
+    for separator in _SEPARATORS:
+        for decimal in (".",) if separator == "," else (".", ","):
+            rows = [_split(line, separator) for line in tail]
+            widths = Counter(map(len, rows))
+            width = max(widths, key=lambda w: (widths[w], w), default=0)
+            numbers = sum(_is_number(cell, decimal) for row in rows if len(row) == width for cell in row)
+            scored.append((width > 1, numbers, (separator, decimal)))
+    # A column of integers reads the same with either mark; the point, listed first, then wins.
+    scored.sort(key=lambda entry: entry[:2], reverse=True)
+    return [entry[2] for entry in scored]
+
+
+def _split(line: str, separator: str) -> list[str]:
+    return next(csv.reader([line.rstrip("\r\n")], delimiter=separator), [])
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    pattern = _NUMBER if decimal == "." else _NUMBER_WITH_COMMA
+    return pattern.match(cell.strip()) is not None
+
+
+def _holds_values(row: list[str], decimal: str) -> bool:
+    filled = [cell.strip() for cell in row if cell.strip()]
+    numbers = sum(_is_number(cell, decimal) or cell.lower() in ("nan", "inf", "-inf") for cell in filled)
+    return numbers > 0 and 2 * numbers >= len(filled)
+
+
+def _first_values(rows: list[list[str]], decimal: str) -> int | None:
+    """Return the first row of values: as wide as, and followed by, further rows of values."""
+    widths = Counter(len(row) for row in rows if _holds_values(row, decimal))
+    if not widths:
+        return None
+    width = max(widths, key=lambda w: (widths[w], w))
+    for index, row in enumerate(rows):
+        if len(row) != width or not _holds_values(row, decimal):
+            continue
+        following = [later for later in rows[index + 1 :] if any(later)][:_CONFIRMING_ROWS]
+        good = sum(len(later) == width and _holds_values(later, decimal) for later in following)
+        if 2 * good >= len(following):
+            return index
+    return None
+
+
+def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
+    width = len(rows[first])
+    values = [row for row in rows[first : first + _CHECKED_ROWS] if len(row) == width]
+    above = [row for row in rows[:first] if any(cell.strip() for cell in row)]
+    above = [row for row in reversed(above[-4:])]
+    while above and not _is_title_row(above[0], width) and not _is_unit_row(above[0], width):
+        above.pop(0)
+    units = None
+    if len(above) > 1 and _is_unit_row(above[0], width) and _is_title_row(above[1], width):
+        units = (above.pop(0) + [""] * width)[:width]
+    if not above:
+        return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True)
+    return Sniffed(dialect, (above[0] + [""] * width)[:width], units, values, False)
+
+
+def _is_title_row(row: list[str], width: int) -> bool:
+    titles = [cell.strip() for cell in row if cell.strip()]
+    # One column more or less: exports disagree on a separator at the end of the line.
+    return abs(len(row) - width) <= 1 and len(titles) >= max(1, width // 2)
+
+
+def _is_unit_row(row: list[str], width: int) -> bool:
+    cells = [cell.strip() for cell in row]
+    filled = [cell for cell in cells if cell]
+    if abs(len(row) - width) > 1 or not filled or not all(_UNIT_LIKE.match(cell) for cell in filled):
+        return False
+    known = sum(find_unit(cell) is not None or cell[0] in "[(" for cell in filled)
+    return 2 * known >= len(filled)

@@ -1,0 +1,146 @@
+"""MATLAB files: versions 4 and 5 through SciPy, 7.3 (HDF5) through h5py."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from split_cli.errors import LogError
+from split_cli.logs.raw import RawSignal, ReadNote, Recording, TableRecording, note_once
+from split_cli.signals import split_name_and_unit
+
+__all__ = ["open_mat", "open_mat_hdf5"]
+
+_DEEPEST = 8
+_MOST_COLUMNS = 64
+_TIME_NAMES = ("time", "Time", "t", "tout")
+_VALUE_NAMES = ("signals.values", "values", "data", "Data")
+
+
+def open_mat(path: Path) -> Recording:
+    """Open a MAT file of version 4, 5 or 7.
+
+    Vectors become channels; a struct's fields are addressed as ``struct.field``, the columns of a matrix as
+    ``name[0]``. A structure with time (Simulink) becomes one channel of its name with its own clock.
+
+    Raises
+    ------
+    LogError
+        If it is damaged or holds no vector.
+    """
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(path, struct_as_record=False, squeeze_me=False, chars_as_strings=True)
+    except Exception as error:  # SciPy's reader raises a dozen kinds on damaged files
+        raise _damaged(path, error) from error
+    leaves = [
+        leaf for key, value in content.items() if not key.startswith("__") for leaf in _leaves(key, value, 0)
+    ]
+    return _recording(path, leaves)
+
+
+def open_mat_hdf5(path: Path) -> Recording:
+    """Open a MAT file of version 7.3, or an HDF5 file of vectors; see `open_mat`.
+
+    Raises
+    ------
+    LogError
+        If it is damaged or holds no vector.
+    """
+    import h5py
+
+    leaves: list[tuple[str, np.ndarray]] = []
+    try:
+        with h5py.File(path, "r") as file:
+            _collect_hdf5(file, "", leaves, 0)
+    except Exception as error:  # h5py passes on whatever the HDF5 library finds
+        raise _damaged(path, error) from error
+    return _recording(path, leaves)
+
+
+def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the numeric arrays of a variable, with their addresses."""
+    if depth > _DEEPEST:
+        return
+    if hasattr(value, "_fieldnames"):
+        for key in value._fieldnames:
+            yield from _leaves(f"{name}.{key}", getattr(value, key), depth + 1)
+    elif isinstance(value, np.ndarray) and value.dtype == object:
+        # Structs and cells come as arrays of objects, a single struct as an array of one.
+        for index, item in enumerate(value.ravel()[:_MOST_COLUMNS]):
+            yield from _leaves(name if value.size == 1 else f"{name}[{index}]", item, depth + 1)
+    elif isinstance(value, np.ndarray) and (value.dtype.kind in "biuf"):
+        yield name, value
+
+
+def _collect_hdf5(group: Any, prefix: str, leaves: list[tuple[str, np.ndarray]], depth: int) -> None:
+    import h5py
+
+    for key, item in group.items():
+        if key.startswith("#") or depth > _DEEPEST:
+            continue
+        name = f"{prefix}{key}"
+        if isinstance(item, h5py.Group):
+            _collect_hdf5(item, name + ".", leaves, depth + 1)
+        elif (
+            isinstance(item, h5py.Dataset)
+            and item.dtype.kind in "biuf"
+            and not item.attrs.get("MATLAB_empty", 0)
+        ):
+            is_text = item.attrs.get("MATLAB_class", b"") in (b"char", "char")
+            if item.ndim <= 2 and not is_text:
+                # HDF5 keeps the order of dimensions of the writer, MATLAB's is the reverse.
+                leaves.append((name, np.atleast_2d(np.asarray(item[()])).T))
+
+
+def _recording(path: Path, leaves: list[tuple[str, np.ndarray]]) -> Recording:
+    arrays = {name: values for name, values in leaves if values.size > 1 and values.ndim <= 2}
+    notes: list[ReadNote] = []
+    clocks = _own_clocks(arrays)
+    signals: dict[str, RawSignal] = {}
+    for name, values in arrays.items():
+        for column_name, column in _columns(name, values):
+            bare, unit = split_name_and_unit(column_name)
+            time = clocks.get(name)
+            if time is not None and len(time) != len(column):
+                time = None
+            signals[bare] = RawSignal(bare, time, column, unit)
+    scalars = sum(values.size <= 1 for _, values in leaves)
+    if scalars:
+        note_once(notes, ReadNote("variables of a single value, not listed", path.name, scalars))
+    if not signals:
+        raise LogError("holds no vector of numbers", where=path.name)
+    return TableRecording(path.name, path, signals, type_name="vector", notes=notes)
+
+
+def _own_clocks(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the time of each array of values that stands in a structure beside one (Simulink)."""
+    clocks: dict[str, np.ndarray] = {}
+    for name in arrays:
+        for ending in _VALUE_NAMES:
+            if not name.endswith("." + ending):
+                continue
+            structure = name[: -len(ending)]
+            beside = next((arrays[structure + t] for t in _TIME_NAMES if structure + t in arrays), None)
+            if beside is not None:
+                clocks[name] = np.asarray(beside, dtype=np.float64).ravel()
+    return clocks
+
+
+def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield a vector as itself and a matrix as the vectors along its longer side."""
+    if min(values.shape) == 1 or values.ndim == 1:
+        yield name, np.array(values, dtype=np.float64).ravel()
+        return
+    along = values if values.shape[0] >= values.shape[1] else values.T
+    for index in range(min(along.shape[1], _MOST_COLUMNS)):
+        yield f"{name}[{index}]", np.array(along[:, index], dtype=np.float64)
+
+
+def _damaged(path: Path, error: Exception) -> LogError:
+    reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+    return LogError(f"is cut off or damaged ({reason})", where=path.name, advice="Save it again.")

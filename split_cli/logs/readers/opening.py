@@ -1,0 +1,119 @@
+"""Finding the reader for a recording: by its first bytes, then by its suffix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from split_cli.errors import LogError
+from split_cli.logs.raw import Recording
+from split_cli.logs.readers.definitions import Definitions
+
+__all__ = ["open_recording"]
+
+_HEAD_BYTES = 4096
+_FOREIGN_MAGIC = (
+    (b"#ROSBAG V1", "a ROS 1 bag of version 1", "Convert it with `rosbag fix` or `rosbag reindex`."),
+    (b"ULog\x01\x12\x35", "a PX4 ULog", "Convert it to CSV with ulog2csv."),
+    (b"\x1f\x8b", "compressed with gzip", "Unpack it first."),
+    (b"\x28\xb5\x2f\xfd", "compressed with zstd", "Unpack it first with `zstd -d`."),
+    (b"PK\x03\x04", "a zip archive or a spreadsheet", "Unpack it, or export it as CSV."),
+    (b"BZh", "compressed with bzip2", "Unpack it first."),
+)
+_BINARY_SUFFIXES = {
+    ".mcap": "an MCAP file", ".bag": "a ROS 1 bag", ".db3": "a rosbag2 database", ".parquet": "a Parquet file",
+    ".feather": "a Feather file", ".arrow": "an Arrow file", ".mf4": "an MDF file", ".dat": "an MDF file",
+    ".mdf": "an MDF file", ".mat": "a MAT file",
+}  # fmt: skip
+
+
+def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()) -> Recording:
+    """Open a recording of any supported format.
+
+    Parameters
+    ----------
+    path : path-like
+        MCAP, rosbag2 folder or ``.db3``, ROS 1 ``.bag``, CSV, Parquet, Feather, MAT (v4, v5, v7.3), MF4.
+    message_paths : sequence of path-like
+        Folders of ``.msg`` files, for message types that the recording does not define.
+
+    Returns
+    -------
+    Recording
+        Channels are listed without decoding; see `split_cli.logs.raw.Recording`.
+
+    Raises
+    ------
+    LogError
+        If it does not exist, is empty, is of no known format, or nothing in it can be read.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            return _open_folder(path, message_paths)
+        if not path.exists():
+            raise LogError("does not exist", where=str(path), advice=_neighbours(path))
+        return _open_file(path, message_paths)
+    except OSError as error:
+        raise LogError(f"cannot be read ({error.strerror or error})", where=str(path)) from error
+
+
+def _open_file(path: Path, message_paths: Sequence[str | Path]) -> Recording:
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    if not head:
+        raise LogError("is empty", where=path.name, advice="Record it again.")
+    opened = _open_by_content(path, head, message_paths)
+    if opened is not None:
+        return opened
+    for magic, what, advice in _FOREIGN_MAGIC:
+        if head.startswith(magic):
+            raise LogError(f"is {what}, which is not read", where=path.name, advice=advice)
+    called = _BINARY_SUFFIXES.get(path.suffix.lower())
+    if called and path.suffix.lower() != ".dat":
+        raise LogError(
+            f"is named like {called} but does not begin like one", where=path.name, advice="Is it damaged?"
+        )
+    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise LogError(
+            "is of no known format",
+            where=path.name,
+            advice="Known are MCAP, rosbag2, ROS 1 bag, CSV, Parquet, Feather, MAT and MF4.",
+        )
+    from split_cli.logs.readers.delimited import open_delimited
+
+    return open_delimited(path)
+
+
+def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path]) -> Recording | None:
+    if head.startswith(b"\x89MCAP0\r\n"):
+        from split_cli.logs.readers.mcap import McapContainer
+        from split_cli.logs.readers.messages import MessageRecording
+
+        return MessageRecording(path, McapContainer(path), Definitions(message_paths))
+    if head.startswith((b"PAR1", b"ARROW1\0\0")):
+        from split_cli.logs.readers.parquet import open_arrow, open_parquet
+
+        return open_parquet(path) if head.startswith(b"PAR1") else open_arrow(path)
+    if head.startswith(b"MATLAB 5.0 MAT-file"):
+        from split_cli.logs.readers.mat import open_mat
+
+        return open_mat(path)
+    if head.startswith(b"\x89HDF\r\n\x1a\n") or head[512:520] == b"\x89HDF\r\n\x1a\n":
+        from split_cli.logs.readers.mat import open_mat_hdf5
+
+        return open_mat_hdf5(path)
+    return None
+
+
+def _open_folder(path: Path, message_paths: Sequence[str | Path]) -> Recording:
+    raise LogError("is a folder without a recording", where=str(path))
+
+
+def _neighbours(path: Path) -> str:
+    from split_cli.errors import nearest_names
+
+    folder = path.parent
+    if not folder.is_dir():
+        return f"The folder {folder} does not exist either."
+    return nearest_names(path.name, [entry.name for entry in folder.iterdir()][:500])

@@ -1,0 +1,122 @@
+"""Parquet, and Arrow IPC files (Feather)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from split_cli.errors import LogError
+from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawSignal, Recording
+from split_cli.signals import split_name_and_unit
+
+__all__ = ["column_values", "open_arrow", "open_parquet"]
+
+
+def open_parquet(path: Path) -> Recording:
+    """Open a Parquet file; columns are read when asked for.
+
+    Raises
+    ------
+    LogError
+        If it is damaged or holds no rows.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        file = pq.ParquetFile(path)
+    except (pa.ArrowException, OSError) as error:
+        raise _damaged(path, "Parquet", error) from error
+
+    def read(names: Sequence[str]) -> Any:
+        return pq.read_table(path, columns=list(names), partitioning=None)
+
+    return _recording(path, "Parquet", file.schema_arrow, file.metadata.num_rows, read)
+
+
+def open_arrow(path: Path) -> Recording:
+    """Open an Arrow IPC or Feather (version 2) file, which is mapped rather than read.
+
+    Raises
+    ------
+    LogError
+        If it is damaged or holds no rows.
+    """
+    import pyarrow as pa
+
+    try:
+        with pa.memory_map(str(path)) as source:
+            table = pa.ipc.open_file(source).read_all()
+    except (pa.ArrowException, OSError) as error:
+        raise _damaged(path, "Arrow", error) from error
+    return _recording(path, "Arrow", table.schema, table.num_rows, table.select)
+
+
+def _recording(
+    path: Path, kind: str, schema: Any, rows: int, read: Callable[[Sequence[str]], Any]
+) -> LazyTableRecording:
+    import pyarrow as pa
+
+    if not rows:
+        raise LogError("holds no rows", where=path.name)
+    columns: dict[str, str] = {}
+    infos = []
+    for column in schema:
+        name, unit = split_name_and_unit(column.name)
+        stated = (column.metadata or {}).get(b"unit")
+        name = name if name not in columns else column.name
+        columns[name] = column.name
+        infos.append(RawChannelInfo(name, str(column.type), rows, stated.decode() if stated else unit))
+    units = {info.name: info.unit for info in infos}
+
+    def load(names: Sequence[str]) -> dict[str, RawSignal]:
+        try:
+            table = read([columns[name] for name in names])
+        except (pa.ArrowException, OSError) as error:
+            raise _damaged(path, kind, error) from error
+        return {
+            name: RawSignal(
+                name, None, column_values(table[columns[name]], f"{path.name}, column {name}"), units[name]
+            )
+            for name in names
+        }
+
+    return LazyTableRecording(path.name, path, infos, load)
+
+
+def column_values(column: Any, where: str) -> np.ndarray:
+    """Return an Arrow column as float64, nulls as NaN, times as seconds, booleans as 0 and 1.
+
+    Raises
+    ------
+    LogError
+        If the column holds no numbers.
+    """
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    kind = column.type
+    if pa.types.is_dictionary(kind):
+        column, kind = column.cast(kind.value_type), kind.value_type
+    scale = 1.0
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
+        column = column.cast(pa.int64())
+    elif pa.types.is_decimal(kind) or pa.types.is_boolean(kind):
+        column = column.cast(pa.float64()) if pa.types.is_decimal(kind) else column.cast(pa.uint8())
+    elif not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):
+        raise LogError(f"holds {kind}, not numbers", where=where)
+    column = pc.fill_null(pc.cast(column, pa.float64(), safe=False), float("nan"))
+    return (
+        np.asarray(column, dtype=np.float64) * scale if scale != 1.0 else np.array(column, dtype=np.float64)
+    )
+
+
+def _damaged(path: Path, kind: str, error: Exception) -> LogError:
+    reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+    return LogError(
+        f"is cut off or damaged, or no {kind} file ({reason})", where=path.name, advice="Record it again."
+    )
