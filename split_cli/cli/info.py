@@ -1,0 +1,33 @@
+"""`split info`."""
+
+from __future__ import annotations
+
+import click
+
+from split_cli.cli.options import existing_file, json_option, print_json
+
+__all__ = ["command"]
+
+
+@click.command("info")
+@click.argument("files", nargs=-1, required=True, type=existing_file, metavar="FILE...")
+@json_option
+def command(files, as_json) -> None:
+    """Tell what a file of ours is: a drive, labels, a trained set, a vehicle, a map, an export, or a recording.
+
+    \b
+    Example:
+      split info car.split lap.parquet car.yaml
+      split info lap.mcap            # the channels a signal map can name
+    """
+    from split_cli.workflows.info import describe_file
+
+    descriptions = [describe_file(path) for path in files]
+    if as_json:
+        print_json(descriptions)
+        return
+    for description in descriptions:
+        click.echo(f"{description.path}: {description.kind}")
+        width = max((len(label) for label, _ in description.facts), default=0)
+        for label, text in description.facts:
+            click.echo(f"  {label.ljust(width)}  {text}")

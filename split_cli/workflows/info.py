@@ -1,0 +1,210 @@
+"""Tell what a file of ours is, and what is in it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import SplitError
+
+__all__ = ["FileDescription", "describe_file"]
+
+
+@dataclass(frozen=True)
+class FileDescription:
+    """What a file is.
+
+    Attributes
+    ----------
+    path : str
+    kind : str
+        drive, labels, trained set, vehicle, signal map, export, diagnosis, or recording.
+    facts : tuple of (str, str)
+        What is known of it, in reading order.
+    """
+
+    path: str
+    kind: str
+    facts: tuple[tuple[str, str], ...]
+
+
+def describe_file(path: str | Path) -> FileDescription:
+    """Return what `path` is: any file this program writes, or a recording it can read.
+
+    Raises
+    ------
+    SplitError
+        If there is no such file, or it is damaged or of no kind known here.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise SplitError("no such file", where=str(path))
+    suffix = path.suffix.lower()
+    if path.is_dir() and (path / "manifest.json").is_file():
+        return _export(path)
+    if suffix in (".yaml", ".yml"):
+        return _yaml(path)
+    if suffix == ".split":
+        return _trained_set(path)
+    if suffix == ".json":
+        return _json(path)
+    if suffix == ".parquet":
+        return _parquet(path)
+    return _recording(path)
+
+
+def _trained_set(path: Path) -> FileDescription:
+    from split_cli.learning.region import valid_cell_count
+    from split_cli.learning.training_set import read_set
+
+    trained = read_set(path)
+    kernel = trained.kernel
+    facts = [
+        ("vehicle", f"{trained.vehicle.name} (sha256 {trained.vehicle.digest()[:12]})"),
+        ("features", ", ".join(trained.features.names)),
+        ("points", f"{trained.size} in {trained.cell_count} cells, at most {trained.capacity} a cell"),
+    ]
+    if trained.features.is_z2:
+        valid = valid_cell_count(trained.vehicle, trained.region, trained.grid)
+        facts.append(("valid region", f"{valid} cells, {trained.cell_count / valid:.1%} non-empty"))
+    facts += [
+        ("cell edges", ", ".join(f"{edge:g}" for edge in trained.grid.edges)),
+        ("label interval", f"{trained.horizon:g} s"),
+        ("length scales", ", ".join(f"{v:.4g}" for v in kernel.length_scales) + f" ({kernel.origin})"),
+        ("signal deviation", ", ".join(f"{v:.4g}" for v in np.sqrt(kernel.signal_variance))),
+        ("noise deviation", ", ".join(f"{v:.4g}" for v in np.sqrt(kernel.noise_variance))),
+        ("threshold", f"{trained.threshold:g}"),
+        ("forgetting", "off" if trained.forgetting is None else f"{trained.forgetting:g} s"),
+    ]
+    for source in trained.sources:
+        facts.append(
+            (
+                f"source {source.name}",
+                f"{source.samples} labels, {source.accepted} valid, {source.insertions} inserted, "
+                f"{source.replacements} replaced (sha256 {source.sha256[:12]})",
+            )
+        )
+    return FileDescription(str(path), "trained set", tuple(facts))
+
+
+def _parquet(path: Path) -> FileDescription:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    try:
+        names = pa.parquet.read_schema(path).names
+    except (pa.ArrowException, OSError) as error:
+        raise SplitError(f"is not a whole Parquet file ({str(error).splitlines()[0]})", where=str(path)) from error
+    if {"y_vx", "y_vy", "y_r", "reason"} <= set(names):
+        table = pa.parquet.read_table(path, columns=["reason"])
+        counts = table.column("reason").value_counts().to_pylist()
+        reasons = ", ".join(f"{entry['counts']} {entry['values'] or 'accepted'}" for entry in counts)
+        features = [n for n in names if n not in ("t", "row", "segment", "y_vx", "y_vy", "y_r", "reason")]
+        facts = (("labels", str(table.num_rows)), ("features", ", ".join(features)), ("by reason", reasons))
+        return FileDescription(str(path), "labels", facts)
+    if {"vx", "vy", "r"} <= {name.split("(")[0].strip() for name in names}:
+        return _drive(path)
+    return _recording(path)
+
+
+def _drive(path: Path) -> FileDescription:
+    from split_cli.logs.drive import read_drive
+
+    drive = read_drive(path)
+    speed = np.hypot(drive["vx"], drive["vy"])
+    facts = [
+        ("samples", f"{len(drive)} at {drive.rate:g} Hz, {len(drive) * drive.period:.1f} s"),
+        ("segments", str(len(drive.segments()))),
+        ("channels", ", ".join(drive.columns)),
+        ("speed", f"{speed.min():.1f} to {speed.max():.1f} m/s"),
+    ]
+    facts += [(f"{channel} is", kind) for channel, kind in drive.metadata.kinds.items()]
+    facts += [("source", f"{s.name} (sha256 {s.sha256[:12]})") for s in drive.metadata.sources]
+    facts += [("converted", text) for text in drive.metadata.conversions]
+    return FileDescription(str(path), "drive", tuple(facts))
+
+
+def _yaml(path: Path) -> FileDescription:
+    import yaml
+
+    from split_cli.vehicle.parameters import read_vehicle
+
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
+        raise SplitError(f"is not YAML ({str(error).splitlines()[0]})", where=str(path)) from error
+    if isinstance(content, dict) and ("channels" in content or "preset" in content):
+        channels = content.get("channels") or {}
+        return FileDescription(str(path), "signal map", (("channels", ", ".join(map(str, channels)) or "-"),))
+    car = read_vehicle(path)
+    facts = [
+        ("name", car.name),
+        ("sha256 of the physics", car.digest()[:12]),
+        ("mass", f"{car.mass:g} kg"),
+        ("yaw inertia", f"{car.yaw_inertia:g} kg m^2"),
+        ("wheelbase", f"{car.wheelbase:g} m (l_f {car.cg_to_front_axle:g}, l_r {car.cg_to_rear_axle:g})"),
+        ("cornering stiffness", f"{car.front_tire.cornering_stiffness:.4g} front, "
+         f"{car.rear_tire.cornering_stiffness:.4g} rear N/rad"),
+        ("peak lateral force", f"{car.front_tire.D:.4g} front, {car.rear_tire.D:.4g} rear N"),
+        ("effects", ", ".join(effect.term for effect in car.effects) or "none"),
+        ("minimum speed", f"{car.minimum_speed:.3g} m/s"),
+    ]  # fmt: skip
+    for origin in ("published", "assumed", "calibrated"):
+        keys = [key for key, said in car.origins.items() if said == origin]
+        if keys:
+            facts.append((origin, ", ".join(keys)))
+    return FileDescription(str(path), "vehicle", tuple(facts))
+
+
+def _load_json(path: Path) -> dict:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        raise SplitError(f"is not JSON ({error})", where=str(path)) from error
+    if not isinstance(content, dict):
+        raise SplitError("is JSON of no kind known here", where=str(path))
+    return content
+
+
+def _json(path: Path) -> FileDescription:
+    content = _load_json(path)
+    if content.get("schema") == "split-diagnosis/1":
+        found = ", ".join(entry["term"] for entry in content["findings"]) or "none"
+        facts = (
+            ("verdict", content["verdict"]),
+            ("findings", found),
+            ("unexplained", str(content["unexplained"])),
+        )
+        return FileDescription(str(path), "diagnosis", facts)
+    if (path.parent / "manifest.json").is_file():
+        return _export(path.parent)
+    raise SplitError("is JSON of no kind known here", where=str(path))
+
+
+def _export(folder: Path) -> FileDescription:
+    manifest = _load_json(folder / "manifest.json")
+    facts = [(key, _short(value)) for key, value in manifest.items()]
+    return FileDescription(str(folder), "export", tuple(facts))
+
+
+def _short(value: object) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 160 else text[:157] + "..."
+
+
+def _recording(path: Path) -> FileDescription:
+    from split_cli.logs.readers import open_recording
+
+    recording = open_recording(path)
+    channels = recording.channels()
+    facts = [("clocks", ", ".join(recording.clocks) or "a column"), ("channels", str(len(channels)))]
+    for info in channels[:200]:
+        count = "" if info.count is None else f"{info.count} x "
+        unit = f" [{info.unit}]" if info.unit else ""
+        facts.append((info.name, f"{count}{info.type_name}{unit}"))
+    if len(channels) > 200:
+        facts.append(("...", f"{len(channels) - 200} more"))
+    return FileDescription(str(path), "recording", tuple(facts))
