@@ -2,3 +2,43 @@
 
 May import: learning, vehicle, signals, files, errors.
 """
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from split_cli.errors import SplitError, nearest_names
+from split_cli.learning.training_set import TrainingSet
+from split_cli.prediction.predictor import Prediction, Predictor
+
+__all__ = ["PREDICTORS", "Prediction", "Predictor", "make_predictor"]
+
+#: Name on the command line to module and class; a module is imported when its predictor is made.
+PREDICTORS = {
+    "full": ("split_cli.prediction.full", "FullPredictor"),
+    "bcm": ("split_cli.prediction.bcm", "BcmPredictor"),
+    "fitc": ("split_cli.prediction.fitc", "FitcPredictor"),
+}
+
+
+def make_predictor(name: str, training_set: TrainingSet, **options: Any) -> Predictor:
+    """Return the predictor called `name` over a trained set.
+
+    Parameters
+    ----------
+    name : str
+        A key of `PREDICTORS`.
+    training_set : TrainingSet
+    **options
+        What the predictor's constructor takes beside the set.
+
+    Raises
+    ------
+    SplitError
+        If there is no such predictor; the nearest name is told.
+    """
+    if name not in PREDICTORS:
+        raise SplitError(f"no predictor {name!r}", advice=nearest_names(name, PREDICTORS))
+    module, attribute = PREDICTORS[name]
+    return getattr(importlib.import_module(module), attribute)(training_set, **options)

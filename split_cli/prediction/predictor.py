@@ -61,6 +61,10 @@ class Predictor(ABC):
     def predict(self, z: np.ndarray) -> Prediction:
         """Return mean and latent variance at queries `z`, shape (N, D)."""
 
+    def mean(self, z: np.ndarray) -> np.ndarray:
+        """Return the mean alone at queries `z`, shape (N, 3); cheaper where the variance costs more."""
+        return self.predict(z).mean
+
     @abstractmethod
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""

@@ -1,0 +1,159 @@
+"""The Bayesian committee machine over the cells of the set: one small Gaussian process a cell, combined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from split_cli.learning.training_set import TrainingSet
+from split_cli.prediction import _bcm_numba
+from split_cli.prediction.factorization import queries
+from split_cli.prediction.predictor import Prediction, Predictor
+
+__all__ = ["BcmPredictor", "CommitteeTables", "committee_tables"]
+
+
+@dataclass(frozen=True)
+class CommitteeTables:
+    """Everything about the cells that does not depend on the query; what an exporter stores.
+
+    Attributes
+    ----------
+    points : ndarray, shape (P, D)
+        Features divided by their length scales.
+    offsets : ndarray of int64, shape (C + 1,)
+        Points of cell c are rows ``offsets[c]:offsets[c + 1]``.
+    weights : ndarray, shape (P, 3)
+        (C_i + rho I)^-1 y_i of each cell, rho = s^2/S0 of the output.
+    packed : ndarray, shape (Q, 3)
+        Lower triangle of (C_i + rho I)^-1, row by row, off-diagonal entries doubled.
+    packed_offsets : ndarray of int64, shape (C + 1,)
+    lower, upper : ndarray, shape (C, D)
+        Box around each cell's points, in length scales.
+    inverse_norm : ndarray, shape (C, 3)
+        Largest eigenvalue of (C_i + rho I)^-1.
+    floor : ndarray, shape (C, 3)
+        Smallest value 1 - q_i/S0 can take, rho/(n_i + rho): reached by n_i points at the query.
+    """
+
+    points: np.ndarray
+    offsets: np.ndarray
+    weights: np.ndarray
+    packed: np.ndarray
+    packed_offsets: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    inverse_norm: np.ndarray
+    floor: np.ndarray
+
+
+def committee_tables(training_set: TrainingSet) -> CommitteeTables:
+    """Invert every cell's kernel matrix, cells of one size together."""
+    kernel = training_set.kernel
+    ratio = kernel.noise_variance / kernel.signal_variance
+    points = np.ascontiguousarray(training_set.z / kernel.length_scales)
+    offsets = np.ascontiguousarray(training_set.offsets, dtype=np.int64)
+    counts = np.diff(offsets)
+    cells = len(counts)
+    packed_offsets = np.concatenate([[0], np.cumsum(counts * (counts + 1) // 2)]).astype(np.int64)
+    weights = np.empty((len(points), 3))
+    packed = np.empty((packed_offsets[-1], 3))
+    box = np.empty((2, cells, points.shape[1]))
+    inverse_norm = np.empty((cells, 3))
+    for count in np.unique(counts):
+        members = np.flatnonzero(counts == count)
+        rows = offsets[members, None] + np.arange(count)
+        inside = points[rows]
+        box[0, members], box[1, members] = inside.min(axis=1), inside.max(axis=1)
+        squared = np.square(inside[:, :, None] - inside[:, None, :]).sum(axis=-1)
+        values, vectors = np.linalg.eigh(np.exp(-0.5 * squared))
+        # A kernel matrix has no negative eigenvalue; below zero is rounding, at most about 1e-15.
+        values = np.maximum(values, 0.0)
+        a, b = np.tril_indices(count)
+        slots = packed_offsets[members, None] + np.arange(len(a))
+        for output in range(3):
+            inverse = (vectors / (values + ratio[output])[:, None, :]) @ vectors.transpose(0, 2, 1)
+            weights[rows, output] = (inverse @ training_set.y[rows, output, None])[..., 0]
+            packed[slots, output] = inverse[:, a, b] * np.where(a == b, 1.0, 2.0)
+            inverse_norm[members, output] = 1.0 / (values[:, 0] + ratio[output])
+    floor = ratio / (counts[:, None] + ratio)
+    return CommitteeTables(
+        points, offsets, weights, packed, packed_offsets, box[0], box[1], inverse_norm, np.ascontiguousarray(floor)
+    )
+
+
+class BcmPredictor(Predictor):
+    """Tresp's committee with latent variances on both sides, in the form that does not cancel.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    neglect : float
+        Cells so far from the query that together they change the variance by less than ``neglect`` S0, and the
+        mean by less than ``neglect`` (sqrt(S0) + \\|mean\\|), are skipped. 0 visits every cell.
+    parallel : bool
+        Share the queries of a batch out over threads. Off by default: a controller asks one at a time.
+
+    Notes
+    -----
+    SPLIT paper, the BCM prediction, with the mean multiplied by Sigma and not by its inverse (docs/errata.md):
+    Sigma = (-(K-1)/S0 + sum 1/Sigma_i)^-1, mu = Sigma sum mu_i/Sigma_i, with Sigma_i = S0 - q_i and
+    q_i = k_i^T (K_i + s^2 I)^-1 k_i. Since 1/Sigma_i = 1/S0 + q_i/(S0 (S0 - q_i)), the K - 1 priors cancel on
+    paper instead of in the machine: 1/Sigma = 1/S0 + sum q_i/(S0 (S0 - q_i)), a sum of terms that are not
+    negative. An expert's noisy variance S0 - q_i + s^2 against a noise-free prior would make far cells subtract,
+    and the precision negative once there are more than S0/s^2 of them.
+
+    Reach: with d the distance in length scales to the box of a cell's n points, every kernel entry is at most
+    e^(-d^2/2), so q_i/S0 <= n e^(-d^2) \\|(C_i + rho I)^-1\\| and \\|mu_i\\| <= e^(-d^2/2) \\|w_i\\|_1. A cell is
+    skipped when both are below the bound's 1/(2 C)-th part, C the number of cells; as 1/Sigma >= 1/S0, the sums
+    of what was left out bound the errors.
+    """
+
+    name: ClassVar[str] = "bcm"
+
+    def __init__(self, training_set: TrainingSet, neglect: float = 1e-13, parallel: bool = False) -> None:
+        super().__init__(training_set)
+        if not 0.0 <= neglect < 1.0:
+            raise ValueError(f"neglect is {neglect!r}, it must lie in [0, 1)")
+        self.neglect = neglect
+        self.parallel = parallel
+        self.tables = committee_tables(training_set)
+        self._arguments = self._compiled_arguments()
+
+    def _compiled_arguments(self) -> tuple:
+        t = self.tables
+        counts = np.diff(t.offsets)
+        capacity = int(counts.max(initial=1))
+        reach_squared = self._reach_squared(counts)
+        return (
+            t.points, t.weights, t.packed, t.offsets, t.packed_offsets, t.lower, t.upper, reach_squared, t.floor,
+            capacity,
+        )  # fmt: skip
+
+    def _reach_squared(self, counts: np.ndarray) -> np.ndarray:
+        """Return the squared distance in length scales beyond which a cell is skipped, shape (C,)."""
+        if self.neglect == 0.0 or len(counts) == 0:
+            return np.full(len(counts), np.inf)
+        share = self.neglect / (2.0 * len(counts))
+        deviation = np.sqrt(self.training_set.kernel.signal_variance)
+        absolute = np.add.reduceat(np.abs(self.tables.weights), self.tables.offsets[:-1], axis=0)
+        with np.errstate(divide="ignore"):
+            variance = np.log(counts[:, None] * self.tables.inverse_norm / share)
+            mean = 2.0 * np.log(absolute / (share * deviation))
+        return np.ascontiguousarray(np.maximum(np.maximum(variance, mean).max(axis=1), 0.0))
+
+    def predict(self, z: np.ndarray) -> Prediction:
+        """Return mean and latent variance at queries `z`, shape (N, D)."""
+        z = queries(z, self.training_set)
+        kernel = self.training_set.kernel
+        run = _bcm_numba.predict_parallel if self.parallel else _bcm_numba.predict
+        mean, spread = run(z / kernel.length_scales, *self._arguments)
+        return Prediction(mean, spread * kernel.signal_variance)
+
+    def jacobian(self, z: np.ndarray) -> np.ndarray:
+        """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
+        z = queries(z, self.training_set)
+        scales = self.training_set.kernel.length_scales
+        return _bcm_numba.jacobian(z / scales, *self._arguments) / scales

@@ -1,0 +1,249 @@
+"""Every predictor against the dense Gaussian process, in the limits where they must agree, and its derivatives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.errors import NumericalRepairWarning, SetError, SplitError
+from split_cli.learning.kernel import Kernel
+from split_cli.prediction import PREDICTORS, make_predictor
+from split_cli.prediction.bcm import BcmPredictor
+from split_cli.prediction.factorization import cholesky
+from split_cli.prediction.fitc import FitcPredictor
+from split_cli.prediction.full import FullPredictor
+
+
+def textbook_posterior(stored, z):
+    """Dense posterior by one general solve an output: the definition, written down."""
+    kernel = stored.kernel
+    mean, variance = np.empty((len(z), 3)), np.empty((len(z), 3))
+    for o in range(3):
+        s0, noise = kernel.signal_variance[o], kernel.noise_variance[o]
+        gram = s0 * kernel.correlation(stored.z, stored.z) + noise * np.eye(stored.size)
+        cross = s0 * kernel.correlation(stored.z, z)
+        mean[:, o] = cross.T @ np.linalg.solve(gram, stored.y[:, o])
+        variance[:, o] = s0 - np.einsum("pn,pn->n", cross, np.linalg.solve(gram, cross))
+    return mean, variance
+
+
+def textbook_committee(stored, z, *, noisy_experts=False):
+    """Tresp's formula as printed (mean by Sigma): experts one by one, priors subtracted at the end."""
+    kernel, cells = stored.kernel, stored.cell_count
+    mean, precision = np.zeros((len(z), 3)), np.zeros((len(z), 3))
+    for i in range(cells):
+        rows = slice(stored.offsets[i], stored.offsets[i + 1])
+        for o in range(3):
+            s0, noise = kernel.signal_variance[o], kernel.noise_variance[o]
+            gram = s0 * kernel.correlation(stored.z[rows], stored.z[rows]) + noise * np.eye(rows.stop - rows.start)
+            cross = s0 * kernel.correlation(stored.z[rows], z)
+            expert = cross.T @ np.linalg.solve(gram, stored.y[rows, o])
+            variance = s0 - np.einsum("pn,pn->n", cross, np.linalg.solve(gram, cross))
+            variance = variance + noise if noisy_experts else variance
+            mean[:, o] += expert / variance
+            precision[:, o] += 1.0 / variance
+    precision -= (cells - 1) / kernel.signal_variance
+    return mean / precision, 1.0 / precision
+
+
+def query_points(stored, count, seed, spread=1.3):
+    random = np.random.default_rng(seed)
+    low, high = stored.z.min(axis=0), stored.z.max(axis=0)
+    middle, half = (low + high) / 2, (high - low) / 2
+    return middle + spread * half * random.uniform(-1, 1, (count, stored.z.shape[1]))
+
+
+def made(name, stored, z):
+    predictor = make_predictor(name, stored)
+    return predictor.at(z[:10]) if predictor.needs_context else predictor
+
+
+def test_full_is_the_textbook_posterior(driven_set):
+    z = query_points(driven_set, 200, 1)
+    mean, variance = textbook_posterior(driven_set, z)
+    got = FullPredictor(driven_set).predict(z)
+    # The gram matrix has a condition of about 1e4 to 1e5 here, so two solvers agree to about 1e-11.
+    np.testing.assert_allclose(got.mean, mean, atol=1e-9)
+    np.testing.assert_allclose(got.variance, variance, atol=1e-9)
+
+
+def test_bcm_is_the_printed_committee_without_its_cancellation(driven_set):
+    z = query_points(driven_set, 200, 2)
+    mean, variance = textbook_committee(driven_set, z)
+    got = BcmPredictor(driven_set).predict(z)
+    # The printed form subtracts 299 priors, which costs it two to three digits of sixteen.
+    np.testing.assert_allclose(got.mean, mean, atol=1e-9)
+    np.testing.assert_allclose(got.variance, variance, rtol=1e-9)
+
+
+def test_bcm_of_one_cell_is_the_full_posterior(make_set):
+    random = np.random.default_rng(3)
+    kernel = Kernel(np.array([0.02, 0.03, 0.2]), np.array([0.5, 1.0, 2.0]), np.array([0.05, 0.01, 0.1]))
+    stored = make_set(random.uniform(-0.03, 0.03, (10, 3)) * [1, 1, 5], random.normal(size=(10, 3)), kernel)
+    z = query_points(stored, 300, 4, spread=2.0)
+    full, bcm = FullPredictor(stored).predict(z), BcmPredictor(stored).predict(z)
+    np.testing.assert_allclose(bcm.mean, full.mean, atol=1e-12)
+    np.testing.assert_allclose(bcm.variance, full.variance, atol=1e-12)
+
+
+def test_bcm_of_cells_far_apart_is_the_full_posterior(make_set):
+    """Cells 12 length scales apart correlate by e^-72 = 5e-32: the committee's assumption then holds exactly."""
+    random = np.random.default_rng(5)
+    kernel = Kernel(np.full(3, 0.02), np.array([0.5, 1.0, 2.0]), np.array([0.05, 0.01, 0.1]))
+    cell = np.repeat(np.arange(8), 6)
+    corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)])
+    z = corners[cell] * 0.3 + random.uniform(-0.03, 0.03, (48, 3))
+    stored = make_set(z, random.normal(size=(48, 3)), kernel, cell)
+    query = stored.z + random.normal(0.0, 0.01, stored.z.shape)
+    full, bcm = FullPredictor(stored).predict(query), BcmPredictor(stored).predict(query)
+    np.testing.assert_allclose(bcm.mean, full.mean, atol=1e-12)
+    np.testing.assert_allclose(bcm.variance, full.variance, atol=1e-12)
+
+
+def test_fitc_with_the_training_inputs_as_pseudo_inputs_is_the_full_posterior(make_set):
+    """Points a length scale apart, so that C_uu is well conditioned and no pseudo-input is redundant."""
+    random = np.random.default_rng(6)
+    lattice = np.stack(np.meshgrid(np.arange(3), np.arange(3), np.arange(2), indexing="ij"), -1).reshape(-1, 3)
+    kernel = Kernel(np.array([0.02, 0.02, 0.1]), np.array([0.5, 1.0, 2.0]), np.array([0.05, 0.01, 0.1]))
+    z = lattice * kernel.length_scales * 1.2 + random.uniform(-0.002, 0.002, (18, 3))
+    stored = make_set(z, random.normal(size=(18, 3)), kernel, np.arange(18) // 5)
+    query = query_points(stored, 200, 7)
+    full, fitc = FullPredictor(stored).predict(query), FitcPredictor(stored).at(stored.z).predict(query)
+    np.testing.assert_allclose(fitc.mean, full.mean, atol=1e-10)
+    np.testing.assert_allclose(fitc.variance, full.variance, atol=1e-10)
+
+
+def test_fitc_drops_repeated_pseudo_inputs_without_a_change(driven_set):
+    context = query_points(driven_set, 6, 8, spread=0.4)
+    z = query_points(driven_set, 50, 9)
+    once = FitcPredictor(driven_set).at(context).predict(z)
+    twice = FitcPredictor(driven_set).at(np.repeat(context, 3, axis=0)).predict(z)
+    np.testing.assert_allclose(twice.mean, once.mean, atol=1e-12)
+    np.testing.assert_allclose(twice.variance, once.variance, atol=1e-12)
+
+
+def test_fitc_without_a_situation_says_what_to_do(driven_set):
+    with pytest.raises(SplitError, match="at"):
+        FitcPredictor(driven_set).predict(driven_set.z[:1])
+
+
+@pytest.mark.parametrize("name", sorted(PREDICTORS))
+def test_far_away_every_predictor_returns_to_the_prior(name, driven_set):
+    """Forty length scales off, correlations are e^-800 = 0 in floating point."""
+    near = query_points(driven_set, 10, 10)
+    far = driven_set.z[:5] + 40 * driven_set.kernel.length_scales + 3.0
+    predictor = made(name, driven_set, near)
+    got = predictor.predict(far)
+    assert np.array_equal(got.mean, np.zeros((5, 3)))
+    np.testing.assert_allclose(got.variance, np.tile(driven_set.kernel.signal_variance, (5, 1)), rtol=1e-15)
+    assert np.array_equal(predictor.jacobian(far), np.zeros((5, 3, 3)))
+
+
+@pytest.mark.parametrize("name", sorted(PREDICTORS))
+def test_jacobian_is_the_derivative_of_the_mean(name, driven_set):
+    """Central differences of a thousandth of a length scale: truncation is (1e-3)^2/6 times a third derivative
+    of order mean/l^3, so a few 1e-7 of the largest slope; a wrong factor would show at order one."""
+    z = query_points(driven_set, 40, 11, spread=0.7)
+    predictor = made(name, driven_set, z)
+    jacobian = predictor.jacobian(z)
+    for feature, scale in enumerate(driven_set.kernel.length_scales):
+        step = np.zeros(3)
+        step[feature] = 1e-3 * scale
+        slope = (predictor.mean(z + step) - predictor.mean(z - step)) / (2 * step[feature])
+        np.testing.assert_allclose(jacobian[:, :, feature], slope, atol=1e-5 * np.abs(jacobian).max())
+
+
+@pytest.mark.parametrize("name", sorted(PREDICTORS))
+def test_a_batch_is_its_queries_one_by_one(name, driven_set):
+    z = query_points(driven_set, 30, 12)
+    predictor = made(name, driven_set, z)
+    batch, slopes, means = predictor.predict(z), predictor.jacobian(z), predictor.mean(z)
+    for i in range(len(z)):
+        one = predictor.predict(z[i : i + 1])
+        # Matrix products of other shapes may add in another order; the numba loops may not.
+        tolerance = 0.0 if name == "bcm" else 1e-11
+        np.testing.assert_allclose(one.mean[0], batch.mean[i], rtol=0, atol=tolerance)
+        np.testing.assert_allclose(one.variance[0], batch.variance[i], rtol=0, atol=tolerance)
+        np.testing.assert_allclose(predictor.jacobian(z[i : i + 1])[0], slopes[i], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(means, batch.mean, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", sorted(PREDICTORS))
+def test_an_empty_set_is_the_prior(name, make_set):
+    kernel = Kernel(np.full(3, 0.1), np.array([1.0, 2.0, 3.0]), np.ones(3))
+    stored = make_set(np.zeros((0, 3)), np.zeros((0, 3)), kernel)
+    z = np.zeros((4, 3)) + np.arange(4)[:, None]
+    got = made(name, stored, z).predict(z)
+    assert np.array_equal(got.mean, np.zeros((4, 3)))
+    np.testing.assert_allclose(got.variance, np.tile([1.0, 2.0, 3.0], (4, 1)), rtol=1e-15)
+
+
+def test_noisy_experts_against_a_noise_free_prior_turn_negative_and_ours_do_not(driven_set):
+    """Each far expert then has precision 1/(S0 + s^2) < 1/S0; 300 of them take away more than the prior has."""
+    z = query_points(driven_set, 200, 13)
+    _, naive = textbook_committee(driven_set, z, noisy_experts=True)
+    assert (naive < 0).any()
+    ours = BcmPredictor(driven_set).predict(z).variance
+    assert (ours > 0).all() and (ours <= driven_set.kernel.signal_variance).all()
+
+
+def test_bcm_keeps_a_positive_variance_where_the_printed_form_loses_all_digits(make_set):
+    """Signal to noise 1e8 and ten thousand equal cells: rounding of the subtracted priors is visible, ours not."""
+    random = np.random.default_rng(14)
+    kernel = Kernel(np.full(3, 0.02), np.ones(3), np.full(3, 1e-8))
+    z = np.repeat(random.uniform(-0.1, 0.1, (60, 3)), 5, axis=0) + random.normal(0, 1e-4, (300, 3))
+    stored = make_set(z, random.normal(size=(300, 3)), kernel, np.repeat(np.arange(60), 5))
+    got = BcmPredictor(stored).predict(stored.z)
+    # Five points at most cannot bring the variance below rho/(5 + rho) an expert; 60 experts share at most that.
+    assert (got.variance >= 1e-8 / 6 / 60).all()
+    assert np.isfinite(got.mean).all()
+
+
+@pytest.mark.parametrize("neglect", [1e-3, 1e-6, 1e-9])
+def test_what_bcm_neglects_stays_within_the_stated_bound(neglect, make_set):
+    """Length scales of half a cell, so that most cells are beyond reach."""
+    random = np.random.default_rng(15)
+    edges = np.array([0.02, 0.02, 0.1])
+    index = random.integers(-8, 8, (400, 3))
+    cell = np.repeat(np.arange(400), 4)
+    kernel = Kernel(0.5 * edges, np.array([0.3, 0.8, 1.5]), np.array([0.001, 0.002, 0.006]))
+    z = (index[cell] + random.uniform(0, 1, (1600, 3))) * edges
+    stored = make_set(z, random.normal(size=(1600, 3)), kernel, cell)
+    query = query_points(stored, 500, 16)
+    exact, quick = BcmPredictor(stored, neglect=0.0), BcmPredictor(stored, neglect=neglect)
+    a, b = exact.predict(query), quick.predict(query)
+    deviation = np.sqrt(kernel.signal_variance)
+    assert (np.abs(a.variance - b.variance) <= neglect * kernel.signal_variance).all()
+    assert (np.abs(a.mean - b.mean) <= neglect * (deviation + np.abs(a.mean))).all()
+    assert not np.array_equal(a.mean, b.mean), "nothing was neglected, the test proves nothing"
+
+
+def test_parallel_bcm_gives_the_same_bits(driven_set):
+    z = query_points(driven_set, 100, 17)
+    one = BcmPredictor(driven_set).predict(z)
+    many = BcmPredictor(driven_set, parallel=True).predict(z)
+    assert np.array_equal(one.mean, many.mean) and np.array_equal(one.variance, many.variance)
+
+
+def test_features_of_another_width_work_and_a_wrong_width_is_refused(make_set):
+    random = np.random.default_rng(18)
+    kernel = Kernel(np.full(5, 0.7), np.ones(3), np.full(3, 0.05))
+    stored = make_set(random.normal(size=(30, 5)), random.normal(size=(30, 3)), kernel)
+    z = random.normal(size=(20, 5))
+    np.testing.assert_allclose(BcmPredictor(stored).mean(z), FullPredictor(stored).mean(z), atol=1e-11)
+    for name in PREDICTORS:
+        with pytest.raises(ValueError, match="shape"):
+            make_predictor(name, stored).at(z).predict(z[:, :3])
+
+
+def test_an_unknown_predictor_names_the_nearest(driven_set):
+    with pytest.raises(SplitError, match="bcm"):
+        make_predictor("bmc", driven_set)
+
+
+def test_repair_of_a_singular_matrix_is_loud_and_bounded():
+    with pytest.warns(NumericalRepairWarning, match="singular"):
+        factor = cholesky(np.ones((3, 3)) - 1e-13 * np.eye(3), 0.0)
+    np.testing.assert_allclose(factor @ factor.T, np.ones((3, 3)), atol=1e-6)
+    with pytest.warns(NumericalRepairWarning), pytest.raises(SetError, match="noise"):
+        cholesky(np.ones((3, 3)) - 1e-3 * np.eye(3), 0.0)
