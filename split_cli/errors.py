@@ -40,7 +40,16 @@ class SplitError(Exception):
         text = f"{where}: {what}" if where else what
         if advice:
             text = f"{text.rstrip('.')}. {advice}"
-        super().__init__(text)
+        # One line on stderr, whatever a library's message or a file's name brought along.
+        super().__init__(" ".join(text.split("\n")))
+
+    def __reduce__(self) -> tuple:
+        """Rebuild from the parts: worker processes send errors back pickled."""
+        return _rebuild, (type(self), self.what, self.where, self.advice)
+
+
+def _rebuild(kind: type[SplitError], what: str, where: str | None, advice: str | None) -> SplitError:
+    return kind(what, where=where, advice=advice)
 
 
 class LogError(SplitError):
@@ -72,7 +81,7 @@ class NumericalRepairWarning(UserWarning):
 
 
 def nearest_names(name: str, known: Iterable[str], count: int = 3) -> str:
-    """Return `` Did you mean a, b?`` material: the known names nearest to `name`, or all if few.
+    """Return ``Did you mean a, b?`` with the known names nearest to `name`, or else what there is.
 
     Parameters
     ----------

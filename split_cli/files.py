@@ -20,22 +20,20 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path beside `target`; rename it onto `target` when the body ends well.
 
     A body that raises, or a process that dies, leaves the old file as it was. The rename is atomic
-    because the temporary file lives in the same directory.
+    because the temporary file lives in the same directory. A symbolic link is followed, not replaced.
 
     Raises
     ------
     SplitError
-        If the directory does not exist or cannot be written, or the disk is full.
+        If the directory does not exist or cannot be written, the target is a folder or a device, or the disk
+        is full.
     """
-    target = Path(target)
-    parent = target.parent if str(target.parent) else Path(".")
-    if not parent.is_dir():
-        raise SplitError("the folder to write into does not exist", where=str(target), advice=f"Create {parent}.")
-    if target.is_dir():
-        raise SplitError("is a folder, a file was to be written", where=str(target))
+    shown = str(target)
+    target = _real_target(target)
+    _refuse_what_is_no_file(target, shown)
     temporary: Path | None = None
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=parent)
+        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
         os.close(handle)
         temporary = Path(name)
         yield temporary
@@ -44,12 +42,8 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
         os.replace(temporary, target)
         temporary = None
     except OSError as error:
-        # Errors of the operating system about *other* files (an input that vanished) pass through.
-        if error.filename is None or temporary is None or Path(str(error.filename)) == temporary:
-            raise SplitError(
-                f"cannot be written ({error.strerror or error}); what was there before is unchanged",
-                where=str(target),
-            ) from error
+        if temporary is None or _concerns(error, temporary, target):
+            raise _not_written(error, shown) from error
         raise
     finally:
         if temporary is not None:
@@ -60,33 +54,70 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
 def atomic_directory(target: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary folder beside `target`; its files replace those in `target` when all went well.
 
-    Files of other names already in `target` stay. Every file is moved by an atomic rename.
+    A folder that did not exist appears by one rename. In one that did, files of other names stay; every new
+    file is on the disk and its place checked before the first is moved, each by an atomic rename.
+
+    Raises
+    ------
+    SplitError
+        As for `atomic_path`.
     """
-    target = Path(target)
+    shown = str(target)
+    target = _real_target(target)
     if target.exists() and not target.is_dir():
-        raise SplitError("is a file, a folder was to be written", where=str(target))
-    if not target.parent.is_dir():
-        raise SplitError(
-            "the folder to write into does not exist", where=str(target), advice=f"Create {target.parent}."
-        )
+        raise SplitError("is a file, a folder was to be written", where=shown)
+    temporary: Path | None = None
     try:
         temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
-    except OSError as error:
-        raise SplitError(f"cannot be written ({error.strerror or error})", where=str(target)) from error
-    try:
         yield temporary
-        for path in sorted(temporary.rglob("*")):
-            if path.is_file():
-                _flush_to_disk(path)
+        produced = sorted(path for path in temporary.rglob("*") if path.is_file())
+        for path in produced:
+            _flush_to_disk(path)
+            _refuse_what_is_no_file(target / path.relative_to(temporary), shown)
+        if target.exists():
+            for path in produced:
                 destination = target / path.relative_to(temporary)
                 destination.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(path, destination)
+        else:
+            os.chmod(temporary, 0o777 & ~_umask())
+            os.replace(temporary, target)
     except OSError as error:
-        raise SplitError(
-            f"cannot be written ({error.strerror or error})", where=str(target), advice="Is the disk full?"
-        ) from error
+        if temporary is None or _concerns(error, temporary, target):
+            raise _not_written(error, shown) from error
+        raise
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _real_target(target: str | os.PathLike[str]) -> Path:
+    real = Path(os.path.realpath(target))
+    if not real.parent.is_dir():
+        raise SplitError(
+            "the folder to write into does not exist", where=str(target), advice=f"Create {Path(target).parent}."
+        )
+    return real
+
+
+def _refuse_what_is_no_file(target: Path, shown: str) -> None:
+    if target.is_dir():
+        raise SplitError("is a folder, a file was to be written", where=shown)
+    if target.exists() and not target.is_file():
+        raise SplitError("is not a regular file, it would be replaced by one", where=shown)
+
+
+def _concerns(error: OSError, *output: Path) -> bool:
+    """Tell an error of this output from one about another file, such as an input that vanished."""
+    if error.filename is None:
+        return True
+    return any(Path(str(error.filename)).is_relative_to(path) for path in output)
+
+
+def _not_written(error: OSError, shown: str) -> SplitError:
+    return SplitError(
+        f"cannot be written ({error.strerror or error}); what was there before is unchanged", where=shown
+    )
 
 
 def atomic_write_bytes(target: str | os.PathLike[str], content: bytes) -> None:
@@ -101,17 +132,26 @@ def atomic_write_text(target: str | os.PathLike[str], content: str) -> None:
 
 
 def sha256_of_file(path: str | os.PathLike[str]) -> str:
-    """Return the SHA-256 of a file's content, as 64 hexadecimal digits; a folder's files in name order."""
+    """Return the SHA-256 of a file's content, as 64 hexadecimal digits.
+
+    For a folder, of its files' names and digests in name order.
+
+    Raises
+    ------
+    SplitError
+        If the file cannot be read.
+    """
     path = Path(path)
-    digest = hashlib.sha256()
-    parts = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    for part in parts:
-        if path.is_dir():
-            digest.update(str(part.relative_to(path)).encode())
-        with part.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                digest.update(block)
-    return digest.hexdigest()
+    try:
+        if not path.is_dir():
+            with path.open("rb") as stream:
+                return hashlib.file_digest(stream, "sha256").hexdigest()
+        digest = hashlib.sha256()
+        for part in sorted(entry for entry in path.rglob("*") if entry.is_file()):
+            digest.update(f"{part.relative_to(path).as_posix()}\0{sha256_of_file(part)}\n".encode())
+        return digest.hexdigest()
+    except OSError as error:
+        raise SplitError(f"cannot be read ({error.strerror or error})", where=str(path)) from error
 
 
 def _flush_to_disk(path: Path) -> None:

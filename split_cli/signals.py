@@ -17,6 +17,7 @@ from split_cli.errors import MapError, nearest_names
 __all__ = [
     "CHANNELS",
     "REQUIRED_CHANNELS",
+    "UNITS",
     "Channel",
     "Unit",
     "convert_to_si",
@@ -92,10 +93,11 @@ class Unit:
 _DEGREE = np.pi / 180.0
 _POUND_FORCE = 4.4482216152605
 
+# Each unit with its other spellings. Superscripts and dots are folded before the look-up.
 _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("s", "s", 1.0), "sec second seconds"),
     (Unit("ms", "s", 1e-3), "msec millisecond milliseconds"),
-    (Unit("us", "s", 1e-6), "µs usec microseconds"),
+    (Unit("us", "s", 1e-6), "μs usec microseconds"),
     (Unit("ns", "s", 1e-9), "nsec nanoseconds"),
     (Unit("min", "s", 60.0), "minutes"),
     (Unit("m", "m", 1.0), "metre metres meter meters"),
@@ -104,22 +106,22 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("km", "m", 1e3), ""),
     (Unit("ft", "m", 0.3048), "feet foot"),
     (Unit("in", "m", 0.0254), "inch"),
-    (Unit("m/s", "m/s", 1.0), "mps m/sec ms-1 m.s-1 m*s-1"),
+    (Unit("m/s", "m/s", 1.0), "mps m/sec ms-1 m.s-1"),
     (Unit("km/h", "m/s", 1.0 / 3.6), "kmh kph kmph km/hr"),
     (Unit("mph", "m/s", 0.44704), "mi/h miles/h"),
-    (Unit("kn", "m/s", 0.514444), "knot knots kt"),
+    (Unit("kn", "m/s", 1852.0 / 3600.0), "knot knots kt"),
     (Unit("rad", "rad", 1.0), "radian radians"),
     (Unit("mrad", "rad", 1e-3), ""),
     (Unit("deg", "rad", _DEGREE), "° degree degrees"),
-    (Unit("rad/s", "rad/s", 1.0), "radps rad/sec rad.s-1 rps rads"),
-    (Unit("deg/s", "rad/s", _DEGREE), "degps °/s deg/sec dps degs"),
+    (Unit("rad/s", "rad/s", 1.0), "radps rad/sec rad.s-1"),
+    (Unit("deg/s", "rad/s", _DEGREE), "degps °/s deg/sec deg.s-1 dps"),
     (Unit("rpm", "rad/s", 2.0 * np.pi / 60.0), "1/min rev/min"),
-    (Unit("m/s^2", "m/s^2", 1.0), "m/s2 m/s² mps2 mpss m/s/s m/sec^2 ms-2 m.s-2"),
+    (Unit("m/s^2", "m/s^2", 1.0), "m/s2 mps2 mpss m/s/s m/sec2 m/sec^2 ms-2 m.s-2"),
     (Unit("g", "m/s^2", 9.80665), "gn G"),
-    (Unit("rad/s^2", "rad/s^2", 1.0), "rad/s2 rad/s² radps2"),
-    (Unit("deg/s^2", "rad/s^2", _DEGREE), "deg/s2 deg/s²"),
-    (Unit("N m", "N m", 1.0), "nm n.m n*m n·m newtonmetre newtonmeter"),
-    (Unit("lbf ft", "N m", _POUND_FORCE * 0.3048), "lbft ft-lb ftlb lbf.ft lbf-ft"),
+    (Unit("rad/s^2", "rad/s^2", 1.0), "rad/s2 radps2 rad.s-2"),
+    (Unit("deg/s^2", "rad/s^2", _DEGREE), "deg/s2 degps2 °/s2"),
+    (Unit("N m", "N m", 1.0), "Nm N.m newtonmetre newtonmeter"),
+    (Unit("lbf ft", "N m", _POUND_FORCE * 0.3048), "lbft ft-lb ft-lbf ftlb lbf.ft lbf-ft"),
     (Unit("N", "N", 1.0), "newton"),
     (Unit("kN", "N", 1e3), ""),
     (Unit("lbf", "N", _POUND_FORCE), ""),
@@ -138,8 +140,26 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
 )
 
 
+UNITS: tuple[Unit, ...] = tuple(unit for unit, _ in _UNIT_TABLE)
+
+# Spellings that are in use with two meanings; case folding must not settle them, and none is a safe guess.
+_AMBIGUOUS = {
+    "rps": "Write rad/s, or rpm with scale: 60 for revolutions a second.",
+    "rads": "Write rad or rad/s.",
+    "degs": "Write deg or deg/s.",
+    "mPa": "Write MPa or kPa.",
+    "M": "Write m.",
+    "Ms": "Write ms or s.",
+    "MS": "Write ms or m/s.",
+    "Kn": "Write kN or knots.",
+    "KN": "Write kN or knots.",
+}
+_FOLDED_SIGNS = str.maketrans({"²": "2", "⁻": "-", "¹": "1", "·": ".", "⋅": ".", "*": ".", "µ": "μ", "º": "°"})
+
+
 def _spelling(symbol: str) -> str:
-    return re.sub(r"\s+", "", symbol.strip()).strip("[](){}")
+    bare = re.sub(r"\s+", "", symbol.strip()).strip("[](){}").replace("**", "^")
+    return bare.translate(_FOLDED_SIGNS)
 
 
 _BY_EXACT: dict[str, Unit] = {}
@@ -147,17 +167,26 @@ _BY_FOLDED: dict[str, Unit] = {}
 for _unit, _aliases in _UNIT_TABLE:
     for _name in (_unit.symbol, *_aliases.split()):
         _BY_EXACT[_spelling(_name)] = _unit
-        # Case decides between mPa and MPa, and g and G; a folded spelling never overrides an earlier one.
+        # The exact spelling comes first, so m and M or g and G stay apart where case has a meaning.
         _BY_FOLDED.setdefault(_spelling(_name).lower(), _unit)
 
 
 def find_unit(symbol: str) -> Unit | None:
-    """Return the unit written `symbol`, or None when it is not known."""
+    """Return the unit written `symbol`, or None when it is not known or has two meanings."""
     spelled = _spelling(symbol)
+    if spelled in _AMBIGUOUS:
+        return None
     return _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower())
 
 
-def convert_to_si(values: np.ndarray, unit: str, *, where: str | None = None) -> np.ndarray:
+def convert_to_si(
+    values: np.ndarray,
+    unit: str,
+    *,
+    expected: str | None = None,
+    channel: str = "it",
+    where: str | None = None,
+) -> np.ndarray:
     """Convert an array from `unit` to the SI unit of the same quantity.
 
     Parameters
@@ -166,18 +195,27 @@ def convert_to_si(values: np.ndarray, unit: str, *, where: str | None = None) ->
         Any shape.
     unit : str
         A symbol of this module's table, for example ``km/h``.
+    expected : str, optional
+        The SI unit that the result must be in.
+    channel : str
+        What the values are, for the error.
     where : str, optional
         What to name in the error.
 
     Raises
     ------
     MapError
-        If the unit is not known; never guessed.
+        If the unit is not known, has two meanings, or measures another quantity; never guessed.
     """
     found = find_unit(unit)
     if found is None:
-        symbols = [entry.symbol for entry, _ in _UNIT_TABLE]
-        raise MapError(f"unknown unit {unit!r}", where=where, advice=nearest_names(unit, symbols))
+        spelled = _spelling(unit)
+        if spelled in _AMBIGUOUS:
+            raise MapError(f"the unit {unit!r} has two meanings", where=where, advice=_AMBIGUOUS[spelled])
+        advice = nearest_names(unit, [entry.symbol for entry in UNITS])
+        raise MapError(f"unknown unit {unit!r}", where=where, advice=advice)
+    if expected is not None and found.si != expected:
+        raise MapError(f"{found.symbol} is a unit of {found.si}, {channel} is in {expected}", where=where)
     values = np.asarray(values, dtype=float)
     if found.factor == 1.0 and found.offset == 0.0:
         return values
@@ -185,10 +223,18 @@ def convert_to_si(values: np.ndarray, unit: str, *, where: str | None = None) ->
 
 
 _BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[](?P<unit>[^()\[\]]*)[\)\]]\s*$")
-_SUFFIXES = (
-    "mps2", "mpss", "mps", "kmph", "kph", "kmh", "mph", "radps", "rad", "degps", "dps", "deg", "rpm", "nm", "bar",
-    "kpa", "psi", "pct", "ns", "us", "ms", "sec", "mm",
-)  # fmt: skip
+_SUFFIXES = {
+    suffix: suffix
+    for suffix in (
+        "mps2", "mpss", "mps", "kmph", "kph", "kmh", "mph", "radps", "rad", "degps", "dps", "deg", "rpm", "Nm",
+        "bar", "kPa", "psi", "pct", "ns", "us", "sec", "mm",
+    )
+} | {"m_s": "m/s", "m_s2": "m/s2", "km_h": "km/h", "rad_s": "rad/s", "deg_s": "deg/s"}  # fmt: skip
+_SUFFIX_UNITS = {suffix.lower(): find_unit(symbol) for suffix, symbol in _SUFFIXES.items()}
+# The longest first: deg_s before s, mps2 before any shorter one.
+_SUFFIX_ORDER = sorted(_SUFFIX_UNITS, key=len, reverse=True)
+# _ms is milliseconds on a time and metres a second on a speed, so the name must say which.
+_TIME_IN_MS = re.compile(r"(^|.*_)(t|time|timestamp|stamp|dt|delay|duration|latency|period)_ms$")
 
 
 def split_name_and_unit(header: str) -> tuple[str, str | None]:
@@ -207,9 +253,9 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
     match = _BRACKETED.match(text)
     if match and match["name"]:
         unit = find_unit(match["unit"]) if match["unit"].strip() else None
-        return match["name"].strip(), unit.symbol if unit else (match["unit"].strip() or None)
+        return match["name"].strip(' "'), unit.symbol if unit else (match["unit"].strip() or None)
     lowered = text.lower()
-    for suffix in _SUFFIXES:
+    for suffix in _SUFFIX_ORDER:
         if lowered.endswith("_" + suffix):
-            return text, find_unit(suffix).symbol
-    return text, None
+            return text, _SUFFIX_UNITS[suffix].symbol
+    return text, "ms" if _TIME_IN_MS.match(lowered) else None

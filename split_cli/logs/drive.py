@@ -227,7 +227,10 @@ def _drive_from_table(table: pa.Table, path: Path) -> Drive:
         if name == "segment":
             segment = values
         else:
-            columns[name] = convert_to_si(values, unit, where=str(path)) if unit and name in CHANNELS else values
+            if unit and name in CHANNELS:
+                expected = CHANNELS[name].unit
+                values = convert_to_si(values, unit, expected=expected, channel=name, where=str(path))
+            columns[name] = values
     if "t" not in columns:
         raise DriveError("the drive lacks t", where=str(path), advice=nearest_names("t", columns))
     time = columns["t"]
