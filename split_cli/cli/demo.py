@@ -1,0 +1,47 @@
+"""`split demo`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from split_cli.cli.options import existing_file
+
+__all__ = ["command"]
+
+
+@click.command("demo")
+@click.option("--samples", type=existing_file, metavar="FOLDER", help="Folder of the sample logs.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    default=Path("demo-output"),
+    show_default=True,
+    metavar="FOLDER",
+    help="Where to leave the results.",
+)
+def command(samples, output) -> None:
+    """Run the whole path on the bundled samples: ingest, train, evaluate, export.
+
+    Each command is printed before it runs, so that it can be typed again.
+
+    \b
+    Example:
+      split demo -o demo-output
+    """
+    from split_cli.cli.main import group
+    from split_cli.workflows.demo import demo_steps, find_samples
+
+    steps = demo_steps(find_samples(samples), output)
+    output.mkdir(parents=True, exist_ok=True)
+    begin = time.perf_counter()
+    for number, step in enumerate(steps, 1):
+        click.echo(f"\n[{number}/{len(steps)}] {step.title}\n$ {step.command}\n")
+        group.main(args=list(step.arguments), prog_name="split", standalone_mode=False)
+    click.echo(f"\nDone in {time.perf_counter() - begin:.0f} s. Look at:")
+    for path in sorted(output.rglob("*")):
+        if path.is_file():
+            click.echo(f"  {path}  ({path.stat().st_size / 1024:.0f} kB)")

@@ -1,0 +1,79 @@
+"""The whole path on the bundled samples: which commands, in which order, on which files."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+from split_cli.errors import SplitError
+
+__all__ = ["DemoStep", "demo_steps", "find_samples"]
+
+TRAINING_LOG = "road_handling_moderate.mcap"
+HELD_OUT_LOG = "road_handling_aggressive.mcap"
+VEHICLE = "road_car.yaml"
+
+
+@dataclass(frozen=True)
+class DemoStep:
+    """One command of the demo.
+
+    Attributes
+    ----------
+    title : str
+        What it does, for the reader.
+    arguments : tuple of str
+        As typed after ``split``.
+    """
+
+    title: str
+    arguments: tuple[str, ...]
+
+    @property
+    def command(self) -> str:
+        """The command as one would type it."""
+        return "split " + shlex.join(self.arguments)
+
+
+def find_samples(folder: str | Path | None = None) -> Path:
+    """Return the folder of the sample logs: the one given, or ``sample_logs`` here or beside the package.
+
+    Raises
+    ------
+    SplitError
+        If it is in none of these places.
+    """
+    beside_package = Path(__file__).resolve().parents[2] / "sample_logs"
+    candidates = [Path(folder)] if folder else [Path("sample_logs"), beside_package]
+    for candidate in candidates:
+        if (candidate / VEHICLE).is_file():
+            return candidate
+    raise SplitError(
+        "the sample logs are not here",
+        where=str(candidates[0]),
+        advice="Run the demo in a clone of the project, or name the folder with --samples.",
+    )
+
+
+def demo_steps(samples: Path, output: Path) -> tuple[DemoStep, ...]:
+    """Return the commands of the demo, reading `samples` and writing into `output`."""
+    vehicle = str(samples / VEHICLE)
+    drives = {log: str(output / Path(log).with_suffix(".parquet").name) for log in (TRAINING_LOG, HELD_OUT_LOG)}
+    trained = str(output / "road_car.split")
+
+    def ingest(log: str) -> tuple[str, ...]:
+        return ("ingest", str(samples / log), "--vehicle", vehicle, "--map", "split_sim", "-o", drives[log])
+
+    return (
+        DemoStep("Read a recording: ROS 2 messages in MCAP, each channel with a rate and a clock of its own.",
+                 ingest(TRAINING_LOG)),
+        DemoStep("Read another one, which the training will not see.", ingest(HELD_OUT_LOG)),
+        DemoStep("Learn what the nominal model gets wrong.",
+                 ("train", drives[TRAINING_LOG], "--vehicle", vehicle, "-o", trained)),
+        DemoStep("Score it on the recording it has not seen, beside persistence and the noise floor.",
+                 ("evaluate", drives[HELD_OUT_LOG], "--vehicle", vehicle, "--set", trained, "-o", str(output / "figures"))),
+        DemoStep("Write it as C99 and as a CasADi function, verified against Python.",
+                 ("export", trained, "--target", "c", "--target", "casadi", "-o", str(output / "controller"))),
+        DemoStep("Ask what a file is.", ("info", trained)),
+    )  # fmt: skip
