@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,6 +32,8 @@ class SetSource:
         Updates of the set.
     points, cells : int
         Size of the set and non-empty cells after this drive.
+    start_time, duration : float
+        First time stamp and length of the drive [s]; with forgetting, ages run over the drives one after another.
     """
 
     name: str
@@ -43,6 +45,8 @@ class SetSource:
     replacements: int
     points: int
     cells: int
+    start_time: float = 0.0
+    duration: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,8 @@ class TrainingSet:
     row : ndarray of int64, shape (P,)
         Row in its drive.
     sources : tuple of SetSource
+    plain : bool
+        Whether y are the paper's plain differences, which depend on the horizon: for reproduction only.
     """
 
     vehicle: Vehicle
@@ -101,7 +107,7 @@ class TrainingSet:
     source: np.ndarray
     row: np.ndarray
     sources: tuple[SetSource, ...] = ()
-    notes: Mapping[str, object] = field(default_factory=dict)
+    plain: bool = False
 
     @property
     def size(self) -> int:

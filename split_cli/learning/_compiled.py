@@ -1,0 +1,349 @@
+"""The two loops that carry the time: windows of the nominal model, and the update of cells. Private; needs numba.
+
+Every sample is computed by itself in a fixed order of operations, without fast-math, so that results do not depend
+on how samples are batched.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+__all__ = ["REJECTED_BY_GAIN", "refresh_cells", "update_cells", "window_errors"]
+
+REJECTED_BY_GAIN, INSERTED, REPLACED = 0, 1, 2
+_JITTERS = np.array([0.0, 1e-13, 1e-12, 1e-11, 1e-10])
+
+
+# ---- windows of the nominal model ------------------------------------------------------------------------------
+
+
+@njit(cache=True)
+def _derivative(vx, vy, r, T, delta, p):
+    """Return (v_x', v_y', r') of the nominal single track; `p` as packed by labels._nominal_constants."""
+    m, i_z, l_f, l_r, radius = p[0], p[1], p[2], p[3], p[4]
+    kappa = p[6] if T < 0.0 else p[5]
+    alpha_f = delta - math.atan2(vy + l_f * r, vx)
+    alpha_r = -math.atan2(vy - l_r * r, vx)
+    front_x = kappa * (T / radius) - p[7]
+    rear_x = (1.0 - kappa) * (T / radius) - p[8]
+    front_y = p[12] * math.sin(p[11] * math.atan(p[10] * alpha_f))
+    rear_y = p[15] * math.sin(p[14] * math.atan(p[13] * alpha_r))
+    sine, cosine = math.sin(delta), math.cos(delta)
+    along = front_x * cosine - front_y * sine
+    across = front_y * cosine + front_x * sine
+    dvx = (rear_x + along - p[9] * vx * vx) / m + vy * r
+    dvy = (rear_y + across) / m - vx * r
+    dr = (across * l_f - rear_y * l_r) / i_z
+    return dvx, dvy, dr
+
+
+@njit(cache=True)
+def _slope(B, C, D, alpha):
+    reduced = B * alpha
+    return D * C * B * math.cos(C * math.atan(reduced)) / (1.0 + reduced * reduced)
+
+
+@njit(cache=True)
+def _jacobian(vx, vy, r, delta, p, A):
+    """Fill A (3, 3), the derivative of (v_x', v_y', r') with respect to (v_x, v_y, r)."""
+    m, i_z, l_f, l_r = p[0], p[1], p[2], p[3]
+    w_f, w_r = vy + l_f * r, vy - l_r * r
+    slope_f = _slope(p[10], p[11], p[12], delta - math.atan2(w_f, vx)) / (vx * vx + w_f * w_f)
+    slope_r = _slope(p[13], p[14], p[15], -math.atan2(w_r, vx)) / (vx * vx + w_r * w_r)
+    sine, cosine = math.sin(delta), math.cos(delta)
+    for column in range(3):
+        if column == 0:
+            front, rear = slope_f * w_f, slope_r * w_r
+        elif column == 1:
+            front, rear = -slope_f * vx, -slope_r * vx
+        else:
+            front, rear = -slope_f * l_f * vx, slope_r * l_r * vx
+        A[0, column] = -front * sine / m
+        A[1, column] = (rear + front * cosine) / m
+        A[2, column] = (front * cosine * l_f - rear * l_r) / i_z
+    A[0, 0] -= 2.0 * p[9] * vx / m
+    A[0, 1] += r
+    A[0, 2] += vy
+    A[1, 0] -= r
+    A[1, 2] -= vx
+
+
+@njit(cache=True)
+def _multiply(a, b, out):
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@njit(cache=True)
+def _substeps(A, period, half_wheelbase, work):
+    """Return how many RK4 steps a sample keep |lambda| step <= 1; see labels._substeps."""
+    scaled, squared, fourth = work[0], work[1], work[2]
+    for i in range(3):
+        for j in range(3):
+            up = half_wheelbase if i == 2 else 1.0
+            down = half_wheelbase if j == 2 else 1.0
+            scaled[i, j] = A[i, j] * up / down
+    _multiply(scaled, scaled, squared)
+    _multiply(squared, squared, fourth)
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += fourth[i, j] * fourth[i, j]
+    radius = math.sqrt(math.sqrt(math.sqrt(total)))
+    return max(1, int(math.ceil(radius * period)))
+
+
+@njit(cache=True)
+def _phi(A, horizon, phi, work):
+    """Fill phi = (1/h) int_0^h exp(A s) ds: Taylor series on a halved argument, then doubling."""
+    argument, product, exponential = work[0], work[1], work[2]
+    norm = 0.0
+    for i in range(3):
+        row = 0.0
+        for j in range(3):
+            argument[i, j] = A[i, j] * horizon
+            row += abs(argument[i, j])
+        norm = max(norm, row)
+    halvings = 0
+    while norm > 0.5:
+        norm *= 0.5
+        halvings += 1
+    for i in range(3):
+        for j in range(3):
+            argument[i, j] *= 0.5**halvings
+            phi[i, j] = 1.0 if i == j else 0.0
+    # Horner from the far end; 13 terms leave less than 1e-16 at norm 1/2.
+    for k in range(13, 0, -1):
+        _multiply(argument, phi, product)
+        for i in range(3):
+            for j in range(3):
+                phi[i, j] = product[i, j] / (k + 1) + (1.0 if i == j else 0.0)
+    for _ in range(halvings):
+        # phi(2 M) = phi(M) (I + exp M)/2 with exp M = I + M phi(M)
+        _multiply(argument, phi, exponential)
+        for i in range(3):
+            exponential[i, i] += 2.0
+        _multiply(phi, exponential, product)
+        for i in range(3):
+            for j in range(3):
+                phi[i, j] = 0.5 * product[i, j]
+                argument[i, j] *= 2.0
+
+
+@njit(cache=True)
+def _solve(a, b0, b1, b2):
+    """Solve a 3 x 3 system by the adjugate; not finite when singular."""
+    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
+    c01 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
+    c02 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
+    determinant = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
+    if determinant == 0.0:
+        return np.nan, np.nan, np.nan
+    x0 = b0 * c00 + b1 * (a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2]) + b2 * (a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1])
+    x1 = b0 * c01 + b1 * (a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]) + b2 * (a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2])
+    x2 = b0 * c02 + b1 * (a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]) + b2 * (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
+    return x0 / determinant, x1 / determinant, x2 / determinant
+
+
+@njit(cache=True)
+def window_errors(vx, vy, r, T, delta, starts, window, period, p, plain):
+    """Return the labels y of windows, shape (N, 3); the compiled twin of labels._window_errors_reference."""
+    out = np.empty((len(starts), 3))
+    A, phi, work = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3, 3))
+    horizon = window * period
+    half_wheelbase = 0.5 * (p[2] + p[3])
+    for n in range(len(starts)):
+        i = starts[n]
+        _jacobian(vx[i], vy[i], r[i], delta[i], p, A)
+        if not np.isfinite(A).all():
+            out[n] = np.nan
+            continue
+        substeps = _substeps(A, period, half_wheelbase, work)
+        h = period / substeps
+        a, b, c = vx[i], vy[i], r[i]
+        for k in range(i, i + window):
+            d_torque, d_steer = T[k + 1] - T[k], delta[k + 1] - delta[k]
+            for sub in range(substeps):
+                s0, s1, s2 = sub / substeps, (sub + 0.5) / substeps, (sub + 1.0) / substeps
+                torque, steer = T[k] + s1 * d_torque, delta[k] + s1 * d_steer
+                a1, b1, c1 = _derivative(a, b, c, T[k] + s0 * d_torque, delta[k] + s0 * d_steer, p)
+                a2, b2, c2 = _derivative(a + 0.5 * h * a1, b + 0.5 * h * b1, c + 0.5 * h * c1, torque, steer, p)
+                a3, b3, c3 = _derivative(a + 0.5 * h * a2, b + 0.5 * h * b2, c + 0.5 * h * c2, torque, steer, p)
+                torque, steer = T[k] + s2 * d_torque, delta[k] + s2 * d_steer
+                a4, b4, c4 = _derivative(a + h * a3, b + h * b3, c + h * c3, torque, steer, p)
+                a += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+                b += h / 6.0 * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
+                c += h / 6.0 * (c1 + 2.0 * c2 + 2.0 * c3 + c4)
+        end = i + window
+        y0, y1, y2 = (vx[end] - a) / horizon, (vy[end] - b) / horizon, (r[end] - c) / horizon
+        if not plain:
+            _phi(A, horizon, phi, work)
+            y0, y1, y2 = _solve(phi, y0, y1, y2)
+        out[n, 0], out[n, 1], out[n, 2] = y0, y1, y2
+    return out
+
+
+# ---- the update of cells ---------------------------------------------------------------------------------------
+
+
+@njit(cache=True)
+def _correlation(a, b, scales):
+    squared = 0.0
+    for feature in range(len(scales)):
+        distance = (a[feature] - b[feature]) / scales[feature]
+        squared += distance * distance
+    return math.exp(-0.5 * squared)
+
+
+@njit(cache=True)
+def _refresh(z, n, scales, low, inverse, gamma):
+    """Recompute a cell from its points: L^-1 of K = L L^T, and gamma_i = 1/[K^-1]_ii.
+
+    Returns the index of the jitter that was needed, -1 when the largest does not suffice.
+    """
+    for step in range(len(_JITTERS)):
+        good = True
+        for i in range(n):
+            for j in range(i + 1):
+                value = 1.0 + _JITTERS[step] if i == j else _correlation(z[i], z[j], scales)
+                for k in range(j):
+                    value -= low[i, k] * low[j, k]
+                if i == j:
+                    # Below this the pivot holds rounding only: n terms of size one are accumulated in it.
+                    good = value > 4.0 * n * 2.2e-16
+                    if not good:
+                        break
+                    low[i, i] = math.sqrt(value)
+                else:
+                    low[i, j] = value / low[j, j]
+            if not good:
+                break
+        if good:
+            break
+    if not good:
+        return -1
+    for j in range(n):
+        inverse[j, j] = 1.0 / low[j, j]
+        for i in range(j + 1, n):
+            value = 0.0
+            for k in range(j, i):
+                value -= low[i, k] * inverse[k, j]
+            inverse[i, j] = value / low[i, i]
+        total = 0.0
+        for i in range(j, n):
+            total += inverse[i, j] * inverse[i, j]
+        gamma[j] = 1.0 / total
+    return step
+
+
+@njit(cache=True)
+def _least(gamma, clock, n, now, forgetting):
+    """Return the slot of the least gain, weighted by exp(-age^2/(2 tau^2)) when forgetting, and that gain."""
+    slot, least = 0, np.inf
+    for i in range(n):
+        weighted = gamma[i]
+        if forgetting > 0.0:
+            age = (now - clock[i]) / forgetting
+            weighted *= math.exp(-0.5 * age * age)
+        if weighted < least:
+            slot, least = i, weighted
+    return slot, least
+
+
+@njit(cache=True)
+def _exceeds(z, points, n, scales, inverse, k, bound):
+    """Return whether 1 - |L^-1 k|^2 exceeds `bound`.
+
+    The sum of squares only grows, also in floating point, so a sample is turned away as soon as the partial sum
+    decides; most need two or three of the n points.
+    """
+    total = 0.0
+    for i in range(n):
+        k[i] = _correlation(points[i], z, scales)
+        value = 0.0
+        for j in range(i + 1):
+            value += inverse[i, j] * k[j]
+        total += value * value
+        if 1.0 - total <= bound:
+            return False
+    return 1.0 - total > bound
+
+
+@njit(cache=True)
+def update_cells(
+    groups, cell_of_group, order, z_new, clock_new, scales, threshold, forgetting, count, z, gamma, clock, origin
+):
+    """Offer samples to their cells, cell by cell, each cell's samples in their order.
+
+    Parameters
+    ----------
+    groups : ndarray of int64, shape (G + 1,)
+        Samples of group g are ``order[groups[g]:groups[g + 1]]``.
+    cell_of_group : ndarray of int64, shape (G,)
+    order : ndarray of int64, shape (N,)
+    z_new, clock_new : ndarray, shape (N, D), (N,)
+    scales : ndarray, shape (D,)
+    threshold, forgetting : float
+        Forgetting 0 is off.
+    count, z, gamma, clock, origin : ndarray, shape (C,), (C, M, D), (C, M), (C, M), (C, M)
+        The cells, altered in place; `origin` receives the sample that fills a slot.
+
+    Returns
+    -------
+    (ndarray of int8, int, int)
+        What became of each sample, repairs by jitter, and the first cell no jitter could repair or -1.
+    """
+    capacity = z.shape[1]
+    outcome = np.zeros(len(z_new), dtype=np.int8)
+    low, inverse = np.zeros((capacity, capacity)), np.zeros((capacity, capacity))
+    k = np.zeros(capacity)
+    repairs = 0
+    for group in range(len(cell_of_group)):
+        c = cell_of_group[group]
+        _refresh(z[c], count[c], scales, low, inverse, gamma[c])
+        slot, least = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
+        for position in range(groups[group], groups[group + 1]):
+            sample = order[position]
+            n = count[c]
+            if forgetting > 0.0:
+                slot, least = _least(gamma[c], clock[c], n, clock_new[sample], forgetting)
+                # A cell with room whose points grow old must let them go too, or they never leave.
+                bound = least if n == capacity else min(threshold, least)
+            else:
+                bound = least if n == capacity else threshold
+            if not _exceeds(z_new[sample], z[c], n, scales, inverse, k, bound):
+                continue
+            if n < capacity and (
+                forgetting <= 0.0 or _exceeds(z_new[sample], z[c], n, scales, inverse, k, threshold)
+            ):
+                slot = n
+                count[c] = n + 1
+                outcome[sample] = INSERTED
+            else:
+                outcome[sample] = REPLACED
+            z[c, slot] = z_new[sample]
+            clock[c, slot] = clock_new[sample]
+            origin[c, slot] = sample
+            jitter = _refresh(z[c], count[c], scales, low, inverse, gamma[c])
+            if jitter < 0:
+                return outcome, repairs, c
+            if jitter > 0:
+                repairs += 1
+            slot, least = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
+    return outcome, repairs, -1
+
+
+@njit(cache=True)
+def refresh_cells(offsets, z, scales, capacity):
+    """Return gamma of every point of a set, shape (P,); NaN where a cell's kernel matrix cannot be factored."""
+    gamma = np.empty(len(z))
+    low, inverse = np.zeros((capacity, capacity)), np.zeros((capacity, capacity))
+    for c in range(len(offsets) - 1):
+        first, last = offsets[c], offsets[c + 1]
+        if _refresh(z[first:last], last - first, scales, low, inverse, gamma[first:last]) < 0:
+            gamma[first:last] = np.nan
+    return gamma

@@ -1,0 +1,303 @@
+"""Learning: every sample is offered to its cell, which keeps the points of greatest marginal gain."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from split_cli.errors import NumericalRepairWarning, SetError
+from split_cli.learning.features import FeatureSet
+from split_cli.learning.kernel import Kernel
+from split_cli.learning.labels import Labels, Reason
+from split_cli.learning.region import Grid, Region
+from split_cli.learning.training_set import SetSource, TrainingSet
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["DEFAULT_CAPACITY", "DEFAULT_THRESHOLD", "empty_set", "extend", "learn", "recompute_gains"]
+
+DEFAULT_CAPACITY = 10
+DEFAULT_THRESHOLD = 1e-3
+_POINT_ARRAYS = ("z", "y", "gamma", "t", "source", "row")
+
+
+def empty_set(
+    vehicle: Vehicle,
+    features: FeatureSet,
+    region: Region,
+    grid: Grid,
+    kernel: Kernel,
+    *,
+    horizon: float,
+    capacity: int = DEFAULT_CAPACITY,
+    threshold: float = DEFAULT_THRESHOLD,
+    forgetting: float | None = None,
+    plain: bool = False,
+) -> TrainingSet:
+    """Return a set without points, ready for `extend`.
+
+    Parameters
+    ----------
+    vehicle, features, region, grid, kernel, horizon, capacity, threshold, forgetting, plain
+        As kept in `TrainingSet`.
+
+    Raises
+    ------
+    SetError
+        If a setting is out of its range, or grid and kernel are not of the features' dimension.
+    """
+    dimension = len(features.names)
+    if not 1 <= capacity <= 200:
+        raise SetError(f"the capacity of a cell is {capacity}, 1 to 200 was expected")
+    if not 1e-9 <= threshold < 1.0:
+        # Below, the threshold would be in the rounding of the gain, and K singular to working precision.
+        raise SetError(f"the gain threshold is {threshold:g}, a value from 1e-9 to below 1 was expected")
+    if forgetting is not None and not (np.isfinite(forgetting) and forgetting > 0):
+        raise SetError(f"the time constant of forgetting is {forgetting!r}, a positive time was expected")
+    if len(grid.edges) != dimension or len(kernel.length_scales) != dimension:
+        raise SetError(
+            f"{dimension} features, but a grid of {len(grid.edges)} and a kernel of "
+            f"{len(kernel.length_scales)} dimensions"
+        )
+    return TrainingSet(
+        vehicle=vehicle,
+        features=features,
+        region=region,
+        grid=grid,
+        kernel=kernel,
+        horizon=horizon,
+        capacity=capacity,
+        threshold=threshold,
+        forgetting=forgetting,
+        cell_numbers=np.empty(0, dtype=np.int64),
+        offsets=np.zeros(1, dtype=np.int64),
+        z=np.empty((0, dimension)),
+        y=np.empty((0, 3)),
+        gamma=np.empty(0),
+        t=np.empty(0),
+        source=np.empty(0, dtype=np.int16),
+        row=np.empty(0, dtype=np.int64),
+        plain=plain,
+    )
+
+
+def learn(
+    labels: Sequence[Labels],
+    *,
+    vehicle: Vehicle,
+    grid: Grid,
+    kernel: Kernel,
+    capacity: int = DEFAULT_CAPACITY,
+    threshold: float = DEFAULT_THRESHOLD,
+    forgetting: float | None = None,
+    batch: int | None = None,
+) -> TrainingSet:
+    """Learn labels, drive after drive as given, into a new set.
+
+    Parameters
+    ----------
+    labels : sequence of Labels
+        One a drive, all of the same features, region and horizon.
+    vehicle, grid, kernel, capacity, threshold, forgetting
+        As kept in `TrainingSet`.
+    batch : int, optional
+        Samples offered at once; the set does not depend on it.
+
+    Returns
+    -------
+    TrainingSet
+
+    Notes
+    -----
+    SPLIT paper, sparse incremental learning. For a sample in cell k, gamma_new = k(z, z) - k^T K_k^-1 k (the
+    independence measurement). Below capacity it is inserted when gamma_new exceeds the threshold; at capacity it
+    replaces the point of least gamma when it exceeds that. The gains of kept points are gamma_i = 1/[K^-1]_ii, an
+    exact identity (the Schur complement of i in K) for what the paper gets by one inversion a point.
+
+    With forgetting, a kept point's gain counts as gamma_i exp(-age^2/(2 tau^2)), after Kabzan et al., Learning-based
+    model predictive control for autonomous racing, RA-L 4(4), 2019; age is driving time learned since.
+    """
+    if not labels:
+        raise SetError("nothing to learn: no drive was given")
+    first = labels[0]
+    start = empty_set(
+        vehicle,
+        first.features,
+        first.region,
+        grid,
+        kernel,
+        horizon=first.horizon,
+        capacity=capacity,
+        threshold=threshold,
+        forgetting=forgetting,
+        plain=first.plain,
+    )
+    return extend(start, labels, batch=batch)
+
+
+def extend(training_set: TrainingSet, labels: Iterable[Labels], *, batch: int | None = None) -> TrainingSet:
+    """Go on learning: offer labels, drive after drive, to a set.
+
+    Raises
+    ------
+    SetError
+        If the labels are of another vehicle, or of other features, region or horizon than the set.
+    """
+    cells = _Cells(training_set)
+    sources = list(training_set.sources)
+    for drive in labels:
+        _check_belongs(training_set, drive)
+        if len(sources) > np.iinfo(np.int16).max:
+            raise SetError(f"holds {len(sources)} drives already, a set can name no more")
+        sources.append(cells.offer(drive, len(sources), batch or max(len(drive), 1)))
+    return cells.freeze(tuple(sources))
+
+
+def recompute_gains(training_set: TrainingSet) -> np.ndarray:
+    """Return gamma of every point from the points alone, shape (P,); what `TrainingSet.gamma` must equal."""
+    from split_cli.learning._compiled import refresh_cells
+
+    widest = int(np.diff(training_set.offsets).max(initial=1))
+    return refresh_cells(training_set.offsets, training_set.z, training_set.kernel.length_scales, widest)
+
+
+def _check_belongs(training_set: TrainingSet, labels: Labels) -> None:
+    advice = "Train a set of its own for it."
+    if labels.vehicle_digest != training_set.vehicle.digest():
+        raise SetError("its labels are of another vehicle than the set", where=labels.drive, advice=advice)
+    for what, theirs, ours in (
+        ("features", labels.features.names, training_set.features.names),
+        ("valid region", labels.region, training_set.region),
+        ("kind of label (plain difference)", labels.plain, training_set.plain),
+    ):
+        if theirs != ours:
+            raise SetError(f"its {what} is {theirs}, the set's is {ours}", where=labels.drive, advice=advice)
+    if labels.plain and abs(labels.horizon - training_set.horizon) > 1e-9:
+        raise SetError(
+            f"its horizon is {labels.horizon:g} s, the set's is {training_set.horizon:g} s, and plain differences "
+            "depend on it",
+            where=labels.drive,
+            advice=advice,
+        )
+
+
+class _Cells:
+    """The growing state of learning: a row of slots a cell, cells in the order they were first seen.
+
+    Everything beside the points (gains, factors) is recomputed from the points, so that going on from a file
+    gives the same bits as never having stopped.
+    """
+
+    def __init__(self, training_set: TrainingSet) -> None:
+        self.set = training_set
+        self.base = [0.0]  # clock of learning at which each source begins, and at last where the next will
+        for source in training_set.sources:
+            self.base.append(self.base[-1] + source.duration)
+        self.numbers = training_set.cell_numbers.tolist()
+        self.position = {number: index for index, number in enumerate(self.numbers)}
+        self.count = np.diff(training_set.offsets).astype(np.int64)
+        self.slots = {name: self._blank(name, len(self.numbers)) for name in (*_POINT_ARRAYS, "clock")}
+        filled = self._filled()
+        for name in _POINT_ARRAYS:
+            self.slots[name][filled] = getattr(training_set, name)
+        starts = np.array([source.start_time for source in training_set.sources])
+        begin = np.array(self.base[:-1]) - starts
+        self.slots["clock"][filled] = begin[training_set.source] + training_set.t
+
+    def _blank(self, name: str, cells: int) -> np.ndarray:
+        like = self.set.t if name == "clock" else getattr(self.set, name)
+        return np.zeros((cells, self.set.capacity, *like.shape[1:]), dtype=like.dtype)
+
+    def _filled(self) -> np.ndarray:
+        return np.arange(self.set.capacity) < self.count[: len(self.numbers), None]
+
+    def offer(self, labels: Labels, source: int, batch: int) -> SetSource:
+        """Offer one drive's labels; return what became of them."""
+        labels = labels.inside(self.set.grid)
+        begin = self.base[-1] - labels.start_time
+        self.base.append(self.base[-1] + labels.duration)
+        candidates = np.flatnonzero(labels.accepted)
+        parts = [candidates[first : first + batch] for first in range(0, len(candidates), batch)]
+        outcome = np.concatenate([self._offer(labels, rows, source, begin) for rows in parts] or [np.empty(0)])
+        kept, inserted, replaced = (int(np.count_nonzero(outcome == code)) for code in range(3))
+        return SetSource(
+            name=labels.drive,
+            sha256=labels.sha256,
+            samples=len(labels),
+            accepted=len(candidates),
+            rejected={**labels.counts(), **({Reason.GAIN.word: kept} if kept else {})},
+            insertions=inserted,
+            replacements=replaced,
+            points=int(self.count.sum()),
+            cells=len(self.numbers),
+            start_time=labels.start_time,
+            duration=labels.duration,
+        )
+
+    def _offer(self, labels: Labels, rows: np.ndarray, source: int, begin: float) -> np.ndarray:
+        """Offer the labels at `rows`; return for each 0 (gain too small), 1 (inserted) or 2 (replaced a point)."""
+        from split_cli.learning._compiled import update_cells
+
+        z, t = np.ascontiguousarray(labels.z[rows]), labels.t[rows]
+        numbers = self.set.grid.pack(self.set.grid.index(z)[0])
+        order = np.argsort(numbers, kind="stable")
+        distinct, first = np.unique(numbers[order], return_index=True)
+        cells = self._cells_of(distinct.tolist())
+        origin = np.full((len(self.count), self.set.capacity), -1, dtype=np.int64)
+        outcome, repairs, broken = update_cells(
+            np.append(first, len(order)),
+            cells,
+            order,
+            z,
+            begin + t,
+            self.set.kernel.length_scales,
+            self.set.threshold,
+            self.set.forgetting or 0.0,
+            self.count,
+            self.slots["z"],
+            self.slots["gamma"],
+            self.slots["clock"],
+            origin,
+        )
+        if broken >= 0:
+            raise SetError(
+                f"the points of cell {self.numbers[broken]} cannot be told apart: their kernel matrix is singular",
+                where=labels.drive,
+                advice="Raise --threshold or shorten the length scales.",
+            )
+        if repairs:
+            text = f"{labels.drive}: {repairs} kernel matrices of cells needed jitter, at most 1e-10"
+            warnings.warn(NumericalRepairWarning(text), stacklevel=4)
+        written = origin >= 0
+        taken = rows[origin[written]]
+        for name in ("y", "t", "row"):
+            self.slots[name][written] = getattr(labels, name)[taken]
+        self.slots["source"][written] = source
+        return outcome
+
+    def _cells_of(self, numbers: list[int]) -> np.ndarray:
+        """Return the row of each cell number, int64; cells not seen before get the next rows."""
+        for number in numbers:
+            if number not in self.position:
+                self.position[number] = len(self.numbers)
+                self.numbers.append(number)
+        room = len(self.count)
+        if len(self.numbers) > room:
+            # Doubling, so that learning sample by sample does not copy everything at each new cell.
+            more = max(len(self.numbers), 2 * room) - room
+            self.count = np.concatenate([self.count, np.zeros(more, dtype=np.int64)])
+            for name, values in self.slots.items():
+                self.slots[name] = np.concatenate([values, self._blank(name, more)])
+        return np.array([self.position[number] for number in numbers], dtype=np.int64)
+
+    def freeze(self, sources: tuple[SetSource, ...]) -> TrainingSet:
+        """Return the state as a trained set, cells ascending, points in slot order."""
+        numbers = np.array(self.numbers, dtype=np.int64)
+        # A cell is entered when a sample is offered, and its first sample always stays.
+        order = np.argsort(numbers)
+        filled = self._filled()[order]
+        arrays = {name: self.slots[name][order][filled] for name in _POINT_ARRAYS}
+        offsets = np.concatenate([[0], np.cumsum(self.count[order])])
+        return replace(self.set, cell_numbers=numbers[order], offsets=offsets, sources=sources, **arrays)

@@ -1,0 +1,440 @@
+"""Labels: the rate that the nominal model leaves out, from recorded windows of length h."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+
+from split_cli.errors import DriveError
+from split_cli.files import atomic_path
+from split_cli.learning.features import FeatureSet
+from split_cli.learning.kernel import OUTPUTS
+from split_cli.learning.region import Grid, Region
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.integration import integrate_recorded, phi_matrix
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = [
+    "DEFAULT_HORIZON",
+    "Labels",
+    "Reason",
+    "compute_labels",
+    "nominal_errors",
+    "read_labels",
+    "window_samples",
+    "write_labels",
+]
+
+DEFAULT_HORIZON = 0.05
+LABELS_FORMAT = "split-labels/1"
+_CHUNK = 65_536
+_VELOCITIES = ("vx", "vy", "r")
+
+
+class Reason(IntEnum):
+    """Why a sample is not learned; the first that applies, in this order."""
+
+    ACCEPTED = 0
+    GAP = 1
+    NON_FINITE = 2
+    SPEED = 3
+    SLIP = 4
+    SLIP_DIFFERENCE = 5
+    ELLIPSE = 6
+    GRID = 7
+    GAIN = 8
+
+    @property
+    def word(self) -> str:
+        """How files and tables write it; empty for an accepted sample."""
+        return "" if self is Reason.ACCEPTED else self.name.lower()
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What the nominal model gets wrong over windows of a drive.
+
+    Attributes
+    ----------
+    drive, sha256 : str
+        Name and content hash of the drive.
+    vehicle_digest : str
+        `Vehicle.digest` of the nominal model.
+    features : FeatureSet
+    region : Region
+    horizon : float
+        h [s], a whole number of samples.
+    window : int
+        Samples in h.
+    plain : bool
+        Whether y is the paper's plain difference, damped by the nominal dynamics, for reproduction only.
+    start_time, duration : float
+        First time stamp and length of the drive [s].
+    t : ndarray, shape (N,)
+        Time of a window's start [s].
+    row : ndarray of int64, shape (N,)
+        Its row in the drive.
+    segment : ndarray of int32, shape (N,)
+    z : ndarray, shape (N, D)
+        Features at the start.
+    y : ndarray, shape (N, 3)
+        Rate left out, of v_x, v_y [m/s^2] and r [rad/s^2]; NaN where it cannot be computed (gap, non_finite,
+        speed).
+    reason : ndarray of int8, shape (N,)
+        `Reason` of each sample.
+    """
+
+    drive: str
+    sha256: str
+    vehicle_digest: str
+    features: FeatureSet
+    region: Region
+    horizon: float
+    window: int
+    plain: bool
+    start_time: float
+    duration: float
+    t: np.ndarray
+    row: np.ndarray
+    segment: np.ndarray
+    z: np.ndarray
+    y: np.ndarray
+    reason: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    @property
+    def accepted(self) -> np.ndarray:
+        """Whether a sample is inside the valid region and usable, bool shape (N,)."""
+        return self.reason == Reason.ACCEPTED
+
+    def take(self, index: np.ndarray | slice) -> Labels:
+        """Return the labels at `index` (mask, indices or slice), in that order."""
+        names = ("t", "row", "segment", "z", "y", "reason")
+        return replace(self, **{name: getattr(self, name)[index] for name in names})
+
+    def within(self, rows: np.ndarray) -> Labels:
+        """Return the labels whose whole window, start to end, lies on rows where the mask is true.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (rows of the drive,)
+            For example the training blocks; a window that touches a held-out row is left out.
+        """
+        blocked = np.concatenate([[0], np.cumsum(~np.asarray(rows, dtype=bool))])
+        last = np.minimum(self.row + self.window + 1, len(rows))
+        return self.take(blocked[last] == blocked[self.row])
+
+    def inside(self, grid: Grid) -> Labels:
+        """Return the labels with accepted samples outside the grid marked as such."""
+        outside = self.accepted & ~grid.index(self.z)[1]
+        return replace(self, reason=np.where(outside, np.int8(Reason.GRID), self.reason))
+
+    def counts(self) -> dict[str, int]:
+        """Return how many samples were rejected, by the reason's word, in the order they are tested."""
+        numbers = np.bincount(self.reason, minlength=len(Reason))
+        return {reason.word: int(numbers[reason]) for reason in Reason if reason and numbers[reason]}
+
+
+def window_samples(horizon: float, period: float) -> int:
+    """Return h in whole samples, at least one."""
+    if not (np.isfinite(horizon) and horizon > 0):
+        raise DriveError(f"the label horizon is {horizon!r}, a positive time in seconds was expected")
+    return max(1, round(horizon / period))
+
+
+def compute_labels(
+    drive: Drive,
+    vehicle: Vehicle,
+    features: FeatureSet,
+    region: Region | None = None,
+    *,
+    horizon: float = DEFAULT_HORIZON,
+    stride: int | None = None,
+    plain: bool = False,
+) -> Labels:
+    """Compute the labels of a drive.
+
+    Parameters
+    ----------
+    drive : Drive
+    vehicle : Vehicle
+    features : FeatureSet
+    region : Region, optional
+        The vehicle's default region when not given.
+    horizon : float
+        h [s], rounded to whole samples, at least one.
+    stride : int, optional
+        Samples between starts; h by default, so that windows do not overlap.
+    plain : bool
+        The paper's plain difference instead of a rate that does not depend on h.
+
+    Returns
+    -------
+    Labels
+        One for every start. A start whose window would reach over a gap is kept, with the reason `gap`; the
+        last, incomplete window of the recording is none.
+
+    Raises
+    ------
+    DriveError
+        If no window fits into any segment, or a feature is unknown.
+
+    Notes
+    -----
+    y = Phi^-1 B_d^+ (x(t + h) - f_h(x(t)))/h with f_h the nominal model integrated by RK4 over the recorded
+    inputs and Phi = (1/h) int_0^h exp(A s) ds, A the nominal Jacobian at t. SPLIT paper, the residual model,
+    has the plain difference; Phi undoes what the stiff lateral dynamics damp within h (docs/errata.md).
+    """
+    region = region or Region.of(vehicle)
+    model = SingleTrack(vehicle)
+    window = window_samples(horizon, drive.period)
+    starts = _window_starts(drive, window, stride or window)
+    z = features.compute(model, drive)[starts]
+    reason = _reject(drive, model, region, starts, window, z)
+    y = np.full((len(starts), 3), np.nan)
+    usable = ~np.isin(reason, (Reason.GAP, Reason.NON_FINITE, Reason.SPEED))
+    y[usable] = nominal_errors(model, drive, starts[usable], window, plain=plain)
+    # A vanishing Phi or a diverging window shows as a value that is not finite: it must not be learned.
+    reason[usable & ~np.isfinite(y).all(axis=1)] = Reason.NON_FINITE
+    time = drive["t"]
+    return Labels(
+        drive=drive.name,
+        sha256=drive.sha256,
+        vehicle_digest=vehicle.digest(),
+        features=features,
+        region=region,
+        horizon=window * drive.period,
+        window=window,
+        plain=plain,
+        start_time=float(time[0]),
+        duration=float(time[-1] - time[0]),
+        t=time[starts],
+        row=starts,
+        segment=drive.segment[starts],
+        z=z,
+        y=y,
+        reason=reason,
+    )
+
+
+def nominal_errors(
+    model: SingleTrack,
+    drive: Drive,
+    starts: np.ndarray,
+    window: int,
+    *,
+    plain: bool = False,
+    compiled: bool = True,
+) -> np.ndarray:
+    """Return y for windows that start at rows `starts`, shape (N, 3) [m/s^2], [m/s^2], [rad/s^2].
+
+    Parameters
+    ----------
+    model : SingleTrack
+    drive : Drive
+    starts : ndarray of int64, shape (N,)
+        Every window must lie inside one segment.
+    window : int
+        Samples in h.
+    plain : bool
+        Without the inverse of Phi.
+    compiled : bool
+        Whether the compiled path may serve; it covers the nominal model without terms and agrees with the plain
+        one to rounding.
+    """
+    if compiled and not model.terms:
+        from split_cli.learning._compiled import window_errors
+
+        channels = [np.ascontiguousarray(drive[name], dtype=float) for name in (*_VELOCITIES, "T", "delta")]
+        return window_errors(*channels, starts, window, drive.period, _nominal_constants(model.vehicle), plain)
+    parts = [
+        _window_errors_reference(model, drive, starts[first : first + _CHUNK], window, plain)
+        for first in range(0, len(starts), _CHUNK)
+    ]
+    return np.concatenate(parts) if parts else np.empty((0, 3))
+
+
+def _window_errors_reference(
+    model: SingleTrack, drive: Drive, starts: np.ndarray, window: int, plain: bool
+) -> np.ndarray:
+    begin = np.stack([drive[name][starts] for name in _VELOCITIES], axis=1)
+    end = np.stack([drive[name][starts + window] for name in _VELOCITIES], axis=1)
+    span = starts[:, None] + np.arange(window + 1)
+    torque, steer_angle = drive["T"][span], drive["delta"][span]
+    situation = {"t": drive["t"][starts], "yaw": drive["yaw"][starts] if "yaw" in drive else np.zeros(len(starts))}
+    jacobian = model.velocity_jacobian(*begin.T, torque[:, 0], steer_angle[:, 0], **situation)
+    substeps = _substeps(jacobian, drive.period, model.vehicle.wheelbase)
+    predicted = np.empty_like(begin)
+    for count in np.unique(substeps):
+        group = substeps == count
+        predicted[group] = integrate_recorded(
+            model,
+            begin[group],
+            torque[group],
+            steer_angle[group],
+            drive.period,
+            int(count),
+            time=situation["t"][group],
+            yaw=situation["yaw"][group],
+        )
+    horizon = window * drive.period
+    rate = (end - predicted) / horizon
+    return rate if plain else np.linalg.solve(phi_matrix(jacobian, horizon), rate[:, :, None])[:, :, 0]
+
+
+def _substeps(jacobian: np.ndarray, period: float, wheelbase: float) -> np.ndarray:
+    """Return for each window how many RK4 steps a sample keep |lambda| step <= 1, shape (N,).
+
+    Each window has its own count, so that a label does not depend on what it is computed together with. The
+    spectral radius is bounded by the fourth root of |A^4|, at most 15 % above it for a normal matrix, with the
+    yaw rate scaled by half the wheelbase to a velocity.
+    """
+    scale = np.array([1.0, 1.0, 0.5 * wheelbase])
+    squared = np.linalg.matrix_power(jacobian * scale[:, None] / scale, 2)
+    radius = np.sqrt(np.sqrt(np.linalg.norm(squared @ squared, axis=(1, 2))))
+    return np.maximum(1, np.ceil(radius * period)).astype(np.int64)
+
+
+def _nominal_constants(car: Vehicle) -> np.ndarray:
+    """Return what the compiled nominal model needs, in the order it unpacks them."""
+    front, rear = car.front_tire, car.rear_tire
+    return np.array(
+        [
+            car.mass, car.yaw_inertia, car.cg_to_front_axle, car.cg_to_rear_axle, car.wheel_radius,
+            car.drive_split_front, car.brake_split_front, car.rolling_resistance_front,
+            car.rolling_resistance_rear, car.drag_coefficient, front.B, front.C, front.D, rear.B, rear.C, rear.D,
+        ]
+    )  # fmt: skip
+
+
+def _window_starts(drive: Drive, window: int, stride: int) -> np.ndarray:
+    if stride < 1:
+        raise DriveError(f"the stride is {stride} samples, at least 1 was expected", where=drive.name)
+    runs = drive.segments()
+    longest = max((run.stop - run.start for run in runs), default=0)
+    if longest <= window:
+        raise DriveError(
+            f"is too short for a label: its longest stretch without a gap has {longest} samples, "
+            f"a window of {window * drive.period:g} s needs {window + 1}",
+            where=drive.name,
+            advice="Use a shorter horizon.",
+        )
+    starts = [np.arange(run.start, run.stop, stride) for run in runs[:-1]]
+    starts.append(np.arange(runs[-1].start, runs[-1].stop - window, stride))
+    return np.concatenate(starts).astype(np.int64)
+
+
+def _reject(
+    drive: Drive, model: SingleTrack, region: Region, starts: np.ndarray, window: int, z: np.ndarray
+) -> np.ndarray:
+    """Return the reason of every start, int8 shape (N,)."""
+    last = np.empty(len(drive), dtype=np.int64)
+    for run in drive.segments():
+        last[run] = run.stop - 1
+    gap = starts + window > last[starts]
+    broken = np.zeros(len(drive), dtype=bool)
+    for name in (*_VELOCITIES, "T", "delta"):
+        broken |= ~np.isfinite(drive[name])
+    before = np.concatenate([[0], np.cumsum(broken)])
+    non_finite = before[np.minimum(starts + window + 1, len(drive))] > before[starts]
+    non_finite |= ~np.isfinite(z).all(axis=1)
+    at = [np.where(non_finite, 1.0, drive[name][starts]) for name in (*_VELOCITIES, "T", "delta")]
+    flow = model.flow(*at)
+    alpha_f, alpha_r = flow.front.slip_angle, flow.rear.slip_angle
+    tests = (
+        (Reason.GAP, gap),
+        (Reason.NON_FINITE, non_finite),
+        (Reason.SPEED, ~(at[0] > region.minimum_speed)),
+        (Reason.SLIP, ~region.inside_slip(alpha_f, alpha_r)),
+        (Reason.SLIP_DIFFERENCE, ~region.inside_slip_difference(alpha_f, alpha_r)),
+        (Reason.ELLIPSE, ~region.inside_ellipse(model.vehicle, alpha_f, alpha_r, at[3])),
+    )
+    reason = np.zeros(len(starts), dtype=np.int8)
+    for code, failed in reversed(tests):
+        reason[failed] = code
+    return reason
+
+
+def write_labels(labels: Labels, path: str | Path) -> None:
+    """Write labels as Parquet, whole or not at all: ``t, row, segment``, the features, ``y_vx, y_vy, y_r, reason``.
+
+    Equal labels give equal bytes.
+    """
+    words = [reason.word for reason in Reason]
+    columns = {
+        "t": pa.array(labels.t),
+        "row": pa.array(labels.row.astype(np.int64)),
+        "segment": pa.array(labels.segment.astype(np.int32)),
+        # A feature named t is that column already.
+        **{name: pa.array(labels.z[:, i]) for i, name in enumerate(labels.features.names)},
+        **{f"y_{output}": pa.array(labels.y[:, i]) for i, output in enumerate(OUTPUTS)},
+        "reason": pa.DictionaryArray.from_arrays(pa.array(labels.reason.astype(np.int8)), pa.array(words)),
+    }
+    stored = {
+        "format": LABELS_FORMAT,
+        "drive": labels.drive,
+        "sha256": labels.sha256,
+        "vehicle_digest": labels.vehicle_digest,
+        "features": list(labels.features.names),
+        "region": asdict(labels.region),
+        "horizon": labels.horizon,
+        "window": labels.window,
+        "plain": labels.plain,
+        "start_time": labels.start_time,
+        "duration": labels.duration,
+    }
+    metadata = {b"split": json.dumps(stored, sort_keys=True).encode()}
+    with atomic_path(path) as temporary:
+        pa.parquet.write_table(pa.table(columns).replace_schema_metadata(metadata), temporary, compression="zstd")
+
+
+def read_labels(path: str | Path) -> Labels:
+    """Read labels that `write_labels` wrote.
+
+    Raises
+    ------
+    DriveError
+        If the file is missing, damaged, or no label file of this version.
+    """
+    where = str(path)
+    advice = "Labels are the Parquet that `split label` writes."
+    if not Path(path).is_file():
+        raise DriveError("no such file", where=where)
+    try:
+        table = pa.parquet.read_table(path)
+        stored = json.loads((table.schema.metadata or {})[b"split"])
+        if stored["format"] != LABELS_FORMAT:
+            raise DriveError(
+                f"is of format {stored['format']!r}, {LABELS_FORMAT!r} was expected", where=where, advice=advice
+            )
+        return _labels_from_table(table, stored)
+    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
+        raise DriveError(f"cannot be read as labels ({error})", where=where, advice=advice) from error
+
+
+def _labels_from_table(table: pa.Table, stored: Mapping) -> Labels:
+    features = FeatureSet(tuple(stored["features"]))
+    codes = {reason.word: int(reason) for reason in Reason}
+    words = table["reason"].to_pylist()
+    described = ("drive", "sha256", "vehicle_digest", "horizon", "window", "plain", "start_time", "duration")
+    return Labels(
+        **{name: stored[name] for name in described},
+        features=features,
+        region=Region(**stored["region"]),
+        t=table["t"].to_numpy(),
+        row=table["row"].to_numpy(),
+        segment=table["segment"].to_numpy(),
+        z=np.stack([table[name].to_numpy() for name in features.names], axis=1),
+        y=np.stack([table[f"y_{output}"].to_numpy() for output in OUTPUTS], axis=1),
+        reason=np.array([codes[word] for word in words], dtype=np.int8),
+    )
