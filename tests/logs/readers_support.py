@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -16,7 +17,6 @@ EPOCH = 1_700_000_000_123_456_789
 LOG_LATENCY = 7_000_000
 PUBLISH_LATENCY = 3_000_000
 
-RULE = "=" * 80
 EXTRA_DEFINITIONS = {
     "ackermann_msgs/msg/AckermannDrive": "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\n"
     "float32 acceleration\nfloat32 jerk\n",
@@ -31,6 +31,13 @@ EXTRA_DEFINITIONS = {
     "vesc_msgs/msg/VescState": "float64 temp_fet\nfloat64 current_motor\nfloat64 speed\nfloat64 duty_cycle\n"
     "int32 fault_code\n",
     "vesc_msgs/msg/VescStateStamped": "std_msgs/Header header\nVescState state\n",
+}
+
+
+FIELDS = {
+    "vx": "/odom/twist.twist.linear.x",
+    "vy": "/odom/twist.twist.linear.y",
+    "r": "/odom/twist.twist.angular.z",
 }
 
 
@@ -57,6 +64,19 @@ def plant(count: int = 300, seed: int = 5) -> Planted:
     rng = np.random.default_rng(seed)
     header = EPOCH + np.arange(count) * 10_000_000 + rng.integers(-2_000_000, 2_000_000, count)
     return Planted(header, *rng.normal(size=(3, count)) * np.array([[20.0], [0.5], [0.3]]))
+
+
+def check_planted(
+    recording: Any, planted: Planted, clocks: tuple[str, ...] = ("header", "publish", "log")
+) -> None:
+    """Assert that values are equal bit for bit, and times to the rounding of a double near 10 s (2 ns)."""
+    for clock in clocks:
+        signals = recording.read(list(FIELDS.values()), clock)
+        expected = (getattr(planted, clock) - planted.log.min()) * 1e-9
+        for name, topic in FIELDS.items():
+            np.testing.assert_array_equal(signals[topic].values, getattr(planted, name))
+            np.testing.assert_allclose(signals[topic].time, expected, rtol=0, atol=2e-9)
+    assert recording.origin == pytest.approx(planted.log.min() * 1e-9, abs=1e-6)
 
 
 def ros2_store() -> Any:
@@ -248,3 +268,60 @@ def write_protobuf_mcap(path: Path, planted: Planted) -> Path:
         messages.append(("/odom", planted.log[row], planted.publish[row], message.SerializeToString()))
     schema = build_file_descriptor_set(kind).SerializeToString()
     return write_mcap(path, ("test.Odometry", "protobuf", schema), "protobuf", messages)
+
+
+def write_rosbag2(folder: Path, planted: Planted, storage: str, **extra: Any) -> Path:
+    """Write the planted drive as a rosbag2 folder; `extra` are more (topic, type, messages)."""
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as BagWriter
+
+    store = ros2_store()
+    with BagWriter(folder, version=9, storage_plugin=StoragePlugin[storage]) as bag:
+        connection = bag.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
+        for _, log_time, _, payload in cdr_messages(store, planted):
+            bag.write(connection, int(log_time), payload)
+        for topic, (type_name, messages) in extra.items():
+            connection = bag.add_connection(f"/{topic}", type_name, typestore=store)
+            for time, message in messages:
+                bag.write(connection, int(time), store.serialize_cdr(message, type_name))
+    return folder
+
+
+def write_bag1(path: Path, planted: Planted, compression: str | None = None) -> Path:
+    """Write the planted drive as a ROS 1 bag."""
+    from rosbags.rosbag1 import Writer as BagWriter
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kind = "nav_msgs/msg/Odometry"
+    bag = BagWriter(path)
+    if compression:
+        bag.set_compression(BagWriter.CompressionFormat[compression])
+    with bag:
+        connection = bag.add_connection("/odom", kind, typestore=store)
+        for row in range(len(planted.vx)):
+            message = odometry(store, planted, row, ros1=True)
+            bag.write(connection, int(planted.log[row]), store.serialize_ros1(message, kind))
+    return path
+
+
+def write_humble_db3(path: Path, topics: dict[str, tuple[str, list[tuple[int, bytes]]]]) -> Path:
+    """Write a database as ROS 2 Humble does: without any message definition."""
+    import sqlite3
+
+    with sqlite3.connect(path) as database:
+        database.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, "
+            "serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL)"
+        )
+        database.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, "
+            "timestamp INTEGER NOT NULL, data BLOB NOT NULL)"
+        )
+        for number, (topic, (type_name, messages)) in enumerate(topics.items(), 1):
+            database.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (number, topic, type_name))
+            database.executemany(
+                "INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)",
+                [(number, int(time), payload) for time, payload in messages],
+            )
+    database.close()
+    return path

@@ -2,31 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-import readers_support as support
 from mcap.writer import CompressionType, IndexType
 
-from split_cli.errors import LogError
+import tests.logs.readers_support as support
 from split_cli.logs.readers import open_recording
-
-FIELDS = {
-    "vx": "/odom/twist.twist.linear.x",
-    "vy": "/odom/twist.twist.linear.y",
-    "r": "/odom/twist.twist.angular.z",
-}
-
-
-def check_planted(recording, planted, clocks=("header", "publish", "log")):
-    """Assert that values are equal bit for bit, and times to the rounding of a double near 10 s (2 ns)."""
-    for clock in clocks:
-        signals = recording.read(list(FIELDS.values()), clock)
-        expected = (getattr(planted, clock) - planted.log.min()) * 1e-9
-        for name, topic in FIELDS.items():
-            np.testing.assert_array_equal(signals[topic].values, getattr(planted, name))
-            np.testing.assert_allclose(signals[topic].time, expected, rtol=0, atol=2e-9)
-    assert recording.origin == pytest.approx(planted.log.min() * 1e-9, abs=1e-6)
-
+from tests.logs.readers_support import FIELDS, check_planted
 
 WRITERS = {
     "cdr zstd": support.write_ros2_mcap,

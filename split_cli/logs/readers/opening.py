@@ -8,6 +8,7 @@ from pathlib import Path
 from split_cli.errors import LogError
 from split_cli.logs.raw import Recording
 from split_cli.logs.readers.definitions import Definitions
+from split_cli.logs.readers.messages import Container, MessageRecording
 
 __all__ = ["open_recording"]
 
@@ -88,9 +89,17 @@ def _open_file(path: Path, message_paths: Sequence[str | Path]) -> Recording:
 def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path]) -> Recording | None:
     if head.startswith(b"\x89MCAP0\r\n"):
         from split_cli.logs.readers.mcap import McapContainer
-        from split_cli.logs.readers.messages import MessageRecording
 
-        return MessageRecording(path, McapContainer(path), Definitions(message_paths))
+        return _messages(path, McapContainer(path), message_paths)
+    if head.startswith((b"SQLite format 3\0", b"#ROSBAG V2.0\n")):
+        from split_cli.logs.readers.rosbag import Bag1Container, SqliteContainer
+
+        container = SqliteContainer(path) if head.startswith(b"SQLite") else Bag1Container(path)
+        return _messages(path, container, message_paths)
+    if head.startswith((b"MDF     ", b"UnFinMF ")):
+        from split_cli.logs.readers.mf4 import open_mf4
+
+        return open_mf4(path)
     if head.startswith((b"PAR1", b"ARROW1\0\0")):
         from split_cli.logs.readers.parquet import open_arrow, open_parquet
 
@@ -107,7 +116,13 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
 
 
 def _open_folder(path: Path, message_paths: Sequence[str | Path]) -> Recording:
-    raise LogError("is a folder without a recording", where=str(path))
+    from split_cli.logs.readers.rosbag import open_rosbag2_folder
+
+    return _messages(path, open_rosbag2_folder(path), message_paths)
+
+
+def _messages(path: Path, container: Container, message_paths: Sequence[str | Path]) -> Recording:
+    return MessageRecording(path, container, Definitions(message_paths))
 
 
 def _neighbours(path: Path) -> str:

@@ -1,0 +1,123 @@
+"""Measurement files of vehicle buses (ASAM MDF 3 and 4, MF4), through asammdf (extra ``mf4``)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from split_cli.errors import LogError
+from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawSignal, ReadNote, Recording, note_once
+from split_cli.signals import find_unit
+
+__all__ = ["open_mf4"]
+
+
+def open_mf4(path: Path) -> Recording:
+    """Open an MDF file. Every channel has the clock of its group, from the start of the measurement.
+
+    A name that occurs in several groups is addressed as ``group.name``, with the group's name or number.
+
+    Raises
+    ------
+    LogError
+        If asammdf is not installed, or the file is damaged or empty.
+    """
+    try:
+        from asammdf import MDF
+    except ImportError as error:
+        raise LogError(
+            "is an MDF file, which needs asammdf", where=path.name, advice="pip install 'split-cli[mf4]'"
+        ) from error
+    try:
+        file = MDF(path, raise_on_multiple_occurrences=False)
+        places = _places(file)
+    except Exception as error:  # asammdf passes on whatever damaged blocks lead to
+        raise _damaged(path, error) from error
+    if not places:
+        raise LogError("holds no channel", where=path.name)
+    infos = []
+    for name, (group, index) in places.items():
+        channel_group = file.groups[group].channel_group
+        infos.append(
+            RawChannelInfo(
+                name,
+                "mdf",
+                int(channel_group.cycles_nr),
+                _unit(file.get_channel_unit(group=group, index=index)),
+            )
+        )
+    if not any(info.count for info in infos):
+        raise LogError("holds no samples", where=path.name)
+    notes: list[ReadNote] = []
+    units = {info.name: info.unit for info in infos}
+
+    def load(names: Sequence[str]) -> dict[str, RawSignal]:
+        return {name: _signal(file, path, name, places[name], units[name], notes) for name in names}
+
+    return LazyTableRecording(path.name, path, infos, load, notes=notes)
+
+
+def _signal(
+    file: Any, path: Path, name: str, place: tuple[int, int], unit: str | None, notes: list[ReadNote]
+) -> RawSignal:
+    group, index = place
+    try:
+        found = file.get(group=group, index=index, ignore_invalidation_bits=True)
+        values = found.samples
+        if values.dtype.kind not in "biuf":
+            # A conversion to text hides the number that was recorded.
+            values = file.get(group=group, index=index, raw=True, ignore_invalidation_bits=True).samples
+            note_once(
+                notes,
+                ReadNote(
+                    "values with names, read as the numbers behind them", f"{path.name}, {name}", len(values)
+                ),
+            )
+    except Exception as error:  # see open_mf4
+        raise _damaged(path, error) from error
+    if values.dtype.kind not in "biuf" or values.ndim != 1:
+        raise LogError(f"channel {name!r} holds no numbers", where=path.name)
+    values = np.array(values, dtype=np.float64)
+    if found.invalidation_bits is not None:
+        invalid = np.asarray(found.invalidation_bits, dtype=bool)
+        values[invalid] = np.nan
+        if invalid.any():
+            note_once(
+                notes,
+                ReadNote(
+                    "samples marked invalid, read as missing", f"{path.name}, {name}", int(invalid.sum())
+                ),
+            )
+    return RawSignal(name, np.array(found.timestamps, dtype=np.float64), values, unit)
+
+
+def _places(file: Any) -> dict[str, tuple[int, int]]:
+    """Return group and index of every channel that is not a clock."""
+    channels = []
+    for number, group in enumerate(file.groups):
+        master = file.masters_db.get(number)
+        label = (getattr(group.channel_group, "acq_name", None) or f"group{number}").strip()
+        for index, channel in enumerate(group.channels):
+            if index != master:
+                channels.append((channel.name, label, number, index))
+    names = Counter(name for name, *_ in channels)
+    places: dict[str, tuple[int, int]] = {}
+    for name, label, number, index in channels:
+        address = name if names[name] == 1 else f"{label}.{name}"
+        places[address if address not in places else f"group{number}.{name}"] = (number, index)
+    return places
+
+
+def _unit(text: str | None) -> str | None:
+    stated = (text or "").strip()
+    known = find_unit(stated) if stated else None
+    return known.symbol if known else stated or None
+
+
+def _damaged(path: Path, error: Exception) -> LogError:
+    reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+    return LogError(f"is cut off or damaged ({reason})", where=path.name, advice="Record it again.")

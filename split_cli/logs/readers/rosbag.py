@@ -1,0 +1,312 @@
+"""Bags of ROS: rosbag2 folders (SQLite or MCAP, split or not), bare ``.db3`` files, ROS 1 ``.bag`` files."""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import struct
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from urllib.parse import quote
+
+import yaml
+import zstandard
+
+from split_cli.errors import LogError
+from split_cli.logs.raw import ReadNote, note_once
+from split_cli.logs.readers.mcap import McapContainer
+from split_cli.logs.readers.messages import Batch, Container, Stream
+
+__all__ = ["Bag1Container", "ConcatenatedContainer", "SqliteContainer", "open_rosbag2_folder"]
+
+_ROWS_AT_ONCE = 2048
+_STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+
+
+class SqliteContainer:
+    """A rosbag2 database; see `Container`. It knows log times only.
+
+    Parameters
+    ----------
+    path : Path
+    unpack : callable, optional
+        Undoes the compression of single messages.
+
+    Raises
+    ------
+    LogError
+        If it is no rosbag2 database, or no message in it can be read.
+    """
+
+    has_publish_times = False
+
+    def __init__(self, path: Path, unpack: Callable[[bytes], bytes] | None = None) -> None:
+        self.path = path
+        self.notes: list[ReadNote] = []
+        self._unpack = unpack
+        # A killed recorder leaves its last messages in the write-ahead log, which an immutable opening ignores.
+        pending = path.with_name(path.name + "-wal").exists()
+        uri = f"file:{quote(str(path.resolve()))}?mode=ro" + ("" if pending else "&immutable=1")
+        try:
+            self._database = sqlite3.connect(uri, uri=True)
+            self.streams = self._read_streams()
+            first = self._database.execute("SELECT MIN(timestamp) FROM messages").fetchone()[0]
+        except sqlite3.Error as error:
+            raise LogError(
+                f"is damaged, or no rosbag2 database ({error})", where=path.name, advice="Record it again."
+            ) from error
+        if not isinstance(first, int):
+            raise LogError("holds no message", where=path.name, advice="Record it again.")
+        self.origin = first
+
+    def _read_streams(self) -> list[Stream]:
+        query = self._database.execute
+        definitions: dict[str, tuple[str, bytes]] = {}
+        if query("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
+            for type_name, encoding, text in query(
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            ):
+                definitions[str(type_name)] = (str(encoding), str(text).encode())
+        counts = dict(query("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id"))
+        rows = query("SELECT id, name, type, serialization_format FROM topics ORDER BY id").fetchall()
+        return [
+            Stream(
+                key, str(name), str(kind), str(encoding), *definitions.get(str(kind), ("", b"")), counts[key]
+            )
+            for key, name, kind, encoding in rows
+            if counts.get(key)
+        ]
+
+    def batches(self, keys: frozenset[int]) -> Iterator[Batch]:
+        """Yield the messages of the streams `keys`; see `Container.batches`."""
+        chosen = ",".join(str(int(key)) for key in keys)
+        try:
+            cursor = self._database.execute(
+                f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({chosen})"
+            )
+            while rows := cursor.fetchmany(_ROWS_AT_ONCE):
+                yield from self._sorted(rows)
+        except sqlite3.Error as error:
+            note_once(
+                self.notes, ReadNote(f"the database is damaged ({error}): read up to there", self.path.name)
+            )
+
+    def _sorted(self, rows: list[tuple[Any, Any, Any]]) -> Iterator[Batch]:
+        found: dict[int, Batch] = defaultdict(lambda: Batch(0, [], [], []))
+        odd = 0
+        for key, time, payload in rows:
+            if not isinstance(time, int) or time < 0 or not isinstance(payload, bytes):
+                odd += 1
+                continue
+            if self._unpack is not None:
+                try:
+                    payload = self._unpack(payload)
+                except zstandard.ZstdError:
+                    odd += 1
+                    continue
+            batch = found[key]
+            batch.log_times.append(time)
+            batch.publish_times.append(time)
+            batch.payloads.append(payload)
+        if odd:
+            note_once(self.notes, ReadNote("rows that hold no message, left out", self.path.name, odd))
+        yield from (replace(batch, key=key) for key, batch in found.items())
+
+
+class Bag1Container:
+    """A ROS 1 bag (version 2.0); see `Container`. It knows log times only.
+
+    Raises
+    ------
+    LogError
+        If it was not closed, is damaged, or holds no message.
+    """
+
+    has_publish_times = False
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes: list[ReadNote] = []
+        with self._opened() as reader:
+            self.streams = [
+                Stream(
+                    connection.id, connection.topic, connection.msgtype, "ros1", "ros1msg",
+                    connection.msgdef.data.encode(), connection.msgcount,
+                )
+                for connection in reader.connections
+                if connection.msgcount
+            ]  # fmt: skip
+            self.origin = reader.start_time
+        if not self.streams:
+            raise LogError("holds no message", where=path.name, advice="Record it again.")
+
+    def batches(self, keys: frozenset[int]) -> Iterator[Batch]:
+        """Yield the messages of the streams `keys`; see `Container.batches`."""
+        with self._opened() as reader:
+            chosen = [connection for connection in reader.connections if connection.id in keys]
+            found = {key: Batch(key, [], [], []) for key in keys}
+            waiting = 0
+            try:
+                for connection, time, payload in reader.messages(chosen):
+                    batch = found[connection.id]
+                    batch.log_times.append(time)
+                    batch.publish_times.append(time)
+                    batch.payloads.append(bytes(payload))
+                    waiting += 1
+                    if waiting == _ROWS_AT_ONCE:
+                        yield from (batch for batch in found.values() if batch.payloads)
+                        found, waiting = {key: Batch(key, [], [], []) for key in keys}, 0
+            except _bag1_errors() as error:
+                note_once(
+                    self.notes, ReadNote(f"damaged ({_reason(error)}): read up to there", self.path.name)
+                )
+            yield from (batch for batch in found.values() if batch.payloads)
+
+    def _opened(self) -> Any:
+        from rosbags.rosbag1 import Reader
+
+        reader = Reader(self.path)
+        try:
+            reader.open()
+        except _bag1_errors() as error:
+            raise LogError(
+                f"is cut off or damaged ({_reason(error)})",
+                where=self.path.name,
+                advice="Repair it with `rosbag reindex`, which recovers what was written.",
+            ) from error
+        return _Closing(reader)
+
+
+class _Closing:
+    """Closes an opened reader, whose own context manager would open it a second time."""
+
+    def __init__(self, reader: Any) -> None:
+        self._reader = reader
+
+    def __enter__(self) -> Any:
+        return self._reader
+
+    def __exit__(self, *_: object) -> None:
+        self._reader.close()
+
+
+class ConcatenatedContainer:
+    """The files of a split recording, one after the other; see `Container`."""
+
+    def __init__(self, parts: Sequence[Container], notes: Sequence[ReadNote] = ()) -> None:
+        self._parts = parts
+        self.origin = min(part.origin for part in parts)
+        self.has_publish_times = all(part.has_publish_times for part in parts)
+        self._own_notes = list(notes)
+        self.notes = self._own_notes
+        self.streams: list[Stream] = []
+        self._keys: list[dict[int, int]] = []
+        for part in parts:
+            self._keys.append({stream.key: len(self.streams) + n for n, stream in enumerate(part.streams)})
+            self.streams += [replace(stream, key=self._keys[-1][stream.key]) for stream in part.streams]
+            self.notes += part.notes
+
+    def batches(self, keys: frozenset[int]) -> Iterator[Batch]:
+        """Yield the messages of the streams `keys`; see `Container.batches`."""
+        for part, own_keys in zip(self._parts, self._keys, strict=True):
+            chosen = frozenset(own for own, key in own_keys.items() if key in keys)
+            if chosen:
+                yield from (replace(batch, key=own_keys[batch.key]) for batch in part.batches(chosen))
+            for note in part.notes:
+                note_once(self.notes, note)
+
+
+def open_rosbag2_folder(path: Path) -> Container:
+    """Open the files of a rosbag2 folder, in the order of its ``metadata.yaml`` or of their numbers.
+
+    Raises
+    ------
+    LogError
+        If there are none, or none of them can be read.
+    """
+    notes: list[ReadNote] = []
+    files, message_compression = _listed_files(path, notes)
+    temporary: TemporaryDirectory[str] | None = None
+    parts: list[Container] = []
+    problem: LogError | None = None
+    for file in files:
+        try:
+            if file.suffix == ".zstd":
+                temporary = temporary or TemporaryDirectory(prefix="split-")
+                file = _unpacked(file, Path(temporary.name))
+            if file.suffix == ".mcap":
+                parts.append(McapContainer(file))
+            else:
+                unpack = zstandard.ZstdDecompressor().decompress if message_compression else None
+                parts.append(SqliteContainer(file, unpack))
+        except LogError as error:
+            problem = error
+            note_once(notes, ReadNote(f"file left out: {error}", path.name))
+    if not parts:
+        raise problem or LogError("is a folder without a recording in it", where=str(path))
+    whole = ConcatenatedContainer(parts, notes)
+    # The unpacked files must live as long as what reads them.
+    whole.temporary = temporary  # type: ignore[attr-defined]
+    return whole
+
+
+def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
+    """Return the storage files of a folder, and whether their messages are compressed one by one."""
+    metadata = path / "metadata.yaml"
+    present = [file for file in path.iterdir() if file.name.endswith(_STORAGE_SUFFIXES)]
+    present.sort(key=lambda file: [int(n) if n.isdigit() else n for n in re.split(r"(\d+)", file.name)])
+    if not metadata.exists():
+        if present:
+            note_once(
+                notes, ReadNote("no metadata.yaml: files taken in the order of their numbers", path.name)
+            )
+        return present, False
+    try:
+        described = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        names = [Path(str(name)).name for name in described["relative_file_paths"]]
+        mode = str(described.get("compression_mode") or "").lower()
+    except (yaml.YAMLError, KeyError, TypeError, AttributeError, UnicodeDecodeError) as error:
+        note_once(
+            notes,
+            ReadNote("metadata.yaml cannot be read: files taken in the order of their numbers", path.name),
+        )
+        if not present:
+            raise LogError("cannot be read, and there is no storage file", where=str(metadata)) from error
+        return present, False
+    missing = [name for name in names if not (path / name).exists()]
+    if missing:
+        note_once(
+            notes,
+            ReadNote(
+                f"files of the recording that are missing: {', '.join(missing)}", path.name, len(missing)
+            ),
+        )
+    return [path / name for name in names if (path / name).exists()], mode == "message"
+
+
+def _unpacked(file: Path, folder: Path) -> Path:
+    target = folder / file.stem
+    try:
+        with file.open("rb") as packed, target.open("wb") as plain:
+            zstandard.ZstdDecompressor().copy_stream(packed, plain)
+    except zstandard.ZstdError as error:
+        raise LogError(f"cannot be decompressed ({error})", where=file.name) from error
+    return target
+
+
+def _bag1_errors() -> tuple[type[Exception], ...]:
+    from rosbags.rosbag1 import ReaderError
+
+    # Beside its own errors the reader lets through what its unpacking of damaged records meets.
+    return (
+        ReaderError, AssertionError, struct.error, ValueError, KeyError, IndexError, EOFError, RuntimeError,
+        OverflowError, MemoryError, OSError,
+    )  # fmt: skip
+
+
+def _reason(error: Exception) -> str:
+    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
