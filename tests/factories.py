@@ -107,8 +107,9 @@ def make_training_set(
 ) -> TrainingSet:
     """Return a set learned, by the real update, from `points` random samples of `residual`.
 
-    The set is a little smaller than `points`: 3,000 random z2 samples leave 2,912 in 1,154 cells. `noise` is the standard
-    deviation of the labels, and of the kernel's noise; the kernel's signal variance is the mean square of the labels.
+    The set is a little smaller than `points`: 3,000 random z2 samples leave 2,912 in 1,154 cells. `noise` is
+    the standard deviation of the labels, and of the kernel's noise; the kernel's signal variance is the mean
+    square of the labels.
     """
     vehicle = vehicle or road_car()
     region = Region.of(vehicle)

@@ -116,8 +116,9 @@ def learn(
     replaces the point of least gamma when it exceeds that. The gains of kept points are gamma_i = 1/[K^-1]_ii, an
     exact identity (the Schur complement of i in K) for what the paper gets by one inversion a point.
 
-    With forgetting, a kept point's gain counts as gamma_i exp(-age^2/(2 tau^2)), after Kabzan et al., Learning-based
-    model predictive control for autonomous racing, RA-L 4(4), 2019; age is driving time learned since.
+    With forgetting, a kept point's gain counts as gamma_i exp(-age^2/(2 tau^2)), after Kabzan et al.,
+    Learning-based model predictive control for autonomous racing, IEEE RA-L 4(4), 2019; age is driving time
+    learned since. A cell with room then also replaces, since its old points would stay for ever otherwise.
     """
     if not labels:
         raise SetError("nothing to learn: no drive was given")

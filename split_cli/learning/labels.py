@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
-from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet
 
 from split_cli.errors import DriveError
-from split_cli.files import atomic_path
 from split_cli.learning.features import FeatureSet
-from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.region import Grid, Region
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.integration import integrate_recorded, phi_matrix
@@ -28,13 +21,10 @@ __all__ = [
     "Reason",
     "compute_labels",
     "nominal_errors",
-    "read_labels",
     "window_samples",
-    "write_labels",
 ]
 
 DEFAULT_HORIZON = 0.05
-LABELS_FORMAT = "split-labels/1"
 _CHUNK = 65_536
 _VELOCITIES = ("vx", "vy", "r")
 
@@ -363,78 +353,3 @@ def _reject(
     for code, failed in reversed(tests):
         reason[failed] = code
     return reason
-
-
-def write_labels(labels: Labels, path: str | Path) -> None:
-    """Write labels as Parquet, whole or not at all: ``t, row, segment``, the features, ``y_vx, y_vy, y_r, reason``.
-
-    Equal labels give equal bytes.
-    """
-    words = [reason.word for reason in Reason]
-    columns = {
-        "t": pa.array(labels.t),
-        "row": pa.array(labels.row.astype(np.int64)),
-        "segment": pa.array(labels.segment.astype(np.int32)),
-        # A feature named t is that column already.
-        **{name: pa.array(labels.z[:, i]) for i, name in enumerate(labels.features.names)},
-        **{f"y_{output}": pa.array(labels.y[:, i]) for i, output in enumerate(OUTPUTS)},
-        "reason": pa.DictionaryArray.from_arrays(pa.array(labels.reason.astype(np.int8)), pa.array(words)),
-    }
-    stored = {
-        "format": LABELS_FORMAT,
-        "drive": labels.drive,
-        "sha256": labels.sha256,
-        "vehicle_digest": labels.vehicle_digest,
-        "features": list(labels.features.names),
-        "region": asdict(labels.region),
-        "horizon": labels.horizon,
-        "window": labels.window,
-        "plain": labels.plain,
-        "start_time": labels.start_time,
-        "duration": labels.duration,
-    }
-    metadata = {b"split": json.dumps(stored, sort_keys=True).encode()}
-    with atomic_path(path) as temporary:
-        pa.parquet.write_table(pa.table(columns).replace_schema_metadata(metadata), temporary, compression="zstd")
-
-
-def read_labels(path: str | Path) -> Labels:
-    """Read labels that `write_labels` wrote.
-
-    Raises
-    ------
-    DriveError
-        If the file is missing, damaged, or no label file of this version.
-    """
-    where = str(path)
-    advice = "Labels are the Parquet that `split label` writes."
-    if not Path(path).is_file():
-        raise DriveError("no such file", where=where)
-    try:
-        table = pa.parquet.read_table(path)
-        stored = json.loads((table.schema.metadata or {})[b"split"])
-        if stored["format"] != LABELS_FORMAT:
-            raise DriveError(
-                f"is of format {stored['format']!r}, {LABELS_FORMAT!r} was expected", where=where, advice=advice
-            )
-        return _labels_from_table(table, stored)
-    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
-        raise DriveError(f"cannot be read as labels ({error})", where=where, advice=advice) from error
-
-
-def _labels_from_table(table: pa.Table, stored: Mapping) -> Labels:
-    features = FeatureSet(tuple(stored["features"]))
-    codes = {reason.word: int(reason) for reason in Reason}
-    words = table["reason"].to_pylist()
-    described = ("drive", "sha256", "vehicle_digest", "horizon", "window", "plain", "start_time", "duration")
-    return Labels(
-        **{name: stored[name] for name in described},
-        features=features,
-        region=Region(**stored["region"]),
-        t=table["t"].to_numpy(),
-        row=table["row"].to_numpy(),
-        segment=table["segment"].to_numpy(),
-        z=np.stack([table[name].to_numpy() for name in features.names], axis=1),
-        y=np.stack([table[f"y_{output}"].to_numpy() for output in OUTPUTS], axis=1),
-        reason=np.array([codes[word] for word in words], dtype=np.int8),
-    )

@@ -9,7 +9,7 @@ import numpy as np
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import lateral_force
 
-__all__ = ["Grid", "Region", "z2_grid"]
+__all__ = ["Grid", "Region", "valid_cell_count", "valid_cells", "z2_grid"]
 
 
 @dataclass(frozen=True)
@@ -87,16 +87,26 @@ class Grid:
         """Bits of a cell number each feature's index takes."""
         return 62 // len(self.edges)
 
+    @property
+    def first(self) -> np.ndarray:
+        """Index of each feature's first cell, shape (D,); minus infinity where there is no bound."""
+        return np.floor(np.array(self.lower) / np.array(self.edges) + 1e-9)
+
+    @property
+    def last(self) -> np.ndarray:
+        """Index of each feature's last cell, shape (D,); infinity where there is no bound."""
+        return np.ceil(np.array(self.upper) / np.array(self.edges) - 1e-9) - 1.0
+
     def index(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the cell index a feature, int64 shape (N, D), and whether the sample has a cell, shape (N,)."""
         z = np.asarray(z, dtype=float)
-        edges, lower, upper = (np.array(values) for values in (self.edges, self.lower, self.upper))
+        edges, lower, upper = np.array(self.edges), np.array(self.lower), np.array(self.upper)
         half = 1 << (self.bits - 1)
         with np.errstate(invalid="ignore"):
             position = np.floor(z / edges)
-            # A value on the upper bound belongs to the cell below it: the last cell is closed.
-            last = np.ceil(upper / edges - 1e-9) - 1.0
-            position = np.where((z <= upper) & (position > last), last, position)
+            # A value on the upper bound belongs to the cell below it: the last cell is closed. At the lower bound
+            # the division may round into a cell that is not there.
+            position = np.where((z >= lower) & (z <= upper), np.clip(position, self.first, self.last), position)
             valid = ((z >= lower) & (z <= upper) & (np.abs(position) < half)).all(axis=1)
         index = np.where(valid[:, None], position, 0.0).astype(np.int64)
         return index, valid
@@ -128,3 +138,27 @@ def z2_grid(vehicle: Vehicle, region: Region, edges: tuple[float, float, float] 
     """Return the grid over [alpha_f, alpha_r, T/T_max], reaching -max_brake_torque/max_torque."""
     lower = (-region.alpha_max, -region.alpha_max, -vehicle.max_brake_torque / vehicle.max_torque)
     return Grid(edges, lower, (region.alpha_max, region.alpha_max, 1.0))
+
+
+def valid_cells(vehicle: Vehicle, region: Region, grid: Grid) -> np.ndarray:
+    """Return the numbers, ascending, of the z2 cells whose centre lies in the valid region, int64 shape (C,).
+
+    Raises
+    ------
+    ValueError
+        If the grid is not a bounded one over the three features of z2.
+    """
+    if len(grid.edges) != 3 or not np.isfinite([*grid.lower, *grid.upper]).all():
+        raise ValueError("valid cells are counted for the bounded grid of z2 only")
+    ranges = [np.arange(a, b + 1.0).astype(np.int64) for a, b in zip(grid.first, grid.last, strict=True)]
+    index = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 3)
+    numbers = grid.pack(index)
+    alpha_f, alpha_r, ratio = grid.centers(numbers).T
+    valid = region.inside_slip(alpha_f, alpha_r) & region.inside_slip_difference(alpha_f, alpha_r)
+    valid &= region.inside_ellipse(vehicle, alpha_f, alpha_r, ratio * vehicle.max_torque)
+    return numbers[valid]
+
+
+def valid_cell_count(vehicle: Vehicle, region: Region, grid: Grid) -> int:
+    """Return how many z2 cells have their centre in the valid region."""
+    return len(valid_cells(vehicle, region, grid))

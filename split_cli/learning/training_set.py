@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
+from split_cli.errors import SetError, VehicleError
+from split_cli.files import atomic_path
 from split_cli.learning.features import FeatureSet
-from split_cli.learning.kernel import Kernel
-from split_cli.learning.region import Grid, Region
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.learning.kernel import OUTPUTS, Kernel
+from split_cli.learning.region import Grid, Region, valid_cells
+from split_cli.vehicle.parameters import Vehicle, vehicle_from_mapping, vehicle_to_mapping
 
-__all__ = ["SetSource", "TrainingSet"]
+__all__ = ["CellPoints", "SetFile", "SetSource", "TrainingSet", "read_set", "write_set"]
+
+SET_FORMAT = "split-set/1"
+_RETRAIN = "Train it again with `split train`."
 
 
 @dataclass(frozen=True)
@@ -118,3 +127,254 @@ class TrainingSet:
     def cell_count(self) -> int:
         """Number of non-empty cells."""
         return len(self.cell_numbers)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the points and cells [bytes]."""
+        names = ("cell_numbers", "offsets", *_POINT_FIELDS)
+        return sum(getattr(self, name).nbytes for name in names)
+
+    def valid_share(self) -> float | None:
+        """Return the share of the valid region's cells that hold points; None for features other than z2."""
+        if not self.features.is_z2:
+            return None
+        valid = valid_cells(self.vehicle, self.region, self.grid)
+        return float(np.isin(valid, self.cell_numbers).mean()) if len(valid) else None
+
+
+_POINT_FIELDS = ("z", "y", "gamma", "t", "source", "row")
+
+
+@dataclass(frozen=True)
+class CellPoints:
+    """The points of one cell, in slot order; arrays as in `TrainingSet`."""
+
+    number: int
+    z: np.ndarray
+    y: np.ndarray
+    gamma: np.ndarray
+    t: np.ndarray
+    source: np.ndarray
+    row: np.ndarray
+
+
+def write_set(training_set: TrainingSet, path: str | Path) -> None:
+    """Write a trained set as an Arrow IPC file, one record batch a non-empty cell, whole or not at all.
+
+    Equal sets give equal bytes: nothing of when, where or by whom is stored.
+    """
+    described = _describe(training_set)
+    described["content_sha256"] = _content_digest(described, training_set)
+    metadata = {b"split": json.dumps(described, sort_keys=True, allow_nan=False).encode()}
+    schema = _schema(training_set.features).with_metadata(metadata)
+    columns = _columns(training_set)
+    table = pa.table([pa.array(columns[name]) for name in schema.names], schema=schema)
+    offsets = training_set.offsets.tolist()
+    with atomic_path(path) as temporary, pa.ipc.new_file(str(temporary), schema) as writer:
+        for first, last in zip(offsets[:-1], offsets[1:], strict=True):
+            writer.write_table(table.slice(first, last - first))
+
+
+def read_set(path: str | Path) -> TrainingSet:
+    """Read a trained set whole and check its content against the digest in it.
+
+    Raises
+    ------
+    SetError
+        If the file is missing, truncated, damaged, or of another version.
+    """
+    with SetFile(path) as file:
+        return file.read()
+
+
+class SetFile:
+    """A trained set on disk, mapped into memory; one cell is read by reading one batch.
+
+    Parameters
+    ----------
+    path : path
+
+    Attributes
+    ----------
+    header : TrainingSet
+        Everything but the points.
+    cell_count : int
+
+    Raises
+    ------
+    SetError
+        If the file is missing, truncated, damaged, or of another version.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise SetError("no such file", where=str(path))
+        try:
+            self._source = pa.memory_map(str(path))
+            self._reader = pa.ipc.open_file(self._source)
+            self._described = json.loads((self._reader.schema.metadata or {})[b"split"])
+            found = self._described["format"]
+        except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+            reason = "truncated, damaged or of another kind"
+            raise SetError(f"is not a whole trained set ({reason})", where=str(path), advice=_RETRAIN) from error
+        if found != SET_FORMAT:
+            raise SetError(
+                f"is a trained set of format {found!r}, this version reads {SET_FORMAT!r}",
+                where=str(path),
+                advice=_RETRAIN,
+            )
+        try:
+            self.header = _header_from(self._described)
+            if self._reader.schema.remove_metadata() != _schema(self.header.features):
+                raise ValueError("its columns are not those of a trained set")
+        except (KeyError, TypeError, ValueError, AttributeError, VehicleError) as error:
+            raise SetError(f"its header is damaged ({error})", where=str(path), advice=_RETRAIN) from error
+        self.cell_count = self._reader.num_record_batches
+
+    def __enter__(self) -> SetFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._source.close()
+
+    def read_cell(self, index: int) -> CellPoints:
+        """Return cell `index` of the file, 0 to `cell_count` - 1, by reading its batch only."""
+        batch = self._batch(index)
+        columns = _points_from(batch, self.header.features)
+        return CellPoints(int(batch.column("cell")[0].as_py()), **columns)
+
+    def read(self) -> TrainingSet:
+        """Return the whole set, its content checked."""
+        batches = [self._batch(index) for index in range(self.cell_count)]
+        lengths = [batch.num_rows for batch in batches]
+        offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+        try:
+            table = pa.Table.from_batches(batches, self._reader.schema).combine_chunks()
+            numbers = table["cell"].to_numpy()
+            points = _points_from(table, self.header.features)
+        except (pa.ArrowException, ValueError) as error:
+            raise self._damaged(str(error)) from error
+        first = offsets[:-1]
+        if not all(lengths) or not np.array_equal(np.repeat(numbers[first], lengths), numbers):
+            raise self._damaged("a batch is not one cell")
+        whole = _with_points(self.header, numbers[first], offsets, points)
+        stored = self._described.pop("content_sha256", "")
+        if _content_digest(self._described, whole) != stored:
+            raise self._damaged("its content does not match the digest in it")
+        return whole
+
+    def _batch(self, index: int) -> pa.RecordBatch:
+        try:
+            batch = self._reader.get_batch(index)
+            batch.validate(full=True)
+            return batch
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise self._damaged(str(error).splitlines()[0]) from error
+
+    def _damaged(self, reason: str) -> SetError:
+        return SetError(f"is damaged ({reason})", where=str(self.path), advice=_RETRAIN)
+
+
+def _schema(features: FeatureSet) -> pa.Schema:
+    number = [f"z_{name}" for name in features.names] + [f"y_{name}" for name in OUTPUTS] + ["gamma", "t"]
+    fields = [("cell", pa.int64()), *((name, pa.float64()) for name in number)]
+    return pa.schema([*fields, ("source", pa.int16()), ("row", pa.int64())])
+
+
+def _columns(training_set: TrainingSet) -> dict[str, np.ndarray]:
+    names = training_set.features.names
+    return {
+        "cell": np.repeat(training_set.cell_numbers, np.diff(training_set.offsets)),
+        **{f"z_{name}": training_set.z[:, i] for i, name in enumerate(names)},
+        **{f"y_{name}": training_set.y[:, i] for i, name in enumerate(OUTPUTS)},
+        **{name: getattr(training_set, name) for name in ("gamma", "t", "source", "row")},
+    }
+
+
+def _points_from(table: pa.Table | pa.RecordBatch, features: FeatureSet) -> dict[str, np.ndarray]:
+    def column(name: str) -> np.ndarray:
+        return table.column(name).to_numpy()
+
+    return {
+        "z": np.stack([column(f"z_{name}") for name in features.names], axis=1),
+        "y": np.stack([column(f"y_{name}") for name in OUTPUTS], axis=1),
+        # Copies: the file may be replaced or closed while its points are in use.
+        **{name: column(name).copy() for name in ("gamma", "t", "source", "row")},
+    }
+
+
+def _with_points(
+    header: TrainingSet, numbers: np.ndarray, offsets: np.ndarray, points: Mapping[str, np.ndarray]
+) -> TrainingSet:
+    return replace(header, cell_numbers=numbers.copy(), offsets=offsets, **points)
+
+
+def _describe(training_set: TrainingSet) -> dict:
+    """Return everything but the points, as the file's metadata holds it; infinite bounds as null."""
+    s = training_set
+    return {
+        "format": SET_FORMAT,
+        "vehicle": vehicle_to_mapping(s.vehicle),
+        "vehicle_digest": s.vehicle.digest(),
+        "features": list(s.features.names),
+        "region": asdict(s.region),
+        "grid": {
+            "edges": list(s.grid.edges),
+            "lower": [_finite(value) for value in s.grid.lower],
+            "upper": [_finite(value) for value in s.grid.upper],
+        },
+        "kernel": {
+            "length_scales": s.kernel.length_scales.tolist(),
+            "signal_variance": s.kernel.signal_variance.tolist(),
+            "noise_variance": s.kernel.noise_variance.tolist(),
+            "origin": s.kernel.origin,
+        },
+        "horizon": s.horizon,
+        "plain": s.plain,
+        "capacity": s.capacity,
+        "threshold": s.threshold,
+        "forgetting": s.forgetting,
+        "counts": {"points": s.size, "cells": s.cell_count},
+        "sources": [{**asdict(source), "rejected": dict(source.rejected)} for source in s.sources],
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _header_from(described: Mapping) -> TrainingSet:
+    """Return the set that `_describe` described, without points."""
+    vehicle = vehicle_from_mapping(described["vehicle"], where="the vehicle of the set")
+    features = FeatureSet(tuple(described["features"]))
+    grid = described["grid"]
+    return TrainingSet(
+        vehicle=vehicle,
+        features=features,
+        region=Region(**described["region"]),
+        grid=Grid(
+            tuple(grid["edges"]),
+            tuple(-np.inf if value is None else value for value in grid["lower"]),
+            tuple(np.inf if value is None else value for value in grid["upper"]),
+        ),
+        kernel=Kernel(**described["kernel"]),
+        **{name: described[name] for name in ("horizon", "capacity", "threshold", "forgetting", "plain")},
+        cell_numbers=np.empty(0, dtype=np.int64),
+        offsets=np.zeros(1, dtype=np.int64),
+        z=np.empty((0, len(features.names))),
+        y=np.empty((0, len(OUTPUTS))),
+        gamma=np.empty(0),
+        t=np.empty(0),
+        source=np.empty(0, dtype=np.int16),
+        row=np.empty(0, dtype=np.int64),
+        sources=tuple(SetSource(**source) for source in described["sources"]),
+    )
+
+
+def _content_digest(described: Mapping, training_set: TrainingSet) -> str:
+    digest = hashlib.sha256(json.dumps(described, sort_keys=True, allow_nan=False).encode())
+    for name, values in _columns(training_set).items():
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()
