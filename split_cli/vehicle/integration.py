@@ -25,8 +25,7 @@ def substep_count(jacobian: np.ndarray, period: float) -> int:
 
     Notes
     -----
-    |lambda| is bounded by the Frobenius norm of A made dimensionless row by row; here by the root of the
-    largest eigenvalue magnitude itself, which is cheap for 3 x 3.
+    |lambda| is the largest eigenvalue magnitude of the batch; eigenvalues of 3 x 3 matrices are cheap.
     """
     if len(jacobian) == 0:
         return 1
@@ -132,18 +131,20 @@ def phi_matrix(jacobian: np.ndarray, horizon: float) -> np.ndarray:
         h [s].
     """
     argument = np.asarray(jacobian, dtype=float) * horizon
-    norm = np.abs(argument).sum(axis=-1).max(initial=0.0)
-    halvings = max(0, int(np.ceil(np.log2(norm / 0.5)))) if norm > 0.5 else 0
-    argument = argument / 2.0**halvings
+    norm = np.abs(argument).sum(axis=-1).max(axis=-1)
+    # Halved matrix by matrix: a scaling shared by the batch would let neighbours change the last bits.
+    halvings = np.ceil(np.log2(np.maximum(norm, 0.5) / 0.5)).astype(int)
+    argument = argument / np.exp2(halvings)[..., None, None]
     identity = np.eye(3)
     phi = np.broadcast_to(identity, argument.shape).copy()
     for k in range(_TAYLOR_TERMS, 0, -1):
         # Horner: phi = I + M/(2) (I + M/3 (I + ...)), since phi_1(M) = sum of M^k/(k+1)!
         phi = identity + argument @ phi / (k + 1)
-    for _ in range(halvings):
-        exponential = identity + argument @ phi
-        phi = 0.5 * phi @ (identity + exponential)
-        argument = 2.0 * argument
+    for doubling in range(halvings.max(initial=0)):
+        open_ = halvings > doubling
+        exponential = identity + argument[open_] @ phi[open_]
+        phi[open_] = 0.5 * phi[open_] @ (identity + exponential)
+        argument[open_] = 2.0 * argument[open_]
     return phi
 
 

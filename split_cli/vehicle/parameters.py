@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ import yaml
 
 from split_cli.errors import VehicleError, nearest_names
 from split_cli.files import atomic_write_text
+from split_cli.vehicle.library import library_names, library_path
 from split_cli.vehicle.tire import MagicFormula
 
 __all__ = [
@@ -81,7 +83,9 @@ class Vehicle:
     effects : tuple of EffectSpec
         Terms the nominal model includes.
     origins : mapping of str to str
-        For a key, ``published``, ``assumed`` or ``calibrated``, where the file says so.
+        For a key (``front_tire.B``), ``published``, ``assumed`` or ``calibrated``, where the file says so.
+    notes : mapping of str to str
+        For a key, the file's own words about its value.
     """
 
     name: str
@@ -103,6 +107,7 @@ class Vehicle:
     friction_coefficient: float | None = None
     effects: tuple[EffectSpec, ...] = ()
     origins: Mapping[str, str] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def wheelbase(self) -> float:
@@ -134,8 +139,8 @@ class Vehicle:
         return np.array([[1 / m, 0, 0], [0, 1 / m, 1 / m], [0, a / i, -b / i]])
 
     def digest(self) -> str:
-        """Return the SHA-256 of the physics: every value, without name and origins."""
-        mapping = vehicle_to_mapping(replace(self, name="", origins={}))
+        """Return the SHA-256 of the physics: every value, without name, origins and notes."""
+        mapping = vehicle_to_mapping(replace(self, name="", origins={}, notes={}))
         return hashlib.sha256(json.dumps(mapping, sort_keys=True).encode()).hexdigest()
 
     def with_effects(self, *effects: EffectSpec) -> Vehicle:
@@ -157,8 +162,19 @@ _NUMBERS = (*_POSITIVE, *_NOT_NEGATIVE, *_SHARES)
 _KEYS = ("name", *_NUMBERS, "front_tire", "rear_tire", "effects")
 
 
+class _StrictLoader(yaml.SafeLoader):
+    """YAML without the silent rule that the last of two equal keys wins."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        twice = next((key for key in keys if keys.count(key) > 1), None)
+        if twice is not None:
+            raise yaml.constructor.ConstructorError(None, None, f"the key {twice!r} stands twice", node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
 def read_vehicle(path: str | Path) -> Vehicle:
-    """Read a vehicle YAML.
+    """Read a vehicle YAML; a name that is no file is looked up in the library of vehicles.
 
     Raises
     ------
@@ -168,7 +184,7 @@ def read_vehicle(path: str | Path) -> Vehicle:
     """
     path = Path(path)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
     except FileNotFoundError:
         raise VehicleError("no such file", where=str(path)) from None
     except (OSError, UnicodeDecodeError) as error:
@@ -187,11 +203,11 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
     for key in content:
         if key not in _KEYS:
             raise VehicleError(f"unknown key {key!r}", where=where, advice=nearest_names(str(key), _KEYS))
-    origins: dict[str, str] = {}
+    told = _Told(where)
     numbers = {}
     for key in _NUMBERS:
         if content.get(key) is not None:
-            numbers[key] = _number(key, content[key], origins, where)
+            numbers[key] = told.number(key, content[key])
         elif key not in _OPTIONAL:
             raise VehicleError(f"lacks {key}", where=where, advice="See the vehicle file in docs/formats.md.")
     for key in _POSITIVE:
@@ -205,33 +221,52 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
             raise VehicleError(f"{key} is {numbers[key]:g}, it must lie in 0 to 1", where=where)
     numbers.setdefault("brake_split_front", numbers["drive_split_front"])
     numbers.setdefault("max_brake_torque", numbers["max_torque"])
-    tires = {key: _tire(key, content.get(key), origins, where) for key in ("front_tire", "rear_tire")}
+    tires = {key: _tire(key, content.get(key), told) for key in ("front_tire", "rear_tire")}
     effects = _effects(content.get("effects") or [], where)
     name = str(content.get("name") or Path(where).stem)
-    return Vehicle(name=name, **numbers, **tires, effects=effects, origins=origins)
+    return Vehicle(name=name, **numbers, **tires, effects=effects, origins=told.origins, notes=told.notes)
 
 
-def _number(key: str, value: Any, origins: dict[str, str], where: str) -> float:
-    if isinstance(value, Mapping):
-        unknown = set(value) - {"value", "source", "note"}
-        if unknown or "value" not in value:
-            raise VehicleError(f"{key} must be a number or {{value, source}}", where=where)
+class _Told:
+    """Reads values, and keeps what a file says about them: origin and note."""
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+        self.origins: dict[str, str] = {}
+        self.notes: dict[str, str] = {}
+
+    def number(self, key: str, value: Any) -> float:
+        """Return the number of a plain value or of {value, source, note}."""
+        if isinstance(value, Mapping):
+            if "value" not in value or set(value) - {"value", "source", "note"}:
+                raise VehicleError(f"{key} must be a number or {{value, source, note}}", where=self.where)
+            self._keep(key, value)
+            value = value["value"]
+        return _finite_number(key, value, self.where)
+
+    def _keep(self, key: str, value: Mapping[str, Any]) -> None:
         source = value.get("source")
+        if source is not None and source not in VALUE_SOURCES:
+            advice = nearest_names(str(source), VALUE_SOURCES)
+            raise VehicleError(f"{key} has source {source!r}", where=self.where, advice=advice)
         if source is not None:
-            if source not in VALUE_SOURCES:
-                raise VehicleError(
-                    f"{key} has source {source!r}",
-                    where=where,
-                    advice=nearest_names(str(source), VALUE_SOURCES),
-                )
-            origins[key] = source
-        value = value["value"]
+            self.origins[key] = source
+        if value.get("note") is not None:
+            self.notes[key] = str(value["note"])
+
+
+def _finite_number(key: str, value: Any, where: str) -> float:
+    # YAML 1.1 reads 2.6e3, without a sign in the exponent, as text.
+    if isinstance(value, str):
+        with contextlib.suppress(ValueError):
+            value = float(value)
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise VehicleError(f"{key} is {value!r}, a finite number was expected", where=where)
     return float(value)
 
 
-def _tire(key: str, content: Any, origins: dict[str, str], where: str) -> MagicFormula:
+def _tire(key: str, content: Any, told: _Told) -> MagicFormula:
+    where = told.where
     if not isinstance(content, Mapping):
         raise VehicleError(f"lacks {key}", where=where, advice="It needs B, C and D.")
     for name in content:
@@ -242,7 +277,7 @@ def _tire(key: str, content: Any, origins: dict[str, str], where: str) -> MagicF
     for name in ("B", "C", "D"):
         if name not in content:
             raise VehicleError(f"{key} lacks {name}", where=where)
-        values[name] = _number(f"{key}.{name}", content[name], origins, where)
+        values[name] = told.number(f"{key}.{name}", content[name])
         if not values[name] > 0:
             raise VehicleError(f"{key}.{name} is {values[name]:g}, it must be positive", where=where)
     if values["C"] >= 2.0:
@@ -259,7 +294,11 @@ def _effects(content: Any, where: str) -> tuple[EffectSpec, ...]:
             raise VehicleError(f"an effect is {entry!r}, {{term, parameters, variant}} was expected", where=where)
         term = str(entry["term"])
         parameters = entry.get("parameters") or {}
-        values = {str(k): _number(f"effects.{term}.{k}", v, {}, where) for k, v in parameters.items()}
+        if not isinstance(parameters, Mapping):
+            raise VehicleError(
+                f"effects.{term}.parameters is {parameters!r}, {{name: number}} expected", where=where
+            )
+        values = {str(k): _finite_number(f"effects.{term}.{k}", v, where) for k, v in parameters.items()}
         effects.append(EffectSpec(term, values, str(entry.get("variant") or "")))
     return tuple(effects)
 
@@ -268,7 +307,10 @@ def vehicle_to_mapping(vehicle: Vehicle) -> dict[str, Any]:
     """Return what a vehicle file holds; `vehicle_from_mapping` reads it back to an equal vehicle."""
 
     def entry(key: str, value: float) -> Any:
-        return {"value": value, "source": vehicle.origins[key]} if key in vehicle.origins else value
+        if key not in vehicle.origins and key not in vehicle.notes:
+            return value
+        told = {"source": vehicle.origins.get(key), "note": vehicle.notes.get(key)}
+        return {"value": value, **{name: text for name, text in told.items() if text is not None}}
 
     mapping: dict[str, Any] = {"name": vehicle.name}
     for key in _NUMBERS:

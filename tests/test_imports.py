@@ -1,0 +1,200 @@
+"""Imports run one way, read from the syntax tree; and each heavy library stays in its place."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent / "split_cli"
+
+# A layer may import itself and everything of a smaller number. logs stands above vehicle; plant beside vehicle.
+LAYERS = {
+    "errors": 0,
+    "files": 1,
+    "signals": 1,
+    "vehicle": 2,
+    "plant": 2,
+    "logs": 3,
+    "learning": 4,
+    "prediction": 5,
+    "scoring": 6,
+    "diagnosis": 7,
+    "control": 7,
+    "export": 7,
+    "plots": 7,
+    "workflows": 8,
+    "cli": 9,
+}
+# diagnosis may not see the plant that makes test recordings, and the plant nothing but the ground.
+PLANT_MAY_IMPORT = {"plant", "signals", "files", "errors"}
+MAY_IMPORT_PLANT = {"plant", "workflows", "control"}
+
+HOMES = {
+    "click": ("cli",),
+    "matplotlib": ("plots",),
+    "mcap": ("logs",),
+    "mcap_ros1": ("logs",),
+    "mcap_ros2": ("logs",),
+    "mcap_protobuf": ("logs",),
+    "rosbags": ("logs",),
+    "h5py": ("logs",),
+    "asammdf": ("logs",),
+    "casadi": ("export", "control"),
+}
+# The plant writes logs that the readers have never seen; its one writer of MCAP is the named exception.
+HOME_EXCEPTIONS = {("plant/recording.py", "mcap"), ("plant/recording.py", "mcap_ros2")}
+HEAVY = (
+    "numpy", "pandas", "scipy", "numba", "casadi", "matplotlib", "pyarrow", "mcap", "rosbags", "h5py", "asammdf",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Import:
+    """One import of a module: where, what, and whether it runs when the importing module is imported."""
+
+    file: str
+    line: int
+    module: str
+    level: int
+    at_import_time: bool
+
+    @property
+    def place(self) -> str:
+        return f"split_cli/{self.file}:{self.line}"
+
+
+def imports_of(source: str, file: str) -> list[Import]:
+    found = []
+
+    def visit(node: ast.AST, at_import_time: bool) -> None:
+        for child in ast.iter_child_nodes(node):
+            inside = at_import_time and not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+            if isinstance(child, ast.Import):
+                found.extend(Import(file, child.lineno, a.name, 0, at_import_time) for a in child.names)
+            elif isinstance(child, ast.ImportFrom):
+                module = child.module or ""
+                # `from split_cli import plots` names a layer in its list, not in its module.
+                names = [f"{module}.{a.name}" for a in child.names] if module == "split_cli" else [module]
+                found.extend(Import(file, child.lineno, n, child.level, at_import_time) for n in names)
+            elif isinstance(child, ast.Call) and _is_dynamic_import(child):
+                argument = child.args[0] if child.args else None
+                if isinstance(argument, ast.Constant):
+                    found.append(Import(file, child.lineno, str(argument.value), 0, at_import_time))
+            visit(child, inside)
+
+    visit(ast.parse(source), True)
+    return found
+
+
+def _is_dynamic_import(call: ast.Call) -> bool:
+    name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+    return name in ("import_module", "__import__")
+
+
+def layer_of(file: str) -> str:
+    return file.split("/")[0].removesuffix(".py")
+
+
+SOURCES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in ROOT.rglob("*.py")}
+ALL = [found for file, source in SOURCES.items() for found in imports_of(source, file)]
+
+
+def upward(found: Import) -> bool:
+    """Tell whether an import of one of our modules points up, or crosses to where it may not."""
+    parts = found.module.split(".")
+    here = layer_of(found.file)
+    if parts[0] != "split_cli" or len(parts) < 2 or here not in LAYERS or parts[1] not in LAYERS:
+        return False
+    there = parts[1]
+    if here == there:
+        return False
+    if here == "plant":
+        return there not in PLANT_MAY_IMPORT
+    if there == "plant":
+        return here not in MAY_IMPORT_PLANT
+    return LAYERS[there] >= LAYERS[here]
+
+
+def test_every_top_level_name_has_a_layer():
+    unknown = {layer_of(file) for file in SOURCES} - set(LAYERS) - {"__init__", "__main__"}
+    assert not unknown, f"give {sorted(unknown)} a layer in tests/test_imports.py"
+
+
+def test_no_import_points_upward():
+    wrong = [f"{found.place} imports {found.module}" for found in ALL if upward(found)]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_no_relative_imports():
+    wrong = [found.place for found in ALL if found.level]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_no_cycle_is_hidden_behind_type_checking():
+    wrong = [file for file, source in SOURCES.items() if "TYPE_CHECKING" in source]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_each_library_stays_in_its_home():
+    wrong = []
+    for found in ALL:
+        library = found.module.split(".")[0]
+        home = HOMES.get(library)
+        if home and layer_of(found.file) not in home and (found.file, library) not in HOME_EXCEPTIONS:
+            wrong.append(f"{found.place} imports {library}, which belongs in {' or '.join(home)}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_no_pickle():
+    wrong = [found.place for found in ALL if found.module.split(".")[0] in ("pickle", "joblib", "dill", "shelve")]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_the_command_line_imports_nothing_heavy_before_a_command_runs():
+    wrong = [
+        f"{found.place} imports {found.module}"
+        for found in ALL
+        if layer_of(found.file) in ("cli", "__init__", "__main__")
+        and found.at_import_time
+        and (found.module.split(".")[0] in HEAVY or found.module.startswith("split_cli.workflows"))
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("file", sorted(f for f in SOURCES if f.startswith("cli/") or f == "__main__.py"))
+def test_importing_a_command_loads_no_heavy_library(file):
+    # What the tree cannot see: a light module that imports a heavy one.
+    if file == "__main__.py":
+        pytest.skip("runs the program when imported")
+    module = "split_cli." + file.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
+    heavy = ("pandas", "scipy.optimize", "numba", "casadi", "matplotlib", "pyarrow", "rosbags", "h5py")
+    code = f"import sys, {module}; print(*[m for m in {heavy!r} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "expected"),
+    [
+        ("vehicle/tire.py", "from split_cli.logs.drive import Drive", True),
+        ("vehicle/tire.py", "def f():\n    import split_cli.learning.kernel", True),
+        ("vehicle/tire.py", "from split_cli import plots", True),
+        ("vehicle/tire.py", "from split_cli.vehicle.operations import NUMPY", False),
+        ("plant/car.py", "from split_cli.vehicle.tire import MagicFormula", True),
+        ("diagnosis/gap.py", "from split_cli.plant.car import Car", True),
+        ("export/c99.py", "from split_cli.plots.base import figure", True),
+        ("export/c99.py", "import importlib\nimportlib.import_module('split_cli.cli.main')", True),
+        ("scoring/metrics.py", "from split_cli.prediction.full import Full", False),
+        ("workflows/simulate.py", "from split_cli.plant.car import Car", False),
+        ("files.py", "from split_cli.signals import CHANNELS", True),
+        ("errors.py", "from split_cli.files import atomic_path", True),
+    ],
+)
+def test_the_reader_of_arrows_sees_an_upward_one(file, text, expected):
+    assert any(upward(found) for found in imports_of(text, file)) is expected
