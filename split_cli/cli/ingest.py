@@ -1,0 +1,150 @@
+"""`split ingest`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from split_cli.cli.options import (
+    existing_file,
+    json_option,
+    output_option,
+    print_json,
+    print_table,
+    vehicle_option,
+)
+
+__all__ = ["command"]
+
+
+def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    """Parse KEY=VALUE options."""
+    for value in values:
+        if "=" not in value:
+            raise click.BadParameter(f"{value!r} is not of the form NAME=VALUE", context, parameter)
+    return dict(value.split("=", 1) for value in values)
+
+
+def _delays(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, float]:
+    """Parse CHANNEL=SECONDS options."""
+    try:
+        return {channel: float(text) for channel, text in _pairs(context, parameter, values).items()}
+    except ValueError as error:
+        raise click.BadParameter(f"a delay is a number of seconds ({error})", context, parameter) from error
+
+
+@click.command("ingest")
+@click.argument("logs", nargs=-1, type=existing_file, metavar="LOG...")
+@vehicle_option(required=False)
+@click.option(
+    "--map", "maps", multiple=True, metavar="MAP", help="Signal map: a YAML file or a preset; repeatable."
+)
+@output_option("The drive, or a folder for the drives of several logs.", required=False)
+@click.option(
+    "--clock", type=click.Choice(["log", "publish", "header"]), help="Which time of the messages to use."
+)
+@click.option("--gap", type=float, default=0.1, show_default=True, metavar="S", help="Longest step interpolated.")
+@click.option(
+    "--rate", type=float, metavar="HZ", help="Of the drive [default: the slowest required channel, <= 100]."
+)
+@click.option(
+    "--delay", "delays", multiple=True, callback=_delays, metavar="CHANNEL=S", help="Channel is late by S."
+)
+@click.option("--estimate-delays", is_flag=True, help="Find delays between channels from kinematic identities.")
+@click.option("--derive", multiple=True, metavar="NAME", help="Compute a missing channel; names are in the docs.")
+@click.option(
+    "--topic", "topics", multiple=True, callback=_pairs, metavar="NAME=/TOPIC", help="Use this topic for it."
+)
+@click.option(
+    "--msg-path", "message_paths", multiple=True, type=existing_file, metavar="DIR", help="Folder of .msg files."
+)
+@click.option("--keep-going", is_flag=True, help="Write the other drives when a log fails.")
+@click.option("--list", "list_only", is_flag=True, help="List the channels of the logs, and stop.")
+@click.option("--list-maps", is_flag=True, help="List the presets, and stop.")
+@click.option("--suggest-map", is_flag=True, help="Print a draft of a map for the log, and stop.")
+@json_option
+def command(logs, maps, vehicle_path, output, topics, message_paths, keep_going, as_json, **options) -> int:
+    """Read recordings into drives: one uniform clock, SI units, ISO 8855 axes at the CG.
+
+    What was converted, assumed, dropped and found inconsistent is printed and stored in the drive.
+
+    \b
+    Example:
+      split ingest lap.mcap --list
+      split ingest lap.mcap --vehicle car.yaml --map map.yaml -o lap.parquet
+      split ingest cpg_slow_lap.mat --vehicle genesis --map genesis_slow \\
+          --derive torque-from-acceleration -o genesis.parquet
+    """
+    from split_cli.workflows.ingest import IngestSettings, ingest_logs
+
+    if options["list_maps"]:
+        return _list_maps()
+    if not logs:
+        raise click.UsageError("Missing argument 'LOG...'.")
+    if options["list_only"] or options["suggest_map"]:
+        return _look_at(logs, message_paths, options["suggest_map"], as_json)
+    if output is None:
+        raise click.UsageError("Missing option '-o'.")
+    settings = IngestSettings(
+        clock=options["clock"],
+        gap=options["gap"],
+        rate=options["rate"],
+        delays=options["delays"],
+        estimate_delays=options["estimate_delays"],
+        derive=options["derive"],
+    )
+    results, failures = ingest_logs(
+        logs,
+        output,
+        maps=[Path(name) for name in maps],
+        vehicle_path=vehicle_path,
+        settings=settings,
+        topics=topics,
+        message_paths=message_paths,
+        keep_going=keep_going,
+        progress=_progress,
+    )
+    _show(results, failures, as_json)
+    return 1 if failures else 0
+
+
+def _progress(text: str) -> None:
+    if click.get_text_stream("stderr").isatty():
+        click.echo(text, err=True)
+
+
+def _show(results, failures, as_json: bool) -> None:
+    for failure in failures:
+        click.echo(f"split: {failure.error}", err=True)
+    if as_json:
+        print_json([result.to_mapping() for result in results])
+        return
+    for result in results:
+        click.echo(result.to_text())
+
+
+def _list_maps() -> int:
+    from split_cli.workflows.ingest import list_maps
+
+    for name, about in list_maps().items():
+        click.echo(f"{name}: {about}")
+    return 0
+
+
+def _look_at(logs, message_paths, suggest: bool, as_json: bool) -> int:
+    from split_cli.workflows.ingest import list_channels, suggest_map_for
+
+    for log in logs:
+        if suggest:
+            click.echo(suggest_map_for(log, message_paths=message_paths))
+            continue
+        channels, clocks = list_channels(log, message_paths=message_paths)
+        if as_json:
+            print_json({"log": str(log), "clocks": list(clocks), "channels": list(channels)})
+            continue
+        click.echo(f"{log}: {len(channels)} channels; clocks: {', '.join(clocks) or 'none, time is a column'}")
+        print_table(
+            ["channel", "type", "count", "unit"], [[c.name, c.type_name, c.count, c.unit] for c in channels]
+        )
+    return 0

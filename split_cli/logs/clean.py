@@ -1,0 +1,231 @@
+"""Time stamps and samples made fit for resampling; whatever is dropped or moved is counted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.errors import LogError
+from split_cli.logs.gather import Series
+
+__all__ = ["CleanSeries", "Drop", "clean_series", "join_clock_resets", "longest_repeat"]
+
+_RESET_WINDOW = 10
+_DUPLICATE_SHARE = 1e-3
+_SPIKE_SIGMAS = 25.0
+_LONGEST_SPIKE = 2
+
+
+@dataclass(frozen=True)
+class Drop:
+    """`count` samples of `source` that were dropped or moved, and why."""
+
+    source: str
+    reason: str
+    count: int
+
+
+@dataclass(frozen=True)
+class CleanSeries:
+    """A series with finite values at strictly increasing times, delay removed.
+
+    Attributes
+    ----------
+    channel, source : str
+    time, values : ndarray, shape (N,)
+        [s], SI unit.
+    period : float
+        Median distance of two samples [s].
+    repeats : int
+        How often each sample of a sampled-and-held sensor was repeated (1: not at all); the repeats are gone.
+    spikes : int
+        Isolated spikes that were found.
+    drops : tuple of Drop
+    """
+
+    channel: str
+    source: str
+    time: np.ndarray
+    values: np.ndarray
+    period: float
+    repeats: int = 1
+    spikes: int = 0
+    drops: tuple[Drop, ...] = ()
+
+
+def join_clock_resets(
+    series: Mapping[str, Sequence[Series]], largest_step_back: float
+) -> tuple[dict[str, tuple[Series, ...]], tuple[str, ...]]:
+    """Move what follows a backward clock jump behind what was before it, all channels by the same time.
+
+    A few samples out of order are no jump: they are sorted later. A jump leaves at least `_RESET_WINDOW` samples
+    behind the clock's highest reading.
+
+    Raises
+    ------
+    LogError
+        If channels do not agree on how often the clock jumped.
+    """
+    boundaries = {
+        (channel, index): _resets(part.time, largest_step_back)
+        for channel, parts in series.items()
+        for index, part in enumerate(parts)
+    }
+    counts = {len(found) for found in boundaries.values()}
+    if counts <= {0}:
+        return {channel: tuple(parts) for channel, parts in series.items()}, ()
+    if len(counts) > 1:
+        worst = max(boundaries, key=lambda key: len(boundaries[key]))
+        raise LogError(
+            f"the clock of {worst[0]} jumps back {len(boundaries[worst])} times, those of other channels do not",
+            where=series[worst[0]][worst[1]].source,
+            advice="Choose another clock with --clock, or cut the recording there.",
+        )
+    said = []
+    eras = counts.pop() + 1
+    pieces = {
+        key: np.split(np.arange(len(series[key[0]][key[1]].time)), found) for key, found in boundaries.items()
+    }
+    times = {key: series[key[0]][key[1]].time.copy() for key in boundaries}
+    for era in range(1, eras):
+        end = max(np.nanmax(times[key][pieces[key][era - 1]]) for key in pieces)
+        start = min(np.nanmin(times[key][pieces[key][era]]) for key in pieces)
+        shift = end - start + 1.0
+        for key in pieces:
+            times[key][pieces[key][era]] += shift
+        said.append(
+            f"the clock jumps back by {end - start:.3f} s: what follows was moved behind it, as a new segment"
+        )
+    joined = {
+        channel: tuple(replace(part, time=times[channel, index]) for index, part in enumerate(parts))
+        for channel, parts in series.items()
+    }
+    return joined, tuple(said)
+
+
+def _resets(time: np.ndarray, largest_step_back: float) -> list[int]:
+    """Return the rows at which the clock jumped back for good."""
+    found: list[int] = []
+    start = 0
+    while True:
+        part = time[start:]
+        finite = np.where(np.isfinite(part), part, -np.inf)
+        highest = np.maximum.accumulate(finite)
+        behind = np.isfinite(part) & (finite < highest - largest_step_back)
+        runs = _runs(behind)
+        lasting = [a for a, b in runs if b - a >= min(_RESET_WINDOW, max(2, len(part) - a))]
+        if not lasting:
+            return found
+        start += lasting[0]
+        found.append(start)
+
+
+def clean_series(series: Series, *, despike: bool = True, held: bool = False) -> CleanSeries:
+    """Drop non-finite samples and duplicate times, sort, remove spikes and the repeats of a held sensor.
+
+    Parameters
+    ----------
+    series : Series
+    despike : bool
+        Drop isolated spikes instead of only counting them.
+    held : bool
+        The channel is a command: its steps are no spikes and its repeats no sign of a slow sensor.
+
+    Raises
+    ------
+    LogError
+        If fewer than four samples remain.
+    """
+    drops: list[tuple[str, int]] = []
+    time, values = series.time - series.delay, series.values
+
+    def keep(mask: np.ndarray, reason: str) -> None:
+        nonlocal time, values
+        dropped = int(np.count_nonzero(~mask))
+        if dropped:
+            drops.append((reason, dropped))
+            time, values = time[mask], values[mask]
+
+    keep(np.isfinite(time), "time not finite")
+    keep(~np.isnan(values), "NaN")
+    keep(np.isfinite(values), "infinite")
+    backward = int(np.count_nonzero(np.diff(time) < 0))
+    if backward:
+        order = np.argsort(time, kind="stable")
+        time, values = time[order], values[order]
+        drops.append(("out of order, sorted", backward))
+    if len(time) > 1:
+        step = np.diff(time)
+        typical = float(np.median(step[step > 0])) if np.any(step > 0) else 0.0
+        keep(np.concatenate([[True], step > _DUPLICATE_SHARE * typical]), "duplicate time")
+    spikes = np.zeros(len(values), dtype=bool) if held else _spikes(values)
+    if despike:
+        keep(~spikes, "spike")
+    repeats = 1 if held else longest_repeat(values)
+    if repeats > 1:
+        keep(_first_of_repeats(values, repeats), f"repeat of a held sample ({repeats} of each)")
+    if len(time) < 4:
+        raise LogError(
+            f"{len(time)} usable samples of {series.channel} remain",
+            where=series.source,
+            advice="; ".join(f"{count} {reason}" for reason, count in drops) or "The recording is nearly empty.",
+        )
+    return CleanSeries(
+        channel=series.channel,
+        source=series.source,
+        time=time,
+        values=values,
+        period=float(np.median(np.diff(time))),
+        repeats=repeats,
+        spikes=int(np.count_nonzero(spikes)),
+        drops=tuple(Drop(series.source, reason, count) for reason, count in drops),
+    )
+
+
+def _spikes(values: np.ndarray) -> np.ndarray:
+    """Flag at most two samples in a row that stand out of a running median by far more than noise and motion do.
+
+    The scale is the 99 % quantile of the deviation, so that a rough but honest signal has no spikes.
+    """
+    if len(values) < 50:
+        return np.zeros(len(values), dtype=bool)
+    from scipy.ndimage import median_filter
+
+    deviation = np.abs(values - median_filter(values, size=7, mode="nearest"))
+    scale = max(float(np.quantile(deviation, 0.99)) / 2.576, 1.4826 * float(np.median(deviation)))
+    span = float(np.subtract(*np.quantile(values, [0.99, 0.01])))
+    flagged = deviation > max(_SPIKE_SIGMAS * scale, 0.25 * span, 1e-9)
+    for start, end in _runs(flagged):
+        if end - start > _LONGEST_SPIKE:
+            flagged[start:end] = False
+    return flagged
+
+
+def longest_repeat(values: np.ndarray) -> int:
+    """Return how many times a sensor slower than its log repeats each sample; 1 for a sensor that does not.
+
+    A quantised signal repeats values too, but in runs of any length: here nine of ten runs of a moving signal
+    have the same length, give or take one.
+    """
+    change = np.flatnonzero(np.diff(values) != 0.0)
+    if len(change) < 20:
+        return 1
+    lengths = np.diff(change)
+    typical = int(np.median(lengths))
+    if typical < 2:
+        return 1
+    regular = np.count_nonzero(np.abs(lengths - typical) <= 1) / len(lengths)
+    return typical if regular >= 0.9 else 1
+
+
+def _first_of_repeats(values: np.ndarray, repeats: int) -> np.ndarray:
+    new = np.concatenate([[True], np.diff(values) != 0.0])
+    since = np.arange(len(values)) - np.maximum.accumulate(np.where(new, np.arange(len(values)), 0))
+    return since % repeats == 0
+
+
+def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

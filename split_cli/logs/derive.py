@@ -1,0 +1,430 @@
+"""Channels computed from others: only when asked for, and marked as derived."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from split_cli.errors import MapError, nearest_names
+from split_cli.logs.noise import difference_noise
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import slip_angles
+from split_cli.vehicle.tire import lateral_force
+
+__all__ = [
+    "DERIVATIONS",
+    "Derivation",
+    "Derived",
+    "derivation_named",
+    "smooth",
+    "torque_from_acceleration",
+    "torque_from_current",
+    "torque_from_throttle_and_brake",
+    "velocity_from_pose",
+]
+
+
+@dataclass(frozen=True)
+class Derived:
+    """What a derivation made.
+
+    Attributes
+    ----------
+    columns : mapping of str to ndarray
+        Channel to samples `(N,)`, SI.
+    how : str
+        For the drive's metadata, after ``derived: ``.
+    warning : str
+        What the reader must know before using it.
+    """
+
+    columns: Mapping[str, np.ndarray]
+    how: str
+    warning: str = ""
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What a derivation may use.
+
+    Attributes
+    ----------
+    columns : mapping of str to ndarray
+        Of the drive so far, SI, at the CG.
+    period : float
+        [s].
+    segments : list of slice
+    vehicle : Vehicle or None
+    settings : mapping
+        The map's `derivations` entry.
+    """
+
+    columns: Mapping[str, np.ndarray]
+    period: float
+    segments: list[slice]
+    vehicle: Vehicle | None
+    settings: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Derivation:
+    """A way to compute channels.
+
+    Attributes
+    ----------
+    name : str
+        As ``--derive`` takes it.
+    makes, needs : tuple of str
+        Channels; ``needs`` as far as the settings do not name others.
+    settings : tuple of str
+        Keys that the map may give.
+    run : callable
+        Situation to Derived.
+    """
+
+    name: str
+    makes: tuple[str, ...]
+    needs: tuple[str, ...]
+    settings: tuple[str, ...]
+    run: Callable[[Situation], Derived]
+
+
+def torque_from_acceleration(
+    ax: np.ndarray, vx: np.ndarray, vy: np.ndarray, r: np.ndarray, delta: np.ndarray, vehicle: Vehicle
+) -> np.ndarray:
+    """Return the wheel torque that the nominal model needs for a longitudinal specific force [N m], shape (N,).
+
+    Parameters
+    ----------
+    ax : ndarray, shape (N,)
+        Specific force at the CG [m/s^2]: v_x' - v_y r on a flat road.
+    vx, vy, r, delta : ndarray, shape (N,)
+    vehicle : Vehicle
+        Its terms are not considered, only the plain nominal model.
+
+    Notes
+    -----
+    m a_x = F_rx + F_fx cos delta - F_fy sin delta - C_w v_x^2 solved for T, exact for any steer angle:
+    T = r_e (m a_x + C_w v_x^2 + C_rr + C_fr cos delta + F_fy sin delta)/(1 - kappa + kappa cos delta), kappa by
+    the sign of the force.
+    """
+    slip_front, _ = slip_angles(vx, vy, r, delta, vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle)
+    tire = vehicle.front_tire
+    front_y = lateral_force(tire.B, tire.C, tire.D, slip_front)
+    force = (
+        vehicle.mass * ax
+        + vehicle.drag_coefficient * vx * vx
+        + vehicle.rolling_resistance_rear
+        + vehicle.rolling_resistance_front * np.cos(delta)
+        + front_y * np.sin(delta)
+    )
+    kappa = np.where(force < 0.0, vehicle.brake_split_front, vehicle.drive_split_front)
+    return vehicle.wheel_radius * force / (1.0 - kappa + kappa * np.cos(delta))
+
+
+def torque_from_throttle_and_brake(
+    throttle: np.ndarray,
+    brake: np.ndarray,
+    vx: np.ndarray,
+    *,
+    drive_map: np.ndarray,
+    brake_gain: float,
+    wheel_radius: float,
+    max_power: float | None = None,
+) -> np.ndarray:
+    """Return the wheel torque of a pedal map [N m], shape (N,).
+
+    Parameters
+    ----------
+    throttle : ndarray, shape (N,)
+        0 to 1.
+    brake : ndarray, shape (N,)
+        Pressure [Pa] or pedal 0 to 1.
+    vx : ndarray, shape (N,)
+        [m/s].
+    drive_map : ndarray, shape (K, 2)
+        Throttle [1] and drive torque at the wheels [N m], linear in between.
+    brake_gain : float
+        Brake torque at the wheels for one unit of `brake` [N m/Pa] or [N m].
+    wheel_radius : float
+        [m].
+    max_power : float, optional
+        At the wheels [W].
+    """
+    drive = np.interp(throttle, drive_map[:, 0], drive_map[:, 1])
+    if max_power is not None:
+        drive = np.minimum(drive, max_power * wheel_radius / np.maximum(np.abs(vx), 0.1))
+    return drive - brake_gain * np.maximum(brake, 0.0) * np.tanh(vx / 0.1)
+
+
+def torque_from_current(
+    current: np.ndarray, torque_constant: float, gear_ratio: float, efficiency: float = 1.0
+) -> np.ndarray:
+    """Return the wheel torque of a motor [N m], shape (N,).
+
+    Parameters
+    ----------
+    current : ndarray, shape (N,)
+        Motor current, driving positive [A].
+    torque_constant : float
+        [N m/A].
+    gear_ratio : float
+        Motor turns a wheel turn [1].
+    efficiency : float
+        Of the gears [1]; losses help braking.
+    """
+    return current * torque_constant * gear_ratio * np.where(current >= 0.0, efficiency, 1.0 / efficiency)
+
+
+def smooth(values: np.ndarray, sigma: float) -> np.ndarray:
+    """Smooth evenly spaced samples of known noise, shape (N,), penalising third differences.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+    sigma : float
+        Standard deviation of the white noise; 0 returns the values.
+
+    Notes
+    -----
+    z = (I + lambda D'D)^-1 values with D the third difference (Whittaker), the discrete quintic smoothing spline.
+    lambda by the discrepancy principle with degrees of freedom: the residual's variance is sigma^2 (1 - dof/N),
+    dof/N the mean of the filter's frequency response.
+    """
+    if sigma <= 0.0 or len(values) < 12:
+        return values
+    from scipy.linalg import solveh_banded
+
+    count = len(values)
+    penalty = _third_difference_bands(count)
+    frequency = np.linspace(0.0, np.pi, 2001)[1:]
+    response = (2.0 - 2.0 * np.cos(frequency)) ** 3
+    offset = np.mean(values)
+
+    def filtered(log_lambda: float) -> np.ndarray:
+        bands = np.exp(log_lambda) * penalty
+        bands[-1] += 1.0
+        return solveh_banded(bands, values - offset) + offset
+
+    low, high = np.log(1e-4), np.log(1e10)
+    for _ in range(36):
+        middle = 0.5 * (low + high)
+        dof = float(np.mean(1.0 / (1.0 + np.exp(middle) * response)))
+        if np.mean((values - filtered(middle)) ** 2) < sigma**2 * (1.0 - dof):
+            low = middle
+        else:
+            high = middle
+    return filtered(low)
+
+
+def _third_difference_bands(count: int) -> np.ndarray:
+    """Return D'D of the third difference in upper banded form, shape (4, count)."""
+    stencil = np.array([-1.0, 3.0, -3.0, 1.0])
+    bands = np.zeros((4, count))
+    for a in range(4):
+        for b in range(a, 4):
+            # Row a of a difference meets row b: element (i + a, i + b), stored in its column i + b.
+            bands[3 - (b - a), b : b + count - 3] += stencil[a] * stencil[b]
+    return bands
+
+
+def velocity_from_pose(
+    X: np.ndarray, Y: np.ndarray, yaw: np.ndarray, period: float, segments: list[slice]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return v_x, v_y [m/s] and r [rad/s], shapes (N,), from a smoothed pose.
+
+    Parameters
+    ----------
+    X, Y : ndarray, shape (N,)
+        Position of the CG [m].
+    yaw : ndarray, shape (N,)
+        Unwrapped [rad].
+    period : float
+        [s].
+    segments : list of slice
+        Stretches without a gap.
+
+    Notes
+    -----
+    Each of X, Y, yaw is smoothed by its own noise as third differences show it (see `smooth`), differentiated by
+    central differences of fourth order, and turned into the vehicle's frame by the smoothed yaw.
+    """
+    out = np.empty((3, len(X)))
+    for run in segments:
+        pose = [channel[run] for channel in (X, Y, yaw)]
+        smoothed = [smooth(channel, difference_noise(channel, [(0, len(channel))])) for channel in pose]
+        dX, dY, dyaw = (derivative(channel, period) for channel in smoothed)
+        cosine, sine = np.cos(smoothed[2]), np.sin(smoothed[2])
+        out[:, run] = cosine * dX + sine * dY, cosine * dY - sine * dX, dyaw
+    return out[0], out[1], out[2]
+
+
+def derivative(values: np.ndarray, period: float) -> np.ndarray:
+    """Return d/dt of evenly spaced samples, shape (N,): of fourth order, of second at the two rows of each end."""
+    if len(values) < 5:
+        return np.gradient(values, period) if len(values) > 1 else np.zeros_like(values)
+    slope = np.gradient(values, period, edge_order=2)
+    slope[2:-2] = (values[:-4] - 8.0 * values[1:-3] + 8.0 * values[3:-1] - values[4:]) / (12.0 * period)
+    return slope
+
+
+def _require_vehicle(situation: Situation, name: str) -> Vehicle:
+    if situation.vehicle is None:
+        raise MapError(f"--derive {name} needs the vehicle", advice="Give it with --vehicle.")
+    return situation.vehicle
+
+
+def _settings_number(situation: Situation, name: str, key: str, default: float | None = None) -> float:
+    value = situation.settings.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise MapError(
+            f"--derive {name} needs the number {key}",
+            advice=f"Write `derivations: {{{name}: {{{key}: ...}}}}` into the map.",
+        )
+    return float(value)
+
+
+def _run_torque_from_acceleration(situation: Situation) -> Derived:
+    vehicle = _require_vehicle(situation, "torque-from-acceleration")
+    c = situation.columns
+    source = situation.settings.get("acceleration", "ax" if "ax" in c else "vx")
+    if source == "ax":
+        ax = c["ax"] - float(situation.settings.get("offset", 0.0))
+        how = "from measured a_x"
+    elif source == "vx":
+        ax = np.empty(len(c["vx"]))
+        for run in situation.segments:
+            vx = c["vx"][run]
+            smoothed = smooth(vx, difference_noise(vx, [(0, len(vx))]))
+            ax[run] = derivative(smoothed, situation.period) - c["vy"][run] * c["r"][run]
+        how = "from dv_x/dt - v_y r of smoothed v_x"
+    else:
+        raise MapError(
+            f"derivations.torque_from_acceleration.acceleration is {source!r}", advice="It is ax or vx."
+        )
+    T = torque_from_acceleration(ax, c["vx"], c["vy"], c["r"], c["delta"], vehicle)
+    warning = (
+        "T is derived from acceleration: the longitudinal label holds noise and what the derivation got wrong, "
+        "and says nothing about the drive train"
+    )
+    return Derived({"T": T}, f"torque {how} by the nominal model of {vehicle.name}", warning)
+
+
+def _run_torque_from_pedals(situation: Situation) -> Derived:
+    vehicle = _require_vehicle(situation, "torque-from-throttle-and-brake")
+    name = "torque_from_throttle_and_brake"
+    settings = situation.settings
+    throttle, brake = str(settings.get("throttle", "throttle")), str(settings.get("brake", "brake"))
+    for channel in (throttle, brake):
+        if channel not in situation.columns:
+            raise MapError(f"{name} needs {channel}", advice=nearest_names(channel, situation.columns))
+    points = settings.get("drive_map", [[0.0, 0.0], [1.0, vehicle.max_torque]])
+    drive_map = np.asarray(points, dtype=float)
+    if drive_map.ndim != 2 or drive_map.shape[1] != 2 or np.any(np.diff(drive_map[:, 0]) <= 0):
+        raise MapError(f"{name}.drive_map must be [[throttle, torque], ...] with rising throttle")
+    full_scale = _settings_number(situation, name, "brake_full_scale", 1.0)
+    gain = _settings_number(situation, name, "brake_gain", vehicle.max_brake_torque / full_scale)
+    power = settings.get("max_power")
+    T = torque_from_throttle_and_brake(
+        situation.columns[throttle],
+        situation.columns[brake],
+        situation.columns["vx"],
+        drive_map=drive_map,
+        brake_gain=gain,
+        wheel_radius=vehicle.wheel_radius,
+        max_power=None if power is None else float(power),
+    )
+    how = f"torque from {throttle} by a map to {drive_map[-1, 1]:g} N m and {brake} times {gain:.4g} N m a unit"
+    return Derived({"T": T}, how, "T follows from pedal maps: their errors appear in the longitudinal label")
+
+
+def _run_torque_from_current(situation: Situation) -> Derived:
+    name = "torque_from_current"
+    channel = str(situation.settings.get("current", "motor_current"))
+    if channel not in situation.columns:
+        raise MapError(f"{name} needs {channel}", advice=nearest_names(channel, situation.columns))
+    constant = _settings_number(situation, name, "torque_constant")
+    ratio = _settings_number(situation, name, "gear_ratio")
+    efficiency = _settings_number(situation, name, "efficiency", 1.0)
+    T = torque_from_current(situation.columns[channel], constant, ratio, efficiency)
+    return Derived(
+        {"T": T}, f"torque from {channel} times {constant:g} N m/A times {ratio:g}, efficiency {efficiency:g}"
+    )
+
+
+def _run_velocity_from_pose(situation: Situation) -> Derived:
+    c = situation.columns
+    vx, vy, r = velocity_from_pose(c["X"], c["Y"], c["yaw"], situation.period, situation.segments)
+    made = {"vx": vx, "vy": vy, "r": r}
+    only = situation.settings.get("channels", [name for name in made if name not in c])
+    return Derived(
+        {name: made[name] for name in only},
+        "from X, Y, yaw smoothed by their noise",
+        f"{', '.join(only)} derived from pose: their noise is not white and not known",
+    )
+
+
+def _run_acceleration_from_velocity(situation: Situation) -> Derived:
+    c = situation.columns
+    made = {"ax": np.empty(len(c["vx"])), "ay": np.empty(len(c["vx"]))}
+    for run in situation.segments:
+        vx, vy = (
+            smooth(c[name][run], difference_noise(c[name], [(run.start, run.stop)])) for name in ("vx", "vy")
+        )
+        made["ax"][run] = derivative(vx, situation.period) - vy * c["r"][run]
+        made["ay"][run] = derivative(vy, situation.period) + vx * c["r"][run]
+    return Derived(
+        {name: values for name, values in made.items() if name not in c}, "from smoothed velocity, flat road"
+    )
+
+
+DERIVATIONS: dict[str, Derivation] = {
+    entry.name: entry
+    for entry in (
+        Derivation(
+            "velocity-from-pose", ("vx", "vy", "r"), ("X", "Y", "yaw"), ("channels",), _run_velocity_from_pose
+        ),
+        Derivation(
+            "acceleration-from-velocity", ("ax", "ay"), ("vx", "vy", "r"), (), _run_acceleration_from_velocity
+        ),
+        Derivation(
+            "torque-from-acceleration",
+            ("T",),
+            ("vx", "vy", "r", "delta"),
+            ("acceleration", "offset"),
+            _run_torque_from_acceleration,
+        ),
+        Derivation(
+            "torque-from-throttle-and-brake",
+            ("T",),
+            ("vx",),
+            ("throttle", "brake", "drive_map", "brake_gain", "brake_full_scale", "max_power"),
+            _run_torque_from_pedals,
+        ),
+        Derivation(
+            "torque-from-current",
+            ("T",),
+            (),
+            ("current", "torque_constant", "gear_ratio", "efficiency"),
+            _run_torque_from_current,
+        ),
+    )
+}
+"""In the order in which they run: velocities before what needs them."""
+
+
+def derivation_named(name: str) -> Derivation:
+    """Return a derivation by name; underscores may stand for hyphens.
+
+    Raises
+    ------
+    MapError
+        If there is none; the nearest are told.
+    """
+    spelled = name.replace("_", "-")
+    if spelled not in DERIVATIONS:
+        raise MapError(f"no derivation {name!r}", advice=nearest_names(spelled, DERIVATIONS))
+    return DERIVATIONS[spelled]

@@ -1,0 +1,425 @@
+"""From a recording and a map to SI series, each on its own clock: sources found, units and signs converted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.errors import LogError, MapError, nearest_names
+from split_cli.logs import transform
+from split_cli.logs.raw import Clock, RawSignal, Recording
+from split_cli.logs.signal_map import EXTRA_UNITS, ChannelMap, SignalMap, Source
+from split_cli.signals import CHANNELS, convert_to_si, find_unit
+
+__all__ = ["Gathered", "Series", "expected_unit", "gather", "topic_of"]
+
+TIME_COLUMNS = ("t", "time", "Time", "TIME", "timestamp", "Timestamp", "timestamps", "time_s", "time_sec", "t_s")
+_TIME_ADVICE = "Name the column as `time: {source: ..., unit: ...}`, or give `time: {period: SECONDS}`."
+_SUFFIXES = {
+    "yaw_from_quaternion": ("x", "y", "z", "w"),
+    "local_x": ("latitude", "longitude"),
+    "local_y": ("latitude", "longitude"),
+}
+
+
+@dataclass(frozen=True)
+class Series:
+    """One source of one channel in SI, frame and sign converted, on its own clock.
+
+    Attributes
+    ----------
+    channel : str
+    source : str
+        Recorded name, for messages.
+    time : ndarray, shape (N,)
+        [s], as recorded, in the order of the file; delays not yet applied.
+    values : ndarray, shape (N,)
+        SI unit of the channel; NaN where missing.
+    delay : float
+        As the map gives it [s].
+    """
+
+    channel: str
+    source: str
+    time: np.ndarray
+    values: np.ndarray
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What a recording gave.
+
+    Attributes
+    ----------
+    series : mapping of str to tuple of Series
+        Channel to its sources; their sum is the channel.
+    maps : mapping of str to ChannelMap
+        Of the channels found.
+    origin : float
+        What was subtracted from every time [s].
+    clock : str
+        In words.
+    conversions : tuple of str
+        Units, signs and frames converted.
+    assumed : tuple of str
+        What neither file nor map said.
+    contradictions : tuple of str
+        Where file and map disagree.
+    skipped : tuple of str
+        Optional channels whose sources do not exist.
+    """
+
+    series: Mapping[str, tuple[Series, ...]]
+    maps: Mapping[str, ChannelMap]
+    origin: float
+    clock: str
+    conversions: tuple[str, ...]
+    assumed: tuple[str, ...]
+    contradictions: tuple[str, ...]
+    skipped: tuple[str, ...]
+
+
+def topic_of(name: str) -> str:
+    """Return the topic of an addressed field, the column itself for a table."""
+    return name.rsplit("/", 1)[0] if name.startswith("/") else name
+
+
+def expected_unit(channel: str) -> str | None:
+    """Return the SI unit of a channel known by name, None for others."""
+    return CHANNELS[channel].unit if channel in CHANNELS else EXTRA_UNITS.get(channel)
+
+
+def gather(
+    recording: Recording,
+    signal_map: SignalMap,
+    *,
+    clock: Clock | None = None,
+    wheel_radius: float | None = None,
+    needed: Sequence[str] = (),
+) -> Gathered:
+    """Read every channel of the map from a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+    signal_map : SignalMap
+    clock : str, optional
+        ``header``, ``publish`` or ``log``; overrides the map's.
+    wheel_radius : float, optional
+        Turns wheel speeds in rad/s into m/s [m].
+    needed : sequence of str
+        Channels that must not be skipped even where the map calls them optional.
+
+    Raises
+    ------
+    MapError
+        If a source does not exist (nearest names are told), or its unit does not fit the channel.
+    LogError
+        If the recording is empty or has no usable time.
+    """
+    infos = {info.name: info for info in recording.channels()}
+    if not infos:
+        raise LogError("holds no channels", where=recording.name, advice="Is the recording empty?")
+    resolver = _Resolver(recording.name, infos, signal_map)
+    found, skipped = resolver.resolve_all(needed)
+    extras = _extra_columns(infos, found, signal_map)
+    wanted = list(dict.fromkeys([*(name for f in found.values() for names in f for name in names), *extras]))
+    chosen = clock or signal_map.time.clock
+    if chosen and chosen not in recording.clocks:
+        have = ", ".join(recording.clocks) or "none: its time is a column"
+        raise MapError(f"has no {chosen} clock", where=recording.name, advice=f"It has {have}.")
+    time_column = _time_column(infos, signal_map, recording)
+    signals = recording.read(list(dict.fromkeys([*wanted, *([time_column] if time_column else [])])), chosen)
+    notes = _Notes([], [], [])
+    common, origin, words = _common_time(signals, time_column, signal_map, recording, notes)
+    converter = _Converter(recording.name, signal_map, wheel_radius, notes)
+    series: dict[str, tuple[Series, ...]] = {}
+    maps: dict[str, ChannelMap] = {}
+    for channel, names_of_sources in found.items():
+        entry = signal_map.channel(channel)
+        name = _world_name(channel, entry.sources[0].world or signal_map.world)
+        maps[name] = replace(entry, channel=name)
+        series[name] = tuple(
+            converter.convert(name, source, [signals[n] for n in names], common)
+            for source, names in zip(entry.sources, names_of_sources, strict=True)
+        )
+    for column in extras:
+        if column != time_column and column not in series:
+            signal = signals[column]
+            time = common if signal.time is None else signal.time
+            maps[column] = ChannelMap(column, (Source((column,), unit=signal.unit),), optional=True)
+            series[column] = (Series(column, column, time, signal.values),)
+    if chosen or recording.clocks:
+        words = f"{chosen or recording.clocks[0]} time of the messages"
+    return Gathered(
+        series,
+        maps,
+        recording.origin + origin,
+        words,
+        tuple(dict.fromkeys(notes.conversions)),
+        tuple(dict.fromkeys(notes.assumed)),
+        tuple(dict.fromkeys(notes.contradictions)),
+        tuple(skipped),
+    )
+
+
+@dataclass(frozen=True)
+class _Notes:
+    conversions: list[str]
+    assumed: list[str]
+    contradictions: list[str]
+
+
+def _world_name(channel: str, world: str) -> str:
+    """North-east-down logs name north X; here X is east."""
+    return {"X": "Y", "Y": "X"}.get(channel, channel) if world == "ned" else channel
+
+
+class _Resolver:
+    """Finds the recorded names that a map's sources mean."""
+
+    def __init__(self, where: str, infos: Mapping, signal_map: SignalMap) -> None:
+        self.where = where
+        self.infos = infos
+        self.map = signal_map
+        self.by_type: dict[str, list[str]] = {}
+        for info in infos.values():
+            topics = self.by_type.setdefault(_type_name(info.type_name), [])
+            if info.name.startswith("/") and topic_of(info.name) not in topics:
+                topics.append(topic_of(info.name))
+
+    def resolve_all(self, needed: Sequence[str]) -> tuple[dict[str, list[list[str]]], list[str]]:
+        found: dict[str, list[list[str]]] = {}
+        skipped: list[str] = []
+        missing: list[tuple[str, str]] = []
+        for entry in self.map.channels:
+            names = [[self._resolve(name) for name in self._expand(source)] for source in entry.sources]
+            absent = [name for group in names for name in group if name not in self.infos]
+            if not absent:
+                found[entry.channel] = names
+            elif entry.optional and entry.channel not in needed:
+                skipped.append(f"{entry.channel}: the recording has no {absent[0]}")
+            else:
+                missing.append((entry.channel, absent[0]))
+        if missing:
+            channel, absent = missing[0]
+            more = f" (also missing: {', '.join(name for _, name in missing[1:6])})" if missing[1:] else ""
+            raise MapError(
+                f"the recording has no {absent!r}, mapped to {channel}{more}",
+                where=self.where,
+                advice=f"{nearest_names(absent, self.infos)} `split ingest LOG --list` shows all.",
+            )
+        return found, skipped
+
+    def _expand(self, source: Source) -> list[str]:
+        suffixes = _SUFFIXES.get(source.convert, ())
+        if len(source.names) == 1 and suffixes:
+            base = source.names[0]
+            tail = base.rsplit("/", 1)[-1] if base.startswith("/") else base.rsplit(":", 1)[-1]
+            joint = "." if "." in tail or base in self._field_groups() else "/" if base.startswith("/") else "."
+            if ":" in base and not base.startswith("/") and not tail:
+                joint = ""
+            return [f"{base}{joint}{suffix}" for suffix in suffixes]
+        if suffixes and len(source.names) != len(suffixes):
+            raise MapError(
+                f"{source.convert} takes {', '.join(suffixes)}, but {len(source.names)} sources are given",
+                where=self.where,
+            )
+        return list(source.names)
+
+    def _field_groups(self) -> set[str]:
+        return {name.rsplit(".", 1)[0] for name in self.infos if "." in name}
+
+    def _resolve(self, name: str) -> str:
+        """Return the address with its type or topic replaced as the map's `topics` says, or by the only one."""
+        if name in self.infos:
+            return name
+        if not name.startswith("/") and ":" in name:
+            type_name, field_path = name.split(":", 1)
+            if type_name in self.map.topics:
+                return f"{self.map.topics[type_name]}/{field_path}"
+            topics = self.by_type.get(_type_name(type_name), [])
+            if len(topics) > 1:
+                raise MapError(
+                    f"{len(topics)} topics are of type {type_name}: {', '.join(topics[:8])}",
+                    where=self.where,
+                    advice=f"Say which: `--topic {type_name}={topics[0]}`.",
+                )
+            return f"{topics[0]}/{field_path}" if topics else name
+        topic = topic_of(name)
+        if topic in self.map.topics:
+            return self.map.topics[topic] + name[len(topic) :]
+        return name
+
+
+def _type_name(name: str) -> str:
+    return name.replace("/msg/", "/").replace("::msg::", "/").replace("::", "/").rstrip("_")
+
+
+def _extra_columns(infos: Mapping, found: Mapping, signal_map: SignalMap) -> list[str]:
+    mapped = {name for groups in found.values() for names in groups for name in names}
+    if signal_map.extras is not None:
+        for name in signal_map.extras:
+            if name not in infos:
+                raise MapError(f"extras names {name!r}, which is not recorded", advice=nearest_names(name, infos))
+        return [name for name in signal_map.extras if name not in mapped]
+    if any(name.startswith("/") for name in infos):
+        return []
+    taken = {*CHANNELS, "segment", *found}
+    return [name for name in infos if name not in mapped and name not in taken]
+
+
+def _time_column(infos: Mapping, signal_map: SignalMap, recording: Recording) -> str | None:
+    if recording.clocks or signal_map.time.period:
+        return None
+    if signal_map.time.source:
+        if signal_map.time.source not in infos:
+            raise MapError(
+                f"the recording has no time column {signal_map.time.source!r}",
+                where=recording.name,
+                advice=nearest_names(signal_map.time.source, infos),
+            )
+        return signal_map.time.source
+    return next((name for name in TIME_COLUMNS if name in infos), None)
+
+
+def _common_time(
+    signals: Mapping[str, RawSignal],
+    column: str | None,
+    signal_map: SignalMap,
+    recording: Recording,
+    notes: _Notes,
+) -> tuple[np.ndarray | None, float, str]:
+    """Return the clock that a table's columns share [s], what was subtracted, and the clock in words."""
+    bare = [signal for signal in signals.values() if signal.time is None]
+    if not bare:
+        return None, 0.0, "time of each signal"
+    if signal_map.time.period:
+        period = signal_map.time.period
+        notes.assumed.append(f"no time column: samples are {period:g} s apart, as the map says")
+        return np.arange(len(bare[0].values)) * period, 0.0, f"row number times {period:g} s"
+    if column is None:
+        raise MapError("no column of time was found", where=recording.name, advice=_TIME_ADVICE)
+    raw = signals[column]
+    unit = signal_map.time.unit or raw.unit
+    if unit is None:
+        notes.assumed.append(f"time column {column!r} in s (neither file nor map says)")
+    elif getattr(find_unit(unit), "si", "") != "s":
+        raise MapError(f"time column {column!r} is in {unit!r}", where=recording.name, advice=_TIME_ADVICE)
+    finite = np.isfinite(raw.values)
+    if not finite.any():
+        raise LogError(f"time column {column!r} holds no finite value", where=recording.name)
+    first = float(raw.values[finite][0])
+    # Subtract before the conversion: nanoseconds since 1970 lose nothing then.
+    time = convert_to_si(raw.values - first, unit or "s", where=recording.name)
+    step = float(np.median(np.abs(np.diff(time[finite])))) if finite.sum() > 1 else 0.0
+    if step > 10.0:
+        raise LogError(
+            f"samples of {column!r} are {step:.3g} s apart",
+            where=recording.name,
+            advice=f"Its unit was taken as {unit or 's'}; set `time: {{source: {column}, unit: ns}}` or as it is.",
+        )
+    return time, float(convert_to_si(np.array([first]), unit or "s")[0]), f"column {column}"
+
+
+class _Converter:
+    """Makes SI series of the channel's frame out of raw signals, and says in words what it did."""
+
+    def __init__(self, where: str, signal_map: SignalMap, wheel_radius: float | None, notes: _Notes) -> None:
+        self.where = where
+        self.map = signal_map
+        self.wheel_radius = wheel_radius
+        self.notes = notes
+
+    def convert(self, channel: str, source: Source, signals: list[RawSignal], common: np.ndarray | None) -> Series:
+        name = source.names[0] if len(source.names) == 1 else "+".join(source.names)
+        values, unit = self._combine(channel, source, signals)
+        values = self._to_si(channel, source, values * source.scale + source.offset, unit, signals[0].unit)
+        if source.scale != 1.0 or source.offset != 0.0:
+            self.notes.conversions.append(
+                f"{channel}: {source.scale:g} x {name} {'+' if source.offset >= 0 else '-'} {abs(source.offset):g}"
+            )
+        values = self._to_frame(channel, source, values)
+        time = common if signals[0].time is None else signals[0].time
+        if len(time) != len(values):
+            raise LogError(f"{name} has {len(values)} samples and {len(time)} time stamps", where=self.where)
+        return Series(channel, signals[0].name, time, values, source.delay or 0.0)
+
+    def _combine(self, channel: str, source: Source, signals: list[RawSignal]) -> tuple[np.ndarray, str | None]:
+        columns = [signal.values for signal in signals]
+        if source.convert == "yaw_from_quaternion":
+            self.notes.conversions.append(f"{channel}: yaw from the quaternion {source.names[0]}")
+            return transform.yaw_from_quaternion(*columns), "rad"
+        if source.convert in ("local_x", "local_y"):
+            datum = self.map.datum or _first_fix(*columns, where=self.where)
+            east, north = transform.local_tangent_plane(*columns, datum)
+            self.notes.conversions.append(
+                f"{channel}: from latitude and longitude, local plane at {datum[0]:.7f}, {datum[1]:.7f} deg"
+            )
+            return (east if channel == "X" else north), "m"
+        if source.convert == "norm":
+            return np.sqrt(sum(column**2 for column in columns)), signals[0].unit
+        if source.convert in ("pair_sum", "pair_mean"):
+            total = sum(columns)
+            return (total if source.convert == "pair_sum" else total / len(columns)), signals[0].unit
+        return columns[0], signals[0].unit
+
+    def _to_si(
+        self, channel: str, source: Source, values: np.ndarray, unit: str | None, written: str | None
+    ) -> np.ndarray:
+        expected = expected_unit(channel)
+        scaled = source.scale != 1.0
+        if source.unit and written and not scaled and find_unit(written) not in (None, find_unit(source.unit)):
+            self.notes.contradictions.append(
+                f"{channel}: the file says {written}, the map says {source.unit}; the map was followed"
+            )
+        unit = source.unit or unit
+        if unit is None:
+            if expected is not None:
+                self.notes.assumed.append(f"{channel} in {expected} (neither file nor map says)")
+            return values
+        found = find_unit(unit)
+        if found is None:
+            if expected is None:
+                return values
+            raise MapError(
+                f"{channel}: the file says unit {unit!r}, which is not known",
+                where=self.where,
+                advice="Give `unit:` in the map.",
+            )
+        if found.si == "rad/s" and expected == "m/s" and channel.startswith("wheel_speed") and self.wheel_radius:
+            self.notes.conversions.append(f"{channel}: {unit} times the wheel radius {self.wheel_radius:g} m")
+            return convert_to_si(values, unit) * self.wheel_radius
+        if expected is not None and found.si != expected:
+            raise MapError(
+                f"{channel} is in {expected}, {source.names[0]} is in {unit}",
+                where=self.where,
+                advice="Give scale, and the unit after scaling, in the map.",
+            )
+        if found.symbol != found.si:
+            self.notes.conversions.append(f"{channel}: {found.symbol} to {found.si}")
+        return convert_to_si(values, unit, where=self.where)
+
+    def _to_frame(self, channel: str, source: Source, values: np.ndarray) -> np.ndarray:
+        frame = source.frame or self.map.frame
+        world = source.world or self.map.world
+        if channel == "yaw" and world == "ned":
+            self.notes.conversions.append("yaw: from clockwise of north to counter-clockwise of east")
+            return transform.yaw_from_ned(values)
+        if channel in ("X", "Y") and world == "ned" and not source.convert:
+            self.notes.conversions.append("X, Y: north and east exchanged")
+        if transform.frame_sign(channel, frame) < 0:
+            self.notes.conversions.append(f"{channel}: sign turned, y right to y left")
+            return -values
+        return values
+
+
+def _first_fix(latitude: np.ndarray, longitude: np.ndarray, *, where: str) -> tuple[float, float]:
+    valid = np.isfinite(latitude) & np.isfinite(longitude) & ((latitude != 0.0) | (longitude != 0.0))
+    if not valid.any():
+        raise LogError("no satellite fix with a finite position", where=where)
+    index = int(np.flatnonzero(valid)[0])
+    return float(latitude[index]), float(longitude[index])

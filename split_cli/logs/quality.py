@@ -1,0 +1,158 @@
+"""The quality report of a drive: what was recorded, what was dropped and why, what does not fit together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from split_cli.logs.clean import CleanSeries, Drop
+from split_cli.logs.consistency import Consistency
+from split_cli.logs.delay import DelayEstimate
+
+__all__ = ["ChannelQuality", "QualityReport", "render_quality", "source_quality"]
+
+
+@dataclass(frozen=True)
+class ChannelQuality:
+    """One source of a channel.
+
+    Attributes
+    ----------
+    channel, source : str
+    samples : int
+        Usable.
+    rate : float
+        From the median distance of two samples [Hz].
+    jitter : float
+        Half the spread between the 1 % and 99 % quantile of that distance, as a share of the median [1].
+    gaps : int
+        Steps longer than the gap.
+    longest_gap : float
+        [s].
+    spikes : int
+    low, high : float
+        Range in SI.
+    resampling : str
+        ``held``, ``interpolated`` or ``low-passed``.
+    drops : tuple of Drop
+    """
+
+    channel: str
+    source: str
+    samples: int
+    rate: float
+    jitter: float
+    gaps: int
+    longest_gap: float
+    spikes: int
+    low: float
+    high: float
+    resampling: str
+    drops: tuple[Drop, ...] = ()
+
+
+@dataclass(frozen=True)
+class QualityReport:
+    """All that ingest found out.
+
+    Attributes
+    ----------
+    channels : tuple of ChannelQuality
+    segments : int
+    duration : float
+        Of the drive, gaps left out [s].
+    recorded : float
+        From the first to the last sample of the slowest required channel [s].
+    origin : float
+        Time of the recording at which t is 0 [s].
+    clock : str
+        In words.
+    consistency : Consistency
+    delays : tuple of DelayEstimate
+        Estimated, whether applied or refused.
+    assumed, contradictions, skipped, warnings : tuple of str
+    """
+
+    channels: tuple[ChannelQuality, ...]
+    segments: int
+    duration: float
+    recorded: float
+    origin: float
+    clock: str
+    consistency: Consistency
+    delays: tuple[DelayEstimate, ...] = ()
+    assumed: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the report as plain values for JSON; what is not finite becomes null."""
+        return _plain(asdict(self))
+
+
+def source_quality(clean: CleanSeries, gap: float, resampling: str) -> ChannelQuality:
+    """Summarise one cleaned source; `gap` [s] as for resampling."""
+    step = np.diff(clean.time)
+    spread = float(np.subtract(*np.quantile(step, [0.99, 0.01])))
+    longer = step > gap * (1.0 + 1e-6)
+    return ChannelQuality(
+        channel=clean.channel,
+        source=clean.source,
+        samples=len(clean.time),
+        rate=1.0 / clean.period,
+        jitter=0.5 * spread / clean.period,
+        gaps=int(np.count_nonzero(longer)),
+        longest_gap=float(step[longer].max()) if longer.any() else 0.0,
+        spikes=clean.spikes,
+        low=float(np.min(clean.values)),
+        high=float(np.max(clean.values)),
+        resampling=resampling,
+        drops=clean.drops,
+    )
+
+
+def render_quality(report: QualityReport) -> str:
+    """Return the report as text for a terminal."""
+    share = report.duration / report.recorded if report.recorded > 0 else 1.0
+    lines = [
+        f"{report.duration:.1f} s in {report.segments} segment(s), {share:.1%} of what was recorded; "
+        f"time: {report.clock}",
+        f"{'channel':<18}{'source':<34}{'rate/Hz':>8}{'jitter':>8}{'gaps':>6}{'min':>12}{'max':>12}  resampling",
+    ]
+    for c in report.channels:
+        source = c.source if len(c.source) <= 33 else "..." + c.source[-30:]
+        lines.append(
+            f"{c.channel:<18}{source:<34}{c.rate:>8.1f}{c.jitter:>8.1%}{c.gaps:>6d}{c.low:>12.4g}{c.high:>12.4g}"
+            f"  {c.resampling}"
+        )
+    dropped = [f"{d.count} {d.reason} in {d.source}" for c in report.channels for d in c.drops]
+    for title, entries in (
+        ("dropped or moved", dropped),
+        ("assumed", report.assumed),
+        ("file and map disagree", report.contradictions),
+        ("not in this recording", report.skipped),
+        ("delays", [estimate.statement for estimate in report.delays]),
+        ("does not fit together", [finding.text for finding in report.consistency.findings]),
+        ("could not be judged", [f"{u.check}: {u.reason}" for u in report.consistency.unjudged]),
+        ("note", report.warnings),
+    ):
+        if entries:
+            lines.append(f"{title}:")
+            lines.extend(f"  {entry}" for entry in entries)
+    return "\n".join(lines)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

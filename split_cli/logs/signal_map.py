@@ -1,0 +1,442 @@
+"""The signal map: which recorded signal becomes which channel, in what unit, frame and place on the car."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from split_cli.errors import MapError, nearest_names
+from split_cli.logs.presets import preset_names, preset_path
+from split_cli.signals import CHANNELS, find_unit
+
+__all__ = [
+    "EXTRA_UNITS",
+    "ChannelMap",
+    "Position",
+    "SignalMap",
+    "Source",
+    "TimeBase",
+    "map_from_mapping",
+    "read_map",
+]
+
+CONVERSIONS = ("yaw_from_quaternion", "local_x", "local_y", "norm", "pair_sum", "pair_mean")
+"""What may be computed from several fields of one message, before scale, offset and unit."""
+
+EXTRA_UNITS: dict[str, str] = {
+    "wheel_speed": "m/s",
+    "wheel_speed_fl": "m/s",
+    "wheel_speed_fr": "m/s",
+    "wheel_speed_rl": "m/s",
+    "wheel_speed_rr": "m/s",
+    "throttle": "1",
+    "brake": "1",
+    "brake_pressure": "Pa",
+    "motor_current": "A",
+    "steering_wheel_angle": "rad",
+    "delta_command": "rad",
+    "T_command": "N m",
+    "vx_command": "m/s",
+}
+"""Channels beside the canonical ones that derivations, delays and checks know by name, with their SI unit."""
+
+_AXLES = ("cg", "front_axle", "rear_axle")
+_KINDS = ("command", "measured", "derived")
+_RESAMPLING = ("continuous", "held", "angle")
+
+
+@dataclass(frozen=True)
+class Position:
+    """Where a sensor sits, from the CG, in the vehicle frame.
+
+    Attributes
+    ----------
+    x, y : float
+        Forward and left of the CG [m].
+    axle : str
+        ``front_axle`` or ``rear_axle`` where the place is named; x and y are then offsets from it.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    axle: str = "cg"
+
+
+@dataclass(frozen=True)
+class Source:
+    """One recorded signal and its way to SI: value = convert(scale * raw + offset, unit).
+
+    Attributes
+    ----------
+    names : tuple of str
+        ``/topic/field.path``, ``package/Type:field.path`` (the only topic of that type), or a column; several
+        where `convert` needs several.
+    convert : str
+        One of `CONVERSIONS`, or empty.
+    scale, offset : float
+    unit : str or None
+        Unit of scale * raw + offset; None takes what the file says.
+    delay : float or None
+        Positive when the channel is late [s]; its times are moved earlier.
+    frame, world : str or None
+        ``flu``/``frd`` and ``enu``/``ned``; None takes the map's.
+    """
+
+    names: tuple[str, ...]
+    convert: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str | None = None
+    delay: float | None = None
+    frame: str | None = None
+    world: str | None = None
+
+
+@dataclass(frozen=True)
+class ChannelMap:
+    """How one channel of the drive is made: the sum of its sources.
+
+    Attributes
+    ----------
+    channel : str
+    sources : tuple of Source
+    position : Position or None
+        Of the sensor, where it is off the CG.
+    kind : str or None
+        ``command``, ``measured`` or ``derived``; None when the map does not say.
+    resample : str or None
+        ``continuous``, ``held`` or ``angle``; None lets the channel and its samples decide.
+    optional : bool
+        A missing source drops the channel with a note instead of an error.
+    """
+
+    channel: str
+    sources: tuple[Source, ...]
+    position: Position | None = None
+    kind: str | None = None
+    resample: str | None = None
+    optional: bool = False
+
+
+@dataclass(frozen=True)
+class TimeBase:
+    """Where time comes from: a column, a fixed period (tables without time), or a clock of the messages.
+
+    Attributes
+    ----------
+    source : str or None
+        Column.
+    unit : str or None
+        Of that column.
+    period : float or None
+        [s].
+    clock : str or None
+        ``header``, ``publish`` or ``log``.
+    """
+
+    source: str | None = None
+    unit: str | None = None
+    period: float | None = None
+    clock: str | None = None
+
+
+@dataclass(frozen=True)
+class SignalMap:
+    """A whole map, presets merged in.
+
+    Attributes
+    ----------
+    name : str
+    channels : tuple of ChannelMap
+    time : TimeBase
+    frame, world : str
+        ``flu`` or ``frd``; ``enu`` or ``ned``.
+    topics : mapping of str to str
+        Replaces a topic or a message type named in a source by a topic of the recording.
+    extras : tuple of str or None
+        Unmapped columns to keep; None keeps all of a table and none of a log with topics.
+    datum : tuple of float or None
+        Latitude and longitude [deg] of the local plane's origin; None takes the first fix.
+    derivations : mapping
+        Settings of derivations, used only when one is asked for.
+    despike : bool
+        Whether isolated spikes are dropped (they are always counted).
+    content : mapping
+        What was written, for the record.
+    """
+
+    name: str
+    channels: tuple[ChannelMap, ...]
+    time: TimeBase = TimeBase()
+    frame: str = "flu"
+    world: str = "enu"
+    topics: Mapping[str, str] = field(default_factory=dict)
+    extras: tuple[str, ...] | None = None
+    datum: tuple[float, float] | None = None
+    derivations: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    despike: bool = True
+    content: Mapping[str, Any] = field(default_factory=dict)
+
+    def channel(self, name: str) -> ChannelMap | None:
+        """Return the entry of a channel, None when the map has none."""
+        return next((entry for entry in self.channels if entry.channel == name), None)
+
+
+_MAP_KEYS = (
+    "name", "about", "preset", "time", "frame", "world", "topics", "extras", "datum", "derivations", "despike",
+    "kinds", "channels",
+)  # fmt: skip
+_SOURCE_KEYS = ("source", "convert", "scale", "offset", "unit", "delay", "frame", "world")
+_CHANNEL_KEYS = (*_SOURCE_KEYS, "sum", "position", "kind", "resample", "optional", "note")
+_TIME_KEYS = ("source", "unit", "period", "clock")
+
+
+def read_map(names: str | Path | Iterable[str | Path]) -> SignalMap:
+    """Read one or several maps, each a preset's name or a YAML file; later ones override earlier ones.
+
+    Raises
+    ------
+    MapError
+        If a file is missing or not YAML, a key is unknown (the nearest known is named), or a value impossible.
+    """
+    paths = [names] if isinstance(names, str | Path) else list(names)
+    merged: dict[str, Any] = {}
+    for path in paths:
+        merged = _merge(merged, _load(path, ()))
+    return map_from_mapping(merged, where=", ".join(Path(path).name for path in paths))
+
+
+def map_from_mapping(content: Mapping[str, Any], *, where: str = "signal map") -> SignalMap:
+    """Build a map from what a map file holds; presets it names are merged in. See `read_map`."""
+    content = _with_presets(dict(content), where, ())
+    _check_keys(content, _MAP_KEYS, where)
+    entries = _mapping(content.get("channels") or {}, where, "channels")
+    kinds = _mapping(content.get("kinds") or {}, where, "kinds")
+    for channel in kinds:
+        if channel not in entries:
+            raise MapError(
+                f"kinds names {channel!r}, which is not mapped",
+                where=where,
+                advice=nearest_names(channel, entries),
+            )
+    channels = tuple(
+        _channel(str(name), entry, kinds.get(name), f"{where}, channel {name}")
+        for name, entry in entries.items()
+        if entry is not None
+    )
+    return SignalMap(
+        name=str(content.get("name") or where),
+        channels=channels,
+        time=_time(content.get("time") or {}, where),
+        frame=_one_of(content.get("frame", "flu"), ("flu", "frd"), where, "frame"),
+        world=_one_of(content.get("world", "enu"), ("enu", "ned"), where, "world"),
+        topics={str(k): str(v) for k, v in _mapping(content.get("topics") or {}, where, "topics").items()},
+        extras=_extras(content.get("extras"), where),
+        datum=_datum(content.get("datum"), where),
+        derivations={
+            str(k).replace("-", "_"): _mapping(v or {}, where, f"derivations.{k}")
+            for k, v in _mapping(content.get("derivations") or {}, where, "derivations").items()
+        },
+        despike=bool(content.get("despike", True)),
+        content=content,
+    )
+
+
+def _load(path: str | Path, above: tuple[str, ...]) -> dict[str, Any]:
+    file = Path(path)
+    if not file.is_file():
+        file = preset_path(str(path)) or file
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        advice = f"{nearest_names(str(path), preset_names())} A map is a YAML file or one of the presets."
+        raise MapError("no such map", where=str(path), advice=advice) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise MapError(f"cannot be read ({error})", where=str(path)) from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        raise MapError(f"is not YAML ({getattr(error, 'problem', error)}{line})", where=str(path)) from error
+    if not isinstance(content, dict):
+        raise MapError("holds no keys", where=str(path), advice="See the signal map in docs/formats.md.")
+    _check_keys(content, _MAP_KEYS, str(path))
+    content.setdefault("name", file.stem)
+    return _with_presets(content, str(path), above)
+
+
+def _with_presets(content: dict[str, Any], where: str, above: tuple[str, ...]) -> dict[str, Any]:
+    presets = content.pop("preset", None) or []
+    base: dict[str, Any] = {}
+    for preset in [presets] if isinstance(presets, str) else presets:
+        if preset in above:
+            raise MapError(f"preset {preset!r} includes itself", where=where)
+        if preset_path(str(preset)) is None:
+            raise MapError(f"no preset {preset!r}", where=where, advice=nearest_names(str(preset), preset_names()))
+        base = _merge(base, _load(preset, (*above, preset)))
+    return _merge(base, content) if base else content
+
+
+def _merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay `over` on `base`: sections key by key; a channel whose source is given anew is replaced whole."""
+    merged = dict(base)
+    for key, value in over.items():
+        if key in ("kinds", "topics", "derivations", "time") and isinstance(value, Mapping):
+            merged[key] = value if key == "time" else {**merged.get(key, {}), **value}
+        elif key == "channels" and isinstance(value, Mapping):
+            channels = dict(merged.get("channels") or {})
+            for name, entry in value.items():
+                known = channels.get(name)
+                update = isinstance(entry, Mapping) and not {"source", "sum"} & set(entry)
+                channels[name] = {**known, **entry} if update and isinstance(known, Mapping) else entry
+            merged["channels"] = channels
+        else:
+            merged[key] = value
+    return merged
+
+
+def _channel(name: str, entry: Any, kind: Any, where: str) -> ChannelMap:
+    if isinstance(entry, str):
+        entry = {"source": entry}
+    entry = _mapping(entry, where, "the entry")
+    _check_keys(entry, _CHANNEL_KEYS, where)
+    if ("source" in entry) == ("sum" in entry):
+        raise MapError("needs either source or sum", where=where)
+    if "sum" in entry:
+        if not isinstance(entry["sum"], list) or not entry["sum"]:
+            raise MapError("sum must be a list of entries", where=where)
+        outer = {key: entry[key] for key in ("unit", "delay", "frame", "world") if key in entry}
+        misplaced = [key for key in ("convert", "scale", "offset") if key in entry]
+        if misplaced:
+            raise MapError(f"{misplaced[0]} belongs into the entries of the sum", where=where)
+        parts = [{"source": part} if isinstance(part, str) else part for part in entry["sum"]]
+        sources = tuple(
+            _source({**outer, **_mapping(part, where, "an entry of sum")}, f"{where}, sum[{index}]")
+            for index, part in enumerate(parts)
+        )
+    else:
+        sources = (_source({key: entry[key] for key in _SOURCE_KEYS if key in entry}, where),)
+    kind = entry.get("kind", kind)
+    resample = entry.get("resample")
+    if name in CHANNELS and CHANNELS[name].kind == "angle" and resample == "continuous":
+        raise MapError(f"{name} is an angle, it must be unwrapped", where=where, advice="Leave resample out.")
+    return ChannelMap(
+        channel=name,
+        sources=sources,
+        position=_position(entry.get("position"), where),
+        kind=None if kind is None else _one_of(kind, _KINDS, where, "kind"),
+        resample=None if resample is None else _one_of(resample, _RESAMPLING, where, "resample"),
+        optional=bool(entry.get("optional", False)),
+    )
+
+
+def _source(entry: Mapping[str, Any], where: str) -> Source:
+    _check_keys(entry, _SOURCE_KEYS, where)
+    names = entry.get("source")
+    names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()
+    if not names or not all(isinstance(name, str) and name for name in names):
+        raise MapError("source must be a name, or a list of names for a conversion", where=where)
+    convert = entry.get("convert") or ""
+    if convert:
+        _one_of(convert, CONVERSIONS, where, "convert")
+    elif len(names) > 1:
+        raise MapError("several sources need convert, or a sum", where=where)
+    unit = entry.get("unit")
+    if unit is not None and find_unit(str(unit)) is None:
+        raise MapError(f"unknown unit {unit!r}", where=where, advice=nearest_names(str(unit), _unit_symbols()))
+    return Source(
+        names=names,
+        convert=convert,
+        scale=_number(entry.get("scale", 1.0), where, "scale"),
+        offset=_number(entry.get("offset", 0.0), where, "offset"),
+        unit=None if unit is None else str(unit),
+        delay=None if entry.get("delay") is None else _number(entry["delay"], where, "delay"),
+        frame=None if "frame" not in entry else _one_of(entry["frame"], ("flu", "frd"), where, "frame"),
+        world=None if "world" not in entry else _one_of(entry["world"], ("enu", "ned"), where, "world"),
+    )
+
+
+def _position(entry: Any, where: str) -> Position | None:
+    if entry is None or entry == "cg":
+        return None
+    if isinstance(entry, str):
+        return Position(axle=_one_of(entry, _AXLES, where, "position"))
+    entry = _mapping(entry, where, "position")
+    _check_keys(entry, ("x", "y", "from"), where)
+    axle = _one_of(entry.get("from", "cg"), _AXLES, where, "position.from")
+    return Position(_number(entry.get("x", 0.0), where, "x"), _number(entry.get("y", 0.0), where, "y"), axle)
+
+
+def _time(entry: Any, where: str) -> TimeBase:
+    where = f"{where}, time"
+    if isinstance(entry, str):
+        entry = {"source": entry}
+    entry = _mapping(entry, where, "the entry")
+    _check_keys(entry, _TIME_KEYS, where)
+    if len([key for key in ("source", "period", "clock") if key in entry]) > 1:
+        raise MapError("give one of source, period and clock", where=where)
+    period = entry.get("period")
+    if period is not None and not _number(period, where, "period") > 0:
+        raise MapError(f"period is {period}, it must be positive", where=where)
+    unit = entry.get("unit")
+    if unit is not None and getattr(find_unit(str(unit)), "si", "") != "s":
+        raise MapError(f"{unit!r} is not a unit of time", where=where)
+    clock = entry.get("clock")
+    return TimeBase(
+        source=entry.get("source"),
+        unit=unit,
+        period=None if period is None else float(period),
+        clock=None if clock is None else _one_of(clock, ("header", "publish", "log"), where, "clock"),
+    )
+
+
+def _extras(entry: Any, where: str) -> tuple[str, ...] | None:
+    if entry is None or entry == "all":
+        return None
+    if entry == "none":
+        return ()
+    if not isinstance(entry, list):
+        raise MapError(f"extras is {entry!r}", where=where, advice="Give all, none or a list of columns.")
+    return tuple(str(name) for name in entry)
+
+
+def _datum(entry: Any, where: str) -> tuple[float, float] | None:
+    if entry is None:
+        return None
+    if not isinstance(entry, list) or len(entry) != 2:
+        raise MapError("datum must be [latitude, longitude] in degrees", where=where)
+    return _number(entry[0], where, "datum"), _number(entry[1], where, "datum")
+
+
+def _mapping(entry: Any, where: str, what: str) -> dict[str, Any]:
+    if not isinstance(entry, Mapping):
+        raise MapError(f"{what} is {entry!r}, keys with values were expected", where=where)
+    return dict(entry)
+
+
+def _check_keys(entry: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+    for key in entry:
+        if key not in known:
+            raise MapError(f"unknown key {key!r}", where=where, advice=nearest_names(str(key), known))
+
+
+def _one_of(value: Any, known: tuple[str, ...], where: str, what: str) -> str:
+    if value not in known:
+        raise MapError(f"{what} is {value!r}", where=where, advice=nearest_names(str(value), known))
+    return str(value)
+
+
+def _number(value: Any, where: str, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise MapError(f"{what} is {value!r}, a finite number was expected", where=where)
+    return float(value)
+
+
+def _unit_symbols() -> list[str]:
+    from split_cli.signals import _UNIT_TABLE
+
+    return [unit.symbol for unit, _ in _UNIT_TABLE]
