@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from split_cli.errors import LogError, nearest_names
+from split_cli.signals import split_name_and_unit
 
 __all__ = [
     "Clock",
@@ -19,6 +21,7 @@ __all__ = [
     "ReadNote",
     "Recording",
     "TableRecording",
+    "column_name_and_unit",
     "note_once",
 ]
 
@@ -184,3 +187,10 @@ def note_once(notes: list[ReadNote], note: ReadNote) -> None:
     """Add `note`; one about the same thing in the same place is replaced, so that reading twice counts once."""
     notes[:] = [other for other in notes if (other.what, other.where) != (note.what, note.where)]
     notes.append(note)
+
+
+def column_name_and_unit(title: str) -> tuple[str, str | None]:
+    """Split a column's title as `split_name_and_unit` does; in ``x[2]`` the bracket holds an index, no unit."""
+    if re.search(r"\[\d+\]$", title.strip()):
+        return title.strip(), None
+    return split_name_and_unit(title)

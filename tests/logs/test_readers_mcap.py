@@ -36,4 +36,4 @@ def test_the_planted_drive_comes_back(tmp_path, how):
     check_planted(recording, planted)
     assert {c.name for c in recording.channels()} >= set(FIELDS.values())
     assert {c.count for c in recording.channels()} == {len(planted.vx)}
-    assert not [note for note in recording.notes if "assumed" not in note.what]
+    assert not [note for note in recording.notes if "taken to be in ns" not in note.what]

@@ -10,9 +10,17 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawSignal, ReadNote, Recording, note_once
+from split_cli.logs.raw import (
+    LazyTableRecording,
+    RawChannelInfo,
+    RawSignal,
+    ReadNote,
+    Recording,
+    column_name_and_unit,
+    note_once,
+)
 from split_cli.logs.readers.dialect import Dialect, Sniffed, sniff
-from split_cli.signals import find_unit, split_name_and_unit
+from split_cli.signals import find_unit
 
 __all__ = ["open_delimited"]
 
@@ -57,7 +65,7 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
     columns: dict[str, tuple[int, str | None]] = {}
     renamed = 0
     for index, title in enumerate(sniffed.header):
-        name, unit = split_name_and_unit(title)
+        name, unit = column_name_and_unit(title)
         stated = sniffed.units[index].strip().strip("[]()") if sniffed.units else ""
         if stated:
             known = find_unit(stated)

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import RawSignal, ReadNote, Recording, TableRecording, note_once
-from split_cli.signals import split_name_and_unit
+from split_cli.logs.raw import RawSignal, ReadNote, Recording, TableRecording, column_name_and_unit, note_once
 
 __all__ = ["open_mat", "open_mat_hdf5"]
 
@@ -104,7 +103,7 @@ def _recording(path: Path, leaves: list[tuple[str, np.ndarray]]) -> Recording:
     signals: dict[str, RawSignal] = {}
     for name, values in arrays.items():
         for column_name, column in _columns(name, values):
-            bare, unit = split_name_and_unit(column_name)
+            bare, unit = column_name_and_unit(column_name)
             time = clocks.get(name)
             if time is not None and len(time) != len(column):
                 time = None

@@ -186,10 +186,7 @@ class McapContainer:
         for index in sorted(indexes, key=lambda index: index.chunk_start_offset):
             start = index.chunk_start_offset + _RECORD.size
             stop = index.chunk_start_offset + index.chunk_length
-            if (
-                not len(MCAP_MAGIC) <= start <= stop <= summary
-                or self._file[start - _RECORD.size] != Opcode.CHUNK
-            ):
+            if not len(MCAP_MAGIC) <= start <= stop <= summary:
                 return None
             if any(segment.stop > start for segment in contents.segments[-1:]):
                 return None
@@ -208,6 +205,7 @@ class McapContainer:
         """Read the whole file once, in order, up to its end or to a damage."""
         contents = _Contents()
         outside = _Segment(len(MCAP_MAGIC), len(MCAP_MAGIC), False)
+        unknown, closed = 0, False
         try:
             for opcode, begin, end in _walk_records(self._file, len(MCAP_MAGIC), len(self._file)):
                 if opcode == Opcode.CHUNK:
@@ -215,28 +213,37 @@ class McapContainer:
                     outside = _Segment(end, end, False)
                     continue
                 if opcode == Opcode.DATA_END:
+                    self._check_data_section(begin, end)
+                    closed = self._file[-len(MCAP_MAGIC) :] == MCAP_MAGIC
                     break
+                unknown += opcode > _HIGHEST_OPCODE
                 outside.stop = end
-            else:
-                note_once(
-                    self.notes,
-                    ReadNote("the recording was not closed: read without its index", self.path.name),
-                )
         except _DamageError as damage:
             position, opcode = damage.args
-            note_once(
-                self.notes,
-                ReadNote(
-                    f"the file is cut off or damaged at byte {position}: read up to there", self.path.name
-                ),
-            )
+            self._note(f"the file is cut off or damaged at byte {position}: read up to there")
+            closed = True
             if opcode == Opcode.CHUNK:
                 contents.segments += [outside, _Segment(position + _RECORD.size, len(self._file), True)]
                 outside = _Segment(len(self._file), len(self._file), False)
+        if not closed:
+            self._note("the recording was not closed, or its end is cut off: read without its index")
+        if unknown:
+            self._note("records of an unknown kind, skipped", unknown)
         contents.segments.append(outside)
         contents.segments = [self._surveyed(segment, contents) for segment in contents.segments]
         contents.segments = [segment for segment in contents.segments if segment.channels]
+        homeless = sum(count for key, count in contents.counts.items() if key not in contents.channels)
+        if homeless:
+            self._note("messages of a channel that is not defined, left out", homeless)
         return contents
+
+    def _check_data_section(self, begin: int, end: int) -> None:
+        expected = struct.unpack("<I", self._file[begin : begin + 4])[0] if end - begin >= 4 else 0
+        if expected and zlib.crc32(memoryview(self._file)[: begin - _RECORD.size]) != expected:
+            self._note("the checksum of the whole recording does not match")
+
+    def _note(self, what: str, count: int = 1) -> None:
+        note_once(self.notes, ReadNote(what, self.path.name, count))
 
     def _surveyed(self, segment: _Segment, contents: _Contents) -> _Segment:
         """Note a segment's definitions, and which channels have messages in it."""
@@ -255,6 +262,8 @@ class McapContainer:
         if not segment.chunk:
             return memoryview(self._file)[segment.start : segment.stop]
         try:
+            if self._file[segment.start - _RECORD.size] != Opcode.CHUNK:
+                raise _DamageError("its header is damaged")
             return _decompressed(memoryview(self._file)[segment.start : segment.stop])
         except _DamageError as damage:
             note_once(

@@ -270,7 +270,10 @@ class MessageRecording:
         if stream.encoding == "protobuf" and stream.schema_encoding == "protobuf":
             return ProtobufDecoder(stream.type_name, stream.schema)
         if stream.encoding == "json":
-            return JsonDecoder(stream.schema, self._first_payload(stream.key), self._container.origin)
+            decoder = JsonDecoder(stream.schema, self._first_payload(stream.key), self._container.origin)
+            if decoder.assumption:
+                note_once(self.notes, ReadNote(decoder.assumption, stream.topic))
+            return decoder
         raise LogError(
             f"messages are encoded as {stream.encoding or 'nothing in particular'!r} "
             f"(definition: {stream.schema_encoding or 'none'}), which is not supported",

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import logging
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +36,11 @@ def open_mf4(path: Path) -> Recording:
             "is an MDF file, which needs asammdf", where=path.name, advice="pip install 'split-cli[mf4]'"
         ) from error
     try:
-        file = MDF(path, raise_on_multiple_occurrences=False)
-        places = _places(file)
+        with _without_prints():
+            file = MDF(path, raise_on_multiple_occurrences=False)
+            places = _places(file)
     except Exception as error:  # asammdf passes on whatever damaged blocks lead to
+        _mark_closed(error)
         raise _damaged(path, error) from error
     if not places:
         raise LogError("holds no channel", where=path.name)
@@ -56,7 +61,8 @@ def open_mf4(path: Path) -> Recording:
     units = {info.name: info.unit for info in infos}
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
-        return {name: _signal(file, path, name, places[name], units[name], notes) for name in names}
+        with _without_prints():
+            return {name: _signal(file, path, name, places[name], units[name], notes) for name in names}
 
     return LazyTableRecording(path.name, path, infos, load, notes=notes)
 
@@ -102,7 +108,7 @@ def _places(file: Any) -> dict[str, tuple[int, int]]:
         master = file.masters_db.get(number)
         label = (getattr(group.channel_group, "acq_name", None) or f"group{number}").strip()
         for index, channel in enumerate(group.channels):
-            if index != master:
+            if index != master and channel.name:
                 channels.append((channel.name, label, number, index))
     names = Counter(name for name, *_ in channels)
     places: dict[str, tuple[int, int]] = {}
@@ -110,6 +116,29 @@ def _places(file: Any) -> dict[str, tuple[int, int]]:
         address = name if names[name] == 1 else f"{label}.{name}"
         places[address if address not in places else f"group{number}.{name}"] = (number, index)
     return places
+
+
+@contextmanager
+def _without_prints() -> Iterator[None]:
+    """Keep what asammdf prints about damaged blocks off standard output, which belongs to results."""
+    logger = logging.getLogger("asammdf")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        with redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        logger.setLevel(level)
+
+
+def _mark_closed(error: Exception) -> None:
+    """Keep the half-opened file in `error` from printing a traceback of its own when it is collected."""
+    frame = error.__traceback__
+    while frame is not None:
+        half_open = frame.tb_frame.f_locals.get("self")
+        if hasattr(half_open, "_closed"):
+            half_open._closed = True
+        frame = frame.tb_next
 
 
 def _unit(text: str | None) -> str | None:

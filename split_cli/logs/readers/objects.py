@@ -185,6 +185,11 @@ class JsonDecoder:
         The first message.
     origin : int
         First log time of the recording [ns].
+
+    Attributes
+    ----------
+    assumption : str or None
+        What was taken for granted about the time stamp.
     """
 
     def __init__(self, schema: bytes, first: bytes, origin: int) -> None:
@@ -201,6 +206,7 @@ class JsonDecoder:
         self._known = {_without_indices(path) for path in self._paths}
         self._origin = origin
         self._unit = 0
+        self.assumption: str | None = None
         self.stamp = next((name for name in STAMP_FIELDS if self._stamp_getter(name, example)), None)
 
     def paths(self) -> list[str]:
@@ -231,8 +237,9 @@ class JsonDecoder:
             value = number(example)
             if value is None:
                 return None
-            units = (1_000_000_000, 1_000_000, 1_000, 1)
+            units = {1_000_000_000: "s", 1_000_000: "ms", 1_000: "us", 1: "ns"}
             self._unit = min(units, key=lambda unit: abs(float(value) * unit - self._origin))
+            self.assumption = f"{name} has no unit, taken to be in {units[self._unit]}"
         unit = self._unit
 
         def stamp(message: Any) -> int:

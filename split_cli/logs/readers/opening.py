@@ -104,15 +104,21 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         from split_cli.logs.readers.parquet import open_arrow, open_parquet
 
         return open_parquet(path) if head.startswith(b"PAR1") else open_arrow(path)
-    if head.startswith(b"MATLAB 5.0 MAT-file"):
+    # Version 4 has no magic number; its reader tells whether it is one.
+    if head.startswith(b"MATLAB 5.0 MAT-file") or (path.suffix.lower() == ".mat" and not _is_hdf5(head)):
         from split_cli.logs.readers.mat import open_mat
 
         return open_mat(path)
-    if head.startswith(b"\x89HDF\r\n\x1a\n") or head[512:520] == b"\x89HDF\r\n\x1a\n":
+    if _is_hdf5(head):
         from split_cli.logs.readers.mat import open_mat_hdf5
 
         return open_mat_hdf5(path)
     return None
+
+
+def _is_hdf5(head: bytes) -> bool:
+    # MATLAB puts 512 bytes of its own before the HDF5 file.
+    return any(head[start : start + 8] == b"\x89HDF\r\n\x1a\n" for start in (0, 512))
 
 
 def _open_folder(path: Path, message_paths: Sequence[str | Path]) -> Recording:

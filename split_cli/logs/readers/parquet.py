@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawSignal, Recording
-from split_cli.signals import split_name_and_unit
+from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawSignal, Recording, column_name_and_unit
 
 __all__ = ["column_values", "open_arrow", "open_parquet"]
 
@@ -65,7 +64,7 @@ def _recording(
     columns: dict[str, str] = {}
     infos = []
     for column in schema:
-        name, unit = split_name_and_unit(column.name)
+        name, unit = column_name_and_unit(column.name)
         stated = (column.metadata or {}).get(b"unit")
         name = name if name not in columns else column.name
         columns[name] = column.name
