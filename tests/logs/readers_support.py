@@ -151,7 +151,7 @@ def write_mcap(
     """Write messages (topic, log time, publish time, payload) of one type."""
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=chunk_size, compression=compression, **options)
-        writer.start(profile="", library="test")
+        writer.start(profile={"cdr": "ros2", "ros1": "ros1"}.get(encoding, ""), library="test")
         schema_id = writer.register_schema(*schema)
         channels: dict[str, int] = {}
         for topic, log_time, publish_time, payload in messages:
