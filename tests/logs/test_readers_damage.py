@@ -59,6 +59,28 @@ def test_mcap_cut_off_anywhere_keeps_the_messages_before(tmp_path, planted, kind
     assert len(set(kept)) >= (COUNT if kind in ("uncompressed", "without chunks") else COUNT // 5)
 
 
+@pytest.mark.parametrize("compression", [None, "BZ2", "LZ4"])
+def test_ros1_bag_cut_off_anywhere_keeps_the_messages_before(tmp_path, planted, compression):
+    whole = support.write_bag1(tmp_path / "whole.bag", planted, compression).read_bytes()
+    kept = []
+    for size in range(len(whole) - 1, 0, -97):
+        # What a killed recorder leaves has this name, and no index at its end.
+        path = tmp_path / "drive.bag.active"
+        path.write_bytes(whole[:size])
+        outcome = read_vx(path)
+        if outcome is None:
+            kept.append(0)
+            continue
+        values, notes = outcome
+        np.testing.assert_array_equal(values, planted.vx[: len(values)])
+        assert len(values) == COUNT or notes
+        kept.append(len(values))
+    assert kept[0] == COUNT
+    assert sorted(kept, reverse=True) == kept
+    # A compressed block, here the whole of 20 kB, is all or nothing; else every message before the cut is kept.
+    assert len(set(kept)) >= (2 if compression else COUNT)
+
+
 @pytest.mark.parametrize("kind", ["zstd", "lz4", "uncompressed"])
 def test_mcap_with_corrupt_bytes_never_gives_other_values(tmp_path, planted, kind):
     whole = support.write_ros2_mcap(tmp_path / "whole.mcap", planted, **MCAP_KINDS[kind]).read_bytes()
@@ -146,7 +168,7 @@ def write_other(folder, planted, kind):
         ("noise.mcap", b"\x89MCAP0\r\n" + np.random.default_rng(0).bytes(4000), "no readable message"),
         ("noise.parquet", b"PAR1" + np.random.default_rng(0).bytes(400), "damaged"),
         ("noise.db3", b"SQLite format 3\0" + np.random.default_rng(0).bytes(4000), "damaged"),
-        ("noise.bag", b"#ROSBAG V2.0\n" + np.random.default_rng(0).bytes(400), "damaged"),
+        ("noise.bag", b"#ROSBAG V2.0\n" + np.random.default_rng(0).bytes(400), "no readable message"),
         ("noise.mat", b"MATLAB 5.0 MAT-file" + np.random.default_rng(0).bytes(400), "damaged"),
         ("noise.mf4", b"MDF     4.10    " + np.random.default_rng(0).bytes(400), "damaged"),
     ],

@@ -91,11 +91,14 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         from split_cli.logs.readers.mcap import McapContainer
 
         return _messages(path, McapContainer(path), message_paths)
-    if head.startswith((b"SQLite format 3\0", b"#ROSBAG V2.0\n")):
-        from split_cli.logs.readers.rosbag import Bag1Container, SqliteContainer
+    if head.startswith(b"SQLite format 3\0"):
+        from split_cli.logs.readers.rosbag2 import SqliteContainer
 
-        container = SqliteContainer(path) if head.startswith(b"SQLite") else Bag1Container(path)
-        return _messages(path, container, message_paths)
+        return _messages(path, SqliteContainer(path), message_paths)
+    if head.startswith(b"#ROSBAG V2.0\n"):
+        from split_cli.logs.readers.bag1 import Bag1Container
+
+        return _messages(path, Bag1Container(path), message_paths)
     if head.startswith((b"MDF     ", b"UnFinMF ")):
         from split_cli.logs.readers.mf4 import open_mf4
 
@@ -122,7 +125,7 @@ def _is_hdf5(head: bytes) -> bool:
 
 
 def _open_folder(path: Path, message_paths: Sequence[str | Path]) -> Recording:
-    from split_cli.logs.readers.rosbag import open_rosbag2_folder
+    from split_cli.logs.readers.rosbag2 import open_rosbag2_folder
 
     return _messages(path, open_rosbag2_folder(path), message_paths)
 

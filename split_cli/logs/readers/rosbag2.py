@@ -1,10 +1,9 @@
-"""Bags of ROS: rosbag2 folders (SQLite or MCAP, split or not), bare ``.db3`` files, ROS 1 ``.bag`` files."""
+"""Recordings of rosbag2: folders (SQLite or MCAP, split or not) and bare ``.db3`` files."""
 
 from __future__ import annotations
 
 import re
 import sqlite3
-import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -21,7 +20,7 @@ from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.mcap import McapContainer
 from split_cli.logs.readers.messages import Batch, Container, Stream
 
-__all__ = ["Bag1Container", "ConcatenatedContainer", "SqliteContainer", "open_rosbag2_folder"]
+__all__ = ["ConcatenatedContainer", "SqliteContainer", "open_rosbag2_folder"]
 
 _ROWS_AT_ONCE = 2048
 _STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
@@ -115,83 +114,6 @@ class SqliteContainer:
         if odd:
             note_once(self.notes, ReadNote("rows that hold no message, left out", self.path.name, odd))
         yield from (replace(batch, key=key) for key, batch in found.items())
-
-
-class Bag1Container:
-    """A ROS 1 bag (version 2.0); see `Container`. It knows log times only.
-
-    Raises
-    ------
-    LogError
-        If it was not closed, is damaged, or holds no message.
-    """
-
-    has_publish_times = False
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.notes: list[ReadNote] = []
-        with self._opened() as reader:
-            self.streams = [
-                Stream(
-                    connection.id, connection.topic, connection.msgtype, "ros1", "ros1msg",
-                    connection.msgdef.data.encode(), connection.msgcount,
-                )
-                for connection in reader.connections
-                if connection.msgcount
-            ]  # fmt: skip
-            self.origin = reader.start_time
-        if not self.streams:
-            raise LogError("holds no message", where=path.name, advice="Record it again.")
-
-    def batches(self, keys: frozenset[int]) -> Iterator[Batch]:
-        """Yield the messages of the streams `keys`; see `Container.batches`."""
-        with self._opened() as reader:
-            chosen = [connection for connection in reader.connections if connection.id in keys]
-            found = {key: Batch(key, [], [], []) for key in keys}
-            waiting = 0
-            try:
-                for connection, time, payload in reader.messages(chosen):
-                    batch = found[connection.id]
-                    batch.log_times.append(time)
-                    batch.publish_times.append(time)
-                    batch.payloads.append(bytes(payload))
-                    waiting += 1
-                    if waiting == _ROWS_AT_ONCE:
-                        yield from (batch for batch in found.values() if batch.payloads)
-                        found, waiting = {key: Batch(key, [], [], []) for key in keys}, 0
-            except _bag1_errors() as error:
-                note_once(
-                    self.notes, ReadNote(f"damaged ({_reason(error)}): read up to there", self.path.name)
-                )
-            yield from (batch for batch in found.values() if batch.payloads)
-
-    def _opened(self) -> Any:
-        from rosbags.rosbag1 import Reader
-
-        reader = Reader(self.path)
-        try:
-            reader.open()
-        except _bag1_errors() as error:
-            raise LogError(
-                f"is cut off or damaged ({_reason(error)})",
-                where=self.path.name,
-                advice="Repair it with `rosbag reindex`, which recovers what was written.",
-            ) from error
-        return _Closing(reader)
-
-
-class _Closing:
-    """Closes an opened reader, whose own context manager would open it a second time."""
-
-    def __init__(self, reader: Any) -> None:
-        self._reader = reader
-
-    def __enter__(self) -> Any:
-        return self._reader
-
-    def __exit__(self, *_: object) -> None:
-        self._reader.close()
 
 
 class ConcatenatedContainer:
@@ -296,17 +218,3 @@ def _unpacked(file: Path, folder: Path) -> Path:
     except zstandard.ZstdError as error:
         raise LogError(f"cannot be decompressed ({error})", where=file.name) from error
     return target
-
-
-def _bag1_errors() -> tuple[type[Exception], ...]:
-    from rosbags.rosbag1 import ReaderError
-
-    # Beside its own errors the reader lets through what its unpacking of damaged records meets.
-    return (
-        ReaderError, AssertionError, struct.error, ValueError, KeyError, IndexError, EOFError, RuntimeError,
-        OverflowError, MemoryError, OSError,
-    )  # fmt: skip
-
-
-def _reason(error: Exception) -> str:
-    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
