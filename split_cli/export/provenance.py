@@ -1,0 +1,82 @@
+"""What every export carries: where it comes from, what its numbers mean, and how it was verified."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from split_cli import __version__
+from split_cli.learning.training_set import TrainingSet
+from split_cli.vehicle.parameters import vehicle_to_mapping
+
+__all__ = ["CONVENTIONS", "Provenance", "content_digest", "provenance_of"]
+
+CONVENTIONS = {
+    "frame": "ISO 8855 at the centre of gravity: x forward, y left, z up, yaw counter-clockwise positive",
+    "units": "SI, radians",
+    "slip_angles": "alpha_f = delta - atan((v_y + l_f r)/v_x), alpha_r = -atan((v_y - l_r r)/v_x)",
+    "torque": "T is the total torque at the wheels, driving positive [N m]; torque_ratio = T/max_torque",
+    "state": "x = [X, Y, yaw, v_x, v_y, r, T, delta], input u = [dT/dt, ddelta/dt]",
+    "outputs": "g(z) = residual of [v_x' m/s^2, v_y' m/s^2, r' rad/s^2]; latent variance, without label noise",
+    "prediction": "x(t + h) = f_h(x, u) + h B Phi g(z), Phi = (1/h) int_0^h exp(A s) ds, A the nominal velocity "
+    "Jacobian, B selecting v_x, v_y, r",
+    "not_a_number": "a query that is not a number gives not-a-number; an infinite one gives the prior",
+}
+"""Meaning of every number in an export, the same for all targets."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where an export comes from.
+
+    Attributes
+    ----------
+    set_name, set_sha256 : str
+        File name, without folder, and SHA-256 of the trained set.
+    vehicle : mapping
+        As a vehicle file holds it.
+    vehicle_digest : str
+        SHA-256 of the vehicle's values.
+    features : tuple of str
+    horizon : float
+        Label interval h [s].
+    predictor : str
+    version : str
+        Of split.
+    """
+
+    set_name: str
+    set_sha256: str
+    vehicle: dict[str, Any]
+    vehicle_digest: str
+    features: tuple[str, ...]
+    horizon: float
+    predictor: str
+    version: str = __version__
+
+
+def provenance_of(training_set: TrainingSet, predictor: str, set_name: str = "", set_sha256: str = "") -> Provenance:
+    """Return the provenance of a set; without a file, its SHA-256 is that of its content."""
+    return Provenance(
+        set_name=set_name,
+        set_sha256=set_sha256 or content_digest(training_set),
+        vehicle=vehicle_to_mapping(training_set.vehicle),
+        vehicle_digest=training_set.vehicle.digest(),
+        features=training_set.features.names,
+        horizon=float(training_set.horizon),
+        predictor=predictor,
+    )
+
+
+def content_digest(training_set: TrainingSet) -> str:
+    """Return the SHA-256 of what predictions depend on: points, labels, cells, kernel, vehicle, features."""
+    digest = hashlib.sha256(training_set.vehicle.digest().encode())
+    digest.update("\0".join(training_set.features.names).encode())
+    kernel = training_set.kernel
+    arrays = (training_set.cell_numbers, training_set.offsets, training_set.z, training_set.y)
+    for array in (*arrays, kernel.length_scales, kernel.signal_variance, kernel.noise_variance):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,174 @@
+"""What an exported committee evaluates: points, eigenvectors and weights of every cell, far cells bounded."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.errors import ExportError
+from split_cli.learning.kernel import correlation
+from split_cli.learning.training_set import TrainingSet
+
+__all__ = ["SKIP_TOLERANCE", "BcmTables", "build_tables"]
+
+SKIP_TOLERANCE = {"double": 1e-13, "float": 1e-6}
+"""Bound on what skipping far cells may change, in signal deviations (mean) and signal variances."""
+
+
+@dataclass(frozen=True)
+class BcmTables:
+    """Constants of the Bayesian committee machine, cells in ascending number, points in slot order.
+
+    Attributes
+    ----------
+    real : {"double", "float"}
+        Precision the tables are rounded to (they are stored as float64 all the same).
+    length_scales : ndarray, shape (D,)
+    signal_variance : ndarray, shape (3,)
+        S0.
+    noise_ratio : ndarray, shape (3,)
+        rho = s^2/S0.
+    offsets : ndarray of int64, shape (C + 1,)
+        Points of cell c are rows ``offsets[c]:offsets[c + 1]``.
+    reference : ndarray, shape (C, D)
+        A place in the cell, in feature units; exactly representable in `real`.
+    points : ndarray, shape (P, D)
+        Points relative to their cell's reference, divided by the length scales.
+    eigenvectors : ndarray, shape (sum of n^2,)
+        V of each cell's correlation matrix, row-major, column j an eigenvector.
+    gains : ndarray, shape (P, 3)
+        1/(lambda_j + rho), row j the eigenvector j of the point's cell.
+    weights : ndarray, shape (P, 3)
+        (V^T y)_j/(lambda_j + rho).
+    reach : ndarray, shape (C,)
+        Squared scaled distance from the reference beyond which a cell is skipped.
+    skip_tolerance : float
+
+    Notes
+    -----
+    With c(z) the correlations between query and points of a cell, t = V^T c, x = sum t_j^2 gain_j and
+    m = sum t_j weight_j: q/S0 = x and the expert's mean is m, hence precision P = 1 + sum x/(1 - x) in units of
+    1/S0, mean = (sum m/(1 - x))/P and variance = S0/P. It is the paper's BCM, eq. of the aggregated mean and
+    covariance, in the form that does not cancel. One set of eigenvectors serves all outputs since they share
+    length scales, at less than a half of three inverses' work; and rounding of t is amplified by
+    1/sqrt(rho) only, where an inverse amplifies it by 1/rho, which is what makes single precision usable.
+
+    A cell whose points are all at least `d` scaled lengths away has x <= n exp(-d^2)/(lambda_min + rho) = X and
+    |m| <= sqrt(S0 x h), h = y^T (K + s^2 I)^-1 y. Leaving it out moves the variance by at most S0 X/(1 - X) and
+    the mean by at most sqrt(S0) (sqrt(X h) + H X)/(1 - X), H the sum of sqrt(h) over all cells, since
+    |mean| <= sqrt(S0) H. `reach` makes the sum over all cells stay below `skip_tolerance`.
+    """
+
+    real: str
+    length_scales: np.ndarray
+    signal_variance: np.ndarray
+    noise_ratio: np.ndarray
+    offsets: np.ndarray
+    reference: np.ndarray
+    points: np.ndarray
+    eigenvectors: np.ndarray
+    gains: np.ndarray
+    weights: np.ndarray
+    reach: np.ndarray
+    skip_tolerance: float
+
+    @property
+    def cell_count(self) -> int:
+        """C."""
+        return len(self.reference)
+
+    @property
+    def feature_count(self) -> int:
+        """D."""
+        return len(self.length_scales)
+
+    @property
+    def largest_cell(self) -> int:
+        """Most points a cell has."""
+        return int(np.diff(self.offsets).max())
+
+    @property
+    def square_offsets(self) -> np.ndarray:
+        """Start of each cell's matrix in `eigenvectors`, int64 shape (C + 1,)."""
+        return np.concatenate([[0], np.cumsum(np.diff(self.offsets) ** 2)]).astype(np.int64)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of every number in the tables."""
+        digest = hashlib.sha256(self.real.encode())
+        for name in ("length_scales", "signal_variance", "noise_ratio", "offsets", "reference", "points"):
+            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        for name in ("eigenvectors", "gains", "weights", "reach"):
+            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        return digest.hexdigest()
+
+
+def build_tables(training_set: TrainingSet, real: str = "double") -> BcmTables:
+    """Solve every cell once and return the tables.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    real : {"double", "float"}
+
+    Raises
+    ------
+    ExportError
+        If the set is empty or holds non-finite numbers.
+    """
+    if training_set.size == 0:
+        raise ExportError("the trained set is empty, there is nothing to export", advice="Train it on a drive first.")
+    for name in ("z", "y"):
+        if not np.isfinite(getattr(training_set, name)).all():
+            raise ExportError(f"the trained set holds non-finite {name}", advice="Run `split verify` on it.")
+    precision = np.float32 if real == "float" else np.float64
+    kernel, offsets = training_set.kernel, np.asarray(training_set.offsets, dtype=np.int64)
+    z, y = np.asarray(training_set.z, dtype=float), np.asarray(training_set.y, dtype=float)
+    ratio = kernel.noise_variance / kernel.signal_variance
+    cells = len(offsets) - 1
+    reference = np.empty((cells, z.shape[1]))
+    points, gains, weights = np.empty_like(z), np.empty((len(z), 3)), np.empty((len(z), 3))
+    radius, smallest, energy = np.empty(cells), np.empty((cells, 3)), np.empty((cells, 3))
+    eigenvectors = []
+    for cell in range(cells):
+        rows = slice(offsets[cell], offsets[cell + 1])
+        middle = 0.5 * (z[rows].min(axis=0) + z[rows].max(axis=0))
+        reference[cell] = middle.astype(precision)
+        points[rows] = (z[rows] - reference[cell]) / kernel.length_scales
+        radius[cell] = np.sqrt(np.square(points[rows]).sum(axis=1).max())
+        values, vectors = np.linalg.eigh(correlation(z[rows], z[rows], kernel.length_scales))
+        # Rounding can make the eigenvalue of nearly coinciding points slightly negative; the true one is not.
+        damped = np.maximum(values, 0.0)[:, None] + ratio
+        turned = vectors.T @ y[rows]
+        gains[rows], weights[rows] = 1.0 / damped, turned / damped
+        smallest[cell] = damped.min(axis=0)
+        energy[cell] = (turned**2 / damped).sum(axis=0) / kernel.signal_variance
+        eigenvectors.append(vectors.ravel())
+    tolerance = SKIP_TOLERANCE[real]
+    reach = _reach(radius, np.diff(offsets), smallest, energy, tolerance)
+    rounded = {
+        "length_scales": kernel.length_scales,
+        "signal_variance": kernel.signal_variance,
+        "noise_ratio": ratio,
+        "reference": reference,
+        "points": points,
+        "eigenvectors": np.concatenate(eigenvectors),
+        "gains": gains,
+        "weights": weights,
+    }
+    rounded = {name: values.astype(precision).astype(float) for name, values in rounded.items()}
+    # Rounded up, so that the bound survives the rounding.
+    reach = np.nextafter(reach.astype(precision), precision(np.inf)).astype(float)
+    return BcmTables(real=real, offsets=offsets, reach=reach, skip_tolerance=tolerance, **rounded)
+
+
+def _reach(
+    radius: np.ndarray, count: np.ndarray, smallest: np.ndarray, energy: np.ndarray, tolerance: float
+) -> np.ndarray:
+    """Return the squared distance at which each cell's bound (see `BcmTables`) is its share of `tolerance`."""
+    share = tolerance / (4.0 * len(radius))
+    total = np.sqrt(energy).sum(axis=0)
+    largest = np.minimum(np.minimum(share**2 / np.maximum(energy, 1e-300), share / (1.0 + total)), 0.5)
+    farthest = -np.log((largest * smallest / count[:, None]).min(axis=1))
+    return (radius + np.sqrt(np.maximum(farthest, 0.0))) ** 2
