@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["exact_step", "integrate_recorded", "phi_matrix", "substep_count"]
+__all__ = [
+    "RecordedInputs",
+    "exact_step",
+    "integrate_recorded",
+    "phi_matrix",
+    "recorded_inputs",
+    "substep_count",
+]
 
 _TAYLOR_TERMS = 13
 
@@ -44,6 +52,7 @@ def integrate_recorded(
     time: Any = 0.0,
     track_position: Any = 0.0,
     yaw: Any = 0.0,
+    term_states: np.ndarray | None = None,
 ) -> np.ndarray:
     """Integrate the model over recorded inputs with classical RK4, many windows at once.
 
@@ -61,6 +70,9 @@ def integrate_recorded(
         RK4 steps a sample.
     time, track_position, yaw : array of shape (N,) or float
         At the window's start, for terms of time, place and wind. Place advances with v_x; yaw with r.
+    term_states : ndarray, shape (N, S), optional
+        The terms' states at the window's start, in the order of ``model.state_names``, for example from
+        `recorded_inputs`; steady when left out.
 
     Returns
     -------
@@ -73,6 +85,15 @@ def integrate_recorded(
         rows = [track_position + 0.0 * rows[0], yaw + 0.0 * rows[0], *rows]
     else:
         rows = [track_position + 0.0 * rows[3], rows[2], *rows[3:], rows[0], rows[1]]
+    count = len(rows)
+    if getattr(model, "state_names", ()):
+        if term_states is None:
+            position, psi, vx, vy, r = rows[:5]
+            steady = model.flow(vx, vy, r, torque[:, 0], steer_angle[:, 0], yaw=psi, t=time, s=position).values
+            term_states = np.stack([steady[name] + 0.0 * vx for name in model.state_names], axis=1)
+        rows += [np.ascontiguousarray(column) for column in term_states.T]
+        fastest = max(term.fastest_rate(float(np.max(rows[2], initial=0.0))) for term in model.terms)
+        substeps = max(substeps, int(np.ceil(fastest * period)))
     step = period / substeps
     total = torque.shape[1] - 1
     for sample in range(total):
@@ -90,22 +111,80 @@ def integrate_recorded(
                 step,
                 time + (sample + begin) * period,
             )
-    _, psi, vx, vy, r, *position = rows
+    _, psi, vx, vy, r, *position = rows[:count]
     columns = [*position, psi, vx, vy, r] if with_pose else [vx, vy, r]
     return np.stack(columns, axis=1)
 
 
+@dataclass(frozen=True)
+class RecordedInputs:
+    """What a model with memory needs to start a window anywhere in a recording.
+
+    Attributes
+    ----------
+    torque, steer_angle : ndarray, shape (N,)
+        Recorded T [N m] and delta [rad], late by the delays among the terms.
+    term_states : ndarray, shape (N, S)
+        The terms' states at every sample, in the order of ``model.state_names``, from steady at each segment.
+    """
+
+    torque: np.ndarray
+    steer_angle: np.ndarray
+    term_states: np.ndarray
+
+
+def recorded_inputs(
+    model: SingleTrack,
+    velocity: np.ndarray,
+    torque: np.ndarray,
+    steer_angle: np.ndarray,
+    recording: Any,
+    *,
+    time: Any = 0.0,
+    track_position: Any = 0.0,
+    yaw: Any = 0.0,
+) -> RecordedInputs:
+    """Follow delays and the terms' states along a whole recording.
+
+    Parameters
+    ----------
+    model : SingleTrack
+    velocity : ndarray, shape (N, 3)
+        Recorded (v_x, v_y, r).
+    torque, steer_angle : ndarray, shape (N,)
+        As recorded: commands, where a term says what becomes of them.
+    recording : split_cli.vehicle.effects.recording.Recording
+        Its clock and segments.
+    time, track_position, yaw : array of shape (N,) or float
+    """
+    flow = model.flow(*velocity.T, torque, steer_angle, t=time, s=track_position, yaw=yaw, recording=recording)
+    columns = [flow.values[name] + np.zeros(len(velocity)) for name in model.state_names]
+    states = np.stack(columns, axis=1) if columns else np.empty((len(velocity), 0))
+    late = {"T": torque, "delta": steer_angle}
+    for term in model.terms:
+        for channel, delay in getattr(term, "input_delays", {}).items():
+            late[channel] = term.delayed(flow, late[channel], delay)
+    return RecordedInputs(late["T"], late["delta"], states)
+
+
 def _rk4(model: SingleTrack, rows: list, inputs: Any, step: float, time: Any) -> list:
-    """Advance [s, yaw, v_x, v_y, r(, X, Y)] by one classical RK4 step."""
+    """Advance [s, yaw, v_x, v_y, r(, X, Y)(, term states)] by one classical RK4 step."""
+    names = getattr(model, "state_names", ())
+    plain = len(rows) - len(names)
 
     def derivative(now: list, share: float) -> list:
         s, psi, vx, vy, r = now[:5]
         T, delta = inputs(share)
-        rates = model.velocity_derivative(vx, vy, r, T, delta, yaw=psi, t=time + share * step, s=s)
-        out = [vx, r, *rates]
-        if len(now) == 7:
+        situation = {"yaw": psi, "t": time + share * step, "s": s}
+        if names:
+            states = dict(zip(names, now[plain:], strict=True))
+            flow = model.flow(vx, vy, r, T, delta, states=states, **situation)
+            out, memory = [vx, r, *model.balance(flow)], [flow.rates[name] for name in names]
+        else:
+            out, memory = [vx, r, *model.velocity_derivative(vx, vy, r, T, delta, **situation)], []
+        if plain == 7:
             out += [vx * np.cos(psi) - vy * np.sin(psi), vx * np.sin(psi) + vy * np.cos(psi)]
-        return out
+        return out + memory
 
     k1 = derivative(rows, 0.0)
     k2 = derivative([x + 0.5 * step * k for x, k in zip(rows, k1, strict=True)], 0.5)

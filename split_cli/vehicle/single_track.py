@@ -6,8 +6,8 @@ forces, tire (B, C, D of an axle), lateral forces, lateral (what becomes of them
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -49,6 +49,13 @@ class Flow:
     front, rear : AxleFlow
     force_x, force_y, moment : array or symbol
         External forces [N] and moment [N m] at the CG.
+    states : mapping of str to array, or None
+        Values of the terms' states; None means steady, each state at what it would settle at.
+    recording : Recording or None
+        Given when the arrays are a whole recording: then states and delays are solved along it, from steady at
+        each segment's start.
+    rates, values : dict
+        What the terms' states change by, each per second, and what they are; filled by the terms.
     """
 
     ops: Operations
@@ -70,10 +77,17 @@ class Flow:
     force_x: Any = 0.0
     force_y: Any = 0.0
     moment: Any = 0.0
+    states: Mapping[str, Any] | None = None
+    recording: Any = None
+    rates: dict[str, Any] = field(default_factory=dict)
+    values: dict[str, Any] = field(default_factory=dict)
 
 
 class Stage(Protocol):
     """A named term: it overrides the stages at which its physics acts; each alters the flow in place."""
+
+    order: int
+    state_names: tuple[str, ...]
 
     def actuate(self, flow: Flow) -> None: ...
     def body(self, flow: Flow) -> None: ...
@@ -111,7 +125,11 @@ class SingleTrack:
             from split_cli.vehicle.effects import build_terms
 
             terms = build_terms(vehicle)
-        self.terms: tuple[Stage, ...] = tuple(terms or ())
+        # Sorting is stable: terms of one order act as listed.
+        self.terms: tuple[Stage, ...] = tuple(sorted(terms or (), key=lambda term: getattr(term, "order", 5)))
+        self.state_names: tuple[str, ...] = tuple(
+            name for term in self.terms for name in getattr(term, "state_names", ())
+        )
 
     def flow(
         self,
@@ -125,10 +143,13 @@ class SingleTrack:
         t: Any = 0.0,
         s: Any = 0.0,
         ops: Operations = NUMPY,
+        states: Mapping[str, Any] | None = None,
+        recording: Any = None,
     ) -> Flow:
         """Evaluate every stage and return the flow with all forces, before the balance.
 
-        Parameters are arrays of one shape, in the units of `Flow`.
+        Parameters are arrays of one shape, in the units of `Flow`. With `recording` they are a whole recording,
+        shape (N,), and states and delays are solved along it.
         """
         car = self.vehicle
         flow = Flow(
@@ -148,6 +169,8 @@ class SingleTrack:
             l_r=car.cg_to_rear_axle,
             front=AxleFlow(car.front_tire.B, car.front_tire.C, car.front_tire.D),
             rear=AxleFlow(car.rear_tire.B, car.rear_tire.C, car.rear_tire.D),
+            states=states,
+            recording=recording,
         )
         for term in self.terms:
             term.actuate(flow)
@@ -184,18 +207,22 @@ class SingleTrack:
         vx, vy, r, T, delta : array
             Any one shape.
         **situation
-            ``yaw``, ``t``, ``s``, ``ops`` as for `flow`.
+            ``yaw``, ``t``, ``s``, ``ops``, ``states``, ``recording`` as for `flow`.
 
         Notes
         -----
         SPLIT paper, the nominal model; terms act between its stages.
         """
-        f = self.flow(vx, vy, r, T, delta, **situation)
+        return self.balance(self.flow(vx, vy, r, T, delta, **situation))
+
+    @staticmethod
+    def balance(f: Flow) -> tuple:
+        """Return (v_x', v_y', r') of an evaluated flow."""
         sine, cosine = f.ops.sin(f.delta), f.ops.cos(f.delta)
         front_x = f.front.longitudinal_force * cosine - f.front.lateral_force * sine
         front_y = f.front.lateral_force * cosine + f.front.longitudinal_force * sine
-        dvx = (f.rear.longitudinal_force + front_x + f.force_x) / f.mass + vy * r
-        dvy = (f.rear.lateral_force + front_y + f.force_y) / f.mass - vx * r
+        dvx = (f.rear.longitudinal_force + front_x + f.force_x) / f.mass + f.vy * f.r
+        dvy = (f.rear.lateral_force + front_y + f.force_y) / f.mass - f.vx * f.r
         dr = (front_y * f.l_f - f.rear.lateral_force * f.l_r + f.moment) / f.yaw_inertia
         return dvx, dvy, dr
 

@@ -6,13 +6,18 @@ May import: vehicle (single_track, tire, operations, parameters), errors.
 from __future__ import annotations
 
 from split_cli.errors import VehicleError, nearest_names
-from split_cli.vehicle.effects.forces import AeroDrag, RollingResistance, YawMomentDifferential
-from split_cli.vehicle.effects.term import Term
+from split_cli.vehicle.effects import actuators, body, forces, road, sensors, tires
+from split_cli.vehicle.effects.recording import Recording
+from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["CATALOGUE", "Term", "build_terms"]
+__all__ = ["CATALOGUE", "Mimic", "Recording", "Term", "build_terms"]
 
-CATALOGUE: dict[str, type[Term]] = {term.id: term for term in (AeroDrag, RollingResistance, YawMomentDifferential)}
+CATALOGUE: dict[str, type[Term]] = {
+    kind.id: kind
+    for family in (tires, forces, road, actuators, body, sensors)
+    for kind in (getattr(family, name) for name in family.__all__)
+}
 
 
 def build_terms(vehicle: Vehicle) -> tuple[Term, ...]:
@@ -31,22 +36,23 @@ def build_terms(vehicle: Vehicle) -> tuple[Term, ...]:
                 f"unknown term {effect.term!r}", where=where, advice=nearest_names(effect.term, CATALOGUE)
             )
         kind = CATALOGUE[effect.term]
-        unknown = set(effect.parameters) - set(kind.units)
-        missing = set(kind.units) - set(effect.parameters)
-        if unknown:
-            name = sorted(unknown)[0]
-            raise VehicleError(
-                f"{effect.term} has no parameter {name!r}",
-                where=where,
-                advice=nearest_names(name, kind.units),
-            )
-        if missing:
-            raise VehicleError(f"{effect.term} lacks {', '.join(sorted(missing))}", where=where)
         if effect.variant not in kind.variants:
             raise VehicleError(
                 f"{effect.term} has no variant {effect.variant!r}",
                 where=where,
                 advice=nearest_names(effect.variant, kind.variants),
             )
+        units = kind.parameter_units(effect.variant)
+        unknown = set(effect.parameters) - set(units)
+        missing = set(units) - set(effect.parameters)
+        if unknown:
+            name = sorted(unknown)[0]
+            raise VehicleError(
+                f"{effect.term} has no parameter {name!r}",
+                where=where,
+                advice=nearest_names(name, units),
+            )
+        if missing:
+            raise VehicleError(f"{effect.term} lacks {', '.join(sorted(missing))}", where=where)
         terms.append(kind(dict(effect.parameters), effect.variant))
     return tuple(terms)

@@ -1,26 +1,73 @@
-"""The base of every named term: which stages exist, and that by default nothing happens at them."""
+"""The base of every named term: its stages, its states, what it does to a recording, and what mimics it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
+import numpy as np
+
+from split_cli.vehicle.effects.recording import (
+    Recording,
+    first_order_response,
+    play_response,
+    shifted,
+)
 from split_cli.vehicle.single_track import Flow
 
-__all__ = ["Term"]
+__all__ = ["Mimic", "Term"]
+
+# Backlash as a differential equation closes onto the edge of its play this fast; the exact operator is the limit.
+_PLAY_RATE = 200.0
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """Another explanation that looks alike.
+
+    Attributes
+    ----------
+    terms : str
+        Ids; a combination is written ``a+b``.
+    when : str
+        In which recordings the two cannot, or can hardly, be told apart.
+    separated_by : str
+        The excitation or the channel that tells them apart; empty when nothing in a drive can.
+    exact : bool
+        Whether the same right-hand side can be reached with the other's parameters.
+    """
+
+    terms: str
+    when: str
+    separated_by: str = ""
+    exact: bool = False
 
 
 class Term:
     """A small physical model added to the nominal single track.
 
+    A term overrides the stages at which its physics acts. Its right-hand side is stated once: states and delays
+    go through `first_order`, `play` and `delayed`, which know whether a continuous model, a symbolic export or a
+    whole recording is being evaluated.
+
     Attributes
     ----------
     id : str
         Name in the catalogue.
-    units : mapping of str to str
-        Parameter names and their units.
     variants : tuple of str
         Alternatives where physics allows several; the first, usually empty, is the default.
+    parameter_units : mapping of str to mapping of str to str
+        For a variant, parameter names and units; variants that are not named share those of the default.
+    order : int
+        Place within a stage: lower acts first (steering: delay, gain, backlash, lag, offset).
+    states : tuple of str
+        States the term appends to the model.
+    mimics : tuple of Mimic
+    neutral : mapping of str to float
+        Values at which the term vanishes; parameters it does not name are free at that point.
+    exported : bool
+        Whether the term is part of the car (sensor terms are not).
 
     Parameters
     ----------
@@ -32,10 +79,30 @@ class Term:
     id: ClassVar[str]
     units: ClassVar[Mapping[str, str]]
     variants: ClassVar[tuple[str, ...]] = ("",)
+    variant_units: ClassVar[Mapping[str, Mapping[str, str]]] = {}
+    order: ClassVar[int] = 5
+    states: ClassVar[tuple[str, ...]] = ()
+    mimics: ClassVar[tuple[Mimic, ...]] = ()
+    neutral: ClassVar[Mapping[str, float]] = {}
+    exported: ClassVar[bool] = True
 
     def __init__(self, parameters: Mapping[str, float], variant: str = "") -> None:
         self.parameters = dict(parameters)
         self.variant = variant
+
+    @classmethod
+    def parameter_units(cls, variant: str = "") -> Mapping[str, str]:
+        """Return the parameters of a variant and their units."""
+        return cls.variant_units.get(variant, cls.units)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states in the model's list, ``id.state``."""
+        return tuple(f"{self.id}.{name}" for name in self.states)
+
+    def fastest_rate(self, speed: float) -> float:
+        """Return the largest |eigenvalue| the term's own states add [1/s], for the choice of substeps."""
+        return 0.0
 
     def actuate(self, flow: Flow) -> None:
         """Change T and delta from command to what arrives."""
@@ -51,3 +118,57 @@ class Term:
 
     def external(self, flow: Flow) -> None:
         """Add forces and a moment at the CG."""
+
+    def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
+        """Return the channels of a recording as a right sensor would have given them; unchanged by default."""
+        return dict(columns)
+
+    def corrupt(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
+        """Return true channels as this term's sensor records them: the inverse of `correct`."""
+        return dict(columns)
+
+    def first_order(self, flow: Flow, name: str, target: Any, rate: Any) -> Any:
+        """Return the state `name` that follows `target`: y' = rate (target - y), from steady.
+
+        Parameters
+        ----------
+        flow : Flow
+        name : str
+            One of `states`.
+        target : array or symbol
+            What the state settles at.
+        rate : array or symbol
+            [1/s].
+        """
+        key = f"{self.id}.{name}"
+        if flow.recording is not None:
+            value = first_order_response(target, rate, flow.recording)
+        elif flow.states is None:
+            value = target
+        else:
+            value = flow.states[key]
+            flow.rates[key] = rate * (target - value)
+        flow.values[key] = value
+        return value
+
+    def play(self, flow: Flow, name: str, source: Any, width: Any) -> Any:
+        """Return the state `name` that `source` drags along with a total play of `width`."""
+        key = f"{self.id}.{name}"
+        if flow.recording is not None:
+            value = play_response(source, width, flow.recording)
+        elif flow.states is None:
+            value = source
+        else:
+            value = flow.states[key]
+            pulled = flow.ops.minimum(flow.ops.maximum(value, source - 0.5 * width), source + 0.5 * width)
+            flow.rates[key] = _PLAY_RATE * (pulled - value)
+        flow.values[key] = value
+        return value
+
+    def delayed(self, flow: Flow, source: Any, delay: float) -> Any:
+        """Return `source` as it was `delay` [s] before: an exact shift along a recording.
+
+        Outside a recording the model has no past: the caller passes inputs that are already late
+        (`recorded_inputs`).
+        """
+        return source if flow.recording is None else shifted(source, delay, flow.recording)

@@ -1,0 +1,184 @@
+"""Terms between command and car: what becomes of torque and steer angle on their way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from split_cli.vehicle.effects.term import Mimic, Term
+from split_cli.vehicle.single_track import Flow
+
+__all__ = [
+    "DriveDelay",
+    "DriveGain",
+    "DriveLag",
+    "SteerBacklash",
+    "SteerDelay",
+    "SteerGain",
+    "SteerLag",
+    "SteerOffset",
+]
+
+
+class DriveDelay(Term):
+    """Torque that arrives `delay` late: T(t - delay). Only a command can show it."""
+
+    id = "drive_delay"
+    units: ClassVar = {"delay": "s"}
+    neutral: ClassVar = {"delay": 0.0}
+    order = 0
+    mimics: ClassVar = (Mimic("drive_lag", "torque that changes slowly", "a torque step"),)
+
+    @property
+    def input_delays(self) -> Mapping[str, float]:
+        """Delay [s] by channel."""
+        return {"T": self.parameters["delay"]}
+
+    def actuate(self, flow: Flow) -> None:
+        """Take the torque of before."""
+        flow.T = self.delayed(flow, flow.T, self.parameters["delay"])
+
+
+class DriveGain(Term):
+    """Torque that arrives scaled: drive_gain T where T > 0, brake_gain T where T < 0."""
+
+    id = "drive_gain"
+    units: ClassVar = {"drive_gain": "1", "brake_gain": "1"}
+    neutral: ClassVar = {"drive_gain": 1.0, "brake_gain": 1.0}
+    order = 1
+    mimics: ClassVar = (
+        Mimic("mass+friction_scale+yaw_inertia", "only F/m is seen", exact=True),
+        Mimic("rolling_resistance", "torque of one size", "driving at several torques"),
+    )
+
+    def actuate(self, flow: Flow) -> None:
+        """Scale the torque by its sign."""
+        p = self.parameters
+        flow.T = flow.T * flow.ops.where(flow.T > 0.0, p["drive_gain"], p["brake_gain"])
+
+
+class DriveLag(Term):
+    """Torque that builds up: tau T' = T_command - T, steady at each start."""
+
+    id = "drive_lag"
+    units: ClassVar = {"tau": "s"}
+    neutral: ClassVar = {"tau": 0.0}
+    order = 3
+    states = ("torque",)
+    mimics: ClassVar = (Mimic("drive_delay", "torque that changes slowly", "a torque step"),)
+
+    def fastest_rate(self, speed: float) -> float:
+        """1/tau."""
+        return 1.0 / _positive(self.parameters["tau"])
+
+    def actuate(self, flow: Flow) -> None:
+        """Let the torque follow its command."""
+        flow.T = self.first_order(flow, "torque", flow.T, 1.0 / _positive(self.parameters["tau"]))
+
+
+class SteerDelay(Term):
+    """Steering that answers `delay` late: delta(t - delay)."""
+
+    id = "steer_delay"
+    units: ClassVar = {"delay": "s"}
+    neutral: ClassVar = {"delay": 0.0}
+    order = 0
+    mimics: ClassVar = (
+        Mimic("steer_lag", "steering below about 1 Hz", "a steer step, or fast slalom"),
+        Mimic("sensor_delay", "torque that hardly changes", "a torque step"),
+        Mimic("tire_relaxation", "one speed", "the same manoeuvre at two speeds"),
+    )
+
+    @property
+    def input_delays(self) -> Mapping[str, float]:
+        """Delay [s] by channel."""
+        return {"delta": self.parameters["delay"]}
+
+    def actuate(self, flow: Flow) -> None:
+        """Take the steer angle of before."""
+        flow.delta = self.delayed(flow, flow.delta, self.parameters["delay"])
+
+
+class SteerGain(Term):
+    """A steering ratio off its nominal: gain delta."""
+
+    id = "steer_gain"
+    units: ClassVar = {"gain": "1"}
+    neutral: ClassVar = {"gain": 1.0}
+    order = 1
+    mimics: ClassVar = (
+        Mimic("tire_stiffness", "small steer angles at one speed", "turns at low and at high speed"),
+    )
+
+    def actuate(self, flow: Flow) -> None:
+        """Scale the steer angle."""
+        flow.delta = flow.delta * self.parameters["gain"]
+
+
+class SteerBacklash(Term):
+    """Play between command and wheel, of total `width`: the wheel keeps its angle until it is pushed or pulled.
+
+    As a differential equation the wheel is drawn to the edge of the play at 200 1/s; along a recording the exact
+    play operator is used, centred at each start.
+    """
+
+    id = "steer_backlash"
+    units: ClassVar = {"width": "rad"}
+    neutral: ClassVar = {"width": 0.0}
+    order = 2
+    states = ("angle",)
+    mimics: ClassVar = (
+        Mimic("steer_delay", "steering at one rate", "slow and fast steering, and holding still after a turn"),
+    )
+
+    def fastest_rate(self, speed: float) -> float:
+        """The rate at which the play closes."""
+        return 200.0
+
+    def actuate(self, flow: Flow) -> None:
+        """Drag the wheel along."""
+        flow.delta = self.play(flow, "angle", flow.delta, self.parameters["width"])
+
+
+class SteerLag(Term):
+    """Steering that builds up: tau delta' = delta_command - delta, steady at each start."""
+
+    id = "steer_lag"
+    units: ClassVar = {"tau": "s"}
+    neutral: ClassVar = {"tau": 0.0}
+    order = 3
+    states = ("angle",)
+    mimics: ClassVar = (
+        Mimic("steer_delay", "steering below about 1 Hz", "a steer step, or fast slalom"),
+        Mimic("tire_relaxation", "one speed", "the same manoeuvre at two speeds"),
+    )
+
+    def fastest_rate(self, speed: float) -> float:
+        """1/tau."""
+        return 1.0 / _positive(self.parameters["tau"])
+
+    def actuate(self, flow: Flow) -> None:
+        """Let the steer angle follow its command."""
+        flow.delta = self.first_order(flow, "angle", flow.delta, 1.0 / _positive(self.parameters["tau"]))
+
+
+class SteerOffset(Term):
+    """A steering zero off its place: delta + offset, after all else in the actuator."""
+
+    id = "steer_offset"
+    units: ClassVar = {"offset": "rad"}
+    neutral: ClassVar = {"offset": 0.0}
+    order = 4
+    mimics: ClassVar = (
+        Mimic("road_bank", "little change of speed", "curves to both sides at several speeds"),
+        Mimic("sensor_misalignment", "steady driving", "position and yaw"),
+    )
+
+    def actuate(self, flow: Flow) -> None:
+        """Shift the steer angle."""
+        flow.delta = flow.delta + self.parameters["offset"]
+
+
+def _positive(tau: Any) -> Any:
+    """Return a time constant that can be divided by; 1e-6 s is instantaneous at any sample rate met here."""
+    return max(tau, 1e-6) if isinstance(tau, int | float) else tau

@@ -1,0 +1,125 @@
+"""What states and delays do along a whole recording, solved exactly between its samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+__all__ = ["Recording", "first_order_response", "play_response", "shifted"]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """The clock of a recording that the model is evaluated along.
+
+    Attributes
+    ----------
+    period : float
+        Sample period [s].
+    segments : tuple of (int, int)
+        First row and one past the last, of every run without a gap; memory starts anew, steady, at each.
+    """
+
+    period: float
+    segments: tuple[tuple[int, int], ...]
+
+    @classmethod
+    def single(cls, period: float, length: int) -> Recording:
+        """Return the clock of one run of `length` samples."""
+        return cls(period, ((0, length),))
+
+
+def shifted(source: Any, delay: float, recording: Recording) -> np.ndarray:
+    """Return a recorded series as it was `delay` [s] before; linear between samples, held before the start.
+
+    A negative delay looks ahead and holds the last value.
+    """
+    source = np.asarray(source, dtype=float)
+    out = np.empty_like(source)
+    offset = delay / recording.period
+    for begin, end in recording.segments:
+        rows = np.clip(np.arange(begin, end) - offset, begin, end - 1)
+        left = np.minimum(rows.astype(np.int64), max(end - 2, begin))
+        share = rows - left
+        right = np.minimum(left + 1, end - 1)
+        out[begin:end] = (1.0 - share) * source[left] + share * source[right]
+    return out
+
+
+def first_order_response(target: Any, rate: Any, recording: Recording) -> np.ndarray:
+    """Return y with y' = rate (target - y), y steady at each start, exact for targets linear between samples.
+
+    Parameters
+    ----------
+    target : array, shape (N,)
+    rate : float or array of shape (N,)
+        [1/s], not negative; taken as its mean over a sample.
+
+    Notes
+    -----
+    Over one sample with q = rate period: y+ = e^-q y + (1 - e^-q) u + (1 - (1 - e^-q)/q) (u+ - u).
+    """
+    target = np.ascontiguousarray(target, dtype=float)
+    rate = np.broadcast_to(np.asarray(rate, dtype=float), target.shape)
+    q = np.maximum(0.5 * (rate[1:] + rate[:-1]) * recording.period, 0.0)
+    kept = np.exp(-q)
+    # (1 - e^-q)/q without cancellation at q near 0.
+    mean = np.where(q > 1e-8, -np.expm1(-q) / np.maximum(q, 1e-8), 1.0 - 0.5 * q)
+    drive = (1.0 - kept) * target[:-1] + (1.0 - mean) * np.diff(target)
+    return _recur(target, kept, drive, _starts(recording))
+
+
+def play_response(source: Any, width: float, recording: Recording) -> np.ndarray:
+    """Return what a play of total `width` lets through: y+ = clip(y, u+ - width/2, u+ + width/2).
+
+    It is centred at each start.
+    """
+    source = np.ascontiguousarray(source, dtype=float)
+    return _drag(source, 0.5 * float(width), _starts(recording))
+
+
+def _starts(recording: Recording) -> np.ndarray:
+    return np.array([begin for begin, _ in recording.segments], dtype=np.int64)
+
+
+def _recur(target: np.ndarray, kept: np.ndarray, drive: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    return _kernels()[0](target, kept, drive, starts)
+
+
+def _drag(source: np.ndarray, half: float, starts: np.ndarray) -> np.ndarray:
+    return _kernels()[1](source, half, starts)
+
+
+@lru_cache(maxsize=1)
+def _kernels() -> tuple[Any, Any]:
+    """Compile the two recursions on first use; numba is not worth loading for models without memory."""
+    from numba import njit
+
+    @njit(cache=True)
+    def recur(target, kept, drive, starts):
+        out = np.empty_like(target)
+        upcoming = 0
+        for k in range(len(target)):
+            if upcoming < len(starts) and starts[upcoming] == k:
+                out[k] = target[k]
+                upcoming += 1
+            else:
+                out[k] = kept[k - 1] * out[k - 1] + drive[k - 1]
+        return out
+
+    @njit(cache=True)
+    def drag(source, half, starts):
+        out = np.empty_like(source)
+        upcoming = 0
+        for k in range(len(source)):
+            if upcoming < len(starts) and starts[upcoming] == k:
+                out[k] = source[k]
+                upcoming += 1
+            else:
+                out[k] = min(max(out[k - 1], source[k] - half), source[k] + half)
+        return out
+
+    return recur, drag

@@ -1,0 +1,229 @@
+"""Terms of the tyres: grip of road, place and time, axle loads, combined slip, build-up over distance."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from split_cli.vehicle.effects.place import inside_stretch
+from split_cli.vehicle.effects.term import Mimic, Term
+from split_cli.vehicle.single_track import AxleFlow, Flow
+from split_cli.vehicle.tire import lateral_force
+
+__all__ = [
+    "AeroDownforce",
+    "CombinedSlip",
+    "FrictionPatch",
+    "FrictionScale",
+    "GripFade",
+    "LoadTransfer",
+    "TireRelaxation",
+    "TireStiffness",
+]
+
+# Below this share of its capacity an axle that brakes at its limit keeps lateral force; it keeps roots smooth.
+_LEAST_CAPACITY = 1e-3
+
+
+def _scale_grip(axle: AxleFlow, scale: Any, whole_curve: bool) -> None:
+    """Scale an axle's peak, F = scale D sin(C atan(B alpha/scale)), or its whole curve, scale F."""
+    axle.D = axle.D * scale
+    if not whole_curve:
+        axle.B = axle.B / scale
+
+
+class CombinedSlip(Term):
+    """A tyre that drives or brakes has less grip sideways: F_y sqrt(1 - strength (F_x/D)^2) per axle.
+
+    Strength 1 is the friction ellipse with equal axes. Source: Pacejka (2012), section 3.2; Rajamani (2012),
+    section 13.5. F_x is the nominal longitudinal force of the axle.
+    """
+
+    id = "combined_slip"
+    units: ClassVar = {"strength": "1"}
+    neutral: ClassVar = {"strength": 0.0}
+    order = 3
+    mimics: ClassVar = (
+        Mimic("load_transfer", "braking in turns only", "driving and braking in turns: the two differ in sign"),
+        Mimic("friction_scale", "torque of one size in every turn", "turns without torque"),
+    )
+
+    def lateral(self, flow: Flow) -> None:
+        """Take from the lateral force what the longitudinal uses."""
+        ops, strength = flow.ops, self.parameters["strength"]
+        for axle in (flow.front, flow.rear):
+            used = axle.longitudinal_force / axle.D
+            left = ops.maximum(1.0 - strength * used * used, _LEAST_CAPACITY)
+            axle.lateral_force = axle.lateral_force * ops.sqrt(left)
+
+
+class FrictionScale(Term):
+    """Grip of the whole road. Default: the peak, scale D sin(C atan(B alpha/scale)), which keeps the stiffness.
+
+    Variant ``curve`` scales the whole curve. Source: Pacejka (2012), section 4.3.1, the factor lambda_mu.
+    """
+
+    id = "friction_scale"
+    units: ClassVar = {"scale": "1"}
+    neutral: ClassVar = {"scale": 1.0}
+    variants: ClassVar = ("", "curve")
+    mimics: ClassVar = (
+        Mimic("friction_scale+tire_stiffness", "the curve is the peak with both stiffnesses", exact=True),
+        Mimic("tire_stiffness", "no turn near the limit", "a turn near the limit"),
+        Mimic("grip_fade", "short drives", "gentle and hard turns at the start and at the end"),
+    )
+
+    def tire(self, flow: Flow) -> None:
+        """Scale both axles."""
+        for axle in (flow.front, flow.rear):
+            _scale_grip(axle, self.parameters["scale"], self.variant == "curve")
+
+
+class FrictionPatch(Term):
+    """Grip on one stretch, [s_start, s_end), axle by axle as each gets there; variants as `friction_scale`."""
+
+    id = "friction_patch"
+    units: ClassVar = {"scale": "1", "s_start": "m", "s_end": "m"}
+    neutral: ClassVar = {"scale": 1.0}
+    variants: ClassVar = ("", "curve")
+    mimics: ClassVar = (
+        Mimic("friction_scale", "turns only inside the stretch", "turns elsewhere"),
+        Mimic("grip_fade", "the stretch is passed once", "a second lap"),
+    )
+
+    def tire(self, flow: Flow) -> None:
+        """Scale each axle while it is on the stretch."""
+        p = self.parameters
+        for axle, ahead in ((flow.front, flow.l_f), (flow.rear, -flow.l_r)):
+            inside = inside_stretch(flow.ops, flow.s + ahead, p["s_start"], p["s_end"])
+            _scale_grip(axle, 1.0 + (p["scale"] - 1.0) * inside, self.variant == "curve")
+
+
+class GripFade(Term):
+    """Grip that drifts with time: 1 - final_loss (1 - exp(-t/tau)), t from the drive's first sample.
+
+    A negative loss is grip that grows (tyres that warm up). When t stays short against tau only their ratio
+    is seen. Variants as `friction_scale`.
+    """
+
+    id = "grip_fade"
+    units: ClassVar = {"final_loss": "1", "tau": "s"}
+    neutral: ClassVar = {"final_loss": 0.0}
+    variants: ClassVar = ("", "curve")
+    mimics: ClassVar = (
+        Mimic("friction_scale", "tau short against the drive", "the first seconds, driven hard"),
+        Mimic("friction_patch", "the stretch is passed once, late", "a second lap"),
+    )
+
+    def tire(self, flow: Flow) -> None:
+        """Scale both axles by the grip of the moment."""
+        p = self.parameters
+        scale = 1.0 - p["final_loss"] * (1.0 - flow.ops.exp(-flow.t / p["tau"]))
+        for axle in (flow.front, flow.rear):
+            _scale_grip(axle, scale, self.variant == "curve")
+
+
+class TireRelaxation(Term):
+    """Lateral force builds up over distance: length F' = v_x (F_ss - F) per axle.
+
+    Source: Pacejka (2012), section 5.4. It is a lag in distance: twice the speed, half the time.
+    """
+
+    id = "tire_relaxation"
+    units: ClassVar = {"length": "m"}
+    neutral: ClassVar = {"length": 0.0}
+    order = 9
+    states = ("front", "rear")
+    mimics: ClassVar = (
+        Mimic("steer_lag", "one speed", "the same manoeuvre at two speeds; relaxation also acts at the rear"),
+        Mimic("yaw_inertia", "gentle transients at one speed", "steer steps at two speeds"),
+    )
+
+    def fastest_rate(self, speed: float) -> float:
+        """v_x over the length."""
+        return speed / max(self.parameters["length"], 1e-3)
+
+    def lateral(self, flow: Flow) -> None:
+        """Let each axle's force follow its steady value."""
+        length = self.parameters["length"]
+        rate = flow.vx / (max(length, 1e-3) if isinstance(length, int | float) else length)
+        for name, axle in (("front", flow.front), ("rear", flow.rear)):
+            axle.lateral_force = self.first_order(flow, name, axle.lateral_force, rate)
+
+
+class LoadTransfer(Term):
+    """Accelerating moves load to the rear: dF_z = m a_x h/L, and D follows load.
+
+    `cg_height` is the total h. a_x is the plane's specific force from this same model's forces, with lateral
+    forces as they are before the transfer. Variant ``peak`` keeps the stiffness and moves the peak only.
+    Source: Rajamani (2012), section 4.1.5 (longitudinal tyre load).
+    """
+
+    id = "load_transfer"
+    units: ClassVar = {"cg_height": "m"}
+    neutral: ClassVar = {"cg_height": 0.0}
+    variants: ClassVar = ("", "peak")
+    mimics: ClassVar = (
+        Mimic("combined_slip", "braking in turns only", "driving and braking in turns: the two differ in sign"),
+    )
+
+    def tire(self, flow: Flow) -> None:
+        """Move capacity between the axles."""
+        front, rear, car, ops = flow.front, flow.rear, flow.vehicle, flow.ops
+        side = lateral_force(front.B, front.C, front.D, front.slip_angle, ops)
+        force_x = (
+            rear.longitudinal_force
+            + front.longitudinal_force * ops.cos(flow.delta)
+            - side * ops.sin(flow.delta)
+            - car.drag_coefficient * flow.vx * flow.vx
+        )
+        moved = force_x * self.parameters["cg_height"] / car.wheelbase
+        for axle, change in (
+            (front, -moved / car.static_load_front),
+            (rear, moved / car.static_load_rear),
+        ):
+            _scale_grip(axle, ops.maximum(1.0 + change, _LEAST_CAPACITY), self.variant != "peak")
+
+
+class TireStiffness(Term):
+    """Stiffness of an axle's tyres: B front_scale, B rear_scale; the peak stays."""
+
+    id = "tire_stiffness"
+    units: ClassVar = {"front_scale": "1", "rear_scale": "1"}
+    neutral: ClassVar = {"front_scale": 1.0, "rear_scale": 1.0}
+    mimics: ClassVar = (
+        Mimic("friction_scale", "no turn near the limit", "a turn near the limit"),
+        Mimic("cg_shift", "steady turns", "steer steps"),
+        Mimic("steer_gain", "small steer angles at one speed", "turns at low and at high speed"),
+        Mimic("aero_downforce", "one speed in every turn", "the same turn at two speeds"),
+    )
+
+    def tire(self, flow: Flow) -> None:
+        """Scale B of each axle."""
+        flow.front.B = flow.front.B * self.parameters["front_scale"]
+        flow.rear.B = flow.rear.B * self.parameters["rear_scale"]
+
+
+class AeroDownforce(Term):
+    """Axle load that grows with speed: D (1 + c v_x^2/F_z,static), c `front` and `rear`.
+
+    Source: Milliken and Milliken (1995), chapter 15; D proportional to load. Variant ``peak`` keeps the stiffness.
+    """
+
+    id = "aero_downforce"
+    units: ClassVar = {"front": "N/(m/s)^2", "rear": "N/(m/s)^2"}
+    neutral: ClassVar = {"front": 0.0, "rear": 0.0}
+    variants: ClassVar = ("", "peak")
+    mimics: ClassVar = (
+        Mimic("tire_stiffness", "one speed in every turn", "the same turn at two speeds"),
+        Mimic("friction_scale", "one speed in every turn", "the same turn at two speeds"),
+    )
+
+    def tire(self, flow: Flow) -> None:
+        """Raise D with speed."""
+        car, speed2 = flow.vehicle, flow.vx * flow.vx
+        for axle, name, load in (
+            (flow.front, "front", car.static_load_front),
+            (flow.rear, "rear", car.static_load_rear),
+        ):
+            gain = flow.ops.maximum(1.0 + self.parameters[name] * speed2 / load, _LEAST_CAPACITY)
+            _scale_grip(axle, gain, self.variant != "peak")

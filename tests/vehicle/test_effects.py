@@ -1,0 +1,344 @@
+"""Every term of the catalogue against a formula written out again, its neutral point, and mirrored driving."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.errors import VehicleError
+from split_cli.vehicle.effects import CATALOGUE, build_terms
+from split_cli.vehicle.effects.place import inside_stretch
+from split_cli.vehicle.operations import NUMPY
+from split_cli.vehicle.parameters import EffectSpec, Vehicle
+from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.tire import MagicFormula
+
+CAR = Vehicle(
+    name="test car", mass=1500.0, yaw_inertia=2600.0, cg_to_front_axle=1.25, cg_to_rear_axle=1.45,
+    wheel_radius=0.31, drive_split_front=0.4, brake_split_front=0.66,
+    front_tire=MagicFormula(11.0, 1.45, 7900.0), rear_tire=MagicFormula(12.5, 1.45, 6800.0),
+    max_torque=2500.0, max_brake_torque=6500.0, rolling_resistance_front=90.0, rolling_resistance_rear=80.0,
+    drag_coefficient=0.42, cg_height=0.55,
+)  # fmt: skip
+A, B = CAR.cg_to_front_axle, CAR.cg_to_rear_axle
+G = 9.80665
+
+EXAMPLES = {
+    ("combined_slip", ""): {"strength": 0.8},
+    ("friction_scale", ""): {"scale": 0.8},
+    ("friction_scale", "curve"): {"scale": 0.8},
+    ("friction_patch", ""): {"scale": 0.7, "s_start": 100.0, "s_end": 300.0},
+    ("friction_patch", "curve"): {"scale": 0.7, "s_start": 300.0, "s_end": 100.0},
+    ("grip_fade", ""): {"final_loss": 0.2, "tau": 30.0},
+    ("grip_fade", "curve"): {"final_loss": 0.2, "tau": 30.0},
+    ("tire_relaxation", ""): {"length": 0.6},
+    ("load_transfer", ""): {"cg_height": 0.55},
+    ("load_transfer", "peak"): {"cg_height": 0.55},
+    ("tire_stiffness", ""): {"front_scale": 0.9, "rear_scale": 1.2},
+    ("aero_downforce", ""): {"front": 0.8, "rear": 1.1},
+    ("aero_downforce", "peak"): {"front": 0.8, "rear": 1.1},
+    ("aero_drag", ""): {"drag": 0.2},
+    ("rolling_resistance", ""): {"force": 70.0},
+    ("wind", ""): {"wx": 5.0, "wy": -3.0},
+    ("wind", "side"): {"wx": 5.0, "wy": -3.0},
+    ("wind", "broadside"): {"wx": 5.0, "wy": -3.0},
+    ("yaw_moment_differential", ""): {"yaw_damping": 2000.0},
+    ("road_bank", ""): {"angle": 0.04},
+    ("road_bank", "wave"): {"amplitude": 0.04, "wavelength": 120.0, "phase": 0.3},
+    ("road_bank", "stretch"): {"angle": 0.04, "s_start": 100.0, "s_end": 300.0},
+    ("road_grade", ""): {"angle": 0.04},
+    ("road_grade", "wave"): {"amplitude": 0.04, "wavelength": 120.0, "phase": 0.3},
+    ("road_grade", "stretch"): {"angle": 0.04, "s_start": 100.0, "s_end": 300.0},
+    ("drive_delay", ""): {"delay": 0.06},
+    ("drive_gain", ""): {"drive_gain": 0.9, "brake_gain": 0.8},
+    ("drive_lag", ""): {"tau": 0.15},
+    ("steer_backlash", ""): {"width": 0.01},
+    ("steer_delay", ""): {"delay": 0.06},
+    ("steer_gain", ""): {"gain": 0.92},
+    ("steer_lag", ""): {"tau": 0.08},
+    ("steer_offset", ""): {"offset": 0.01},
+    ("cg_shift", ""): {"dx": 0.1},
+    ("cg_shift", "loaded"): {"dx": 0.1},
+    ("mass", ""): {"scale": 1.15},
+    ("mass", "loaded"): {"scale": 1.15},
+    ("yaw_inertia", ""): {"scale": 1.2},
+    ("sensor_delay", ""): {"delay": 0.06},
+    ("sensor_lever_arm", ""): {"dx": 0.3},
+    ("sensor_misalignment", ""): {"angle": 0.02},
+}  # fmt: skip
+ONE_SIDED = {"steer_offset", "road_bank", "wind"}
+
+
+def driving(count: int = 400, seed: int = 1) -> dict[str, np.ndarray]:
+    """Independent states and inputs over a wide region, with place, yaw and time."""
+    rng = np.random.default_rng(seed)
+    return {
+        "vx": rng.uniform(6.0, 45.0, count),
+        "vy": rng.uniform(-2.0, 2.0, count),
+        "r": rng.uniform(-0.8, 0.8, count),
+        "T": rng.uniform(-5000.0, 2500.0, count),
+        "delta": rng.uniform(-0.12, 0.12, count),
+        "yaw": rng.uniform(-3.0, 3.0, count),
+        "t": rng.uniform(0.0, 100.0, count),
+        "s": rng.uniform(0.0, 400.0, count),
+    }
+
+
+def rates(at: dict[str, np.ndarray], *terms, car: Vehicle = CAR) -> np.ndarray:
+    return np.stack(SingleTrack(car, terms).velocity_derivative(**at))
+
+
+def term(name: str, variant: str = "", **parameters: float):
+    return CATALOGUE[name](parameters, variant)
+
+
+def forces(at: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The plain axles, written out independently of the package."""
+    alpha_f = at["delta"] - np.arctan((at["vy"] + A * at["r"]) / at["vx"])
+    alpha_r = -np.arctan((at["vy"] - B * at["r"]) / at["vx"])
+    kappa = np.where(at["T"] < 0, 0.66, 0.4)
+    return {
+        "alpha_f": alpha_f,
+        "alpha_r": alpha_r,
+        "fxf": kappa * at["T"] / 0.31 - 90.0,
+        "fxr": (1 - kappa) * at["T"] / 0.31 - 80.0,
+        "fyf": 7900.0 * np.sin(1.45 * np.arctan(11.0 * alpha_f)),
+        "fyr": 6800.0 * np.sin(1.45 * np.arctan(12.5 * alpha_r)),
+    }
+
+
+def change(at: dict[str, np.ndarray], d_front: np.ndarray, d_rear: np.ndarray) -> np.ndarray:
+    """Rates that extra lateral axle forces cause."""
+    c, s = np.cos(at["delta"]), np.sin(at["delta"])
+    return np.stack(
+        [-d_front * s / 1500.0, (d_front * c + d_rear) / 1500.0, (A * d_front * c - B * d_rear) / 2600.0]
+    )
+
+
+def check(at: dict[str, np.ndarray], expected: np.ndarray, *terms) -> None:
+    # Both sides are the same few dozen double operations in another order: rounding only.
+    np.testing.assert_allclose(rates(at, *terms) - rates(at), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_every_term_and_variant_has_an_example():
+    assert {(name, v) for name, kind in CATALOGUE.items() for v in kind.variants} == set(EXAMPLES)
+
+
+@pytest.mark.parametrize(("name", "variant"), EXAMPLES)
+def test_neutral_parameters_leave_the_nominal_model(name, variant):
+    kind, at = CATALOGUE[name], driving()
+    parameters = {
+        **EXAMPLES[name, variant],
+        **{k: v for k, v in kind.neutral.items() if k in EXAMPLES[name, variant]},
+    }
+    np.testing.assert_allclose(rates(at, kind(parameters, variant)), rates(at), rtol=1e-12, atol=1e-12)
+    if not kind.exported:
+        return
+    moved = rates(at, kind(EXAMPLES[name, variant], variant)) - rates(at)
+    if not kind.states and not hasattr(kind, "input_delays"):
+        assert np.abs(moved).max() > 1e-3
+
+
+@pytest.mark.parametrize(("name", "variant"), EXAMPLES)
+def test_mirrored_driving_gives_mirrored_rates(name, variant):
+    at = driving()
+    mirrored = {**at, "vy": -at["vy"], "r": -at["r"], "delta": -at["delta"]}
+    model = CATALOGUE[name](EXAMPLES[name, variant], variant)
+    one, other = rates(at, model), rates(mirrored, model)
+    symmetric = np.allclose(one, other * np.array([[1.0], [-1.0], [-1.0]]), rtol=1e-10, atol=1e-10)
+    assert symmetric == (name not in ONE_SIDED)
+
+
+@pytest.mark.parametrize("variant", ["", "curve"])
+def test_grip_terms_scale_the_magic_formula(variant):
+    at = driving()
+    f = forces(at)
+
+    def axles(scale_f, scale_r):
+        inner_f, inner_r = (1.0, 1.0) if variant else (scale_f, scale_r)
+        return (
+            scale_f * 7900.0 * np.sin(1.45 * np.arctan(11.0 * f["alpha_f"] / inner_f)) - f["fyf"],
+            scale_r * 6800.0 * np.sin(1.45 * np.arctan(12.5 * f["alpha_r"] / inner_r)) - f["fyr"],
+        )
+
+    check(at, change(at, *axles(0.8, 0.8)), term("friction_scale", variant, scale=0.8))
+    fade = 1.0 - 0.2 * (1.0 - np.exp(-at["t"] / 30.0))
+    check(at, change(at, *axles(fade, fade)), term("grip_fade", variant, final_loss=0.2, tau=30.0))
+    on_f = (at["s"] + A >= 100.0) & (at["s"] + A < 300.0)
+    on_r = (at["s"] - B >= 100.0) & (at["s"] - B < 300.0)
+    patch = term("friction_patch", variant, scale=0.7, s_start=100.0, s_end=300.0)
+    check(at, change(at, *axles(np.where(on_f, 0.7, 1.0), np.where(on_r, 0.7, 1.0))), patch)
+
+
+def test_a_stretch_that_ends_before_it_starts_wraps_over_the_lap():
+    s = np.array([0.0, 50.0, 99.9, 100.0, 250.0, 299.9, 300.0, 390.0])
+    np.testing.assert_array_equal(inside_stretch(NUMPY, s, 300.0, 100.0), [1, 1, 1, 0, 0, 0, 1, 1])
+    np.testing.assert_array_equal(inside_stretch(NUMPY, s, 100.0, 300.0), [0, 0, 0, 1, 1, 1, 0, 0])
+
+
+def test_combined_slip_follows_the_ellipse():
+    at = driving()
+    at["T"] = 0.4 * at["T"]
+    f = forces(at)
+    lost = [
+        f[y] * (np.sqrt(1.0 - (f[x] / D) ** 2) - 1.0)
+        for y, x, D in (("fyf", "fxf", 7900.0), ("fyr", "fxr", 6800.0))
+    ]
+    check(at, change(at, *lost), term("combined_slip", strength=1.0))
+
+
+def test_load_transfer_moves_what_lever_and_wheelbase_say():
+    at = driving()
+    at["delta"] = 0.0 * at["delta"]
+    f = forces(at)
+    moved = (f["fxf"] + f["fxr"] - 0.42 * at["vx"] ** 2) * 0.55 / 2.7
+    load_f, load_r = 1500.0 * G * B / 2.7, 1500.0 * G * A / 2.7
+    check(
+        at,
+        change(at, -f["fyf"] * moved / load_f, f["fyr"] * moved / load_r),
+        term("load_transfer", cg_height=0.55),
+    )
+
+
+def test_axle_terms_scale_what_they_name():
+    at = driving()
+    f = forces(at)
+    stiff = (
+        7900.0 * np.sin(1.45 * np.arctan(9.9 * f["alpha_f"])) - f["fyf"],
+        6800.0 * np.sin(1.45 * np.arctan(15.0 * f["alpha_r"])) - f["fyr"],
+    )
+    check(at, change(at, *stiff), term("tire_stiffness", front_scale=0.9, rear_scale=1.2))
+    load_f, load_r = 1500.0 * G * B / 2.7, 1500.0 * G * A / 2.7
+    down = f["fyf"] * 0.8 * at["vx"] ** 2 / load_f, f["fyr"] * 1.1 * at["vx"] ** 2 / load_r
+    check(at, change(at, *down), term("aero_downforce", front=0.8, rear=1.1))
+
+
+def test_forces_at_the_centre_of_gravity():
+    at = driving()
+    zero = 0.0 * at["vx"]
+    check(at, np.stack([-0.2 * at["vx"] ** 2 / 1500.0, zero, zero]), term("aero_drag", drag=0.2))
+    check(at, np.stack([zero - 70.0 / 1500.0, zero, zero]), term("rolling_resistance", force=70.0))
+    check(
+        at, np.stack([zero, zero, -2000.0 * at["r"] / 2600.0]), term("yaw_moment_differential", yaw_damping=2000.0)
+    )
+    check(at, np.stack([zero, zero - G * np.sin(0.04), zero]), term("road_bank", angle=0.04))
+    wave = -G * np.sin(0.04 * np.sin(2 * np.pi * at["s"] / 120.0 + 0.3))
+    check(
+        at, np.stack([wave, zero, zero]), term("road_grade", "wave", amplitude=0.04, wavelength=120.0, phase=0.3)
+    )
+
+
+def test_wind_is_the_drag_of_the_air_met():
+    at = driving()
+    at["yaw"], at["vy"] = 0.0 * at["vx"], 0.0 * at["vx"]
+    # Head on, the air met is v_x - wx: the textbook formula.
+    head = term("wind", wx=-8.0, wy=0.0)
+    expected = np.zeros((3, 400))
+    expected[0] = -0.42 * ((at["vx"] + 8.0) ** 2 - at["vx"] ** 2) / 1500.0
+    # 1e-6 under the roots keeps them smooth at standstill; relative to v_x^2 >= 36 it is below 1e-7.
+    np.testing.assert_allclose(rates(at, head) - rates(at), expected, atol=1e-7)
+    # From the left, the car is pushed to the right.
+    assert np.all((rates(at, term("wind", "side", wx=0.0, wy=-6.0)) - rates(at))[1] < 0.0)
+
+
+def test_body_terms_equal_another_vehicle():
+    from dataclasses import replace
+
+    at = driving()
+    for changes, model in (
+        ({"mass": 1725.0}, term("mass", scale=1.15)),
+        ({"yaw_inertia": 3120.0}, term("yaw_inertia", scale=1.2)),
+        ({"cg_to_front_axle": A - 0.1, "cg_to_rear_axle": B + 0.1}, term("cg_shift", dx=0.1)),
+    ):
+        np.testing.assert_allclose(rates(at, model), rates(at, car=replace(CAR, **changes)), rtol=1e-12)
+    # Static capacity follows L/l: moving the CG forward loads the front axle.
+    shifted = replace(
+        CAR, cg_to_front_axle=A - 0.1, cg_to_rear_axle=B + 0.1,
+        front_tire=MagicFormula(11.0, 1.45, 7900.0 * (B + 0.1) / B),
+        rear_tire=MagicFormula(12.5, 1.45, 6800.0 * (A - 0.1) / A),
+    )  # fmt: skip
+    np.testing.assert_allclose(rates(at, term("cg_shift", "loaded", dx=0.1)), rates(at, car=shifted), rtol=1e-12)
+
+
+def test_actuator_terms_equal_other_inputs():
+    at = driving()
+    np.testing.assert_allclose(rates(at, term("steer_gain", gain=0.9)), rates({**at, "delta": 0.9 * at["delta"]}))
+    np.testing.assert_allclose(
+        rates(at, term("steer_offset", offset=0.01)), rates({**at, "delta": at["delta"] + 0.01})
+    )
+    scaled = np.where(at["T"] > 0, 0.9, 0.8) * at["T"]
+    np.testing.assert_allclose(
+        rates(at, term("drive_gain", drive_gain=0.9, brake_gain=0.8)), rates({**at, "T": scaled})
+    )
+    # Gain before offset, in whatever order the vehicle file lists them.
+    both = rates(at, term("steer_offset", offset=0.01), term("steer_gain", gain=0.9))
+    np.testing.assert_allclose(both, rates({**at, "delta": 0.9 * at["delta"] + 0.01}))
+
+
+def test_declared_exact_degeneracies_hold():
+    at = driving()
+    # Whole-curve friction is the peak with both stiffnesses.
+    np.testing.assert_allclose(
+        rates(at, term("friction_scale", "curve", scale=0.8)),
+        rates(at, term("friction_scale", scale=0.8), term("tire_stiffness", front_scale=0.8, rear_scale=0.8)),
+        rtol=1e-12,
+    )
+    # Mass is seen as forces over mass only: curve, torque, drag, rolling resistance and inertia by 1/scale.
+    k = 1 / 1.15
+    np.testing.assert_allclose(
+        rates(at, term("mass", scale=1.15)),
+        rates(
+            at,
+            term("friction_scale", "curve", scale=k),
+            term("drive_gain", drive_gain=k, brake_gain=k),
+            term("yaw_inertia", scale=k),
+            term("aero_drag", drag=0.42 * (k - 1)),
+            term("rolling_resistance", force=170.0 * (k - 1)),
+        ),
+        # Rolling resistance at the steered front axle also has a lateral part, 90 N (1 - k) sin(delta)/m.
+        atol=1.5e-3,
+    )
+    # A constant grade is a rolling resistance m g sin(angle).
+    np.testing.assert_allclose(
+        rates(at, term("road_grade", angle=0.03)),
+        rates(at, term("rolling_resistance", force=1500.0 * G * np.sin(0.03))),
+        rtol=1e-12,
+    )
+
+
+def test_a_vehicle_file_names_terms_and_their_variants_parameters():
+    spec = EffectSpec("road_bank", {"amplitude": 0.03, "wavelength": 80.0, "phase": 0.0}, "wave")
+    (built,) = build_terms(CAR.with_effects(spec))
+    assert built.parameters["wavelength"] == 80.0
+    with pytest.raises(VehicleError, match="lacks amplitude, phase"):
+        build_terms(CAR.with_effects(EffectSpec("road_bank", {"wavelength": 80.0}, "wave")))
+    with pytest.raises(VehicleError, match="no parameter 'angel'"):
+        build_terms(CAR.with_effects(EffectSpec("road_bank", {"angel": 0.1})))
+    with pytest.raises(VehicleError, match="no variant 'curved'"):
+        build_terms(CAR.with_effects(EffectSpec("friction_scale", {"scale": 0.9}, "curved")))
+
+
+@pytest.mark.parametrize(("name", "variant"), EXAMPLES)
+def test_casadi_evaluates_the_same_text(name, variant):
+    import casadi as ca
+
+    class Symbolic:
+        sin, cos, atan, atan2, tanh = ca.sin, ca.cos, ca.atan, ca.atan2, ca.tanh
+        exp, sqrt, minimum, maximum, where = ca.exp, ca.sqrt, ca.fmin, ca.fmax, ca.if_else
+
+    at = driving(20)
+    names = list(at)
+    model = SingleTrack(CAR, [CATALOGUE[name](EXAMPLES[name, variant], variant)])
+    symbols = [ca.SX.sym(n) for n in names]
+    states = {n: ca.SX.sym(n) for n in model.state_names}
+    flow = model.flow(**dict(zip(names, symbols, strict=True)), ops=Symbolic, states=states)
+    outputs = [*model.balance(flow), *(flow.rates[n] for n in model.state_names)]
+    function = ca.Function("f", [*symbols, *states.values()], [ca.vertcat(*outputs)])
+    rng = np.random.default_rng(3)
+    values = {n: rng.normal(0.0, 0.1, 20) for n in model.state_names}
+    reference = model.flow(**at, states=values)
+    expected = np.stack([*model.balance(reference), *(reference.rates[n] for n in model.state_names)])
+    got = np.array(
+        [np.ravel(function(*[at[n][k] for n in names], *[v[k] for v in values.values()])) for k in range(20)]
+    ).T
+    np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-11)

@@ -1,0 +1,180 @@
+"""Terms with a memory: states and delays along a recording, in windows, and what sensors do to a recording."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from split_cli.vehicle.effects import CATALOGUE, Recording
+from split_cli.vehicle.effects.recording import first_order_response, play_response, shifted
+from split_cli.vehicle.integration import integrate_recorded, recorded_inputs
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.tire import MagicFormula
+
+CAR = Vehicle(
+    name="test car", mass=1500.0, yaw_inertia=2600.0, cg_to_front_axle=1.25, cg_to_rear_axle=1.45,
+    wheel_radius=0.31, drive_split_front=0.4, brake_split_front=0.66,
+    front_tire=MagicFormula(11.0, 1.45, 7900.0), rear_tire=MagicFormula(12.5, 1.45, 6800.0),
+    max_torque=2500.0, max_brake_torque=6500.0, rolling_resistance_front=90.0, rolling_resistance_rear=80.0,
+    drag_coefficient=0.42,
+)  # fmt: skip
+PERIOD = 0.01
+
+
+def term(name: str, variant: str = "", **parameters: float):
+    return CATALOGUE[name](parameters, variant)
+
+
+def inputs(t):
+    return 600.0 + 500.0 * np.sin(1.7 * t), 0.03 * np.sin(2.1 * t) + 0.02 * np.sin(5.3 * t)
+
+
+def test_a_delay_of_whole_and_half_samples():
+    clock = Recording(PERIOD, ((0, 6), (6, 10)))
+    x = np.array([0.0, 1, 2, 3, 4, 5, 100, 101, 102, 103])
+    np.testing.assert_allclose(shifted(x, 0.02, clock), [0, 0, 0, 1, 2, 3, 100, 100, 100, 101])
+    np.testing.assert_allclose(shifted(x, 0.015, clock), [0, 0, 0.5, 1.5, 2.5, 3.5, 100, 100, 100.5, 101.5])
+    np.testing.assert_allclose(shifted(x, -0.01, clock), [1, 2, 3, 4, 5, 5, 101, 102, 103, 103])
+
+
+def test_first_order_response_is_exact_for_ramps():
+    t = np.arange(300) * PERIOD
+    y = first_order_response(2.0 * t, 4.0, Recording.single(PERIOD, 300))
+    # tau y' = u - y, u = 2 t, y(0) = 0: y = 2 (t - tau + tau e^(-t/tau)).
+    np.testing.assert_allclose(y, 2.0 * (t - 0.25 + 0.25 * np.exp(-4.0 * t)), atol=1e-12)
+
+
+def test_memory_starts_anew_and_steady_at_a_gap():
+    clock = Recording(PERIOD, ((0, 50), (50, 100)))
+    x = np.concatenate([np.linspace(0, 1, 50), np.linspace(7, 9, 50)])
+    whole = first_order_response(x, 5.0, clock)
+    np.testing.assert_allclose(whole[50:], first_order_response(x[50:], 5.0, Recording.single(PERIOD, 50)))
+    assert whole[50] == 7.0
+    assert play_response(x, 0.5, clock)[50] == 7.0
+
+
+def test_play_keeps_still_until_pushed():
+    x = np.concatenate([np.linspace(0, 1, 11), np.linspace(0.9, -1.0, 20)])
+    y = play_response(x, 0.4, Recording.single(PERIOD, 31))
+    np.testing.assert_allclose(y[10], 0.8)  # pushed up, half the play behind
+    np.testing.assert_allclose(y[11:15], 0.8)  # going back through the play, nothing moves
+    np.testing.assert_allclose(y[-1], -0.8)  # pulled down
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        term("steer_lag", tau=0.08),
+        term("drive_lag", tau=0.15),
+        term("tire_relaxation", length=0.6),
+        term("steer_backlash", width=0.015),
+    ],
+    ids=lambda model: model.id,
+)
+def test_windows_with_states_meet_an_independent_integrator(model):
+    """RK4 over recorded inputs against an adaptive integrator on velocities and states together."""
+    track = SingleTrack(CAR, [model])
+    t = np.arange(201) * PERIOD
+    torque, steer = inputs(t)
+    start = np.array([[20.0, 0.1, 0.05]])
+    end = integrate_recorded(track, start, torque[None], steer[None], PERIOD)[0]
+    names = track.state_names
+    steady = track.flow(*start[0], torque[0], steer[0]).values
+
+    def rhs(time, x):
+        T, delta = np.interp(time, t, torque), np.interp(time, t, steer)
+        flow = track.flow(*x[:3], T, delta, states=dict(zip(names, x[3:], strict=True)))
+        return [*track.balance(flow), *(flow.rates[n] for n in names)]
+
+    x0 = [*start[0], *(steady[n] for n in names)]
+    # Steps of at most a sample: the inputs have kinks there.
+    oracle = solve_ivp(rhs, (0.0, 2.0), x0, rtol=1e-9, atol=1e-10, max_step=PERIOD).y[:3, -1]
+    # RK4's own error at |lambda| step up to about 1 (relaxation at 20 m/s: 0.33) is 1e-6 of a unit signal;
+    # backlash switches inside steps and is held to a hundredth of its effect.
+    tolerance = 2e-4 if model.id == "steer_backlash" else 1e-5
+    np.testing.assert_allclose(end, oracle, atol=tolerance)
+
+
+def test_states_along_a_recording_continue_in_a_window():
+    """Starting a window with the states of its history is the same as having driven there."""
+    track = SingleTrack(CAR, [term("steer_lag", tau=0.2), term("steer_delay", delay=0.035)])
+    t = np.arange(400) * PERIOD
+    torque, steer = inputs(t)
+    clock = Recording.single(PERIOD, 400)
+    late = shifted(steer, 0.035, clock)
+    start = np.array([[20.0, 0.0, 0.0]])
+    whole = integrate_recorded(track, start, torque[None], late[None], PERIOD)
+    middle = integrate_recorded(track, start, torque[None, :201], late[None, :201], PERIOD)
+    recorded = recorded_inputs(track, np.repeat(start, 400, axis=0), torque, steer, clock)
+    np.testing.assert_allclose(recorded.steer_angle, late)
+    resumed = integrate_recorded(
+        track, middle, torque[None, 200:], late[None, 200:], PERIOD, term_states=recorded.term_states[200:201]
+    )
+    # The lag along the recording is exact, inside RK4 it is right to (step/tau)^4/120, 5e-8.
+    np.testing.assert_allclose(resumed, whole, atol=1e-7)
+    steady = integrate_recorded(track, middle, torque[None, 200:], late[None, 200:], PERIOD)
+    assert np.abs(steady - whole).max() > 1e-5  # forgetting the history is visible
+
+
+def test_relaxation_is_a_lag_in_distance():
+    """At twice the speed the force answers in half the time."""
+    model = term("tire_relaxation", length=1.2)
+    clock = Recording.single(0.001, 2000)
+    for speed in (10.0, 20.0):
+        steer = np.where(np.arange(2000) < 100, 0.0, 0.01)
+        zero = np.zeros(2000)
+        flow = SingleTrack(CAR, [model]).flow(zero + speed, zero, zero, zero, steer, recording=clock)
+        force = flow.front.lateral_force
+        reached = np.flatnonzero(force >= (1 - np.exp(-1)) * force[-1])[0] - 100
+        assert reached == pytest.approx(1200.0 / speed, abs=2)
+
+
+def test_sensor_delay_reads_as_both_actuators_late():
+    t = np.arange(500) * PERIOD
+    torque, steer = inputs(t)
+    clock = Recording.single(PERIOD, 500)
+    velocity = (20.0 + 0.0 * t, 0.1 * np.sin(t), 0.2 * np.cos(t))
+    one = SingleTrack(CAR, [term("sensor_delay", delay=0.043)])
+    other = SingleTrack(CAR, [term("steer_delay", delay=0.043), term("drive_delay", delay=0.043)])
+    for a, b in zip(
+        one.velocity_derivative(*velocity, torque, steer, recording=clock),
+        other.velocity_derivative(*velocity, torque, steer, recording=clock),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        term("sensor_lever_arm", dx=0.4),
+        term("sensor_misalignment", angle=0.03),
+        term("sensor_delay", delay=0.02),
+    ],
+    ids=lambda model: model.id,
+)
+def test_correcting_undoes_what_the_sensor_did(model):
+    t = np.arange(300) * PERIOD
+    torque, steer = inputs(t)
+    columns = {
+        "t": t,
+        "vx": 20 + np.sin(t),
+        "vy": 0.3 * np.sin(2 * t),
+        "r": 0.2 * np.cos(t),
+        "T": torque,
+        "delta": steer,
+    }
+    clock = Recording.single(PERIOD, 300)
+    bad = model.corrupt(columns, clock)
+    assert any(np.abs(bad[n] - columns[n]).max() > 1e-3 for n in ("vx", "vy"))
+    good = model.correct(bad, clock)
+    for name in columns:
+        # A delay of whole samples is undone exactly but for what was pushed off the ends.
+        np.testing.assert_allclose(good[name][:-2], columns[name][:-2], atol=1e-12)
+    # The first-order signs of the contract: v_y + dx r, v_y - angle v_x.
+    if model.id == "sensor_lever_arm":
+        np.testing.assert_allclose(bad["vy"], columns["vy"] + 0.4 * columns["r"])
+    if model.id == "sensor_misalignment":
+        np.testing.assert_allclose(bad["vy"], columns["vy"] - 0.03 * columns["vx"], atol=5e-4)
