@@ -518,12 +518,16 @@ def _apply_delays(
 ) -> tuple[_Channels, tuple[DelayEstimate, ...]]:
     """Estimate delays on the drive's clock and move the raw times; repeated, since each pass sharpens the next."""
     given = set(settings.delays or {})
+    commands = frozenset(c for c, entry in channels.maps.items() if entry.kind == "command")
     total: dict[str, DelayEstimate] = {}
     for _ in range(DELAY_PASSES):
         grid, _ = _grid(channels, needed, settings, recording.name)
         columns, _, _ = _resample_all(channels, grid, settings, needed)
+        slices = _slices(grid.segment)
+        for before in (True, False):
+            _move_to_cg(columns, channels.maps, vehicle, grid.period, slices, {}, [], before=before)
         groups = {c: topic_of(parts[0].source) for c, parts in channels.clean.items()}
-        found = estimate_delays(columns, grid.period, _slices(grid.segment), vehicle, groups, frozenset(given))
+        found = estimate_delays(columns, grid.period, slices, vehicle, groups, frozenset(given), commands)
         moved = {}
         for estimate in found:
             known = total.get(estimate.channel)

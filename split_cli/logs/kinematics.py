@@ -1,0 +1,173 @@
+"""Smoothed signals and their derivatives on a drive's clock, for the checks and the delay estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Kinematics", "Slope", "block_interval", "fit_slope"]
+
+_BLOCKS = 10
+
+
+@dataclass(frozen=True)
+class Slope:
+    """How one signal follows another.
+
+    Attributes
+    ----------
+    slope, error : float
+        Of y over x, signed ratio of their deviations, and its standard error from blocks of time.
+    offset, offset_error : float
+        Median of y - slope x.
+    correlation : float
+    count : int
+        Samples used.
+    """
+
+    slope: float
+    error: float
+    offset: float
+    offset_error: float
+    correlation: float
+    count: int
+
+
+class Kinematics:
+    """The channels of a drive, smoothed alike, with time derivatives; NaN near the ends of segments.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray
+        Drive columns, SI.
+    period : float
+        [s].
+    segments : list of slice
+    width : float
+        Standard deviation of the Gaussian that smooths every signal [s]. All signals of a relation get the same,
+        so that it holds among smoothed signals as it does among true ones.
+    """
+
+    def __init__(
+        self, columns: Mapping[str, np.ndarray], period: float, segments: list[slice], width: float = 0.2
+    ) -> None:
+        self.columns = columns
+        self.period = period
+        self.segments = segments
+        self.width = max(width, 1.5 * period)
+        self._known: dict[tuple[str, int], np.ndarray] = {}
+        self.count = len(next(iter(columns.values())))
+        speed = np.abs(columns["vx"]) if "vx" in columns else np.zeros(self.count)
+        fast = float(np.nanquantile(speed, 0.95)) if self.count else 0.0
+        self.moving = speed > max(0.2 * fast, 0.2)
+
+    def __contains__(self, channel: str) -> bool:
+        return channel in self.columns
+
+    def signal(self, channel: str) -> np.ndarray:
+        """Return the smoothed channel, shape (N,)."""
+        return self._filtered(channel, self.columns[channel], 0)
+
+    def rate(self, channel: str) -> np.ndarray:
+        """Return the derivative of the smoothed channel, shape (N,)."""
+        return self._filtered(channel, self.columns[channel], 1)
+
+    def of(self, name: str, values: Callable[[], np.ndarray], order: int = 0) -> np.ndarray:
+        """Return a smoothed expression (or its derivative) of raw columns, remembered by `name`."""
+        key = (name, order)
+        return self._known[key] if key in self._known else self._filtered(name, values(), order)
+
+    def ground_speed(self) -> np.ndarray:
+        """Return the speed of X, Y over ground [m/s], shape (N,)."""
+        return np.hypot(self.rate("X"), self.rate("Y"))
+
+    def course_rate(self) -> np.ndarray:
+        """Return the rate of the direction of travel of X, Y [rad/s], shape (N,); NaN where nearly at rest."""
+        dX, dY = self.rate("X"), self.rate("Y")
+        ddX = self._filtered("X", self.columns["X"], 2)
+        ddY = self._filtered("Y", self.columns["Y"], 2)
+        squared = dX * dX + dY * dY
+        fast = np.nanquantile(squared, 0.95) if np.isfinite(squared).any() else 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(squared > 0.04 * fast, (dX * ddY - dY * ddX) / squared, np.nan)
+
+    def _filtered(self, name: str, values: np.ndarray, order: int) -> np.ndarray:
+        key = (name, order)
+        if key not in self._known:
+            from scipy.ndimage import gaussian_filter1d
+
+            sigma = self.width / self.period
+            margin = int(np.ceil(3.0 * sigma))
+            result = np.full(len(values), np.nan)
+            for run in self.segments:
+                part = values[run]
+                if len(part) <= 2 * margin + 2:
+                    continue
+                missing = ~np.isfinite(part)
+                filled = np.where(missing, 0.0, part)
+                smooth = gaussian_filter1d(filled, sigma, truncate=4.0)
+                # Differences of the smoothed signal, not a differentiated kernel: one that is cut off does not sum
+                # to zero, and reads a position far from the origin as motion.
+                for _ in range(order):
+                    smooth = np.gradient(smooth, self.period)
+                if missing.any():
+                    smooth[np.convolve(missing, np.ones(2 * margin + 1), "same") > 0] = np.nan
+                smooth[:margin] = np.nan
+                smooth[-margin:] = np.nan
+                result[run] = smooth
+            self._known[key] = result
+        return self._known[key]
+
+
+def fit_slope(y: np.ndarray, x: np.ndarray, mask: np.ndarray) -> Slope | None:
+    """Fit y = slope x + offset where both are noisy; None when there are fewer than 50 samples or x stands still.
+
+    Notes
+    -----
+    The slope is the ratio of the deviations with the correlation's sign, which noise in either signal biases by
+    no more than 1/correlation. Samples further than six robust deviations off are left out.
+    """
+    use = mask & np.isfinite(y) & np.isfinite(x)
+    if np.count_nonzero(use) < 50:
+        return None
+    y, x = y[use], x[use]
+    bounds = [np.quantile(values, [0.005, 0.995]) for values in (y, x)]
+    if np.std(x) <= 1e-12 * (1.0 + np.max(np.abs(x))) or np.std(y) <= 1e-12 * (1.0 + np.max(np.abs(y))):
+        return None
+    for attempt in range(2):
+        # The first line is drawn through clipped samples: a few wild ones must not lay the band that judges them.
+        clipped = [np.clip(v, *b) for v, b in zip((y, x), bounds, strict=True)] if attempt == 0 else (y, x)
+        slope, offset, _ = _line(*clipped)
+        residual = y - slope * x - offset
+        scale = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+        near = np.abs(residual) <= max(6.0 * scale, 1e-12)
+        if np.count_nonzero(near) < 50 or np.std(x[near]) == 0.0 or np.std(y[near]) == 0.0:
+            break
+        y, x = y[near], x[near]
+    slope, offset, correlation = _line(y, x)
+    values, errors = block_interval(lambda rows: np.array(_line(y[rows], x[rows])[:2]), len(y))
+    return Slope(slope, float(errors[0]), float(values[1]), float(errors[1]), correlation, len(y))
+
+
+def _line(y: np.ndarray, x: np.ndarray) -> tuple[float, float, float]:
+    dx, dy = x - x.mean(), y - y.mean()
+    sx, sy = float(np.sqrt(np.mean(dx * dx))), float(np.sqrt(np.mean(dy * dy)))
+    correlation = float(np.mean(dx * dy)) / (sx * sy) if sx > 0 and sy > 0 else 0.0
+    slope = float(np.copysign(sy / sx, correlation)) if sx > 0 else 0.0
+    return slope, float(np.median(y - slope * x)), correlation
+
+
+def block_interval(estimate: Callable[[np.ndarray], np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return an estimate over all rows and its standard error, leaving out a tenth of the time at a time.
+
+    Blocks, since neighbouring samples say the same thing: errors that took samples as independent would be many
+    times too small.
+    """
+    rows = np.arange(count)
+    full = np.asarray(estimate(rows))
+    blocks = np.array_split(rows, _BLOCKS)
+    left_out = np.stack([estimate(np.setdiff1d(rows, block, assume_unique=True)) for block in blocks])
+    spread = left_out - left_out.mean(axis=0)
+    return full, np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum(spread**2, axis=0))
