@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,7 +13,11 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid, Region, z2_grid
 from split_cli.learning.training_set import TrainingSet
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects.term import Term
+from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import Flow, SingleTrack
 from split_cli.vehicle.tire import MagicFormula
 
 
@@ -36,6 +41,63 @@ def road_car(**changes: object) -> Vehicle:
         "drag_coefficient": 0.42,
     }
     return Vehicle(**{**values, **changes})
+
+
+class MissingForce(Term):
+    """Forces the nominal model lacks, as a truth to be found: constant ones, and grip lost at the front."""
+
+    id = "missing_force"
+    units: ClassVar = {"front_lateral": "N", "front_grip_loss": "1"}
+
+    def lateral(self, flow: Flow) -> None:
+        """Alter the front axle's lateral force."""
+        kept = 1.0 - self.parameters.get("front_grip_loss", 0.0)
+        flow.front.lateral_force = kept * flow.front.lateral_force + self.parameters.get("front_lateral", 0.0)
+
+
+def make_drive(
+    seed: int = 0,
+    segments: int = 100,
+    seconds: float = 4.0,
+    period: float = 0.02,
+    *,
+    vehicle: Vehicle | None = None,
+    terms: Sequence[Term] = (),
+    name: str = "made.parquet",
+    knot: float = 0.2,
+) -> Drive:
+    """Return a drive of `segments` runs of a single track with `terms`, steered and driven at random.
+
+    Inputs are linear between knots `knot` seconds apart, so that the same motion can be recorded with any period
+    that divides it. Integrated with steps of 1.25 ms, where RK4 is exact to some 1e-10.
+    """
+    vehicle = vehicle or road_car()
+    model = SingleTrack(vehicle, terms)
+    rng = np.random.default_rng(seed)
+    speed = rng.uniform(8.0, 28.0, segments)
+    knots = round(seconds / knot) + 1
+    steer = rng.normal(0.0, 0.6, (segments, knots)) * np.minimum(0.1, 8.0 * vehicle.wheelbase / speed**2)[:, None]
+    torque = rng.uniform(-0.6, 0.7, (segments, knots)) * vehicle.max_torque
+    fine = np.linspace(0.0, knots - 1.0, round(seconds / period) + 1)
+    steer = np.array([np.interp(fine, np.arange(knots), row) for row in steer])
+    torque = np.array([np.interp(fine, np.arange(knots), row) for row in torque])
+    state = np.stack([speed, np.zeros(segments), np.zeros(segments)], axis=1)
+    states = [state]
+    for k in range(len(fine) - 1):
+        window = slice(k, k + 2)
+        state = integrate_recorded(
+            model, state, torque[:, window], steer[:, window], period, round(period / 1.25e-3)
+        )
+        states.append(state)
+    velocity = np.stack(states, axis=1)
+    number = np.repeat(np.arange(segments), len(fine))
+    columns = {
+        "t": np.tile(np.arange(len(fine)) * period, segments) + number * (seconds + 1.0),
+        **{channel: velocity[:, :, i].ravel() for i, channel in enumerate(("vx", "vy", "r"))},
+        "T": torque.ravel(),
+        "delta": steer.ravel(),
+    }
+    return Drive(name, columns, number.astype(np.int32), period, sha256=f"{seed:064d}")
 
 
 def smooth_residual(z: np.ndarray) -> np.ndarray:

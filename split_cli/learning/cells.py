@@ -16,7 +16,7 @@ from split_cli.learning.region import Grid, Region
 from split_cli.learning.training_set import SetSource, TrainingSet
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["DEFAULT_CAPACITY", "DEFAULT_THRESHOLD", "empty_set", "extend", "learn", "recompute_gains"]
+__all__ = ["DEFAULT_CAPACITY", "DEFAULT_THRESHOLD", "empty_set", "extend", "learn", "recompute_gains", "warm_up"]
 
 DEFAULT_CAPACITY = 10
 DEFAULT_THRESHOLD = 1e-3
@@ -161,7 +161,20 @@ def recompute_gains(training_set: TrainingSet) -> np.ndarray:
     from split_cli.learning._compiled import refresh_cells
 
     widest = int(np.diff(training_set.offsets).max(initial=1))
-    return refresh_cells(training_set.offsets, training_set.z, training_set.kernel.length_scales, widest)
+    scales = training_set.kernel.length_scales.copy()
+    return refresh_cells(training_set.offsets, training_set.z, scales, widest)
+
+
+def warm_up() -> None:
+    """Load or compile the fast loops, so that a time measured afterwards is that of the work."""
+    from split_cli.learning._compiled import update_cells, window_errors
+
+    whole, one = np.zeros(1, dtype=np.int64), np.ones(2)
+    window_errors(one, one, one, one, one, whole, 1, 1.0, np.ones(16), False)
+    cells = np.zeros((1, 1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1), dtype=np.int64)
+    update_cells(
+        np.arange(2), whole, whole, np.zeros((1, 1)), np.zeros(1), one[:1], 0.5, 0.0, whole.copy(), *cells
+    )
 
 
 def _check_belongs(training_set: TrainingSet, labels: Labels) -> None:
@@ -193,6 +206,8 @@ class _Cells:
 
     def __init__(self, training_set: TrainingSet) -> None:
         self.set = training_set
+        # A copy: the kernel's array is read-only, a type of its own to the compiler.
+        self.length_scales = training_set.kernel.length_scales.copy()
         self.base = [0.0]  # clock of learning at which each source begins, and at last where the next will
         for source in training_set.sources:
             self.base.append(self.base[-1] + source.duration)
@@ -233,6 +248,7 @@ class _Cells:
             replacements=replaced,
             points=int(self.count.sum()),
             cells=len(self.numbers),
+            horizon=labels.horizon,
             start_time=labels.start_time,
             duration=labels.duration,
         )
@@ -241,7 +257,7 @@ class _Cells:
         """Offer the labels at `rows`; return for each 0 (gain too small), 1 (inserted) or 2 (replaced a point)."""
         from split_cli.learning._compiled import update_cells
 
-        z, t = np.ascontiguousarray(labels.z[rows]), labels.t[rows]
+        z, t = labels.z[rows], labels.t[rows]
         numbers = self.set.grid.pack(self.set.grid.index(z)[0])
         order = np.argsort(numbers, kind="stable")
         distinct, first = np.unique(numbers[order], return_index=True)
@@ -253,7 +269,7 @@ class _Cells:
             order,
             z,
             begin + t,
-            self.set.kernel.length_scales,
+            self.length_scales,
             self.set.threshold,
             self.set.forgetting or 0.0,
             self.count,

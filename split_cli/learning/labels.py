@@ -245,7 +245,8 @@ def nominal_errors(
     if compiled and not model.terms:
         from split_cli.learning._compiled import window_errors
 
-        channels = [np.ascontiguousarray(drive[name], dtype=float) for name in (*_VELOCITIES, "T", "delta")]
+        # Copies: columns of a file are read-only, a type of its own to the compiler.
+        channels = [np.array(drive[name], dtype=float) for name in (*_VELOCITIES, "T", "delta")]
         return window_errors(*channels, starts, window, drive.period, _nominal_constants(model.vehicle), plain)
     parts = [
         _window_errors_reference(model, drive, starts[first : first + _CHUNK], window, plain)

@@ -6,10 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.errors import DriveError
+from split_cli.learning.features import Z2, FeatureSet
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import lateral_force
 
-__all__ = ["Grid", "Region", "valid_cell_count", "valid_cells", "z2_grid"]
+__all__ = ["Grid", "Region", "build_grid", "valid_cell_count", "valid_cells", "z2_grid"]
+
+Z2_EDGES = (0.02, 0.02, 0.1)
+_CELLS_A_RANGE = 18
 
 
 @dataclass(frozen=True)
@@ -134,10 +139,51 @@ class Grid:
         return (self.unpack(number) + 0.5) * np.array(self.edges)
 
 
-def z2_grid(vehicle: Vehicle, region: Region, edges: tuple[float, float, float] = (0.02, 0.02, 0.1)) -> Grid:
+def z2_grid(vehicle: Vehicle, region: Region, edges: tuple[float, float, float] = Z2_EDGES) -> Grid:
     """Return the grid over [alpha_f, alpha_r, T/T_max], reaching -max_brake_torque/max_torque."""
     lower = (-region.alpha_max, -region.alpha_max, -vehicle.max_brake_torque / vehicle.max_torque)
     return Grid(edges, lower, (region.alpha_max, region.alpha_max, 1.0))
+
+
+def build_grid(features: FeatureSet, vehicle: Vehicle, region: Region, z: np.ndarray | None = None) -> Grid:
+    """Return the grid for a feature set.
+
+    Parameters
+    ----------
+    features : FeatureSet
+    vehicle : Vehicle
+    region : Region
+    z : ndarray, shape (N, D), optional
+        Valid samples of the first drive, from which edges of features outside z2 are taken, once for the life of
+        a set; z2 needs none.
+
+    Raises
+    ------
+    DriveError
+        If a feature outside z2 does not vary, or has no valid samples to show its range.
+
+    Notes
+    -----
+    A feature of z2 keeps its edge and bounds in any list; another one has the edge (99.9 % quantile - 0.1 %
+    quantile)/18, as many cells as a slip angle has, and no bounds.
+    """
+    known = z2_grid(vehicle, region)
+    columns = []
+    for position, name in enumerate(features.names):
+        if name in Z2.names:
+            place = Z2.names.index(name)
+            columns.append((known.edges[place], known.lower[place], known.upper[place]))
+            continue
+        if z is None or len(z) == 0:
+            raise DriveError(f"no valid samples to take the range of {name} from")
+        low, high = np.quantile(z[:, position], [0.001, 0.999])
+        if not high - low > 1e-9 * max(abs(low), abs(high), 1e-300):
+            raise DriveError(
+                f"the feature {name} does not vary, it is {low:g}", advice="Leave it out of --features."
+            )
+        columns.append((float(high - low) / _CELLS_A_RANGE, -np.inf, np.inf))
+    edges, lower, upper = zip(*columns, strict=True)
+    return Grid(edges, lower, upper)
 
 
 def valid_cells(vehicle: Vehicle, region: Region, grid: Grid) -> np.ndarray:

@@ -41,6 +41,8 @@ class SetSource:
         Updates of the set.
     points, cells : int
         Size of the set and non-empty cells after this drive.
+    horizon : float
+        Label interval of this drive [s]: the set's, rounded to whole samples.
     start_time, duration : float
         First time stamp and length of the drive [s]; with forgetting, ages run over the drives one after another.
     """
@@ -54,6 +56,7 @@ class SetSource:
     replacements: int
     points: int
     cells: int
+    horizon: float = 0.0
     start_time: float = 0.0
     duration: float = 0.0
 
@@ -71,7 +74,7 @@ class TrainingSet:
     kernel : Kernel
         Of the residual; the marginal gain uses its length scales with unit variance and no noise.
     horizon : float
-        Label interval h [s].
+        Label interval h [s] as asked for; each drive rounds it to whole samples of its own.
     capacity : int
         M, points a cell may keep.
     threshold : float

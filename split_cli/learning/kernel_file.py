@@ -1,0 +1,71 @@
+"""Given hyperparameters, as a YAML file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from split_cli.errors import SetError, nearest_names
+from split_cli.learning.features import FeatureSet
+from split_cli.learning.kernel import OUTPUTS, Kernel
+
+__all__ = ["kernel_to_yaml", "read_kernel"]
+
+_KEYS = ("length_scales", "signal_variance", "noise_variance")
+
+
+def read_kernel(path: str | Path, features: FeatureSet) -> Kernel:
+    """Read hyperparameters: ``length_scales`` by feature, ``signal_variance`` and ``noise_variance`` by output.
+
+    Raises
+    ------
+    SetError
+        If the file is missing, not YAML, has unknown or missing keys, or values that are not positive.
+    """
+    where = str(path)
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        advice = "Give fit, default, or a YAML file of hyperparameters."
+        raise SetError("no such file", where=where, advice=advice) from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise SetError(f"cannot be read as YAML ({str(error).splitlines()[0]})", where=where) from error
+    _check_keys(content, _KEYS, "hyperparameters", where)
+    names = (features.names, OUTPUTS, OUTPUTS)
+    values = [_values(content[key], expected, key, where) for key, expected in zip(_KEYS, names, strict=True)]
+    return Kernel(*values, origin="given")
+
+
+def kernel_to_yaml(kernel: Kernel, features: FeatureSet) -> str:
+    """Return what `read_kernel` reads."""
+    names = (features.names, OUTPUTS, OUTPUTS)
+    mapping = {
+        key: dict(zip(expected, getattr(kernel, key).tolist(), strict=True))
+        for key, expected in zip(_KEYS, names, strict=True)
+    }
+    return yaml.safe_dump(mapping, sort_keys=False)
+
+
+def _check_keys(content: Any, expected: Sequence[str], what: str, where: str) -> None:
+    if not isinstance(content, dict):
+        raise SetError(f"{what} must be a mapping with {', '.join(expected)}", where=where)
+    for key in content:
+        if key not in expected:
+            raise SetError(f"unknown key {key!r} in {what}", where=where, advice=nearest_names(str(key), expected))
+    for key in expected:
+        if key not in content:
+            raise SetError(f"{what} lacks {key}", where=where)
+
+
+def _values(content: Any, expected: Sequence[str], key: str, where: str) -> list[float]:
+    _check_keys(content, expected, key, where)
+    values = []
+    for name in expected:
+        value = content[name]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < float("inf"):
+            raise SetError(f"{key}.{name} is {value!r}, a positive number was expected", where=where)
+        values.append(float(value))
+    return values

@@ -1,0 +1,348 @@
+"""Train a set from drives, or go on training one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import SetError
+from split_cli.learning.cells import DEFAULT_CAPACITY, DEFAULT_THRESHOLD, empty_set, extend, warm_up
+from split_cli.learning.features import parse_features
+from split_cli.learning.hyperparameters import KernelFit, default_kernel, fit_kernel
+from split_cli.learning.kernel import Kernel
+from split_cli.learning.kernel_file import read_kernel
+from split_cli.learning.labels import DEFAULT_HORIZON, Labels, compute_labels
+from split_cli.learning.noise import label_noise_variance, scatter_variance
+from split_cli.learning.region import Region, build_grid
+from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
+from split_cli.logs.drive import Drive, read_drive
+from split_cli.vehicle.parameters import Vehicle, read_vehicle
+from split_cli.workflows.label import drive_notes
+
+__all__ = ["TrainResult", "TrainRow", "TrainSettings", "train_set"]
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """How to train; None means the default for a new set, and the set's own when appending.
+
+    Attributes
+    ----------
+    features : str or None
+        ``z2`` (default), ``z1`` or a comma-separated list of names.
+    hyperparameters : str or None
+        ``default``, ``fit``, or a YAML file; only for a new set.
+    horizon : float or None
+        Label interval [s], 0.05 by default.
+    stride : int or None
+        Samples between labels; the horizon by default.
+    capacity : int or None
+        Points a cell, 10 by default.
+    threshold : float or None
+        Gain that a point needs to enter a cell with room, 1e-3 by default.
+    forgetting : float or None
+        Time constant [s]; off by default.
+    plain : bool
+        Use the paper's plain difference as label.
+    exclude : tuple of (float, float)
+        Stretches of time of every drive [s] that are not learned.
+    """
+
+    features: str | None = None
+    hyperparameters: str | None = None
+    horizon: float | None = None
+    stride: int | None = None
+    capacity: int | None = None
+    threshold: float | None = None
+    forgetting: float | None = None
+    plain: bool = False
+    exclude: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class TrainRow:
+    """What one drive, or all, did to the set.
+
+    Attributes
+    ----------
+    drive : str
+    samples, accepted : int
+        Labels, and those inside the valid region.
+    rejected : tuple of (str, int)
+        By reason.
+    updates : int
+        Insertions and replacements.
+    points, cells : int
+        Set size and non-empty cells afterwards.
+    valid_share : float or None
+        Share of the valid region's cells that hold points; None for features other than z2.
+    microseconds : float
+        Labelling and learning, a sample [us].
+    megabytes : float
+        Memory of the set [MB].
+    """
+
+    drive: str
+    samples: int
+    accepted: int
+    rejected: tuple[tuple[str, int], ...]
+    updates: int
+    points: int
+    cells: int
+    valid_share: float | None
+    microseconds: float
+    megabytes: float
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What training did.
+
+    Attributes
+    ----------
+    output : str
+    rows : tuple of TrainRow
+        One a drive of this run.
+    total : TrainRow
+        Of all drives the set has seen; time is of this run.
+    horizons : tuple of float
+        Label interval of each drive of this run [s].
+    kernel : Kernel
+    fit : KernelFit or None
+    notes : tuple of str
+    """
+
+    output: str
+    rows: tuple[TrainRow, ...]
+    total: TrainRow
+    horizons: tuple[float, ...]
+    kernel: Kernel
+    fit: KernelFit | None
+    notes: tuple[str, ...]
+
+
+def train_set(
+    drive_paths: Sequence[str | Path],
+    vehicle_path: str | Path,
+    output: str | Path,
+    settings: TrainSettings = TrainSettings(),
+    *,
+    append: bool = False,
+    rows: Sequence[np.ndarray] | None = None,
+    batch: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> TrainResult:
+    """Train a set from drives in the order given, and write it.
+
+    Parameters
+    ----------
+    drive_paths : sequence of path
+    vehicle_path : path
+    output : path
+        The set; with `append` it must exist and is continued.
+    settings : TrainSettings
+    append : bool
+    rows : sequence of ndarray of bool, optional
+        For each drive, which rows may be learned; a label whose window touches another row is left out.
+    batch : int, optional
+        Samples offered at once; the result does not depend on it.
+    progress : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    TrainResult
+
+    Raises
+    ------
+    SplitError
+        If an input is at fault; `output` is then as it was before.
+    """
+    say = progress or (lambda text: None)
+    vehicle = read_vehicle(vehicle_path)
+    known = read_set(output) if append else None
+    if known is not None:
+        _check_continues(known, vehicle, settings, str(output))
+    run = _Run(tuple(Path(path) for path in drive_paths), vehicle, settings, rows, known, say)
+    warm_up()
+    begin_set, fit = (known, None) if known is not None else run.create()
+    trained, seconds, table = begin_set, 0.0, []
+    for labels, labelling in run.labels():
+        say(f"learning {labels.drive}")
+        start = time.perf_counter()
+        trained = extend(trained, [labels], batch=batch)
+        spent = labelling + time.perf_counter() - start
+        seconds += spent
+        table.append(_row(trained, [trained.sources[-1]], labels.drive, spent))
+    write_set(trained, output)
+    offered = sum(row.samples for row in table)
+    total = _row(trained, trained.sources, "total", seconds, offered)
+    horizons = tuple(source.horizon for source in trained.sources[-len(table) :])
+    return TrainResult(str(output), tuple(table), total, horizons, trained.kernel, fit, tuple(run.notes))
+
+
+class _Run:
+    """The drives of one run, read and labelled one at a time so that memory holds one."""
+
+    def __init__(
+        self,
+        paths: tuple[Path, ...],
+        vehicle: Vehicle,
+        settings: TrainSettings,
+        rows: Sequence[np.ndarray] | None,
+        known: TrainingSet | None,
+        say: Callable[[str], None],
+    ) -> None:
+        self.paths, self.vehicle, self.settings, self.rows, self.say = paths, vehicle, settings, rows, say
+        if known is not None:
+            self.features, self.region, self.plain = known.features, known.region, known.plain
+            self.horizon = settings.horizon or known.horizon
+        else:
+            self.features = parse_features(settings.features or "z2")
+            self.region, self.plain = Region.of(vehicle), settings.plain
+            self.horizon = settings.horizon or DEFAULT_HORIZON
+        self.seen = {source.sha256: source.name for source in known.sources} if known else {}
+        self.notes: list[str] = []
+
+    def labels(self) -> Iterator[tuple[Labels, float]]:
+        """Yield the labels of each drive and the seconds that labelling took."""
+        for position in range(len(self.paths)):
+            drive = self._drive(position)
+            self._take_notes(drive)
+            start = time.perf_counter()
+            labels = self._label(drive, position)
+            yield labels, time.perf_counter() - start
+
+    def create(self) -> tuple[TrainingSet, KernelFit | None]:
+        """Return an empty set: grid and default kernel of the first drive with valid samples, or kernel of all."""
+        settings = self.settings
+        first, noise = self._first_valid()
+        valid = first.accepted
+        grid = build_grid(self.features, self.vehicle, self.region, first.z[valid])
+        kernel = default_kernel(grid, first.y[valid], noise)
+        asked = settings.hyperparameters or "default"
+        if asked not in ("default", "fit"):
+            kernel = read_kernel(asked, self.features)
+
+        def blank(kernel: Kernel) -> TrainingSet:
+            return empty_set(
+                self.vehicle,
+                self.features,
+                self.region,
+                grid,
+                kernel,
+                horizon=self.horizon,
+                capacity=DEFAULT_CAPACITY if settings.capacity is None else settings.capacity,
+                threshold=DEFAULT_THRESHOLD if settings.threshold is None else settings.threshold,
+                forgetting=settings.forgetting,
+                plain=self.plain,
+            )
+
+        empty = blank(kernel)
+        if asked != "fit":
+            return empty, None
+        provisional = empty
+        for position in range(len(self.paths)):
+            provisional = extend(provisional, [self._label(self._drive(position), position)])
+        self.say(f"fitting hyperparameters to {provisional.size} points")
+        fit = fit_kernel(provisional.z, provisional.y, grid, kernel)
+        for name in fit.at_bound:
+            self.notes.append(f"the labels do not determine the {name}: it ended on a bound of the fit")
+        return blank(fit.kernel), fit
+
+    def _first_valid(self) -> tuple[Labels, np.ndarray]:
+        for position in range(len(self.paths)):
+            drive = self._drive(position)
+            labels = self._label(drive, position)
+            if labels.accepted.any():
+                noise = label_noise_variance(drive, self.vehicle, labels)
+                return labels, scatter_variance(labels) if noise is None else noise
+        counts = ", ".join(f"{count} {reason}" for reason, count in labels.counts().items()) or "no samples"
+        raise SetError(
+            f"no sample is inside the valid region (rejected: {counts})",
+            where=labels.drive,
+            advice="Check units and signs with `split info`, and that the vehicle file is of this car.",
+        )
+
+    def _drive(self, position: int) -> Drive:
+        self.say(f"reading {self.paths[position].name}")
+        return read_drive(self.paths[position])
+
+    def _label(self, drive: Drive, position: int) -> Labels:
+        labels = compute_labels(
+            drive,
+            self.vehicle,
+            self.features,
+            self.region,
+            horizon=self.horizon,
+            stride=self.settings.stride,
+            plain=self.plain,
+        )
+        allowed = (
+            np.ones(len(drive), dtype=bool) if self.rows is None else np.asarray(self.rows[position], dtype=bool)
+        )
+        for begin, end in self.settings.exclude:
+            allowed = allowed & ~((drive["t"] >= begin) & (drive["t"] < end))
+        return labels.within(allowed)
+
+    def _take_notes(self, drive: Drive) -> None:
+        self.notes += drive_notes(drive)
+        if drive.sha256 in self.seen:
+            self.notes.append(f"{drive.name} was learned before, as {self.seen[drive.sha256]}")
+        self.seen[drive.sha256] = drive.name
+
+
+def _row(
+    trained: TrainingSet, sources: Sequence[SetSource], name: str, seconds: float, offered: int | None = None
+) -> TrainRow:
+    reasons: dict[str, int] = {}
+    for source in sources:
+        for reason, count in source.rejected.items():
+            reasons[reason] = reasons.get(reason, 0) + count
+    samples = sum(source.samples for source in sources)
+    return TrainRow(
+        drive=name,
+        samples=samples,
+        accepted=sum(source.accepted for source in sources),
+        rejected=tuple(reasons.items()),
+        updates=sum(source.insertions + source.replacements for source in sources),
+        points=trained.size,
+        cells=trained.cell_count,
+        valid_share=trained.valid_share(),
+        microseconds=1e6 * seconds / max(offered or samples, 1),
+        megabytes=trained.nbytes / 1e6,
+    )
+
+
+def _check_continues(known: TrainingSet, vehicle: Vehicle, settings: TrainSettings, where: str) -> None:
+    """Refuse to continue a set with another car or other settings."""
+    if known.vehicle.digest() != vehicle.digest():
+        raise SetError(
+            f"was trained for the vehicle {known.vehicle.name!r} (physics {known.vehicle.digest()[:12]}), not for "
+            f"{vehicle.name!r} ({vehicle.digest()[:12]})",
+            where=where,
+            advice="Give the vehicle file it was trained with, or train a set of its own.",
+        )
+    if settings.hyperparameters is not None:
+        raise SetError(
+            f"keeps its hyperparameters ({known.kernel.origin}) when appended to",
+            where=where,
+            advice="Leave out --hyperparameters, or train anew with all drives.",
+        )
+    asked = parse_features(settings.features).names if settings.features else known.features.names
+    for what, theirs, ours in (
+        ("features", asked, known.features.names),
+        ("capacity", settings.capacity, known.capacity),
+        ("threshold", settings.threshold, known.threshold),
+        ("forgetting", settings.forgetting, known.forgetting),
+        ("plain labels", settings.plain or None, known.plain),
+    ):
+        if theirs is not None and theirs != ours:
+            shown = [", ".join(v) if isinstance(v, tuple) else v for v in (ours, theirs)]
+            raise SetError(
+                f"its {what}: {shown[0]}; asked for: {shown[1]}", where=where, advice="Train a set of its own."
+            )
