@@ -117,6 +117,14 @@ def test_suffix_units_and_preamble_of_mixed_width(tmp_path):
         recording.read(["note"])
 
 
+def test_two_columns_with_decimal_commas(tmp_path):
+    # Splitting at the commas gives two numbers a row as well.
+    (tmp_path / "a.csv").write_text("a;b\n" + "".join(f"{n},5;{n},25\n" for n in range(20)))
+    signals = open_recording(tmp_path / "a.csv").read(["a", "b"])
+    np.testing.assert_array_equal(signals["a"].values, np.arange(20) + 0.5)
+    np.testing.assert_array_equal(signals["b"].values, np.arange(20) + 0.25)
+
+
 def test_no_header_numbers_the_columns_and_says_so(tmp_path, planted):
     (tmp_path / "a.csv").write_text(text_of(planted))
     recording = open_recording(tmp_path / "a.csv")
@@ -184,6 +192,8 @@ def test_arrow_formats(tmp_path, planted, kind):
     frame["on"] = np.arange(COUNT) % 2 == 0
     frame["gear"] = pd.array([None if n == 3 else n for n in range(COUNT)], dtype="Int16")
     frame["note"] = "text"
+    frame["twist.linear.x"] = planted.vy
+    frame["x[0]"], frame["x[1]"] = planted.r, -planted.r
     path = tmp_path / f"drive.{kind}"
     getattr(frame, f"to_{kind}")(path)
     recording = open_recording(path)
@@ -193,6 +203,9 @@ def test_arrow_formats(tmp_path, planted, kind):
     np.testing.assert_allclose(signals["stamp"].values, planted.header * 1e-9, rtol=0, atol=5e-7)
     np.testing.assert_array_equal(signals["on"].values, np.arange(COUNT) % 2 == 0)
     np.testing.assert_array_equal(signals["gear"].values, [np.nan if n == 3 else n for n in range(COUNT)])
+    signals = recording.read(["twist.linear.x", "x[0]", "x[1]"])
+    np.testing.assert_array_equal(signals["twist.linear.x"].values, planted.vy)
+    np.testing.assert_array_equal(signals["x[1]"].values, -planted.r)
     with pytest.raises(LogError, match="not numbers"):
         recording.read(["note"])
     with pytest.raises(LogError, match="Did you mean vx"):

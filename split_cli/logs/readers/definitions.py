@@ -97,17 +97,21 @@ class Definitions:
     def _find(self, type_name: str, schema_encoding: str, schema: bytes) -> Layout:
         wanted = _full_name(type_name)
         ros1 = schema_encoding == "ros1msg"
-        embedded = bool(schema.strip())
-        known = _parse(wanted, schema_encoding, schema) if embedded else {}
-        # A definition may leave out the types every installation has (time, Header).
-        known = {**self._builtin_types(ros1), **self._given, **known}
+        inside = _parse(wanted, schema_encoding, schema) if schema.strip() else {}
+        if wanted in inside:
+            try:
+                return Layout(wanted, _expand(wanted, inside, ros1, 0), embedded=True)
+            except LogError:
+                # Some writers leave out the types every installation has (std_msgs/Header).
+                pass
+        known = {**self._builtin_types(ros1), **self._given, **inside}
         if wanted not in known:
             raise LogError(
                 f"the recording holds no definition of message type {type_name!r}, and it is not a common one",
                 advice="Give the folder of its .msg files with --msg-path, or convert the recording to MCAP "
                 "where the types are installed. " + nearest_names(wanted, known),
             )
-        return Layout(wanted, _expand(wanted, known, ros1, 0), embedded)
+        return Layout(wanted, _expand(wanted, known, ros1, 0), embedded=False)
 
     def _builtin_types(self, ros1: bool) -> dict[str, Any]:
         if ros1 not in self._builtin:

@@ -54,7 +54,8 @@ def open_delimited(path: Path) -> Recording:
             if info.type_name == "text" and info.name in names:
                 raise LogError(f"column {info.name!r} holds text, not numbers", where=path.name)
         chosen = {name: columns[name] for name in names}
-        values = _read_columns(path, sniffed.dialect, width, [index for index, _ in chosen.values()], notes)
+        titles = {index: name for name, (index, _) in chosen.items()}
+        values = _read_columns(path, sniffed.dialect, width, titles, notes)
         return {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
 
     return LazyTableRecording(path.name, path, infos, load, notes=notes)
@@ -116,17 +117,17 @@ def _seconds(cell: str) -> float:
 
 
 def _read_columns(
-    path: Path, dialect: Dialect, width: int, indices: list[int], notes: list[ReadNote]
+    path: Path, dialect: Dialect, width: int, titles: dict[int, str], notes: list[ReadNote]
 ) -> dict[int, np.ndarray]:
-    """Return the columns `indices` as numbers."""
+    """Return the columns at the positions `titles` as numbers."""
     import pyarrow as pa
 
     try:
-        table, ragged = _read_table(path, dialect, width, indices, pa.float64())
+        table, ragged = _read_table(path, dialect, width, list(titles), pa.float64())
     except pa.ArrowInvalid:
         # Some cell is no number: read as text, then cell by cell where the quick conversion fails.
         try:
-            table, ragged = _read_table(path, dialect, width, indices, pa.string())
+            table, ragged = _read_table(path, dialect, width, list(titles), pa.string())
         except pa.ArrowException as error:
             raise _unreadable(path, error) from error
     except pa.ArrowException as error:
@@ -136,7 +137,7 @@ def _read_columns(
     if not table.num_rows:
         raise LogError("holds no rows", where=path.name)
     values = {}
-    for index in indices:
+    for index, title in titles.items():
         column = table[str(index)]
         if pa.types.is_string(column.type):
             values[index], bad = _numbers(column, dialect.decimal)
@@ -144,7 +145,7 @@ def _read_columns(
                 note_once(
                     notes,
                     ReadNote(
-                        "cells that are no numbers, read as missing", f"{path.name}, column {index + 1}", bad
+                        "cells that are no numbers, read as missing", f"{path.name}, column {title}", bad
                     ),
                 )
         else:
@@ -168,7 +169,7 @@ def _read_table(path: Path, dialect: Dialect, width: int, indices: list[int], ki
         table = arrow_csv.read_csv(
             stream,
             read_options=arrow_csv.ReadOptions(
-                column_names=names, encoding=dialect.encoding, block_size=_BLOCK_BYTES, use_threads=False
+                column_names=names, encoding=dialect.encoding, block_size=_BLOCK_BYTES
             ),
             parse_options=arrow_csv.ParseOptions(
                 delimiter=dialect.separator, invalid_row_handler=skip, newlines_in_values=False
@@ -187,18 +188,24 @@ def _read_table(path: Path, dialect: Dialect, width: int, indices: list[int], ki
 
 def _numbers(column: Any, decimal: str) -> tuple[np.ndarray, int]:
     """Return a column of text as numbers, and how many cells are none."""
-    import pandas as pd
+    import pyarrow as pa
+    import pyarrow.compute as pc
 
-    text = column.to_pandas().str.strip()
-    plain = text.str.replace(decimal, ".", regex=False) if decimal != "." else text
-    values = pd.to_numeric(plain, errors="coerce").to_numpy(dtype=np.float64, copy=True)
-    unread = np.flatnonzero(np.isnan(values) & text.notna().to_numpy())
-    cells = text.iloc[unread].tolist()
-    values[unread] = [_number(cell, decimal) for cell in cells]
-    bad = sum(
-        1 for row, cell in zip(unread, cells, strict=True) if np.isnan(values[row]) and cell not in _EMPTY
-    )
-    return values, bad
+    parts: list[np.ndarray] = []
+    bad = 0
+    for chunk in column.chunks:
+        text = pc.utf8_trim_whitespace(chunk)
+        try:
+            plain = text if decimal == "." else pc.replace_substring(text, decimal, ".")
+            numbers = pc.fill_null(pc.cast(plain, pa.float64()), float("nan"))
+            parts.append(numbers.to_numpy(zero_copy_only=False))
+        except pa.ArrowInvalid:
+            cells = text.to_pylist()
+            values = np.array([np.nan if cell is None else _number(cell, decimal) for cell in cells])
+            missing = np.flatnonzero(np.isnan(values))
+            bad += sum(cells[row] is not None and cells[row] not in _EMPTY for row in missing)
+            parts.append(values)
+    return np.concatenate(parts), bad
 
 
 def _unreadable(path: Path, error: Exception) -> LogError:

@@ -122,8 +122,10 @@ def _candidates(lines: list[str]) -> list[tuple[str, str]]:
             rows = [_split(line, separator) for line in tail]
             widths = Counter(map(len, rows))
             width = max(widths, key=lambda w: (widths[w], w), default=0)
-            numbers = sum(_is_number(cell, decimal) for row in rows if len(row) == width for cell in row)
-            scored.append((width > 1, numbers, (separator, decimal)))
+            cells = [cell for row in rows if len(row) == width for cell in row]
+            numbers = sum(_is_number(cell, decimal) for cell in cells)
+            # Weighed by their share: 0,1;2,5 holds two numbers between commas as well, and a remnant.
+            scored.append((width > 1, numbers * numbers / max(len(cells), 1), (separator, decimal)))
     # A column of integers reads the same with either mark; the point, listed first, then wins.
     scored.sort(key=lambda entry: entry[:2], reverse=True)
     return [entry[2] for entry in scored]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sqlite3
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,17 +23,12 @@ from split_cli.logs.readers.messages import Batch, Container, Stream
 __all__ = ["ConcatenatedContainer", "SqliteContainer", "open_rosbag2_folder"]
 
 _ROWS_AT_ONCE = 2048
+_LARGEST_MESSAGE = 1 << 28
 _STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
 class SqliteContainer:
     """A rosbag2 database; see `Container`. It knows log times only.
-
-    Parameters
-    ----------
-    path : Path
-    unpack : callable, optional
-        Undoes the compression of single messages.
 
     Raises
     ------
@@ -43,10 +38,9 @@ class SqliteContainer:
 
     has_publish_times = False
 
-    def __init__(self, path: Path, unpack: Callable[[bytes], bytes] | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self.notes: list[ReadNote] = []
-        self._unpack = unpack
         # A killed recorder leaves its last messages in the write-ahead log, which an immutable opening ignores.
         pending = path.with_name(path.name + "-wal").exists()
         uri = f"file:{quote(str(path.resolve()))}?mode=ro" + ("" if pending else "&immutable=1")
@@ -101,12 +95,6 @@ class SqliteContainer:
             if not isinstance(time, int) or time < 0 or not isinstance(payload, bytes):
                 odd += 1
                 continue
-            if self._unpack is not None:
-                try:
-                    payload = self._unpack(payload)
-                except zstandard.ZstdError:
-                    odd += 1
-                    continue
             batch = found[key]
             batch.log_times.append(time)
             batch.publish_times.append(time)
@@ -117,14 +105,32 @@ class SqliteContainer:
 
 
 class ConcatenatedContainer:
-    """The files of a split recording, one after the other; see `Container`."""
+    """The files of a split recording, one after the other; see `Container`.
 
-    def __init__(self, parts: Sequence[Container], notes: Sequence[ReadNote] = ()) -> None:
+    Parameters
+    ----------
+    parts : sequence of Container
+    notes : list of ReadNote
+        What was found before reading.
+    packed : bool
+        Whether every single message is compressed (zstd).
+    temporary : TemporaryDirectory, optional
+        Holds files that the parts read; it is removed with this container.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[Container],
+        notes: list[ReadNote],
+        packed: bool,
+        temporary: TemporaryDirectory[str] | None,
+    ) -> None:
         self._parts = parts
+        self._packed = packed
+        self._temporary = temporary
         self.origin = min(part.origin for part in parts)
         self.has_publish_times = all(part.has_publish_times for part in parts)
-        self._own_notes = list(notes)
-        self.notes = self._own_notes
+        self.notes = notes
         self.streams: list[Stream] = []
         self._keys: list[dict[int, int]] = []
         for part in parts:
@@ -136,8 +142,11 @@ class ConcatenatedContainer:
         """Yield the messages of the streams `keys`; see `Container.batches`."""
         for part, own_keys in zip(self._parts, self._keys, strict=True):
             chosen = frozenset(own for own, key in own_keys.items() if key in keys)
-            if chosen:
-                yield from (replace(batch, key=own_keys[batch.key]) for batch in part.batches(chosen))
+            for batch in part.batches(chosen) if chosen else ():
+                payloads = (
+                    [_unpacked(payload) for payload in batch.payloads] if self._packed else batch.payloads
+                )
+                yield replace(batch, key=own_keys[batch.key], payloads=payloads)
             for note in part.notes:
                 note_once(self.notes, note)
 
@@ -151,7 +160,7 @@ def open_rosbag2_folder(path: Path) -> Container:
         If there are none, or none of them can be read.
     """
     notes: list[ReadNote] = []
-    files, message_compression = _listed_files(path, notes)
+    files, packed = _listed_files(path, notes)
     temporary: TemporaryDirectory[str] | None = None
     parts: list[Container] = []
     problem: LogError | None = None
@@ -159,21 +168,14 @@ def open_rosbag2_folder(path: Path) -> Container:
         try:
             if file.suffix == ".zstd":
                 temporary = temporary or TemporaryDirectory(prefix="split-")
-                file = _unpacked(file, Path(temporary.name))
-            if file.suffix == ".mcap":
-                parts.append(McapContainer(file))
-            else:
-                unpack = zstandard.ZstdDecompressor().decompress if message_compression else None
-                parts.append(SqliteContainer(file, unpack))
+                file = _unpacked_file(file, Path(temporary.name))
+            parts.append(McapContainer(file) if file.suffix == ".mcap" else SqliteContainer(file))
         except LogError as error:
             problem = error
             note_once(notes, ReadNote(f"file left out: {error}", path.name))
     if not parts:
         raise problem or LogError("is a folder without a recording in it", where=str(path))
-    whole = ConcatenatedContainer(parts, notes)
-    # The unpacked files must live as long as what reads them.
-    whole.temporary = temporary  # type: ignore[attr-defined]
-    return whole
+    return ConcatenatedContainer(parts, notes, packed, temporary)
 
 
 def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
@@ -210,7 +212,15 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
     return [path / name for name in names if (path / name).exists()], mode == "message"
 
 
-def _unpacked(file: Path, folder: Path) -> Path:
+def _unpacked(payload: bytes) -> bytes:
+    """Return a message decompressed; one that is damaged, empty, so that it counts as not fitting."""
+    try:
+        return zstandard.ZstdDecompressor().decompress(payload, max_output_size=_LARGEST_MESSAGE)
+    except (zstandard.ZstdError, MemoryError):
+        return b""
+
+
+def _unpacked_file(file: Path, folder: Path) -> Path:
     target = folder / file.stem
     try:
         with file.open("rb") as packed, target.open("wb") as plain:
