@@ -1,0 +1,27 @@
+"""Parameter dataclasses as namedtuples of float64, which is what compiled code takes."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from dataclasses import fields, is_dataclass
+
+__all__ = ["as_numbers"]
+
+_CLASSES: dict[type, type] = {}
+
+
+def as_numbers(parameters):
+    """Return the numeric fields of a (nested) parameter dataclass as a namedtuple; ``name`` is left out."""
+    cls = _number_class(type(parameters))
+    values = [getattr(parameters, name) for name in cls._fields]
+    return cls(*(as_numbers(value) if is_dataclass(value) else float(value) for value in values))
+
+
+def _number_class(source: type) -> type:
+    # One class a dataclass: compiled code is specialised on the class, a new one would be compiled again.
+    if source not in _CLASSES:
+        created = namedtuple(f"{source.__name__}Numbers", [f.name for f in fields(source) if f.name != "name"])
+        created.__module__ = __name__
+        globals()[created.__name__] = created  # numba's cache finds a class by its import path
+        _CLASSES[source] = created
+    return _CLASSES[source]

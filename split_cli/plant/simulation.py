@@ -1,0 +1,273 @@
+"""A run of the plant: a driver or a script at the wheel, the exact states as result."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.errors import SplitError
+from split_cli.plant import _compiled
+from split_cli.plant._numbers import as_numbers
+from split_cli.plant.cars import CarParameters
+from split_cli.plant.drivers import (
+    DriverStyle,
+    SpeedProfile,
+    driver_plan,
+    driver_tables,
+    grip_of,
+    speed_profile,
+    varied,
+)
+from split_cli.plant.road import Road
+from split_cli.plant.tracks import Track
+
+__all__ = ["Script", "Trajectory", "drive_laps", "drive_script", "initial_state"]
+
+STEP = 1e-3
+CONTROL_PERIOD = 0.02
+
+_PathTables = namedtuple("_PathTables", "spacing length turn x y direction curvature speed acceleration")
+_ScriptTables = namedtuple("_ScriptTables", "torque steer speed acceleration")
+_StopTables = namedtuple("_StopTables", "distance speed off_track")
+
+_ENDINGS = {
+    _compiled.LEFT_TRACK: "the car left the track",
+    _compiled.SPUN: "the car spun",
+    _compiled.NOT_FINITE: "the integration diverged",
+    _compiled.OUT_OF_TIME: "the laps were not finished in time",
+}
+
+
+@dataclass(frozen=True)
+class Script:
+    """Commands over time, one entry a control period; NaN leaves the choice to the driver, inf holds the last.
+
+    Attributes
+    ----------
+    torque : ndarray, shape (K,)
+        Wheel torque [N m].
+    steer : ndarray, shape (K,)
+        Road-wheel angle [rad].
+    speed : ndarray, shape (K,)
+        Speed to follow where the torque is left to the driver [m/s]; NaN for the driver's own profile.
+    """
+
+    torque: np.ndarray
+    steer: np.ndarray
+    speed: np.ndarray
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What really happened, free of noise, at an even clock.
+
+    Attributes
+    ----------
+    car : CarParameters
+    t : ndarray, shape (N,)
+        [s]
+    states : ndarray, shape (N, 24)
+        See `dynamics`.
+    outputs : ndarray, shape (N, 21)
+        See `dynamics`.
+    s : ndarray, shape (N,)
+        Distance along the track, or travelled where there is none [m]; not reset at a lap's end.
+    command_t, torque_command, steer_command : ndarray, shape (K,)
+        Instants [s] and commands held from then on [N m], [rad].
+    lap_length : float
+        0 without a track [m].
+    ended_early : bool
+        Whether the car fell below its crawling speed before the script was over.
+    """
+
+    car: CarParameters
+    t: np.ndarray
+    states: np.ndarray
+    outputs: np.ndarray
+    s: np.ndarray
+    command_t: np.ndarray
+    torque_command: np.ndarray
+    steer_command: np.ndarray
+    lap_length: float = 0.0
+    ended_early: bool = False
+
+    def channel(self, name: str) -> np.ndarray:
+        """Return a channel of the drive, or another quantity of the plant, at `t`; shape (N,).
+
+        Parameters
+        ----------
+        name : str
+            A drive's channel (``T`` and ``delta`` are the commands), ``T_actual``, ``delta_actual``, ``s``,
+            ``wheel_speed_fl`` ... ``wheel_speed_rr`` [rad/s], ``load_fl`` ... ``load_rr`` [N].
+        """
+        return _channel(self, name)
+
+
+_STATE_CHANNELS = {
+    "X": _compiled.X, "Y": _compiled.Y, "yaw": _compiled.YAW, "vx": _compiled.VX, "vy": _compiled.VY,
+    "r": _compiled.R, "T_actual": _compiled.TORQUE,
+}  # fmt: skip
+_CORNERS = ("fl", "fr", "rl", "rr")
+
+
+def _channel(run: Trajectory, name: str) -> np.ndarray:
+    if name in _STATE_CHANNELS:
+        return run.states[:, _STATE_CHANNELS[name]]
+    if name in ("t", "s"):
+        return getattr(run, name)
+    if name in ("ax", "ay"):
+        return run.outputs[:, _compiled.OUT_AX if name == "ax" else _compiled.OUT_AY]
+    if name == "delta_actual":
+        return run.states[:, _compiled.STEER] + run.car.steer_offset
+    if name in ("T", "delta"):
+        held = np.searchsorted(run.command_t, run.t + 1e-9, side="right") - 1
+        return (run.torque_command if name == "T" else run.steer_command)[held]
+    quantity, _, corner = name.rpartition("_")
+    if corner in _CORNERS and quantity in ("wheel_speed", "load"):
+        wheel = _CORNERS.index(corner)
+        return run.states[:, _compiled.WHEEL + wheel] if quantity == "wheel_speed" else run.outputs[:, 2 + wheel]
+    raise KeyError(name)
+
+
+def initial_state(
+    car: CarParameters, speed: float, track: Track | None = None, s: float = 0.0
+) -> np.ndarray:
+    """Return the state, shape (24,), of a car rolling at `speed` [m/s] along a track or along X, wheels turning.
+
+    On a bend the car starts with the yaw rate and steer angle of the bend, its tyres not yet loaded.
+    """
+    x = np.zeros(_compiled.STATE_SIZE)
+    x[_compiled.VX] = speed
+    x[_compiled.WHEEL : _compiled.WHEEL + 4] = speed / car.wheel_radius
+    if track is not None:
+        i = int(round(s / track.spacing)) % len(track.x)
+        x[_compiled.X], x[_compiled.Y] = track.x[i], track.y[i]
+        x[_compiled.YAW] = track.direction[i] + track.turn * np.floor(s / track.length)
+        x[_compiled.R] = speed * track.curvature[i]
+        x[_compiled.STEER] = np.arctan(car.wheelbase * track.curvature[i])
+    return x
+
+
+def drive_laps(
+    car: CarParameters,
+    track: Track,
+    style: DriverStyle,
+    *,
+    aggressiveness: float = 0.6,
+    laps: float = 1.0,
+    seed: int = 0,
+    road: Road | None = None,
+    sample_period: float = 2e-3,
+) -> Trajectory:
+    """Drive a number of laps with a flying start on the first straight.
+
+    Parameters
+    ----------
+    aggressiveness : float
+        Share of the car's grip the driver uses, above 0 to 1 [1].
+    seed : int
+        Of the person and of the unrest; the same seed gives the same drive.
+    road : Road, optional
+        Surroundings the driver does not know of; level and dry by default.
+
+    Raises
+    ------
+    SplitError
+        If a setting makes no sense, or the car left the track or spun.
+    """
+    if not 0.0 < aggressiveness <= 1.0:
+        raise SplitError(f"aggressiveness must lie above 0 and not above 1, got {aggressiveness:g}")
+    if not 0.0 < laps <= 200.0:
+        raise SplitError(f"laps must lie above 0 and not above 200, got {laps:g}")
+    person = varied(style, seed)
+    grip = grip_of(car)
+    profile = speed_profile(car, track, person, aggressiveness, grip)
+    if profile.speed.min() < 1.2 * car.crawl_speed:
+        raise SplitError(
+            f"{car.name} would crawl round {track.name} at {profile.speed.min():.2g} m/s",
+            advice="Choose a larger track or more aggressiveness.",
+        )
+    duration = 1.3 * laps * track.length * np.mean(1.0 / profile.speed) + 5.0
+    steps = int(np.ceil(duration / CONTROL_PERIOD))
+    free = np.full(steps, np.nan)
+    return _simulate(
+        car,
+        initial_state(car, float(profile.speed[0]), track),
+        Script(free, free, free),
+        track,
+        profile,
+        person,
+        seed,
+        road or Road(),
+        laps * track.length,
+        sample_period,
+    )
+
+
+def drive_script(
+    car: CarParameters,
+    script: Script,
+    style: DriverStyle,
+    *,
+    speed: float,
+    track: Track | None = None,
+    seed: int = 0,
+    road: Road | None = None,
+    sample_period: float = 2e-3,
+) -> Trajectory:
+    """Carry out a script from straight running (or from a track's start) at `speed` [m/s].
+
+    Raises
+    ------
+    SplitError
+        If the car left the track or spun.
+    """
+    profile = None
+    if track is not None:
+        profile = SpeedProfile(np.full(len(track.x), speed), np.zeros(len(track.x)))
+    calm = DriverStyle(style.name, preview_time=style.preview_time, line_wander=0, pace_wander=0)
+    return _simulate(
+        car, initial_state(car, speed, track), script, track, profile, calm, seed, road or Road(), np.inf,
+        sample_period,
+    )  # fmt: skip
+
+
+def _simulate(car, start, script, track, profile, style, seed, road, distance, sample_period) -> Trajectory:
+    keep = int(round(sample_period / STEP))
+    substeps = int(round(CONTROL_PERIOD / STEP))
+    if keep < 1 or substeps % keep:
+        raise SplitError(f"sample period {sample_period:g} s does not divide {CONTROL_PERIOD:g} s")
+    steps = len(script.torque)
+    if track is None:
+        nothing = np.zeros(1)
+        path = _PathTables(1.0, 0.0, 0.0, *([nothing] * 6))
+        off_track = np.inf
+    else:
+        path = _PathTables(
+            track.spacing, track.length, track.turn, track.x, track.y, track.direction, track.curvature,
+            profile.speed, profile.acceleration,
+        )  # fmt: skip
+        # On a test circle the steer may be held on purpose; only laps have edges.
+        off_track = 2.0 * track.half_width if np.isfinite(distance) else np.inf
+    grip = grip_of(car)
+    reach = distance if np.isfinite(distance) else steps * CONTROL_PERIOD * 2.0 * float(start[_compiled.VX])
+    plan = driver_plan(
+        car, style, track.half_width if track else 0.0, reach, steps, CONTROL_PERIOD, seed
+    )  # fmt: skip
+    slope = np.gradient(script.speed, CONTROL_PERIOD) if steps > 1 else np.zeros(steps)
+    tables = _ScriptTables(script.torque, script.steer, script.speed, np.where(np.isnan(slope), 0.0, slope))
+    stop = _StopTables(float(min(distance, 1e300)), car.crawl_speed, float(min(off_track, 1e300)))
+    times, states, outputs, places, torques, steers, reason = _compiled.run(
+        start, 0.0, as_numbers(car), road.tables(), path, plan, tables, driver_tables(car, style, grip),
+        CONTROL_PERIOD, STEP, substeps, keep, stop,
+    )  # fmt: skip
+    if reason in _ENDINGS:
+        at = f"at {times[-1]:.1f} s, s = {places[-1]:.0f} m" if len(times) else "at once"
+        raise SplitError(f"{_ENDINGS[reason]} {at}", where=car.name, advice="Use less aggressiveness.")
+    return Trajectory(
+        car=car, t=times, states=states, outputs=outputs, s=places,
+        command_t=np.arange(len(torques)) * CONTROL_PERIOD, torque_command=torques, steer_command=steers,
+        lap_length=track.length if track else 0.0, ended_early=reason == _compiled.TOO_SLOW,
+    )  # fmt: skip
