@@ -1,4 +1,4 @@
-"""Messages a second of the MCAP reader against full decoding by mcap-ros2-support and by rosbags.
+"""Messages a second of the readers of MCAP and bags against mcap-ros2-support and rosbags, decoding in full.
 
 Run it with ``python -m tests.benchmarks.bench_readers [messages]``. All read the same file of ROS 2 odometry
 and, but for the raw iteration, hand over the same numbers: time and three fields of every message.
@@ -9,12 +9,11 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 from mcap.reader import make_reader
-from mcap.writer import CompressionType
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
@@ -51,7 +50,7 @@ def mcap_ros2_support(path: Path) -> np.ndarray:
 def rosbags(path: Path) -> np.ndarray:
     """Decode every message of the topic with rosbags."""
     rows = []
-    with AnyReader([path.parent]) as reader:
+    with AnyReader([path if path.suffix == ".bag" else path.parent]) as reader:
         for connection, _, payload in reader.messages([c for c in reader.connections if c.topic == "/odom"]):
             rows.append(_row(reader.deserialize(payload, connection.msgtype)))
     return np.array(rows).T
@@ -72,24 +71,28 @@ def best_time(read: Callable[[Path], np.ndarray], path: Path) -> tuple[float, np
     return min(times), result
 
 
-def main(count: int = 50_000) -> None:
-    """Write the file, read it by each, check that they agree, print the table."""
-    planted = support.plant(count)
-    with tempfile.TemporaryDirectory() as folder:
-        bag = support.write_rosbag2(Path(folder) / "bag", planted, "MCAP")
-        rewritten = Path(folder) / "bag" / next(bag.glob("*.mcap")).name
-        support.write_ros2_mcap(rewritten, planted, compression=CompressionType.ZSTD, chunk_size=1 << 20)
-        print(f"{count} odometry messages, {rewritten.stat().st_size / 1e6:.1f} MB in zstd chunks of 1 MB")
-        measured = {
-            read.__name__: best_time(read, rewritten)
-            for read in (ours, mcap_iteration, mcap_ros2_support, rosbags)
-        }
-    reference = measured["mcap_ros2_support"]
-    for name in ("ours", "rosbags"):
-        np.testing.assert_array_equal(measured[name][1][1:], reference[1][1:])
+def compare(count: int, path: Path, readers: Sequence[Callable[[Path], np.ndarray]]) -> None:
+    """Print the table of one file; the last reader, which decodes in full, is the reference of the ratios."""
+    measured = {read.__name__: best_time(read, path) for read in readers}
+    reference_time, reference = measured[readers[-1].__name__]
+    np.testing.assert_array_equal(measured["ours"][1][1:], reference[1:])
+    print(f"\n{path.name}: {count} odometry messages, {path.stat().st_size / 1e6:.1f} MB")
     print(f"{'reader':<20}{'messages/s':>14}{'ratio':>8}")
     for name, (seconds, _) in measured.items():
-        print(f"{name:<20}{count / seconds:>14,.0f}{reference[0] / seconds:>8.1f}")
+        print(f"{name:<20}{count / seconds:>14,.0f}{reference_time / seconds:>8.1f}")
+
+
+def main(count: int = 50_000) -> None:
+    """Write the planted drive in three containers and read it by each of the readers that can."""
+    planted = support.plant(count)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        support.write_rosbag2(folder / "mcap", planted, "MCAP")
+        zstd = support.write_ros2_mcap(folder / "mcap" / "mcap.mcap", planted, chunk_size=1 << 20)
+        compare(count, zstd, (ours, mcap_iteration, rosbags, mcap_ros2_support))
+        support.write_rosbag2(folder / "db3", planted, "SQLITE3")
+        compare(count, folder / "db3" / "db3.db3", (ours, rosbags))
+        compare(count, support.write_bag1(folder / "drive.bag", planted), (ours, rosbags))
 
 
 if __name__ == "__main__":

@@ -28,6 +28,8 @@ def test_rosbag2_folder(tmp_path, storage):
     recording = open_recording(support.write_rosbag2(tmp_path / "bag", planted, storage))
     check_planted(recording, planted, ("header", "log"))
     assert recording.notes == []
+    # Its metadata file stands for the folder.
+    check_planted(open_recording(tmp_path / "bag" / "metadata.yaml"), planted, ("header", "log"))
 
 
 @pytest.mark.parametrize("compression", [None, "BZ2", "LZ4"])

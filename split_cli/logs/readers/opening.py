@@ -50,8 +50,8 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     """
     path = Path(path)
     try:
-        if path.is_dir():
-            return _open_folder(path, message_paths)
+        if path.is_dir() or path.name == "metadata.yaml":
+            return _open_folder(path if path.is_dir() else path.parent, message_paths)
         if not path.exists():
             raise LogError("does not exist", where=str(path), advice=_neighbours(path))
         return _open_file(path, message_paths)
