@@ -215,3 +215,18 @@ def test_cut_and_foreign_payloads_are_told_from_good_ones():
 def test_bad_definitions_are_said(text, match):
     with pytest.raises(LogError, match=match):
         Definitions().layout("test_msgs/msg/Outer", "ros2msg", text.encode("latin-1"))
+
+
+def test_a_given_definition_stands_in_for_one_that_cannot_be_parsed(tmp_path):
+    folder = tmp_path / "test_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Outer.msg").write_text("float64 x\n")
+    layout = Definitions([tmp_path]).layout("test_msgs/msg/Outer", "ros2msg", b"float64\n")
+    payload = b"\0\1\0\0" + np.array([2.5]).tobytes()
+    assert not layout.embedded
+    np.testing.assert_array_equal(
+        SerializedDecoder(layout, cdr=True).decode([payload], ["x"]).values, [[2.5]]
+    )
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(LogError, match=r"no \.msg files"):
+        Definitions([tmp_path / "empty"])

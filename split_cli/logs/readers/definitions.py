@@ -97,7 +97,13 @@ class Definitions:
     def _find(self, type_name: str, schema_encoding: str, schema: bytes) -> Layout:
         wanted = _full_name(type_name)
         ros1 = schema_encoding == "ros1msg"
-        inside = _parse(wanted, schema_encoding, schema) if schema.strip() else {}
+        inside: dict[str, Any] = {}
+        try:
+            inside = _parse(wanted, schema_encoding, schema) if schema.strip() else {}
+        except LogError:
+            # The advice in that error is to give the definition, so one that is given must do.
+            if wanted not in self._given:
+                raise
         if wanted in inside:
             try:
                 return Layout(wanted, _expand(wanted, inside, ros1, 0), embedded=True)

@@ -275,8 +275,8 @@ class MessageRecording:
                 note_once(self.notes, ReadNote(decoder.assumption, stream.topic))
             return decoder
         raise LogError(
-            f"messages are encoded as {stream.encoding or 'nothing in particular'!r} "
-            f"(definition: {stream.schema_encoding or 'none'}), which is not supported",
+            f"messages are encoded as {stream.encoding[:40] or 'nothing in particular'!r} "
+            f"(definition: {stream.schema_encoding[:40] or 'none'}), which is not supported",
             advice="Supported are cdr, ros1, protobuf and json; convert the recording.",
         )
 
