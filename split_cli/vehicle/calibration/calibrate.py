@@ -1,0 +1,257 @@
+"""All of a calibration in its order: tyres, what turning shows, resistances; and the vehicle that comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.errors import VehicleError, nearest_names
+from split_cli.vehicle.calibration.curve import ForceCurve, fit_force_curve
+from split_cli.vehicle.calibration.resistance import Resistance, fit_resistance
+from split_cli.vehicle.calibration.samples import MotionRun, MotionSamples, axle_lateral_forces, motion_samples
+from split_cli.vehicle.calibration.turning import Estimate, estimate_splits, estimate_yaw_inertia, with_estimates
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["PARTS", "Calibration", "CalibrationSettings", "calibrate_vehicle"]
+
+PARTS = ("tires", "drag", "rolling", "splits", "inertia")
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """What is fitted and which samples count.
+
+    Attributes
+    ----------
+    parts : tuple of str
+        Of `PARTS`.
+    alpha_max : float
+        Samples of larger slip angles are left out, and curves compared up to it [rad].
+    max_longitudinal_acceleration : float
+        For the tyres, samples beyond it are left out: braking and driving take lateral grip and move load, which
+        the nominal model does not know [m/s^2].
+    max_lateral_acceleration : float
+        For the resistances, samples beyond it are left out [m/s^2].
+    smoothing : float or None
+        Standard deviation of the kernel [s]; None as `motion_samples` has it.
+    offsets : bool
+        Whether constant offsets of the slip angles are fitted.
+    draws, seed : int
+        How often blocks of time are resampled, and the seed.
+    """
+
+    parts: tuple[str, ...] = ("tires", "drag", "rolling")
+    alpha_max: float = 0.18
+    max_longitudinal_acceleration: float = 2.0
+    max_lateral_acceleration: float = 2.0
+    smoothing: float | None = None
+    offsets: bool = False
+    draws: int = 200
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for part in self.parts:
+            if part not in PARTS:
+                raise VehicleError(f"cannot fit {part!r}", advice=nearest_names(part, PARTS))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated vehicle and what is known of it.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        Calibrated values are marked so, the rest as it was.
+    curves : tuple of ForceCurve
+        Front and rear; empty when tyres were not fitted.
+    resistance : Resistance or None
+    estimates : tuple of Estimate
+        Yaw inertia and splits, where asked for.
+    samples, blocks : int
+        Smoothed samples above the minimum speed, and blocks of time.
+    slip_front, force_front, slip_rear, force_rear : ndarray
+        The samples behind the curves [rad], [N], for figures.
+    """
+
+    vehicle: Vehicle
+    curves: tuple[ForceCurve, ...]
+    resistance: Resistance | None
+    estimates: tuple[Estimate, ...]
+    samples: int
+    blocks: int
+    slip_front: np.ndarray
+    force_front: np.ndarray
+    slip_rear: np.ndarray
+    force_rear: np.ndarray
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """All that the reader must know, in sentences."""
+        found = [remark for curve in self.curves for remark in curve.remarks]
+        found += self.resistance.remarks if self.resistance else ()
+        for estimate in self.estimates:
+            if not estimate.settled:
+                found.append(f"{estimate.name} is not identified by these drives: the start value is kept")
+        return tuple(found)
+
+
+def calibrate_vehicle(
+    runs: Sequence[MotionRun], start: Vehicle, settings: CalibrationSettings = CalibrationSettings()
+) -> Calibration:
+    """Fit a vehicle's parameters to recorded motion.
+
+    Parameters
+    ----------
+    runs : sequence of MotionRun
+        Stretches without a gap.
+    start : Vehicle
+        Gives mass, geometry and inertia, and what the data do not settle.
+    settings : CalibrationSettings
+
+    Raises
+    ------
+    VehicleError
+        If too little of the drives can be used.
+    """
+    samples = motion_samples(runs, start, smoothing=settings.smoothing)
+    samples = samples.where(samples.vx >= start.minimum_speed)
+    if not len(samples):
+        raise VehicleError(f"the drives never reach {start.minimum_speed:.2g} m/s, the minimum speed")
+    vehicle = start
+    gentle = _gentle(samples, settings)
+    curves: tuple[ForceCurve, ...] = ()
+    estimates: tuple[Estimate, ...] = ()
+    # What turning shows changes the forces that the curves are fitted to, and the other way round: three rounds.
+    asked = [part for part in ("splits", "inertia") if part in settings.parts]
+    rounds = 3 if asked else 1
+    for last in [False] * (rounds - 1) + [True]:
+        if "tires" in settings.parts:
+            curves = _fit_curves(gentle, vehicle, start, settings, draws=settings.draws if last else 0)
+            vehicle = replace(vehicle, front_tire=curves[0].tire, rear_tire=curves[1].tire)
+        estimates = ()
+        if "splits" in asked:
+            estimates += estimate_splits(samples, vehicle)
+        if "inertia" in asked:
+            estimates += (estimate_yaw_inertia(gentle, vehicle),)
+        vehicle = with_estimates(vehicle, estimates)
+    resistance = None
+    if {"drag", "rolling"} & set(settings.parts):
+        resistance, vehicle = _fit_resistance(samples, vehicle, settings)
+    front, rear = axle_lateral_forces(gentle, vehicle)
+    return Calibration(
+        vehicle=_marked(vehicle, curves, resistance, estimates),
+        curves=curves,
+        resistance=resistance,
+        estimates=estimates,
+        samples=len(samples),
+        blocks=len(np.unique(samples.block)),
+        slip_front=gentle.slip_front,
+        force_front=front,
+        slip_rear=gentle.slip_rear,
+        force_rear=rear,
+    )
+
+
+def _gentle(samples: MotionSamples, settings: CalibrationSettings) -> MotionSamples:
+    keep = np.abs(samples.ax) <= settings.max_longitudinal_acceleration
+    keep &= np.maximum(np.abs(samples.slip_front), np.abs(samples.slip_rear)) <= settings.alpha_max
+    return samples.where(keep)
+
+
+def _fit_curves(
+    samples: MotionSamples, vehicle: Vehicle, start: Vehicle, settings: CalibrationSettings, draws: int
+) -> tuple[ForceCurve, ...]:
+    forces = axle_lateral_forces(samples, vehicle)
+    axles = (
+        ("front", samples.slip_front, samples.slip_noise_front, vehicle.static_load_front),
+        ("rear", samples.slip_rear, samples.slip_noise_rear, vehicle.static_load_rear),
+    )
+    curves = []
+    for (axle, slip, noise, load), force in zip(axles, forces, strict=True):
+        tire = getattr(start, f"{axle}_tire")
+        curve = fit_force_curve(
+            axle,
+            slip,
+            force,
+            samples.block,
+            tire,
+            given_peak=_given_peak(start, axle, load),
+            static_load=load,
+            slip_noise=noise,
+            alpha_max=settings.alpha_max,
+            fit_offset=settings.offsets,
+            draws=draws,
+            seed=settings.seed,
+        )
+        curves.append(curve)
+    return tuple(curves)
+
+
+def _given_peak(start: Vehicle, axle: str, load: float) -> float:
+    """Return the peak to take when the data leave it open: published, else friction times static load."""
+    tire = getattr(start, f"{axle}_tire")
+    if start.friction_coefficient is None or start.origins.get(f"{axle}_tire.D") == "published":
+        return tire.D
+    return start.friction_coefficient * load
+
+
+def _fit_resistance(
+    samples: MotionSamples, vehicle: Vehicle, settings: CalibrationSettings
+) -> tuple[Resistance, Vehicle]:
+    straight = samples.where(np.abs(samples.ay) <= settings.max_lateral_acceleration)
+    front, _ = axle_lateral_forces(straight, vehicle)
+    resistance = fit_resistance(
+        straight, front, vehicle, fit_drag="drag" in settings.parts, fit_rolling="rolling" in settings.parts
+    )
+    before = vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear
+    # Only the sum is seen; it is shared as before, or as the load where there was none.
+    share = (
+        vehicle.rolling_resistance_front / before if before > 0 else vehicle.cg_to_rear_axle / vehicle.wheelbase
+    )
+    return resistance, replace(
+        vehicle,
+        drag_coefficient=resistance.drag,
+        rolling_resistance_front=share * resistance.rolling,
+        rolling_resistance_rear=(1.0 - share) * resistance.rolling,
+    )
+
+
+def _marked(
+    vehicle: Vehicle,
+    curves: tuple[ForceCurve, ...],
+    resistance: Resistance | None,
+    estimates: tuple[Estimate, ...],
+) -> Vehicle:
+    """Mark what was calibrated, and what was given in its place, with a note of how well it is known."""
+    origins, notes = dict(vehicle.origins), dict(vehicle.notes)
+
+    def mark(key: str, origin: str, note: str = "") -> None:
+        origins[key] = origin
+        notes.pop(key, None)
+        if note:
+            notes[key] = note
+
+    for curve in curves:
+        for name in ("B", "C", "D"):
+            key = f"{curve.axle}_tire.{name}"
+            if name in curve.determined:
+                mark(key, "calibrated")
+            elif origins.get(key) != "published":
+                mark(key, "assumed", "the drives leave it open")
+        notes[f"{curve.axle}_tire.B"] = (
+            f"equally good curves differ by {curve.deviation_covered:.3g} N up to {curve.covered:.3f} rad"
+        )
+    if resistance is not None:
+        if "drag" in resistance.determined:
+            mark("drag_coefficient", "calibrated", f"+- {resistance.drag_error:.2g}")
+        if "rolling" in resistance.determined:
+            note = f"the sum is known to +- {resistance.rolling_error:.2g} N, its share is not"
+            mark("rolling_resistance_front", "calibrated", note)
+            mark("rolling_resistance_rear", "calibrated", note)
+    for estimate in estimates:
+        if estimate.settled:
+            mark(estimate.name, "calibrated", f"+- {estimate.error:.2g}")
+    return replace(vehicle, origins=origins, notes=notes)

@@ -1,0 +1,172 @@
+"""Robust least squares with bounds, and uncertainty by resampling blocks of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Fit", "block_weights", "robust_scale", "solve"]
+
+Residual = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""parameters (P,) to residuals (M,) and their Jacobian (M, P)."""
+
+_HUBER = 1.5
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A solution of robust least squares.
+
+    Attributes
+    ----------
+    parameters : ndarray, shape (P,)
+    cost : float
+        Sum of weight times Huber loss, in units of the squared residual.
+    scale : float
+        Robust standard deviation of the residuals.
+    curvature : ndarray, shape (F, F)
+        J^T W J of the free parameters.
+    scores : ndarray, shape (M, F)
+        Each sample's share of the gradient, for sums over blocks.
+    free : ndarray of int, shape (F,)
+    """
+
+    parameters: np.ndarray
+    cost: float
+    scale: float
+    curvature: np.ndarray
+    scores: np.ndarray
+    free: np.ndarray
+
+    def covariance(self, block: np.ndarray) -> np.ndarray:
+        """Return the covariance of the free parameters, shape (F, F), robust to correlation within blocks.
+
+        Notes
+        -----
+        The sandwich H^-1 (sum over blocks of g_b g_b^T) H^-1 B/(B - F), after Liang and Zeger (1986).
+        """
+        sums = _sum_by_block(self.scores, block)
+        blocks, count = sums.shape
+        inverse = np.linalg.pinv(self.curvature)
+        return inverse @ (sums.T @ sums) @ inverse * blocks / max(blocks - count, 1)
+
+    def design_effect(self, block: np.ndarray) -> float:
+        """Return by how much correlation within blocks widens variances, a mean over the parameters, at least 1."""
+        sums = _sum_by_block(self.scores, block)
+        meat = np.linalg.pinv(self.curvature) @ (sums.T @ sums)
+        return max(1.0, float(np.trace(meat)) / (len(self.free) * self.scale**2))
+
+
+def _sum_by_block(values: np.ndarray, block: np.ndarray) -> np.ndarray:
+    _, index = np.unique(block, return_inverse=True)
+    sums = np.zeros((index.max() + 1, values.shape[1]))
+    np.add.at(sums, index, values)
+    return sums
+
+
+def robust_scale(residual: np.ndarray) -> float:
+    """Return the standard deviation of a normal law with the residuals' median absolute deviation from 0."""
+    return float(np.median(np.abs(residual)) / 0.674489750196)
+
+
+def solve(
+    residual: Residual,
+    start: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    free: np.ndarray | None = None,
+    weight: np.ndarray | None = None,
+    scale: float | None = None,
+    iterations: int = 60,
+) -> Fit:
+    """Minimise the Huber loss of the residuals by a Levenberg-Marquardt iteration inside bounds.
+
+    Parameters
+    ----------
+    residual : callable
+        Parameters (P,) to residuals (M,) and Jacobian (M, P).
+    start, lower, upper : ndarray, shape (P,)
+    free : ndarray of int, optional
+        Which parameters may move; the others stay at `start`. All by default.
+    weight : ndarray, shape (M,), optional
+        Of each sample, for example how often resampling drew its block.
+    scale : float, optional
+        Residuals beyond 1.5 of it count linearly; by default found from the residuals at each of three stages.
+    iterations : int
+        At most so many steps a stage.
+    """
+    free = np.arange(len(start)) if free is None else np.asarray(free)
+    parameters = np.clip(np.asarray(start, dtype=float), lower, upper)
+    stages = 1 if scale is not None else 3
+    for _ in range(stages):
+        value, jacobian = residual(parameters)
+        width = scale if scale is not None else max(robust_scale(value), 1e-9)
+        parameters = _descend(residual, parameters, lower, upper, free, weight, width, iterations)
+    value, jacobian = residual(parameters)
+    influence = _influence(value, width) if weight is None else weight * _influence(value, width)
+    reduced = jacobian[:, free]
+    curvature = (reduced * influence[:, None]).T @ reduced
+    scores = reduced * (influence * value)[:, None]
+    return Fit(parameters, _loss(value, width, weight), width, curvature, scores, free)
+
+
+def _descend(residual, parameters, lower, upper, free, weight, width, iterations) -> np.ndarray:
+    damping = 1e-3
+    value, jacobian = residual(parameters)
+    loss = _loss(value, width, weight)
+    for _ in range(iterations):
+        influence = _influence(value, width) if weight is None else weight * _influence(value, width)
+        gradient = jacobian.T @ (influence * value)
+        # A parameter at its bound that would leave it rests for this step.
+        leaves = ((parameters <= lower) & (gradient > 0)) | ((parameters >= upper) & (gradient < 0))
+        active = free[~leaves[free]]
+        if not len(active):
+            break
+        reduced = jacobian[:, active]
+        curvature = (reduced * influence[:, None]).T @ reduced
+        step = np.linalg.solve(
+            curvature + damping * np.diag(np.diag(curvature) + 1e-12 * np.trace(curvature)), -gradient[active]
+        )
+        trial = parameters.copy()
+        trial[active] = np.clip(trial[active] + step, lower[active], upper[active])
+        trial_value, trial_jacobian = residual(trial)
+        trial_loss = _loss(trial_value, width, weight)
+        if trial_loss < loss:
+            gained = loss - trial_loss
+            parameters, value, jacobian, loss = trial, trial_value, trial_jacobian, trial_loss
+            damping = max(damping / 5.0, 1e-12)
+            if gained < 1e-7 * loss:
+                break
+        elif damping > 1e8:
+            break
+        else:
+            damping *= 5.0
+    return parameters
+
+
+def _influence(value: np.ndarray, width: float) -> np.ndarray:
+    limit = _HUBER * width
+    return np.minimum(1.0, limit / np.maximum(np.abs(value), 1e-300))
+
+
+def _loss(value: np.ndarray, width: float, weight: np.ndarray | None) -> float:
+    limit = _HUBER * width
+    size = np.abs(value)
+    loss = np.where(size <= limit, 0.5 * size * size, limit * (size - 0.5 * limit))
+    return float(loss.sum() if weight is None else loss @ weight)
+
+
+def block_weights(block: np.ndarray, draws: int, seed: int) -> Iterator[np.ndarray]:
+    """Yield, `draws` times, how often each sample's block is drawn with replacement, shape (M,).
+
+    The bootstrap of blocks (Kuensch 1989) keeps the correlation inside a block.
+    """
+    _, index = np.unique(block, return_inverse=True)
+    count = int(index.max()) + 1
+    rng = np.random.default_rng(seed)
+    for _ in range(draws):
+        drawn = np.bincount(rng.integers(0, count, count), minlength=count)
+        yield drawn[index].astype(float)
