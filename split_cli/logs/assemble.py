@@ -9,14 +9,14 @@ import numpy as np
 
 from split_cli.errors import DriveError, LogError, MapError, nearest_names
 from split_cli.files import sha256_of_file
-from split_cli.logs import transform
 from split_cli.logs.clean import CleanSeries, clean_series, join_clock_resets
 from split_cli.logs.consistency import check_consistency
 from split_cli.logs.delay import DelayEstimate, estimate_delays
-from split_cli.logs.derive import DERIVATIONS, Derived, Situation, derivation_named, derivative
+from split_cli.logs.derive import DERIVATIONS, Derived, Situation, derivation_named
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source
 from split_cli.logs.gather import Gathered, Series, gather, topic_of
 from split_cli.logs.noise import estimate_noise, sum_of_noise
+from split_cli.logs.placing import move_to_cg
 from split_cli.logs.quality import ChannelQuality, QualityReport, source_quality
 from split_cli.logs.raw import Clock, Recording
 from split_cli.logs.resample import (
@@ -28,14 +28,14 @@ from split_cli.logs.resample import (
     resample_held,
     runs_of,
 )
-from split_cli.logs.signal_map import ChannelMap, Position, SignalMap
+from split_cli.logs.signal_map import ChannelMap, SignalMap
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Assembled", "IngestSettings", "assemble_drive"]
 
-DELAY_PASSES = 3
-"""Estimating delays again after applying them removes what the first estimate's own resampling cost."""
+_DELAY_PASSES = 6
+"""At most so many; identities of three channels are right only once all three are in time."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Assembled:
     quality: QualityReport
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Channels:
     """Cleaned sources by channel, and how each is resampled."""
 
@@ -120,15 +120,15 @@ def assemble_drive(
     channels = _clean_all(series, gathered.maps, needed, signal_map.despike)
     estimates: tuple[DelayEstimate, ...] = ()
     if settings.estimate_delays:
-        channels, estimates = _apply_delays(channels, needed, settings, vehicle, recording)
+        channels, estimates = _apply_delays(channels, needed, settings, vehicle, recording.name)
     grid, left_out = _grid(channels, needed, settings, recording.name)
     columns, noise, qualities = _resample_all(channels, grid, settings, needed)
     grid, columns, dropped = _without_missing(grid, columns, needed)
     slices = _slices(grid.segment)
     conversions = [*gathered.conversions, *joined]
-    _move_to_cg(columns, gathered.maps, vehicle, grid.period, slices, noise, conversions, before=True)
+    move_to_cg(columns, gathered.maps, vehicle, grid.period, slices, noise, conversions, before=True)
     made = _derive(derivations, columns, grid, slices, vehicle, signal_map)
-    _move_to_cg(columns, gathered.maps, vehicle, grid.period, slices, noise, conversions, before=False)
+    move_to_cg(columns, gathered.maps, vehicle, grid.period, slices, noise, conversions, before=False)
     made += _derive(derivations, columns, grid, slices, vehicle, signal_map, skip=len(made))
     kinds, warnings = _kinds(gathered, made, columns)
     for name, derived in made:
@@ -388,73 +388,6 @@ def _slices(segment: np.ndarray) -> list[slice]:
     return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
 
-def _place(position: Position, vehicle: Vehicle | None) -> tuple[float, float]:
-    if position.axle == "cg":
-        return position.x, position.y
-    if vehicle is None:
-        raise MapError(f"a sensor is placed at the {position.axle}", advice="Give the vehicle with --vehicle.")
-    reach = {"front_axle": vehicle.cg_to_front_axle, "rear_axle": -vehicle.cg_to_rear_axle}[position.axle]
-    return position.x + reach, position.y
-
-
-def _move_to_cg(
-    columns: dict[str, np.ndarray],
-    maps: Mapping[str, ChannelMap],
-    vehicle: Vehicle | None,
-    period: float,
-    slices: list[slice],
-    noise: dict[str, NoiseEstimate],
-    conversions: list[str],
-    *,
-    before: bool,
-) -> None:
-    """Move position (before derivations, which start from it) or velocity and acceleration (after) to the CG."""
-    groups = {"X": ("X", "Y")} if before else {"vx": ("vx", "vy"), "ax": ("ax", "ay")}
-    for pair in groups.values():
-        for axis, channel in enumerate(pair):
-            position = maps[channel].position if channel in maps and channel in columns else None
-            if position is None:
-                continue
-            x, y = _place(position, vehicle)
-            support = "yaw" if before else "r"
-            if support not in columns:
-                raise MapError(f"{channel} is measured off the CG, and {support} is needed to move it")
-            shift = _shift(pair, axis, columns, period, slices, x, y)
-            columns[channel] = columns[channel] + shift
-            conversions.append(f"{channel}: moved from the sensor at x {x:g} m, y {y:g} m to the CG")
-            lever = (y, x)[axis]
-            if pair[0] == "vx" and {channel, "r"} <= set(noise):
-                noise[channel] = sum_of_noise(channel, [noise[channel], _scaled(noise["r"], lever)])
-
-
-def _shift(
-    pair: tuple[str, str],
-    axis: int,
-    columns: Mapping[str, np.ndarray],
-    period: float,
-    slices: list[slice],
-    x: float,
-    y: float,
-) -> np.ndarray:
-    if pair[0] == "X":
-        zero = np.zeros_like(columns["yaw"])
-        return transform.position_of_cg(zero, zero, columns["yaw"], x, y)[axis]
-    r = columns["r"]
-    zero = np.zeros_like(r)
-    if pair[0] == "vx":
-        return transform.velocity_at_cg(zero, zero, r, x, y)[axis]
-    yaw_acceleration = np.empty_like(r)
-    for run in slices:
-        yaw_acceleration[run] = derivative(r[run], period)
-    return transform.acceleration_at_cg(zero, zero, r, yaw_acceleration, x, y)[axis]
-
-
-def _scaled(estimate: NoiseEstimate, factor: float) -> NoiseEstimate:
-    if estimate.sigma is None:
-        return estimate if factor else NoiseEstimate(estimate.channel, 0.0, 0.0)
-    return replace(estimate, sigma=abs(factor) * estimate.sigma, sigma_raw=abs(factor) * estimate.sigma_raw)
-
-
 def _derive(
     derivations: Sequence[str],
     columns: dict[str, np.ndarray],
@@ -514,28 +447,34 @@ def _apply_delays(
     needed: Sequence[str],
     settings: IngestSettings,
     vehicle: Vehicle | None,
-    recording: Recording,
+    where: str,
 ) -> tuple[_Channels, tuple[DelayEstimate, ...]]:
-    """Estimate delays on the drive's clock and move the raw times; repeated, since each pass sharpens the next."""
-    given = set(settings.delays or {})
+    """Estimate delays on the drive's clock and move the raw times, until another estimate finds nothing more."""
+    fixed = frozenset(settings.delays or {})
     commands = frozenset(c for c, entry in channels.maps.items() if entry.kind == "command")
     total: dict[str, DelayEstimate] = {}
-    for _ in range(DELAY_PASSES):
-        grid, _ = _grid(channels, needed, settings, recording.name)
-        columns, _, _ = _resample_all(channels, grid, settings, needed)
+    for _ in range(_DELAY_PASSES):
+        moved = _moved(channels, {channel: estimate.delay for channel, estimate in total.items()})
+        grid, _ = _grid(moved, needed, settings, where)
+        columns, _, _ = _resample_all(moved, grid, settings, needed)
         slices = _slices(grid.segment)
         for before in (True, False):
-            _move_to_cg(columns, channels.maps, vehicle, grid.period, slices, {}, [], before=before)
-        groups = {c: topic_of(parts[0].source) for c, parts in channels.clean.items()}
-        found = estimate_delays(columns, grid.period, slices, vehicle, groups, frozenset(given), commands)
-        moved = {}
+            move_to_cg(columns, channels.maps, vehicle, grid.period, slices, {}, [], before=before)
+        topics = {c: topic_of(parts[0].source) for c, parts in channels.clean.items()}
+        found = estimate_delays(columns, grid.period, slices, vehicle, topics, fixed, commands)
         for estimate in found:
             known = total.get(estimate.channel)
             total[estimate.channel] = estimate if known is None else known.refined(estimate)
-            if estimate.delay:
-                moved[estimate.channel] = estimate.delay
-        for channel, delay in moved.items():
-            channels.clean[channel] = [replace(part, time=part.time - delay) for part in channels.clean[channel]]
-        if not any(abs(delay) > 1e-4 for delay in moved.values()):
+        if all(e.refusal or abs(e.delay) < max(0.1 * e.error, 1e-4) for e in found):
             break
-    return channels, tuple(total.values())
+    applied = {channel: estimate.applied for channel, estimate in total.items()}
+    return _moved(channels, applied), tuple(total.values())
+
+
+def _moved(channels: _Channels, delays: Mapping[str, float]) -> _Channels:
+    """Return the channels with their times moved earlier by `delays` [s]."""
+    clean = {
+        channel: [replace(part, time=part.time - delays.get(channel, 0.0)) for part in parts]
+        for channel, parts in channels.clean.items()
+    }
+    return replace(channels, clean=clean)

@@ -254,13 +254,15 @@ class _Checks:
             plain = float(np.nanmedian(k.signal("ay")[straight]))
             rest = k.signal("ay") - k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
             bias, error = _median_of(rest[straight])
+            tilt = np.degrees(np.arcsin(np.clip(bias / 9.80665, -1.0, 1.0)))
             if abs(bias) > 0.25 and abs(bias) > 4.0 * error:
                 found.append(
                     Finding(
                         "bias on straights",
                         "ay",
-                        f"a_y reads {bias:+.3f} +- {error:.3f} m/s^2 beyond v_x r on straights (a_y itself {plain:+.3f}): a tilted sensor or a "
-                        f"banked road ({np.degrees(np.arcsin(np.clip(bias / 9.80665, -1, 1))):+.1f} deg). "
+                        f"a_y reads {bias:+.3f} +- {error:.3f} m/s^2 beyond v_x r on straights "
+                        f"(a_y itself {plain:+.3f}): "
+                        f"a tilted sensor or a banked road ({tilt:+.1f} deg). "
                         f"Subtract it with `offset: {-bias:.3f}` if the road is flat.",
                         bias,
                         error,
@@ -279,8 +281,8 @@ class _Checks:
             Finding(
                 "bias on straights",
                 "vy",
-                f"v_y reads {bias:+.3f} +- {error:.3f} m/s on straights at a median {speed:.1f} m/s: an offset, or a "
-                f"sensor turned by {-angle:+.2f} deg. Subtract it with `offset: {-bias:.3f}` for vy in the map.",
+                f"v_y reads {bias:+.3f} +- {error:.3f} m/s on straights at a median {speed:.1f} m/s: an offset, "
+                f"or a sensor turned by {-angle:+.2f} deg. Subtract it with `offset: {-bias:.3f}` for vy.",
                 bias,
                 error,
             )
@@ -319,7 +321,7 @@ class _Checks:
             )
             return [Finding("place", "vy", text, float(p), float(p_error))]
         if q > 0.0 and p - 4.0 * p_error > 1.5 * l_r and abs(p - car.wheelbase) < 0.3 * car.wheelbase:
-            text = f"{where}, the CG is at {l_r:.2f} m: it is measured near the front axle. Set `position: front_axle`."
+            text = f"{where}, the CG is at {l_r:.2f} m: it is near the front axle: `position: front_axle`."
             return [Finding("place", "vy", text, float(p), float(p_error))]
         return []
 
@@ -343,8 +345,8 @@ class _Checks:
                 )
             return []
         text = (
-            f"X, Y travels {np.degrees(centre):+.1f} deg off yaw (spread {np.degrees(spread):.1f} deg): yaw has another "
-            f"zero than the map's X axis. Use `offset: {centre:.4f}` rad for yaw, or set `world:`."
+            f"X, Y travels {np.degrees(centre):+.1f} deg off yaw (spread {np.degrees(spread):.1f} deg): yaw has "
+            f"another zero than the map's X axis. Use `offset: {centre:.4f}` rad for yaw, or set `world:`."
         )
         return [Finding("direction", "yaw", text, centre, spread)]
 

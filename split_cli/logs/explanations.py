@@ -202,7 +202,8 @@ def _told(fitting: Sequence[Sequence[_Mistake]], broken: Sequence[Relation]) -> 
         )
         channel = "X" if mistake.channel == "hand" else mistake.channel
         check = "sign" if mistake.turned and mistake.low == mistake.high == 1.0 else "scale"
-        text = f"{_name(mistake.channel)} {mistake.what} ({evidence}). {mistake.remedy[:1].upper()}{mistake.remedy[1:]}"
+        remedy = mistake.remedy[:1].upper() + mistake.remedy[1:]
+        text = f"{_name(mistake.channel)} {mistake.what} ({evidence}). {remedy}"
         found.append(
             Finding(check, channel, f"{text} in the map.{alternative}", shown[0].slope.slope, shown[0].slope.error)
         )

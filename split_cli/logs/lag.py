@@ -1,0 +1,174 @@
+"""At which lag one signal is best explained by others, to a fraction of a sample, with an error or a refusal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["LagFit", "fit_lag", "is_sure"]
+
+LONGEST_DELAY = 1.5
+"""Searched on both sides [s]."""
+
+LARGEST_ERROR = 0.05
+"""An estimate less sure than this is refused [s], unless it is `_CLEAR` times its error and within twice this."""
+
+_CLEAR = 4.0
+_LEAST_DETERMINATION = 0.5
+_COARSE_STEP = 0.025
+_BLOCKS = 10
+_MOST_ROWS = 8000
+
+
+@dataclass(frozen=True)
+class LagFit:
+    """By how much one signal lags another.
+
+    Attributes
+    ----------
+    lag, error : float
+        Positive when the first is late [s]; standard error from blocks of time.
+    determination : float
+        Share of the first signal's variance that the second explains at that lag.
+    refusal : str
+        Why the lag is not to be used, else empty.
+    """
+
+    lag: float
+    error: float
+    determination: float
+    refusal: str = ""
+
+
+def fit_lag(
+    signal: np.ndarray,
+    regressors: list[np.ndarray],
+    mask: np.ndarray,
+    period: float,
+    segments: list[slice],
+    longest: float = LONGEST_DELAY,
+) -> LagFit:
+    """Find the lag at which a signal is best explained linearly by others, to a fraction of a sample.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+        The one that may be late; NaN where unknown.
+    regressors : list of ndarray, shape (N,)
+    mask : ndarray of bool, shape (N,)
+        Rows to use.
+    period : float
+        [s].
+    segments : list of slice
+    longest : float
+        Lags searched on both sides [s].
+
+    Notes
+    -----
+    The signal is shifted by its cubic spline; the residual variance is tabulated over lags for every tenth of the
+    time left out, and the vertex of the parabola at its least value taken; the error is their jackknife spread.
+    """
+    rows, x, shifted = _prepare(signal, regressors, mask, period, segments, longest)
+    if rows < 300:
+        return LagFit(0.0, np.inf, 0.0, "too little driving in which it changes")
+    coarse = np.arange(-longest, longest + 0.5 * _COARSE_STEP, _COARSE_STEP)
+    costs = _costs(x, shifted, coarse)
+    best = int(np.argmin(costs[0]))
+    determination = 1.0 - float(costs[0, best])
+    lag = float(coarse[best])
+    if determination < _LEAST_DETERMINATION:
+        return LagFit(lag, np.inf, determination, f"the identity explains only {max(determination, 0):.0%} of it")
+    if best in (0, len(coarse) - 1):
+        return LagFit(lag, np.inf, determination, f"the best lag is at the end of the search, {lag:+.2f} s")
+    local = (costs[0, 1:-1] < costs[0, :-2]) & (costs[0, 1:-1] < costs[0, 2:])
+    others = np.flatnonzero(local) + 1
+    rivals = [j for j in others if abs(coarse[j] - lag) > 0.2 and costs[0, j] < 1.1 * costs[0, best]]
+    if rivals:
+        return LagFit(lag, np.inf, determination, f"{lag:+.2f} s and {coarse[rivals[0]]:+.2f} s fit equally well")
+    fine = lag + np.linspace(-_COARSE_STEP, _COARSE_STEP, 9)
+    vertices = _vertices(fine, _costs(x, shifted, fine))
+    full, parts = vertices[0], vertices[1:]
+    error = float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum((parts - parts.mean()) ** 2)))
+    refusal = "" if is_sure(full, error) else f"the lag {full:+.3f} s is uncertain by {error:.3f} s"
+    return LagFit(float(full), error, determination, refusal)
+
+
+def is_sure(delay: float, error: float) -> bool:
+    """Tell whether a delay [s] of that standard error [s] is to be used."""
+    return error <= LARGEST_ERROR or (error <= 2.0 * LARGEST_ERROR and abs(delay) >= _CLEAR * error)
+
+
+def _prepare(signal, regressors, mask, period, segments, longest):
+    """Return the row count, the regressors `(B, n, p)` by blocks of time, and the signal `(B, n)` for a lag."""
+    from scipy.interpolate import make_interp_spline
+
+    usable = mask & np.isfinite(signal)
+    for regressor in regressors:
+        usable &= np.isfinite(regressor)
+    margin = int(np.ceil((longest + _COARSE_STEP) / period)) + 1
+    known = np.isfinite(signal)
+    pieces, splines = [], []
+    for run in segments:
+        finite = np.flatnonzero(known[run])
+        if len(finite) < 4 or len(finite) <= 2 * margin:
+            continue
+        inside = np.zeros(len(signal), dtype=bool)
+        first, last = run.start + finite[0], run.start + finite[-1]
+        inside[first + margin : last - margin + 1] = usable[first + margin : last - margin + 1]
+        chosen = np.flatnonzero(inside)
+        if len(chosen):
+            # A spline across the few unknown samples inside keeps the clock; rows next to them are not used.
+            splines.append(make_interp_spline((run.start + finite) * period, signal[run.start + finite], k=3))
+            pieces.append(chosen)
+    total = sum(len(piece) for piece in pieces)
+    if total < 300:
+        return 0, None, None
+    stride = max(1, total // _MOST_ROWS)
+    pieces = [piece[::stride] for piece in pieces]
+    rows = np.concatenate(pieces)
+    length = len(rows) // _BLOCKS
+    rows = rows[: length * _BLOCKS]
+    columns = [regressor[rows] - np.mean(regressor[rows]) for regressor in regressors]
+    design = np.stack([_winsorised(column) for column in columns] + [np.ones(len(rows))], axis=1)
+    limits = np.quantile(signal[rows], [0.002, 0.998])
+
+    def shifted(lag: float) -> np.ndarray:
+        values = np.concatenate(
+            [spline(piece * period + lag) for spline, piece in zip(splines, pieces, strict=True)]
+        )
+        return np.clip(values[: length * _BLOCKS], *limits).reshape(_BLOCKS, length)
+
+    return len(rows) * stride, design.reshape(_BLOCKS, length, -1), shifted
+
+
+def _winsorised(values: np.ndarray) -> np.ndarray:
+    return np.clip(values, *np.quantile(values, [0.002, 0.998]))
+
+
+def _costs(design: np.ndarray, shifted: Callable, lags: np.ndarray) -> np.ndarray:
+    """Return 1 - R^2, shape (1 + B, K): with all blocks, then with each one left out."""
+    moments = np.einsum("bni,bnj->bij", design, design)
+    count = design.shape[1]
+    costs = np.empty((1 + _BLOCKS, len(lags)))
+    for column, lag in enumerate(lags):
+        y = shifted(lag)
+        cross = np.einsum("bni,bn->bi", design, y)
+        squares, sums = np.sum(y * y, axis=1), np.sum(y, axis=1)
+        for row in range(1 + _BLOCKS):
+            keep = np.arange(_BLOCKS) != row - 1
+            gram, right = moments[keep].sum(axis=0), cross[keep].sum(axis=0)
+            solution = np.linalg.lstsq(gram, right, rcond=1e-12)[0]
+            total = squares[keep].sum() - sums[keep].sum() ** 2 / (count * keep.sum())
+            costs[row, column] = (squares[keep].sum() - right @ solution) / max(total, 1e-300)
+    return costs
+
+
+def _vertices(lags: np.ndarray, costs: np.ndarray) -> np.ndarray:
+    """Return for each row of costs the least point of its parabola over the lags."""
+    centre = float(np.mean(lags))
+    scale = float(lags[-1] - centre)
+    coefficients = np.polyfit((lags - centre) / scale, costs.T, 2)
+    curvature = np.maximum(coefficients[0], 1e-300)
+    return centre + scale * np.clip(-0.5 * coefficients[1] / curvature, -2.0, 2.0)
