@@ -56,7 +56,9 @@ def tire_force_one(kappa, tangent, load, friction, tire):
     fx = peak * math.sin(tire.p_cx1 * math.atan(b - curvature * (b - math.atan(b))))
 
     peak = (tire.p_dy1 + tire.p_dy2 * df) * load * friction
-    slope = tire.p_ky1 * tire.nominal_load * math.sin(2.0 * math.atan(load / (tire.p_ky2 * tire.nominal_load)))
+    slope = (
+        tire.p_ky1 * tire.nominal_load * math.sin(2.0 * math.atan(load / (tire.p_ky2 * tire.nominal_load)))
+    )
     curvature = tire.p_ey1 + tire.p_ey2 * df
     b = slope / (tire.p_cy1 * peak) * alpha
     fy = peak * math.sin(tire.p_cy1 * math.atan(b - curvature * (b - math.atan(b))))
@@ -117,9 +119,7 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
     roll_axis = front_share * car.roll_center_front + (1.0 - front_share) * car.roll_center_rear
     roll_arm = car.cg_height - roll_axis
     lateral = car.mass * x[AY_LOAD]
-    moment_front = lateral * (
-        front_share * car.roll_center_front + car.roll_stiffness_front_share * roll_arm
-    )
+    moment_front = lateral * (front_share * car.roll_center_front + car.roll_stiffness_front_share * roll_arm)
     moment_rear = lateral * (
         (1.0 - front_share) * car.roll_center_rear + (1.0 - car.roll_stiffness_front_share) * roll_arm
     )
@@ -322,7 +322,9 @@ def torque_for(x, target_speed, target_acceleration, driver, car, noise):
     vx = x[VX]
     mass = car.mass + 2.0 * (car.wheel_inertia_front + car.wheel_inertia_rear) / car.wheel_radius**2
     resistance = 0.5 * car.air_density * car.drag_area * vx * vx
-    resistance += car.mass * GRAVITY * 0.5 * (car.front_tire.rolling_resistance + car.rear_tire.rolling_resistance)
+    resistance += (
+        car.mass * GRAVITY * 0.5 * (car.front_tire.rolling_resistance + car.rear_tire.rolling_resistance)
+    )
     force = mass * (target_acceleration + driver.speed_gain * (target_speed - vx)) + resistance
     torque = car.wheel_radius * force * (1.0 + noise)
     slipping = 0.0

@@ -254,7 +254,9 @@ def speed_profile(
         return min(most * gain, limit) * (1.0 - used**style.overlap) ** (1.0 / style.overlap)
 
     speed = corner.copy()
-    braking = aggressiveness * style.braking * min(grip.braking, car.max_brake_torque / car.wheel_radius / car.mass)
+    braking = (
+        aggressiveness * style.braking * min(grip.braking, car.max_brake_torque / car.wheel_radius / car.mass)
+    )
     for i in range(2 * count, 0, -1):
         here, before = i % count, (i - 1) % count
         ability = forward(speed[here], bend[here], braking, np.inf)
@@ -324,9 +326,10 @@ def driver_plan(
     spacing = 2.0 * size
     places = int(distance / spacing) + 50
     pace = np.sqrt(size)
+    from_the_centre = np.minimum(1.0, np.arange(places) / 60.0)  # where every drive starts
     return _PlanTables(
         spacing=float(spacing),
-        line_offset=wander(rng, places, 45.0, style.line_wander * half_width),
+        line_offset=from_the_centre * wander(rng, places, 45.0, style.line_wander * half_width),
         speed_scale=1.0 - np.abs(wander(rng, places, 40.0, style.pace_wander)),
         steer_noise=wander(rng, steps, 0.25 * pace / period, style.steer_noise),
         torque_noise=wander(rng, steps, 0.30 * pace / period, style.torque_noise),

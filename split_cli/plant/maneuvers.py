@@ -170,7 +170,9 @@ def _brake_in_turn(setting: _Setting) -> Maneuver:
     ramp = np.clip((clock - 7.0 * setting.pace) / (0.3 * setting.pace), 0.0, 1.0)
     torque[braking] = -most * ramp[braking]
     steer[braking] = np.inf
-    return Maneuver("brake_in_turn", Script(torque, steer, np.full(len(clock), speed)), float(speed), circle(radius))
+    return Maneuver(
+        "brake_in_turn", Script(torque, steer, np.full(len(clock), speed)), float(speed), circle(radius)
+    )
 
 
 def _throttle_in_turn(setting: _Setting) -> Maneuver:
@@ -182,7 +184,9 @@ def _throttle_in_turn(setting: _Setting) -> Maneuver:
     most = min(setting.car.max_torque, 0.5 * setting.intensity * setting.grip.driving * setting.car.mass
                * setting.car.wheel_radius)  # fmt: skip
     torque, steer = _free(clock), _free(clock)
-    torque[held] = _steps(clock[held] - clock[held][0], (0.8 * most, 0.0, 0.8 * most, 0.0), 0.15 * setting.pace)
+    torque[held] = _steps(
+        clock[held] - clock[held][0], (0.8 * most, 0.0, 0.8 * most, 0.0), 0.15 * setting.pace
+    )
     steer[held] = np.inf
     script = Script(torque, steer, np.full(len(clock), speed))
     return Maneuver("throttle_in_turn", script, float(speed), circle(radius))
@@ -227,7 +231,12 @@ def build_maneuver(name: str, car: CarParameters, intensity: float = 0.35) -> Ma
 
 
 def run_maneuver(
-    car: CarParameters, maneuver: Maneuver, *, seed: int = 0, road: Road | None = None, sample_period: float = 2e-3
+    car: CarParameters,
+    maneuver: Maneuver,
+    *,
+    seed: int = 0,
+    road: Road | None = None,
+    sample_period: float = 2e-3,
 ) -> Trajectory:
     """Drive a test.
 

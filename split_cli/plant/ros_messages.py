@@ -41,12 +41,14 @@ _TYPES = {
     + "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
     + "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n",
     "ackermann_msgs/msg/AckermannDriveStamped": _HEADER + "ackermann_msgs/AckermannDrive drive\n",
-    "sensor_msgs/msg/JointState": _HEADER + "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
+    "sensor_msgs/msg/JointState": _HEADER
+    + "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
     "sensor_msgs/msg/NavSatFix": _HEADER
     + "sensor_msgs/NavSatStatus status\nfloat64 latitude\nfloat64 longitude\nfloat64 altitude\n"
     + "float64[9] position_covariance\nuint8 COVARIANCE_TYPE_UNKNOWN=0\nuint8 COVARIANCE_TYPE_APPROXIMATED=1\n"
     + "uint8 COVARIANCE_TYPE_DIAGONAL_KNOWN=2\nuint8 COVARIANCE_TYPE_KNOWN=3\nuint8 position_covariance_type\n",
-    "split_msgs/msg/WheelTorqueStamped": _HEADER + "# total torque at the wheels [N m], driving positive\nfloat64 torque\n",
+    "split_msgs/msg/WheelTorqueStamped": _HEADER
+    + "# total torque at the wheels [N m], driving positive\nfloat64 torque\n",
     "split_msgs/msg/ActuatorReport": _HEADER
     + "# road-wheel angle [rad], left positive\nfloat64 steering_angle\n"
     + "# total torque at the wheels [N m], driving positive\nfloat64 wheel_torque\n",
@@ -159,7 +161,9 @@ TOPICS = (
     Topic("/odometry", "nav_msgs/msg/Odometry", "state", _odometry, "map"),
     Topic("/imu", "sensor_msgs/msg/Imu", "inertial", _imu),
     Topic("/command/drive", "ackermann_msgs/msg/AckermannDriveStamped", "command", _drive_command),
-    Topic("/command/wheel_torque", "split_msgs/msg/WheelTorqueStamped", "command", lambda v: {"torque": v["T"]}),
+    Topic(
+        "/command/wheel_torque", "split_msgs/msg/WheelTorqueStamped", "command", lambda v: {"torque": v["T"]}
+    ),
     Topic(
         "/actuators",
         "split_msgs/msg/ActuatorReport",

@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.errors import SplitError
 from split_cli.plant.simulation import Trajectory
 
-__all__ = ["ChannelSpec", "Reading", "SensorSpec", "measure", "perfect", "sensors_of"]
+__all__ = ["ChannelSpec", "Reading", "SensorSpec", "lean", "measure", "perfect", "sensors_of"]
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,10 @@ def sensors_of(car_name: str) -> tuple[SensorSpec, ...]:
             "ay": ChannelSpec(0.08, 0.02, 5e-3),
         }  # fmt: skip
         command = {"T": ChannelSpec(resolution=1e-4), "delta": ChannelSpec(resolution=1e-5)}
-        report = {"delta_actual": ChannelSpec(0.001, 0.0, 5e-4, delay=0.010), "T_actual": ChannelSpec(0.01, 0, 1e-3)}
+        report = {
+            "delta_actual": ChannelSpec(0.001, 0.0, 5e-4, delay=0.010),
+            "T_actual": ChannelSpec(0.01, 0, 1e-3),
+        }
         wheels = {f"wheel_speed_{corner}": ChannelSpec(0.3, 0.0, 0.05) for corner in corners}
     else:
         state = {
@@ -127,16 +130,26 @@ def sensors_of(car_name: str) -> tuple[SensorSpec, ...]:
             "ay": ChannelSpec(0.03, 0.01, 2e-3),
         }  # fmt: skip
         command = {"T": ChannelSpec(resolution=0.01), "delta": ChannelSpec(resolution=1e-5)}
-        report = {"delta_actual": ChannelSpec(0.0004, 0.0, 1e-4, delay=0.015), "T_actual": ChannelSpec(8.0, 0.0, 1.0)}
+        report = {
+            "delta_actual": ChannelSpec(0.0004, 0.0, 1e-4, delay=0.015),
+            "T_actual": ChannelSpec(8.0, 0.0, 1.0),
+        }
         wheels = {f"wheel_speed_{corner}": ChannelSpec(0.03, 0.0, 0.01) for corner in corners}
     return (
         SensorSpec("state", 100.0, state, 2e-4, 0.004, 0.001),
-        SensorSpec("inertial", 100.0, inertial, 1e-4, 0.001, 0.0005),
+        SensorSpec("inertial", 100.0 if small else 200.0, inertial, 1e-4, 0.001, 0.0005),
         SensorSpec("command", 50.0, command, 0.0, 0.001, 0.001, is_command=True),
         SensorSpec("report", 50.0, report, 5e-4, 0.003, 0.002),
         SensorSpec("wheels", 50.0, wheels, 5e-4, 0.003, 0.002),
         SensorSpec("position", 20.0, {"X": ChannelSpec(0.02), "Y": ChannelSpec(0.02)}, 1e-3, 0.030, 0.010),
     )
+
+
+def lean(sensors: tuple[SensorSpec, ...]) -> tuple[SensorSpec, ...]:
+    """Return what a modest logger keeps: state, commands, and the inertial unit at 50 Hz."""
+    kept = {sensor.name: sensor for sensor in sensors}
+    half = replace(kept["inertial"], rate=50.0)
+    return (kept["state"], half, kept["command"])
 
 
 def perfect(sensors: tuple[SensorSpec, ...]) -> tuple[SensorSpec, ...]:
@@ -173,7 +186,9 @@ def measure(
             sensor = replace(sensor, rate=one_clock, clock_jitter=0.0, latency=0.0, latency_jitter=0.0)
         stamp = _stamps(run, sensor, rng, phase=0.0 if one_clock is not None else float(rng.uniform(0, 0.9)))
         if len(stamp) < 2:
-            raise SplitError(f"the run of {run.t[-1]:.2g} s is too short for {sensor.name} at {sensor.rate:g} Hz")
+            raise SplitError(
+                f"the run of {run.t[-1]:.2g} s is too short for {sensor.name} at {sensor.rate:g} Hz"
+            )
         excess = sensor.latency_jitter * rng.standard_exponential(len(stamp))
         values = {
             name: _report(_truth(run, sensor, name, stamp - spec.delay), spec, rng)

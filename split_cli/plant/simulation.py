@@ -127,13 +127,13 @@ def _channel(run: Trajectory, name: str) -> np.ndarray:
     quantity, _, corner = name.rpartition("_")
     if corner in _CORNERS and quantity in ("wheel_speed", "load"):
         wheel = _CORNERS.index(corner)
-        return run.states[:, _compiled.WHEEL + wheel] if quantity == "wheel_speed" else run.outputs[:, 2 + wheel]
+        return (
+            run.states[:, _compiled.WHEEL + wheel] if quantity == "wheel_speed" else run.outputs[:, 2 + wheel]
+        )
     raise KeyError(name)
 
 
-def initial_state(
-    car: CarParameters, speed: float, track: Track | None = None, s: float = 0.0
-) -> np.ndarray:
+def initial_state(car: CarParameters, speed: float, track: Track | None = None, s: float = 0.0) -> np.ndarray:
     """Return the state, shape (24,), of a car rolling at `speed` [m/s] along a track or along X, wheels turning.
 
     On a bend the car starts with the yaw rate and steer angle of the bend, its tyres not yet loaded.
@@ -157,6 +157,7 @@ def drive_laps(
     *,
     aggressiveness: float = 0.6,
     laps: float = 1.0,
+    duration: float | None = None,
     seed: int = 0,
     road: Road | None = None,
     sample_period: float = 2e-3,
@@ -167,6 +168,8 @@ def drive_laps(
     ----------
     aggressiveness : float
         Share of the car's grip the driver uses, above 0 to 1 [1].
+    duration : float, optional
+        Drive for so long instead of a number of laps [s].
     seed : int
         Of the person and of the unrest; the same seed gives the same drive.
     road : Road, optional
@@ -181,6 +184,8 @@ def drive_laps(
         raise SplitError(f"aggressiveness must lie above 0 and not above 1, got {aggressiveness:g}")
     if not 0.0 < laps <= 200.0:
         raise SplitError(f"laps must lie above 0 and not above 200, got {laps:g}")
+    if duration is not None and not 0.0 < duration <= 7200.0:
+        raise SplitError(f"the duration must lie above 0 s and not above 7200 s, got {duration:g} s")
     person = varied(style, seed)
     grip = grip_of(car)
     profile = speed_profile(car, track, person, aggressiveness, grip)
@@ -189,8 +194,12 @@ def drive_laps(
             f"{car.name} would crawl round {track.name} at {profile.speed.min():.2g} m/s",
             advice="Choose a larger track or more aggressiveness.",
         )
-    duration = 1.3 * laps * track.length * np.mean(1.0 / profile.speed) + 5.0
-    steps = int(np.ceil(duration / CONTROL_PERIOD))
+    if duration is None:
+        distance = laps * track.length
+        steps = int(np.ceil((1.3 * distance * np.mean(1.0 / profile.speed) + 5.0) / CONTROL_PERIOD))
+    else:
+        distance = duration * profile.speed.max()
+        steps = int(round(duration / CONTROL_PERIOD))
     free = np.full(steps, np.nan)
     return _simulate(
         car,
@@ -201,8 +210,9 @@ def drive_laps(
         person,
         seed,
         road or Road(),
-        laps * track.length,
+        distance,
         sample_period,
+        may_time_out=duration is not None,
     )
 
 
@@ -234,7 +244,9 @@ def drive_script(
     )  # fmt: skip
 
 
-def _simulate(car, start, script, track, profile, style, seed, road, distance, sample_period) -> Trajectory:
+def _simulate(
+    car, start, script, track, profile, style, seed, road, distance, sample_period, *, may_time_out=False
+) -> Trajectory:
     keep = int(round(sample_period / STEP))
     substeps = int(round(CONTROL_PERIOD / STEP))
     if keep < 1 or substeps % keep:
@@ -263,7 +275,7 @@ def _simulate(car, start, script, track, profile, style, seed, road, distance, s
         start, 0.0, as_numbers(car), road.tables(), path, plan, tables, driver_tables(car, style, grip),
         CONTROL_PERIOD, STEP, substeps, keep, stop,
     )  # fmt: skip
-    if reason in _ENDINGS:
+    if reason in _ENDINGS and not (may_time_out and reason == _compiled.OUT_OF_TIME):
         at = f"at {times[-1]:.1f} s, s = {places[-1]:.0f} m" if len(times) else "at once"
         raise SplitError(f"{_ENDINGS[reason]} {at}", where=car.name, advice="Use less aggressiveness.")
     return Trajectory(

@@ -1,0 +1,73 @@
+"""`split simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from split_cli.cli.options import json_option, output_option, print_json, print_table
+
+__all__ = ["command"]
+
+
+@click.command("simulate")
+@click.option("--car", default="road_car", show_default=True, help="road_car, f1tenth_car or formula_car.")
+@click.option("--track", help="Laps of a track: handling (2.3 km), small (580 m), oval or f1tenth.")
+@click.option("--maneuver", help="Instead of laps, a standard test; a wrong name lists those there are.")
+@click.option(
+    "--calibration-tests", is_flag=True, help="Instead of either, the gentle tests as one drive (Parquet)."
+)
+@click.option("--laps", type=float, default=1.0, show_default=True, help="How many, fractions too.")
+@click.option("--duration", type=float, metavar="S", help="Drive for so long instead of a number of laps.")
+@click.option("--driver", default="brisk", show_default=True, help="smooth, brisk, racer or novice.")
+@click.option(
+    "--aggressiveness",
+    type=float,
+    metavar="SHARE",
+    help="Share of the car's grip that is used  [default: 0.6 for laps, 0.35 for tests].",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Of driver and sensors.")
+@click.option("--format", help="mcap, csv or parquet  [default: from the name of the output].")
+@click.option(
+    "--instruments",
+    default="full",
+    show_default=True,
+    help="full; lean (state, inertial at 50 Hz, commands); or perfect (no noise, no delay).",
+)
+@click.option("--workshop-units", is_flag=True, help="A CSV in km/h, deg, deg/s and g instead of SI.")
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Write the noise-free states as a drive too.",
+)
+@output_option("Log to write.")
+@json_option
+def command(output, truth, as_json, **settings) -> None:
+    """Drive the double-track plant and write what its sensors recorded.
+
+    MCAP logs hold ROS 2 messages at unequal rates whose header time is not the log time; CSV and Parquet have one
+    clock of 100 Hz. T is the total wheel torque and delta the road-wheel angle, both as commanded; what the actuators
+    made of them is in MCAP logs and in the truth. Equal settings and seeds give equal logs.
+
+    \b
+    Example:
+      split simulate --track handling --laps 2 --driver racer --aggressiveness 0.8 --seed 3 -o lap.mcap
+      split simulate --car f1tenth_car --maneuver sine_sweep --truth truth.parquet -o sweep.csv
+      split simulate --calibration-tests -o road_car_tests.parquet
+    """
+    from split_cli.workflows.simulate import SimulateSettings, simulate_log
+
+    result = simulate_log(SimulateSettings(**settings), output, truth=truth)
+    for note in result.notes:
+        click.echo(f"note: {note}", err=True)
+    if as_json:
+        print_json(result)
+        return
+    click.echo(result.what)
+    header = ["time s", "distance m", "top speed m/s", "|ay| max", "ax max", "ax min"]
+    peaks = [result.top_speed, result.lateral_peak, result.driving_peak, -result.braking_peak]
+    print_table(header, [[result.duration, result.distance, *peaks]])
+    click.echo("rates: " + ", ".join(f"{name} {rate:g} Hz" for name, rate in result.rates))
+    click.echo(f"written: {', '.join(str(path) for path in (result.output, result.truth) if path)}")

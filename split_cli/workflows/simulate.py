@@ -1,0 +1,289 @@
+"""Drive the plant and write what its sensors recorded, and the truth where asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import SplitError
+from split_cli.files import sha256_of_file
+from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, write_drive
+from split_cli.plant.cars import CarParameters, find_car
+from split_cli.plant.drivers import find_driver
+from split_cli.plant.maneuvers import CALIBRATION_TESTS, build_maneuver, run_maneuver
+from split_cli.plant.recording import TABLE_CHANNELS, write_csv, write_mcap, write_parquet
+from split_cli.plant.sensors import ChannelSpec, Reading, SensorSpec, lean, measure, perfect, sensors_of
+from split_cli.plant.simulation import Trajectory, drive_laps
+from split_cli.plant.tracks import find_track
+
+__all__ = ["SimulateSettings", "SimulatedLog", "simulate_log", "truth_drive"]
+
+FORMATS = ("mcap", "csv", "parquet")
+INSTRUMENTS = ("full", "lean", "perfect")
+TABLE_RATE = 100.0
+_TRUTH_EXTRAS = (
+    "s", "T_actual", "delta_actual", "load_fl", "load_fr", "load_rl", "load_rr",
+    "wheel_speed_fl", "wheel_speed_fr", "wheel_speed_rl", "wheel_speed_rr",
+)  # fmt: skip
+_PAUSE_BETWEEN_TESTS = 10.0
+
+
+@dataclass(frozen=True)
+class SimulateSettings:
+    """What to drive and how to record it.
+
+    Attributes
+    ----------
+    car : str
+    track : str or None
+        Laps of this track with a driver.
+    maneuver : str or None
+        Instead of laps, a standard test.
+    calibration_tests : bool
+        Instead of either, the set of gentle tests as one drive, a segment a test.
+    laps : float
+    duration : float or None
+        Instead of a number of laps [s].
+    driver : str
+    aggressiveness : float or None
+        Share of the car's grip that is used [1]; by default 0.6 for laps, 0.35 for tests.
+    seed : int
+    format : str or None
+        mcap, csv or parquet; by default from the name of the output.
+    instruments : str
+        full, lean or perfect.
+    workshop_units : bool
+        A CSV in km/h, deg, deg/s and g.
+    """
+
+    car: str = "road_car"
+    track: str | None = None
+    maneuver: str | None = None
+    calibration_tests: bool = False
+    laps: float = 1.0
+    duration: float | None = None
+    driver: str = "brisk"
+    aggressiveness: float | None = None
+    seed: int = 0
+    format: str | None = None
+    instruments: str = "full"
+    workshop_units: bool = False
+
+
+@dataclass(frozen=True)
+class SimulatedLog:
+    """What was driven and written.
+
+    Attributes
+    ----------
+    output : Path
+    sha256 : str
+        Of the output.
+    truth : Path or None
+    what : str
+        The car and what it did, in words.
+    duration, distance : float
+        [s], [m]
+    top_speed : float
+        [m/s]
+    lateral_peak, driving_peak, braking_peak : float
+        Greatest specific forces: across either way, forward, backward [m/s^2].
+    rates : tuple of (str, float)
+        Device and reports per second [Hz].
+    notes : tuple of str
+    """
+
+    output: Path
+    sha256: str
+    truth: Path | None
+    what: str
+    duration: float
+    distance: float
+    top_speed: float
+    lateral_peak: float
+    driving_peak: float
+    braking_peak: float
+    rates: tuple[tuple[str, float], ...]
+    notes: tuple[str, ...] = ()
+
+
+def simulate_log(
+    settings: SimulateSettings, output: str | Path, *, truth: str | Path | None = None
+) -> SimulatedLog:
+    """Drive the plant once and write the log; with `truth`, the noise-free states as a drive too.
+
+    Raises
+    ------
+    SplitError
+        If a setting makes no sense, the car spun or left the track, or a file cannot be written.
+    """
+    output = Path(output)
+    _check(settings)
+    format_name = _format(settings, output)
+    car = find_car(settings.car)
+    sensors = sensors_of(car.name)
+    if settings.instruments != "full":
+        sensors = lean(sensors) if settings.instruments == "lean" else perfect(sensors)
+    runs, what = _drive(settings, car)
+
+    if settings.calibration_tests:
+        tables = [
+            measure(run, sensors, settings.seed + i, one_clock=TABLE_RATE) for i, run in enumerate(runs)
+        ]
+        write_drive(_drive_of_tests(tables, sensors, output.name), output)
+        rates = tuple((name, TABLE_RATE) for name in ("state", "inertial", "command"))
+    elif format_name == "mcap":
+        readings = measure(runs[0], sensors, settings.seed)
+        write_mcap(readings, output)
+        rates = tuple((reading.sensor.name, reading.sensor.rate) for reading in readings)
+    else:
+        readings = measure(runs[0], sensors, settings.seed, one_clock=TABLE_RATE)
+        if format_name == "csv":
+            write_csv(readings, output, workshop_units=settings.workshop_units)
+        else:
+            write_parquet(readings, output)
+        rates = (("table", TABLE_RATE),)
+    if truth is not None:
+        write_drive(truth_drive(runs, Path(truth).name), truth)
+
+    notes = tuple(
+        f"{what_ran} ended early: the car had come down to its crawling speed"
+        for run, what_ran in zip(
+            runs, CALIBRATION_TESTS if settings.calibration_tests else [what], strict=False
+        )
+        if run.ended_early
+    )
+    channel = {name: np.concatenate([run.channel(name) for run in runs]) for name in ("vx", "ax", "ay")}
+    return SimulatedLog(
+        output=output,
+        sha256=sha256_of_file(output),
+        truth=None if truth is None else Path(truth),
+        what=what,
+        duration=float(sum(run.t[-1] for run in runs)),
+        distance=float(sum(run.s[-1] - run.s[0] for run in runs)),
+        top_speed=float(channel["vx"].max()),
+        lateral_peak=float(np.abs(channel["ay"]).max()),
+        driving_peak=float(max(channel["ax"].max(), 0.0)),
+        braking_peak=float(max(-channel["ax"].min(), 0.0)),
+        rates=rates,
+        notes=notes,
+    )
+
+
+def _check(settings: SimulateSettings) -> None:
+    asked = [bool(settings.track), bool(settings.maneuver), settings.calibration_tests]
+    if sum(asked) != 1:
+        raise SplitError(
+            f"{sum(asked)} things to drive were named, one is needed",
+            advice="Give one of --track, --maneuver and --calibration-tests.",
+        )
+    if settings.instruments not in INSTRUMENTS:
+        raise SplitError(
+            f"no instruments are called {settings.instruments!r}",
+            where="--instruments",
+            advice=f"There are: {', '.join(INSTRUMENTS)}.",
+        )
+    if settings.seed < 0:
+        raise SplitError(f"a seed is a whole number from 0, got {settings.seed}", where="--seed")
+
+
+def _format(settings: SimulateSettings, output: Path) -> str:
+    name = settings.format or output.suffix.lower().lstrip(".")
+    if name not in FORMATS:
+        raise SplitError(
+            f"does not say which format to write ({name or 'no suffix'!r})",
+            where=str(output),
+            advice=f"Name it with --format: {', '.join(FORMATS)}.",
+        )
+    if settings.calibration_tests and name != "parquet":
+        raise SplitError(
+            f"calibration tests are written as a drive, which is Parquet, not {name}", where=str(output)
+        )
+    if settings.workshop_units and name != "csv":
+        raise SplitError(f"workshop units are for csv, not {name}", where="--workshop-units")
+    return name
+
+
+def _drive(settings: SimulateSettings, car: CarParameters) -> tuple[list[Trajectory], str]:
+    gentle = 0.35 if settings.aggressiveness is None else settings.aggressiveness
+    if settings.track:
+        share = 0.6 if settings.aggressiveness is None else settings.aggressiveness
+        run = drive_laps(
+            car,
+            find_track(settings.track),
+            find_driver(settings.driver),
+            aggressiveness=share,
+            laps=settings.laps,
+            duration=settings.duration,
+            seed=settings.seed,
+        )
+        laps = (run.s[-1] - run.s[0]) / run.lap_length
+        what = f"{car.name}, {laps:.2f} laps of {settings.track}, {settings.driver} driver at {share:g} of the grip"
+        return [run], what
+    if settings.maneuver:
+        run = run_maneuver(car, build_maneuver(settings.maneuver, car, gentle), seed=settings.seed)
+        return [run], f"{car.name}, {settings.maneuver} at {gentle:g} of the grip"
+    runs = [
+        run_maneuver(car, build_maneuver(name, car, gentle), seed=settings.seed + i)
+        for i, name in enumerate(CALIBRATION_TESTS)
+    ]
+    return runs, f"{car.name}, {len(runs)} tests at {gentle:g} of the grip: {', '.join(CALIBRATION_TESTS)}"
+
+
+def truth_drive(runs: list[Trajectory], name: str) -> Drive:
+    """Return the exact states of runs as a drive at 100 Hz, a segment a run, with loads and wheel speeds beside.
+
+    ``T`` and ``delta`` are the commands; ``T_actual`` and ``delta_actual`` what the actuators delivered.
+    """
+    every = int(round(1.0 / TABLE_RATE / (runs[0].t[1] - runs[0].t[0])))
+    parts = [
+        {channel: run.channel(channel)[::every] for channel in (*TABLE_CHANNELS, *_TRUTH_EXTRAS)}
+        for run in runs
+    ]
+    noise = tuple(
+        NoiseEstimate(channel, 0.0, 0.0) for channel in ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay")
+    )
+    return _joined(parts, name, noise, "exact states of the plant, without sensors")
+
+
+def _drive_of_tests(tables: list[tuple[Reading, ...]], sensors: tuple[SensorSpec, ...], name: str) -> Drive:
+    parts = []
+    for readings in tables:
+        columns: dict[str, np.ndarray] = {"t": np.round(readings[0].stamp, 6)}
+        for reading in readings:
+            for channel, values in reading.values.items():
+                columns.setdefault(channel, values)
+        parts.append({channel: columns[channel] for channel in TABLE_CHANNELS})
+    specs: dict[str, ChannelSpec] = {}
+    for sensor in sensors:
+        for channel, spec in sensor.channels.items():
+            specs.setdefault(channel, spec)
+    # The rounding's own error is uniform over a step.
+    sigmas = {channel: float(np.hypot(s.noise, s.resolution / 12**0.5)) for channel, s in specs.items()}
+    noise = tuple(
+        NoiseEstimate(c, sigmas[c], sigmas[c]) for c in TABLE_CHANNELS if c not in ("t", "T", "delta")
+    )
+    return _joined(parts, name, noise, "simulated sensors on one clock, seeded noise")
+
+
+def _joined(
+    parts: list[dict[str, np.ndarray]], name: str, noise: tuple[NoiseEstimate, ...], origin: str
+) -> Drive:
+    start, columns, segment = 0.0, {channel: [] for channel in parts[0]}, []
+    for number, part in enumerate(parts):
+        for channel, values in part.items():
+            columns[channel].append(values + start if channel == "t" else values)
+        segment.append(np.full(len(part["t"]), number, dtype=np.int32))
+        start = float(columns["t"][-1][-1]) + _PAUSE_BETWEEN_TESTS
+    kinds = {channel: "measured" for channel in parts[0] if channel != "t"}
+    kinds |= {"T": "command", "delta": "command"}
+    tests = {"tests": list(CALIBRATION_TESTS)} if len(parts) == len(CALIBRATION_TESTS) else {}
+    return Drive(
+        name=name,
+        columns={channel: np.concatenate(values) for channel, values in columns.items()},
+        segment=np.concatenate(segment),
+        period=1.0 / TABLE_RATE,
+        metadata=DriveMetadata(kinds=kinds, conversions=(origin,), noise=noise, quality=tests),
+    )
