@@ -1,0 +1,67 @@
+"""`split info` names every kind of file and tells what is in it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from split_cli.cli.main import group
+from split_cli.errors import SplitError
+from split_cli.learning.training_set import write_set
+from split_cli.logs.drive import Drive, write_drive
+from split_cli.workflows.info import describe_file
+from tests.factories import make_training_set
+
+
+def facts(path) -> dict[str, str]:
+    return dict(describe_file(path).facts)
+
+
+def test_a_trained_set_tells_its_points_and_cells(tmp_path):
+    trained = make_training_set(seed=3, points=400)
+    path = tmp_path / "car.split"
+    write_set(trained, path)
+    assert describe_file(path).kind == "trained set"
+    told = facts(path)
+    assert told["points"].startswith(f"{trained.size} in {trained.cell_count} cells")
+    assert trained.vehicle.digest()[:12] in told["vehicle"]
+
+
+def test_a_drive_tells_rate_segments_and_channels(tmp_path):
+    time = np.arange(100) * 0.02
+    columns = {"t": time, **{name: np.full(100, 7.0) for name in ("vx", "vy", "r", "T", "delta")}}
+    write_drive(Drive("lap", columns, np.repeat([0, 1], 50).astype(np.int32), 0.02), tmp_path / "lap.parquet")
+    told = facts(tmp_path / "lap.parquet")
+    assert told["samples"] == "100 at 50 Hz, 2.0 s"
+    assert told["segments"] == "2"
+
+
+def test_a_recording_lists_array_elements_once(tmp_path, sample_logs):
+    log = sample_logs / "road_handling_moderate.mcap"
+    told = facts(log)
+    assert "/imu/orientation_covariance[0..8]" in told
+    assert "/imu/orientation_covariance[1]" not in told
+    assert "sensor_msgs/msg/Imu" in told["/imu/angular_velocity.z"]
+
+
+def test_a_vehicle_tells_where_its_values_come_from(sample_logs):
+    described = describe_file(sample_logs / "road_car.yaml")
+    assert described.kind == "vehicle"
+    assert "front_tire.B" in dict(described.facts)["calibrated"]
+
+
+@pytest.mark.parametrize("name, content", [("a.split", b"ARROW1"), ("a.parquet", b"PAR1"), ("a.json", b"[1"),
+                                           ("a.yaml", b"a: [1"), ("a.mcap", b"\x89MCAP0\r\n")])  # fmt: skip
+def test_a_damaged_file_is_a_clear_error(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(SplitError, match=name):
+        describe_file(path)
+
+
+def test_json_output_is_json(sample_logs):
+    result = CliRunner().invoke(group, ["info", str(sample_logs / "road_car.yaml"), "--json"])
+    assert json.loads(result.stdout)[0]["kind"] == "vehicle"
