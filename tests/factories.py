@@ -66,13 +66,13 @@ def make_drive(
     name: str = "made.parquet",
     knot: float = 0.2,
 ) -> Drive:
-    """Return a drive of `segments` runs of a single track with `terms`, steered and driven at random.
+    """Return a drive of `segments` runs of a single track with `terms` (or the vehicle's), steered and driven at random.
 
     Inputs are linear between knots `knot` seconds apart, so that the same motion can be recorded with any period
     that divides it. Integrated with steps of 1.25 ms, where RK4 is exact to some 1e-10.
     """
     vehicle = vehicle or road_car()
-    model = SingleTrack(vehicle, terms)
+    model = SingleTrack(vehicle, tuple(terms) or None)
     rng = np.random.default_rng(seed)
     speed = rng.uniform(8.0, 28.0, segments)
     knots = round(seconds / knot) + 1
