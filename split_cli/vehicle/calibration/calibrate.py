@@ -99,7 +99,7 @@ class Calibration:
 
 
 def calibrate_vehicle(
-    runs: Sequence[MotionRun], start: Vehicle, settings: CalibrationSettings = CalibrationSettings()
+    runs: Sequence[MotionRun], start: Vehicle, settings: CalibrationSettings | None = None
 ) -> Calibration:
     """Fit a vehicle's parameters to recorded motion.
 
@@ -109,13 +109,14 @@ def calibrate_vehicle(
         Stretches without a gap.
     start : Vehicle
         Gives mass, geometry and inertia, and what the data do not settle.
-    settings : CalibrationSettings
+    settings : CalibrationSettings, optional
 
     Raises
     ------
     VehicleError
         If too little of the drives can be used.
     """
+    settings = settings or CalibrationSettings()
     samples = motion_samples(runs, start, smoothing=settings.smoothing)
     samples = samples.where(samples.vx >= start.minimum_speed)
     if not len(samples):

@@ -334,8 +334,8 @@ def _settle(
         return best, ("B", "C", "D"), []
     limit = "no upper limit" if np.isinf(high) else f"at most {high:.4g} N"
     remarks = [
-        f"{axle}: the peak is not identified: forces reach {reached:.4g} N, D is at least {low:.4g} N with {limit}; "
-        f"D = {given_peak:.4g} N is given, the slope B C D is fitted"
+        f"{axle}: the peak is not identified: forces reach {reached:.4g} N, D is at least {low:.4g} N with "
+        f"{limit}; D = {given_peak:.4g} N is given, the slope B C D is fitted"
     ]
     others = problem.free[problem.free != 1]
     held = problem.fit(_with_peak(best.parameters, np.log(given_peak)), free=others, scale=best.scale)
@@ -350,8 +350,8 @@ def _settle(
         remarks.append(f"{axle}: the curvature is not identified either, C = {fixed[2]:.3g} is given")
     if held.cost > profile.threshold:
         remarks.append(
-            f"{axle}: the given peak contradicts the data, which fit D = {estimate:.4g} N better than chance allows: "
-            "the fitted curve is taken, an extrapolation beyond the covered slip angles"
+            f"{axle}: the given peak contradicts the data, which fit D = {estimate:.4g} N better than chance "
+            "allows: the fitted curve is taken, an extrapolation beyond the covered slip angles"
         )
         return best, ("B", "C", "D"), remarks
     return held, determined, remarks

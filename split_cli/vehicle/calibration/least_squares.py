@@ -53,7 +53,7 @@ class Fit:
         return inverse @ (sums.T @ sums) @ inverse * blocks / max(blocks - count, 1)
 
     def design_effect(self, block: np.ndarray) -> float:
-        """Return by how much correlation within blocks widens variances, a mean over the parameters, at least 1."""
+        """Return by how much correlation within blocks widens variances, in the mean, and at least 1."""
         sums = _sum_by_block(self.scores, block)
         meat = np.linalg.pinv(self.curvature) @ (sums.T @ sums)
         return max(1.0, float(np.trace(meat)) / (len(self.free) * self.scale**2))

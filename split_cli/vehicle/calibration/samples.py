@@ -41,7 +41,7 @@ class MotionRun:
 
 @dataclass(frozen=True)
 class MotionSamples:
-    """Smoothed motion, thinned to one sample a smoothing width, with blocks of time; every array `(M,)`.
+    """Smoothed motion, thinned to one sample in two smoothing widths, with blocks of time; every array `(M,)`.
 
     Attributes
     ----------
@@ -143,7 +143,8 @@ def _smoothed(run: MotionRun, vehicle: Vehicle, smoothing: float) -> tuple[dict[
     # Normalised so that the slope of a straight line is exact; np.convolve flips the kernel.
     slope = offsets * kernel
     slope = -slope / (slope @ offsets)
-    stride = max(1, round(smoothing / run.period))
+    # Closer samples would tell next to nothing: their kernels overlap by more than a third.
+    stride = max(1, round(2.0 * smoothing / run.period))
 
     def mean(values: np.ndarray) -> np.ndarray:
         return np.convolve(values, kernel, mode="valid")[::stride]

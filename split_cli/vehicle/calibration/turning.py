@@ -70,8 +70,11 @@ def estimate_yaw_inertia(samples: MotionSamples, vehicle: Vehicle) -> Estimate:
     share = noise / max(float(np.mean(alone**2)), 1e-300)
     if share > 0.5:
         return Estimate("yaw_inertia", vehicle.yaw_inertia, float("inf"), False)
-    value = (vehicle.yaw_inertia + change) / (1.0 - share)
-    return Estimate("yaw_inertia", value, half_width, value > 0 and half_width < 0.1 * value)
+    seen = vehicle.yaw_inertia + change
+    value = seen / (1.0 - share)
+    # The noise level itself is known to about half.
+    error = float(np.hypot(half_width, 0.5 * (value - seen)))
+    return Estimate("yaw_inertia", value, error, value > 0 and error < 0.1 * value)
 
 
 def estimate_splits(samples: MotionSamples, vehicle: Vehicle) -> tuple[Estimate, ...]:

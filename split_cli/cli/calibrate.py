@@ -1,0 +1,156 @@
+"""`split calibrate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
+
+__all__ = ["command"]
+
+
+@click.command("calibrate")
+@click.argument("files", nargs=-1, required=True, type=existing_file, metavar="DRIVE...")
+@click.option("--vehicle", "start", type=existing_file, metavar="FILE", help="Vehicle YAML to start from.")
+@output_option("Vehicle YAML to write.")
+@click.option(
+    "--fit",
+    "parts",
+    default="tires,drag,rolling",
+    show_default=True,
+    metavar="LIST",
+    help="What to fit, of tires, drag, rolling, splits, inertia.",
+)
+@click.option(
+    "--first",
+    type=click.FloatRange(0.0, 1.0, min_open=True),
+    default=1.0,
+    metavar="SHARE",
+    help="Use only the first share of each drive's time, and leave the rest unseen.",
+)
+@click.option("--offsets", is_flag=True, help="Also fit constant offsets of the slip angles.")
+@click.option("--measured-ay", is_flag=True, help="Take the channel ay, not v_y' + v_x r: right on a banked road.")
+@click.option(
+    "--max-ax",
+    type=float,
+    default=2.0,
+    show_default=True,
+    metavar="A",
+    help="Limit of |a_x| for the tyres [m/s^2].",
+)
+@click.option(
+    "--max-ay",
+    type=float,
+    default=2.0,
+    show_default=True,
+    metavar="A",
+    help="Limit of |a_y| for resistances [m/s^2].",
+)
+@click.option(
+    "--alpha-max", type=float, default=0.18, show_default=True, metavar="RAD", help="Largest slip angle."
+)
+@click.option("--smooth", type=float, metavar="SECONDS", help="Kernel width; by default from the wheelbase.")
+@click.option("--figure", type=click.Path(path_type=Path), metavar="FILE", help="Draw the curves (png, svg, pdf).")
+@click.option("--convert", is_flag=True, help="Convert a CommonRoad, F1TENTH or ForzaETH parameter file instead.")
+@json_option
+def command(files, start, output, parts, first, offsets, measured_ay, max_ax, max_ay, alpha_max, smooth, figure,
+            convert, as_json) -> None:  # fmt: skip
+    """Fit a vehicle file to gentle drives, or convert a foreign one.
+
+    Tyres come from the axles' lateral forces, drag and rolling resistance from the longitudinal balance. Told are
+    the error on held-out blocks of time, the slip angles covered, and how far apart equally good curves are; a
+    coefficient that the drives leave open keeps its given value.
+
+    \b
+    Example:
+      split calibrate steps.parquet sweep.parquet coast.parquet --vehicle start.yaml -o car.yaml
+      split calibrate --convert parameters_vehicle2.yaml parameters_tire.yaml -o bmw.yaml
+    """
+    from split_cli.workflows.calibrate import calibrate_files, convert_files
+
+    if convert:
+        _show_conversion(convert_files(files, output, alpha_max=alpha_max), output, as_json)
+        return
+    if start is None:
+        raise click.UsageError("Missing option '--vehicle': mass, geometry and inertia must be known.")
+    from split_cli.vehicle.calibration.calibrate import CalibrationSettings
+
+    settings = CalibrationSettings(
+        parts=tuple(part.strip() for part in parts.split(",") if part.strip()),
+        alpha_max=alpha_max,
+        max_longitudinal_acceleration=max_ax,
+        max_lateral_acceleration=max_ay,
+        smoothing=smooth,
+        offsets=offsets,
+    )
+    calibration, used = calibrate_files(
+        files, start, output, settings, first=first, measured_lateral_acceleration=measured_ay
+    )
+    if figure is not None:
+        from split_cli.plots.calibration import plot_calibration
+
+        plot_calibration(calibration, figure)
+    _show_calibration(calibration, used, output, as_json)
+
+
+def _show_calibration(calibration, used, output, as_json) -> None:
+    if as_json:
+        print_json(
+            {
+                "vehicle": output,
+                "drives": used,
+                "samples": calibration.samples,
+                "blocks": calibration.blocks,
+                "curves": calibration.curves,
+                "resistance": calibration.resistance,
+                "estimates": calibration.estimates,
+                "remarks": calibration.remarks,
+            }
+        )
+        return
+    if calibration.curves:
+        header = ("axle", "B", "C", "D [N]", "set by data", "BCD [N/rad]", "+-", "slip to [rad]", "alike to [N]",
+                  "and at most [N]", "held out [N]", "start [N]", "signal [N]")  # fmt: skip
+        rows = [
+            (
+                c.axle, c.tire.B, c.tire.C, c.tire.D, " ".join(c.determined), c.cornering_stiffness[0],
+                0.5 * (c.cornering_stiffness[2] - c.cornering_stiffness[1]), c.covered, c.deviation_covered,
+                c.deviation_everywhere, c.held_out.calibrated, c.held_out.start, c.held_out.signal,
+            )
+            for c in calibration.curves
+        ]  # fmt: skip
+        print_table(header, rows)
+    if calibration.resistance is not None:
+        found = calibration.resistance
+        click.echo()
+        rows = [
+            ("drag [N/(m/s)^2]", found.drag, found.drag_error, "drag" in found.determined),
+            ("rolling [N]", found.rolling, found.rolling_error, "rolling" in found.determined),
+            ("force per T/r_e [1]", *found.torque_gain, "a check"),
+        ]
+        print_table(("resistance", "value", "+-", "set by data"), rows)
+        held = found.held_out
+        click.echo(f"held out {held.calibrated:.4g} N, start {held.start:.4g} N, signal {held.signal:.4g} N")
+    if calibration.estimates:
+        click.echo()
+        rows = [(e.name, e.value, e.error, e.settled) for e in calibration.estimates]
+        print_table(("from turning", "value", "+-", "set by data"), rows)
+    for remark in calibration.remarks:
+        click.echo(f"note: {remark}", err=True)
+    click.echo(
+        f"wrote {output} from {calibration.samples} samples in {calibration.blocks} blocks of time", err=True
+    )
+
+
+def _show_conversion(conversion, output, as_json) -> None:
+    if as_json:
+        print_json({"vehicle": output, "kind": conversion.kind, "tires": conversion.tires,
+                    "assumed": conversion.assumed})  # fmt: skip
+        return
+    rows = [(t.axle, t.law, t.peak, t.largest_deviation, t.at) for t in conversion.tires]
+    print_table(("axle", "in the source", "D [N]", "largest deviation [N]", "at [rad]"), rows)
+    for text in conversion.assumed:
+        click.echo(f"assumed: {text}", err=True)
+    click.echo(f"wrote {output} from a {conversion.kind} parameter file", err=True)

@@ -1,0 +1,128 @@
+"""`split calibrate`: a vehicle file from gentle drives, or from another project's parameter file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from split_cli.errors import DriveError, SplitError
+from split_cli.logs.drive import Drive, read_drive
+from split_cli.vehicle.calibration.calibrate import Calibration, CalibrationSettings, calibrate_vehicle
+from split_cli.vehicle.calibration.samples import MotionRun
+from split_cli.vehicle.converters import Conversion, convert_parameters
+from split_cli.vehicle.parameters import read_vehicle, write_vehicle
+
+__all__ = ["DriveUse", "calibrate_files", "convert_files", "motion_runs"]
+
+
+@dataclass(frozen=True)
+class DriveUse:
+    """How much of a drive the calibration used.
+
+    Attributes
+    ----------
+    name, sha256 : str
+    seconds : float
+        Of what was used [s].
+    """
+
+    name: str
+    sha256: str
+    seconds: float
+
+
+def calibrate_files(
+    drives: Sequence[str | Path],
+    start: str | Path,
+    output: str | Path | None,
+    settings: CalibrationSettings | None = None,
+    *,
+    first: float = 1.0,
+    measured_lateral_acceleration: bool = False,
+) -> tuple[Calibration, tuple[DriveUse, ...]]:
+    """Calibrate a vehicle file from drives and write it.
+
+    Parameters
+    ----------
+    drives : sequence of path
+    start : path
+        Vehicle file (or name in the library) with mass, geometry and inertia.
+    output : path or None
+        Vehicle YAML to write; None writes nothing.
+    settings : CalibrationSettings, optional
+    first : float
+        Share of each drive, from its beginning, that is used; the rest stays unseen for evaluation.
+    measured_lateral_acceleration : bool
+        Take the channel ``ay`` in place of v_y' + v_x r: right on a banked road.
+
+    Raises
+    ------
+    SplitError
+        If a file cannot be read or too little of the drives can be used.
+    """
+    settings = settings or CalibrationSettings()
+    vehicle = read_vehicle(start)
+    runs, used, derived = [], [], set()
+    for path in drives:
+        drive = read_drive(path)
+        found = motion_runs(drive, first, measured_lateral_acceleration)
+        runs += found
+        used.append(DriveUse(drive.name, drive.sha256, sum(len(run.vx) * run.period for run in found)))
+        if drive.metadata.kinds.get("T", "").startswith("derived"):
+            derived.add(drive.name)
+    if derived and {"drag", "rolling"} & set(settings.parts):
+        raise DriveError(
+            "its torque was derived from acceleration with the resistances of its vehicle file, so it says "
+            "nothing about them",
+            where=", ".join(sorted(derived)),
+            advice="Calibrate the tyres alone: --fit tires.",
+        )
+    calibration = calibrate_vehicle(runs, vehicle, settings)
+    if output is not None:
+        write_vehicle(calibration.vehicle, output, comment=_provenance(used, settings, first))
+    return calibration, tuple(used)
+
+
+def motion_runs(drive: Drive, first: float = 1.0, measured_lateral_acceleration: bool = False) -> list[MotionRun]:
+    """Return a drive's stretches without a gap, of its `first` share of time.
+
+    Raises
+    ------
+    DriveError
+        If the measured lateral acceleration is asked for and not there.
+    """
+    if measured_lateral_acceleration and "ay" not in drive:
+        raise DriveError("has no channel ay", where=drive.name, advice="Leave out --measured-ay.")
+    begin, end = drive["t"][0], drive["t"][-1]
+    runs = []
+    for rows in drive.segments():
+        inside = drive["t"][rows] <= begin + first * (end - begin)
+        columns = {name: drive[name][rows][inside] for name in ("vx", "vy", "r", "T", "delta")}
+        ay = drive["ay"][rows][inside] if measured_lateral_acceleration else None
+        runs.append(MotionRun(drive.period, **columns, ay=ay))
+    return runs
+
+
+def _provenance(used: Sequence[DriveUse], settings: CalibrationSettings, first: float) -> str:
+    lines = [f"Calibrated by `split calibrate --fit {','.join(settings.parts)}` from"]
+    lines += [f"  {use.name} ({use.seconds:.0f} s, sha256 {use.sha256[:16]})" for use in used]
+    if first < 1.0:
+        lines.append(f"of which the first {100.0 * first:g} % of time.")
+    return "\n".join(lines)
+
+
+def convert_files(sources: Sequence[str | Path], output: str | Path, *, alpha_max: float = 0.18) -> Conversion:
+    """Convert another project's parameter file, or files that belong together, to a vehicle file.
+
+    Raises
+    ------
+    SplitError
+        If the files cannot be read or are of no known kind.
+    """
+    if not sources:
+        raise SplitError("no parameter file was named")
+    conversion = convert_parameters(sources, alpha_max=alpha_max)
+    names = ", ".join(Path(source).name for source in sources)
+    write_vehicle(conversion.vehicle, output, comment=f"Converted by `split calibrate --convert` from {names}.")
+    return conversion
