@@ -48,8 +48,8 @@ def command(output, truth, as_json, **settings) -> None:
     """Drive the double-track plant and write what its sensors recorded.
 
     MCAP logs hold ROS 2 messages at unequal rates whose header time is not the log time; CSV and Parquet have one
-    clock of 100 Hz. T is the total wheel torque and delta the road-wheel angle, both as commanded; what the actuators
-    made of them is in MCAP logs and in the truth. Equal settings and seeds give equal logs.
+    clock of 100 Hz. T is the total wheel torque and delta the road-wheel angle, both as commanded; what the
+    actuators made of them is in MCAP logs and in the truth. Equal settings and seeds give equal logs.
 
     \b
     Example:

@@ -288,7 +288,7 @@ def project(px, py, s, path):
 
 @compiled
 def steer_for(x, s, error, path, plan, driver, car, k):
-    """Return the road-wheel angle the driver asks for: the road's arc and the way back to the line, within grip."""
+    """Return the road-wheel angle asked for: the road's arc and the way back to the line, within grip."""
     vx, vy, r = x[VX], x[VY], x[R]
     speed = math.sqrt(vx * vx + vy * vy)
     wheelbase = car.cg_to_front_axle + car.cg_to_rear_axle

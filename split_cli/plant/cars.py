@@ -159,8 +159,8 @@ give 0.3 to 0.6 m across and about a third of it along for such a tyre. Rolling 
 Fundamentals of Vehicle Dynamics, ch. 4, a radial on asphalt (0.010 to 0.015)."""
 
 _TOURING_TIRE_STEERED = replace(_TOURING_TIRE, p_ky1=0.8 * _TOURING_TIRE.p_ky1)
-"""The same tyre behind an elastic steering system, which takes a fifth of the axle's cornering stiffness (assumed);
-with it the car understeers by about 2 deg/g, as production saloons do (Gillespie, ch. 6)."""
+"""The same tyre behind an elastic steering system, which takes a fifth of the axle's cornering stiffness
+(assumed); with it the car understeers by about 2 deg/g, as production saloons do (Gillespie, ch. 6)."""
 
 ROAD_CAR = CarParameters(
     name="road_car",
@@ -181,8 +181,8 @@ Published: mass, yaw inertia and axle distances, Rajamani, Vehicle Dynamics and 
 saloon of chapters 2 and 3 (1573 kg, 2873 kg m^2, 1.1 m, 1.58 m); drag area, Hucho, Aerodynamics of Road Vehicles
 (c_d 0.30, 2.2 m^2) and the slight lift of such bodies; CG height, 0.2 of the wheelbase, the NHTSA inertia
 database's average for saloons. Assumed, typical of the class: tracks, roll centres, roll stiffness share (stiffer
-front), roll frequency 1.75 Hz, wheel inertia with the electric drive's share, splits (braking leaves the
-rear axle a reserve, as type approval asks), toe, Ackermann, actuators, torques (0.56 g driving, 1.2 g braking) and power.
+front), roll frequency 1.75 Hz, wheel inertia with the electric drive's share, splits (braking leaves the rear
+axle a reserve, as type approval asks), toe, Ackermann, actuators, torques (0.56 g driving, 1.2 g braking), power.
 """
 
 _MODEL_CAR_TIRE_FRONT = TireParameters(

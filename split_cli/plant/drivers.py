@@ -1,8 +1,9 @@
 """Drivers: how fast they think a track can be driven, and how they hold the car on it.
 
 A driver steers the road's own curvature a moment ahead and an arc that leads back to the line, corrected for
-understeer and for the yaw rate that comes out; steers no further than the front tyres' grip; follows a speed profile
-with feed-forward torque; and eases off when wheels slip. Seeded wander of line, pace and pedals makes laps and drivers differ.
+understeer and for the yaw rate that comes out; steers no further than the front tyres' grip; follows a speed
+profile with feed-forward torque; and eases off when wheels slip. Seeded wander of line, pace, hand and foot makes
+laps and drivers differ.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ __all__ = [
 
 _DriverTables = namedtuple(
     "_DriverTables",
-    "preview_time turn_in_time slip_difference lateral_spacing downforce calm_speed yaw_gain slip_angle_limit rear_angle_limit slip_ratio_limit speed_gain speed_preview "
-    "steer_rate torque_rate",
+    "preview_time turn_in_time slip_difference lateral_spacing downforce calm_speed yaw_gain slip_angle_limit "
+    "rear_angle_limit slip_ratio_limit speed_gain speed_preview steer_rate torque_rate",
 )
 _PlanTables = namedtuple("_PlanTables", "spacing line_offset speed_scale steer_noise torque_noise")
 
@@ -236,8 +237,8 @@ def speed_profile(
 
     Notes
     -----
-    Corner speed from curvature, then one pass against travel for braking and one along it for driving, each limited
-    by (a_x/a_x,max)^p + (a_y/a_y,max)^p <= 1, both run twice round so that the lap closes.
+    Corner speed from curvature, then one pass against travel for braking and one along it for driving, each
+    limited by (a_x/a_x,max)^p + (a_y/a_y,max)^p <= 1, both run twice round so that the lap closes.
     """
     grip = grip or grip_of(car)
     count = len(track.x)

@@ -97,8 +97,8 @@ class Reading:
 def sensors_of(car_name: str) -> tuple[SensorSpec, ...]:
     """Return the usual instruments of a car.
 
-    Full-size cars carry a GNSS-aided inertial system of the better kind (data sheets of that class state 0.03 km/h,
-    0.1 deg, 0.02 m and 0.01 deg/s r.m.s.) and production sensors; the model car a motion-capture pose with a
+    Full-size cars carry a GNSS-aided inertial system of the better kind (data sheets of that class state
+    0.03 km/h, 0.1 deg and 0.02 m r.m.s.) and production sensors; the model car a motion-capture pose with a
     filter's velocities and a hobby inertial unit.
     """
     small = car_name == "f1tenth_car"

@@ -220,8 +220,8 @@ def _drive(settings: SimulateSettings, car: CarParameters) -> tuple[list[Traject
             seed=settings.seed,
         )
         laps = (run.s[-1] - run.s[0]) / run.lap_length
-        what = f"{car.name}, {laps:.2f} laps of {settings.track}, {settings.driver} driver at {share:g} of the grip"
-        return [run], what
+        who = f"{settings.driver} driver at {share:g} of the grip"
+        return [run], f"{car.name}, {laps:.2f} laps of {settings.track}, {who}"
     if settings.maneuver:
         run = run_maneuver(car, build_maneuver(settings.maneuver, car, gentle), seed=settings.seed)
         return [run], f"{car.name}, {settings.maneuver} at {gentle:g} of the grip"
