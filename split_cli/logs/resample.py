@@ -242,24 +242,27 @@ def _regression_weights(time: np.ndarray, at: np.ndarray, period: float) -> tupl
     width = _HALF_WIDTH * period
     first = np.searchsorted(time, at - width)
     last = np.searchsorted(time, at + width, side="right")
-    count = int(np.max(last - first))
+    count = max(4, int(np.max(last - first)))
     columns = first[:, None] + np.arange(count)
     inside = columns < last[:, None]
     reduced = (time[np.minimum(columns, len(time) - 1)] - at[:, None]) / width
     kernel = 0.42 + 0.5 * np.cos(np.pi * reduced) + 0.08 * np.cos(2.0 * np.pi * reduced)
     kernel = np.where(inside, np.maximum(kernel, 1e-9), 0.0)
-    weights = np.zeros_like(kernel)
-    # Two points more than coefficients on a clock that dropped most of the window would extrapolate wildly.
-    degree = np.clip(inside.sum(axis=1) - 3, 0, 3)
-    for d in np.unique(degree):
-        rows = degree == d
-        basis = reduced[rows][:, :, None] ** np.arange(d + 1)
-        weighted = basis * kernel[rows][:, :, None]
-        moments = np.einsum("nki,nkj->nij", weighted, basis)
-        moments += 1e-13 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(d + 1)
-        unit = np.zeros((len(moments), d + 1, 1))
-        unit[:, 0] = 1.0
-        weights[rows] = np.einsum("nki,ni->nk", weighted, np.linalg.solve(moments, unit)[:, :, 0])
+    basis = reduced[:, :, None] ** np.arange(4)
+    weighted = basis * kernel[:, :, None]
+    moments = np.einsum("nki,nkj->nij", weighted, basis)
+    moments += 1e-13 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(4)
+    # Where a clock lost most of its window a cubic through what is left would be ill-posed: interpolate there.
+    sparse = inside.sum(axis=1) < 6
+    moments[sparse] = np.eye(4)
+    unit = np.zeros((len(moments), 4, 1))
+    unit[:, 0] = 1.0
+    weights = np.einsum("nki,ni->nk", weighted, np.linalg.solve(moments, unit)[:, :, 0])
+    if sparse.any():
+        first = first.copy()
+        first[sparse], four = _cubic_weights(time, at[sparse], period)
+        weights[sparse] = 0.0
+        weights[np.flatnonzero(sparse)[:, None], np.arange(4)] = four
     return first, weights
 
 

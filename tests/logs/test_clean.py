@@ -1,0 +1,101 @@
+"""Cleaning: every kind of bad sample is dropped or moved, and counted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.errors import LogError
+from split_cli.logs.clean import clean_series, join_clock_resets, longest_repeat
+from split_cli.logs.gather import Series
+
+
+def series(time, values, channel="vx", delay=0.0) -> Series:
+    return Series(channel, channel, np.asarray(time, float), np.asarray(values, float), delay)
+
+
+def drops(clean) -> dict[str, int]:
+    return {drop.reason: drop.count for drop in clean.drops}
+
+
+def test_every_drop_is_counted_by_reason_and_the_rest_is_as_it_was():
+    time = np.arange(200) * 0.01
+    values = np.sin(time)
+    time[20], values[30], values[31], values[40] = np.nan, np.nan, np.nan, np.inf
+    time[50] = time[49]
+    time[[80, 81]] = time[[81, 80]]
+    values[[80, 81]] = values[[81, 80]]
+    clean = clean_series(series(time, values))
+    assert drops(clean) == {
+        "time not finite": 1,
+        "NaN": 2,
+        "infinite": 1,
+        "out of order, sorted": 1,
+        "duplicate time": 1,
+    }
+    assert np.all(np.diff(clean.time) > 0)
+    np.testing.assert_allclose(clean.values, np.sin(clean.time), atol=1e-12)
+
+
+def test_a_delay_moves_times_earlier():
+    clean = clean_series(series(np.arange(10) * 0.1, np.arange(10.0), delay=0.25))
+    assert clean.time[0] == pytest.approx(-0.25)
+
+
+def test_isolated_spikes_go_but_steps_and_rough_signals_stay():
+    rng = np.random.default_rng(0)
+    t = np.arange(3000) * 0.01
+    values = np.sin(t) + 0.01 * rng.standard_normal(len(t))
+    spiked = values.copy()
+    spiked[[500, 1500, 1501]] += [40.0, -30.0, -30.0]
+    clean = clean_series(series(t, spiked))
+    assert clean.spikes == 3 and drops(clean) == {"spike": 3}
+    stepped = np.where(t > 15.0, values + 5.0, values)
+    assert clean_series(series(t, stepped)).spikes == 0
+    assert clean_series(series(t, rng.standard_cauchy(len(t)).clip(-4, 4))).spikes == 0
+    kept = clean_series(series(t, spiked), despike=False)
+    assert kept.spikes == 3 and len(kept.values) == len(t)
+
+
+def test_a_sensor_slower_than_its_log_is_read_at_its_own_rate():
+    t = np.arange(2000) * 0.005
+    slow = np.sin(t[::4])
+    clean = clean_series(series(t, np.repeat(slow, 4)))
+    assert clean.repeats == 4 and clean.period == pytest.approx(0.02)
+    np.testing.assert_array_equal(clean.values, slow)
+    # At rest it repeats longer than that; the samples stay evenly spaced then, so that no gap opens.
+    rest = np.concatenate([np.repeat(slow, 4), np.full(400, slow[-1])])
+    t = np.arange(len(rest)) * 0.005
+    assert np.max(np.diff(clean_series(series(t, rest)).time)) == pytest.approx(0.02)
+    assert longest_repeat(np.round(np.sin(t[:2000]) / 0.02) * 0.02) == 1  # quantised, of uneven runs
+
+
+def test_a_clock_that_jumps_back_continues_behind_with_a_gap_in_all_channels_alike():
+    clock = np.concatenate([np.arange(0, 5, 0.01), np.arange(0, 4, 0.01)])
+    fine = np.concatenate([np.arange(0, 5, 0.002), np.arange(0, 4, 0.002)])
+    truth = np.arange(len(clock)) * 0.01
+    joined, said = join_clock_resets({"vx": (series(clock, truth),), "r": (series(fine, fine, "r"),)}, 0.1)
+    assert len(said) == 1 and "jumps back" in said[0]
+    time, other = joined["vx"][0].time, joined["r"][0].time
+    assert np.all(np.diff(time) > 0) and np.max(np.diff(time)) == pytest.approx(1.0, abs=0.02)
+    # Both channels are moved by the same time, or they would no longer belong together.
+    assert time[500] - clock[500] == pytest.approx(other[2500] - fine[2500], abs=1e-12)
+
+
+def test_a_few_late_messages_are_no_clock_jump():
+    time = np.arange(1000) * 0.01
+    time[[300, 301]] -= 1.0
+    joined, said = join_clock_resets({"vx": (series(time, time),)}, 0.1)
+    assert said == () and joined["vx"][0].time is time
+
+
+def test_channels_that_disagree_about_jumps_are_refused():
+    jumping = np.concatenate([np.arange(0, 5, 0.01), np.arange(0, 4, 0.01)])
+    steady = np.arange(0, 9, 0.01)
+    with pytest.raises(LogError, match="clock of vx jumps back 1 times.*--clock"):
+        join_clock_resets({"vx": (series(jumping, jumping),), "r": (series(steady, steady, "r"),)}, 0.1)
+
+
+def test_too_little_left_is_an_error_that_says_what_was_dropped():
+    with pytest.raises(LogError, match="2 usable samples of vx.*3 NaN"):
+        clean_series(series(np.arange(5), [1, 2, np.nan, np.nan, np.nan]))

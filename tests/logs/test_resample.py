@@ -1,0 +1,142 @@
+"""Resampling: exact for polynomials, of the order claimed, low-passed as claimed, nothing across gaps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.logs.resample import (
+    Grid,
+    is_sampled_and_held,
+    make_grid,
+    resample_continuous,
+    resample_held,
+    runs_of,
+)
+
+
+def jittered(rng, seconds: float, step: float, jitter: float = 0.5) -> np.ndarray:
+    time = np.arange(0.0, seconds, step)
+    return time + jitter * step * rng.uniform(-0.5, 0.5, len(time))
+
+
+def grid_over(time: np.ndarray, period: float) -> Grid:
+    return make_grid([[(float(time[0]), float(time[-1]))]], period)[0]
+
+
+@pytest.mark.parametrize("step", [0.001, 0.002, 0.008, 0.01, 0.02])
+@pytest.mark.parametrize("jitter", [0.0, 0.6])
+def test_a_line_comes_through_unchanged_at_every_ratio_of_rates_and_to_the_ends(step, jitter):
+    time = jittered(np.random.default_rng(0), 4.0, step, jitter)
+    grid = grid_over(time, 0.01 if step < 0.01 else step)
+    result = resample_continuous(time, 3.0 - 7.0 * time, grid, gap=0.1)
+    # Both schemes reproduce cubics, so only rounding remains: 28 times 1e-16 times the condition of the fit.
+    np.testing.assert_allclose(result.values, 3.0 - 7.0 * grid.time, atol=1e-9)
+
+
+def test_equal_clocks_hand_the_samples_through():
+    time = 5.0 + 0.01 * np.arange(400)
+    values = np.random.default_rng(1).standard_normal(400)
+    result = resample_continuous(time, values, grid_over(time, 0.01), gap=0.1)
+    np.testing.assert_array_equal(result.values, values)
+    assert result.gain == 1.0 and result.autocorrelation == (1.0,) and not result.low_passed
+
+
+def test_interpolation_is_of_fourth_order():
+    def error(step: float) -> float:
+        time = np.arange(0.0, 6.0, step)
+        grid = grid_over(time + 0.37 * step, step)
+        inside = slice(4, -4)
+        truth = np.sin(3.0 * grid.time)
+        return float(np.max(np.abs(resample_continuous(time, np.sin(3.0 * time), grid, gap=1.0).values - truth)[inside]))
+
+    order = np.log2(error(0.04) / error(0.02))
+    # Four nodes: the error falls with the fourth power of the step.
+    assert order == pytest.approx(4.0, abs=0.15)
+
+
+def test_the_low_pass_keeps_what_the_drive_can_show_and_removes_what_would_alias():
+    time = np.arange(0.0, 20.0, 0.001)
+    grid = grid_over(time, 0.02)
+
+    def amplitude(frequency: float) -> float:
+        values = resample_continuous(time, np.sin(2 * np.pi * frequency * time), grid, gap=0.1).values[50:-50]
+        return float(np.sqrt(2.0 * np.mean(values**2)))
+
+    assert amplitude(5.0) == pytest.approx(1.0, abs=0.01)  # a tenth of the rate
+    assert amplitude(35.0) < 0.03  # would alias to 15 Hz
+    assert amplitude(90.0) < 0.01
+
+
+def test_noise_gain_and_autocorrelation_are_what_noise_itself_shows():
+    rng = np.random.default_rng(3)
+    time = jittered(rng, 400.0, 0.002)
+    grid = grid_over(time, 0.01)
+    noise = rng.standard_normal(len(time))
+    result = resample_continuous(time, noise, grid, gap=0.1)
+    x = result.values[20:-20]
+    # 40,000 rows that are correlated over three: the standard error of a correlation is about 0.008.
+    assert np.std(x) == pytest.approx(result.gain, rel=0.02)
+    for lag, expected in enumerate(result.autocorrelation[:4]):
+        assert np.mean(x[: len(x) - lag] * x[lag:]) / np.mean(x * x) == pytest.approx(expected, abs=0.03)
+    assert result.low_passed and 0.3 < result.gain < 0.7
+
+
+def test_nothing_is_interpolated_across_a_gap_and_a_new_segment_starts_there():
+    time = np.concatenate([np.arange(0.0, 1.0, 0.01), np.arange(1.5, 3.0, 0.01)])
+    spans = [[(float(time[a]), float(time[b - 1])) for a, b in runs_of(time, 0.1)]]
+    grid, _ = make_grid(spans, 0.01)
+    assert grid.segment.max() == 1
+    assert not np.any((grid.time > 0.995) & (grid.time < 1.495))
+    everywhere = Grid(0.0, 0.01, np.arange(300), np.zeros(300, np.int32))
+    values = resample_continuous(time, time, everywhere, gap=0.1).values
+    assert np.isnan(values[(everywhere.time > 1.0) & (everywhere.time < 1.49)]).all()
+
+
+def test_a_step_of_exactly_the_gap_is_still_bridged():
+    time = 0.1 * np.arange(50)
+    assert runs_of(time, 0.1) == [(0, 50)]
+
+
+def test_all_segments_share_one_clock():
+    grid, _ = make_grid([[(0.003, 1.0), (2.0007, 3.0)], [(0.0, 1.5), (1.9, 2.9)]], 0.01)
+    phase = np.mod(grid.time - 0.003 + 1e-9, 0.01)
+    assert np.all(phase < 1e-8)
+    assert grid.time[grid.segment == 1][0] >= 2.0007 and grid.time[-1] <= 2.9 + 1e-9
+
+
+def test_a_held_signal_takes_the_last_value_and_goes_stale():
+    time, values = np.array([0.0, 0.5, 1.0]), np.array([1.0, 2.0, 3.0])
+    grid = Grid(-0.1, 0.1, np.arange(20), np.zeros(20, np.int32))
+    held = resample_held(time, values, grid, longest=0.55)
+    expected = np.select([grid.time < -1e-9, grid.time < 0.5 - 1e-9, grid.time < 1.0 - 1e-9], [np.nan, 1.0, 2.0], 3.0)
+    expected[grid.time > 1.551] = np.nan
+    np.testing.assert_array_equal(held, expected)
+
+
+def test_holding_is_told_from_quantisation():
+    t = np.arange(0.0, 60.0, 0.01)
+    truth = 0.1 * np.sin(0.7 * t)
+    assert is_sampled_and_held(np.repeat(truth[::5], 5))
+    assert not is_sampled_and_held(np.round(truth / 0.003) * 0.003)  # repeats too, but steps by its resolution
+    assert not is_sampled_and_held(truth)
+
+
+def test_a_dropped_sample_in_a_jittery_fast_signal_does_no_harm():
+    rng = np.random.default_rng(5)
+    time = jittered(rng, 10.0, 0.004, 0.9)
+    time = time[rng.uniform(size=len(time)) > 0.3]
+    grid = grid_over(time, 0.01)
+    result = resample_continuous(time, np.sin(2.0 * time), grid, gap=0.1)
+    # The window spans +-25 ms, its cubic leaves (2 x 0.025)^4/24 = 3e-7; where the clock is too uneven for a cubic
+    # a line over at most 20 ms leaves (2 x 0.02)^2/8 = 2e-4.
+    error = np.abs(result.values - np.sin(2.0 * grid.time))
+    assert np.max(error) < 2e-4 and np.quantile(error, 0.97) < 1e-6
+
+
+def test_a_short_outage_of_a_fast_signal_is_bridged_not_zeroed():
+    time = np.arange(0.0, 4.0, 0.002)
+    time = time[(time < 2.0) | (time > 2.09)]
+    grid = grid_over(time, 0.01)
+    result = resample_continuous(time, 5.0 + time, grid, gap=0.1)
+    np.testing.assert_allclose(result.values, 5.0 + grid.time, atol=1e-8)
