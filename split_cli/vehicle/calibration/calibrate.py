@@ -13,6 +13,7 @@ from split_cli.vehicle.calibration.resistance import Resistance, fit_resistance
 from split_cli.vehicle.calibration.samples import MotionRun, MotionSamples, axle_lateral_forces, motion_samples
 from split_cli.vehicle.calibration.turning import Estimate, estimate_splits, estimate_yaw_inertia, with_estimates
 from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.tire import MagicFormula
 
 __all__ = ["PARTS", "Calibration", "CalibrationSettings", "calibrate_vehicle"]
 
@@ -143,7 +144,7 @@ def calibrate_vehicle(
         resistance, vehicle = _fit_resistance(samples, vehicle, settings)
     front, rear = axle_lateral_forces(gentle, vehicle)
     return Calibration(
-        vehicle=_marked(vehicle, curves, resistance, estimates),
+        vehicle=_rounded(_marked(vehicle, curves, resistance, estimates)),
         curves=curves,
         resistance=resistance,
         estimates=estimates,
@@ -218,6 +219,22 @@ def _fit_resistance(
         rolling_resistance_front=share * resistance.rolling,
         rolling_resistance_rear=(1.0 - share) * resistance.rolling,
     )
+
+
+def _rounded(vehicle: Vehicle) -> Vehicle:
+    """Round what was calibrated to six digits, far finer than it is known, so that files can be read."""
+
+    def short(key: str, value: float) -> float:
+        return float(f"{value:.6g}") if vehicle.origins.get(key) == "calibrated" else value
+
+    tires = {}
+    for key in ("front_tire", "rear_tire"):
+        tire = getattr(vehicle, key)
+        tires[key] = MagicFormula(
+            **{name: short(f"{key}.{name}", getattr(tire, name)) for name in ("B", "C", "D")}
+        )
+    numbers = {key: short(key, getattr(vehicle, key)) for key in vehicle.origins if "." not in key}
+    return replace(vehicle, **tires, **numbers)
 
 
 def _marked(

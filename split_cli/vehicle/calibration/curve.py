@@ -205,7 +205,7 @@ def fit_force_curve(
     F_y = D sin(C atan(B alpha)). D is settled when its profile-likelihood interval, widened for correlation
     within blocks, lies within 15 % of the estimate, and the forces reach 85 % of it: a peak far above all forces
     would be the formula's word, not the tyre's. If not, D is given; C is settled when its standard error at
-    that D is below 0.1, otherwise given too; the slope B C D is always fitted.
+    that D is below 0.1, otherwise given too where that fits; the slope B C D is always fitted.
     """
     blocks = len(np.unique(block))
     if len(slip_angle) < _MINIMUM_SAMPLES or blocks < _MINIMUM_BLOCKS:
@@ -340,21 +340,23 @@ def _settle(
     others = problem.free[problem.free != 1]
     held = problem.fit(_with_peak(best.parameters, np.log(given_peak)), free=others, scale=best.scale)
     error = np.sqrt(np.diag(held.covariance(problem.block))[list(held.free).index(2)])
-    at_bound = held.parameters[2] in _C_BOUNDS
-    determined: tuple[str, ...] = ("B", "C")
-    if not error < 0.1 or at_bound:
-        fixed = _with_peak(best.parameters, np.log(given_peak))
-        fixed[2] = np.clip(start.C, *_C_BOUNDS)
-        held = problem.fit(fixed, free=others[others != 2], scale=best.scale)
-        determined = ("B",)
-        remarks.append(f"{axle}: the curvature is not identified either, C = {fixed[2]:.3g} is given")
-    if held.cost > profile.threshold:
-        remarks.append(
-            f"{axle}: the given peak contradicts the data, which fit D = {estimate:.4g} N better than chance "
-            "allows: the fitted curve is taken, an extrapolation beyond the covered slip angles"
-        )
+    settled = error < 0.1 and held.parameters[2] not in _C_BOUNDS
+    if settled and held.cost <= profile.threshold:
+        return held, ("B", "C"), remarks
+    if held.cost > profile.threshold and reached >= 0.85 * given_peak:
+        remarks.append(f"{axle}: the given peak contradicts the data: the fitted D = {estimate:.4g} N is taken")
         return best, ("B", "C", "D"), remarks
-    return held, determined, remarks
+    fixed = _with_peak(best.parameters, np.log(given_peak))
+    fixed[2] = np.clip(start.C, *_C_BOUNDS)
+    slope_only = problem.fit(fixed, free=others[others != 2], scale=best.scale)
+    chosen, determined = (held, ("B", "C")) if settled else (slope_only, ("B",))
+    if not settled:
+        remarks.append(f"{axle}: the curvature is not identified either, C = {fixed[2]:.3g} is given")
+    if chosen.cost > profile.threshold:
+        # A free fit would be closer where the drives went, and absurd where they did not.
+        away = np.sqrt(2.0 * (chosen.cost - best.cost) / len(problem.slip))
+        remarks.append(f"{axle}: so the curve is {away:.3g} N (rms) further from the data than the closest one")
+    return chosen, determined, remarks
 
 
 def _resampled_band(
