@@ -18,10 +18,13 @@ from split_cli.export.tables import BcmTables
 __all__ = ["CSource", "c_identifier", "c_source", "template"]
 
 _KEYWORDS = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if inline int long "
-    "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
-    "real main".split()
-)
+    (
+        "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
+        "float", "for", "goto", "if", "inline", "int", "long", "main", "real", "register", "restrict", "return",
+        "short", "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void",
+        "volatile", "while",
+    )
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -121,9 +124,7 @@ def c_source(
         "PLACE_TIME": f", {name}_real t, {name}_real s" if graph.needs_place_and_time else "",
         "RESIDUAL": "h g(z)" if plain else "h Phi g(z)",
         "RESIDUAL_A": "none" if plain else "A",
-        "PLAIN": (
-            "    static const real none[STATES * STATES] = {ZERO};\n    (void)A;\n" if plain else ""
-        ),
+        "PLAIN": ("    static const real none[STATES * STATES] = {ZERO};\n    (void)A;\n" if plain else ""),
         "GATHER": (
             "    const real place_time[2] = {t, s};"
             if graph.needs_place_and_time

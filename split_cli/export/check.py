@@ -12,7 +12,15 @@ from split_cli.export.reference import Reference
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.bcm import BcmPredictor
 
-__all__ = ["TOLERANCE", "Answer", "Oracle", "PredictionCheck", "check_predictions", "check_queries"]
+__all__ = [
+    "TOLERANCE",
+    "Answer",
+    "Oracle",
+    "PredictionCheck",
+    "check_predictions",
+    "check_queries",
+    "make_oracle",
+]
 
 TOLERANCE = {"double": 1e-12, "float": 1e-5}
 """Largest error of the mean in signal deviations, and of the variance in signal variances."""
@@ -22,8 +30,21 @@ JACOBIAN_TOLERANCE = {"double": 1e-7, "float": 1e-3}
 
 JACOBIAN_QUERIES = 200
 
-Answer = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray | None]]
-"""An exported predictor under test: z (N, D) to mean (N, 3), variance (N, 3), Jacobian (N, 3, D) or None."""
+
+@dataclass(frozen=True)
+class Answer:
+    """An exported predictor under test.
+
+    Attributes
+    ----------
+    predict : callable
+        z, shape (N, D), to mean and variance, shape (N, 3) each.
+    jacobian : callable, optional
+        z to the mean's Jacobian, shape (N, 3, D); None for formats that only carry numbers.
+    """
+
+    predict: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    jacobian: Callable[[np.ndarray], np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
@@ -133,13 +154,15 @@ def make_oracle(training_set: TrainingSet, count: int, real: str = "double") -> 
     kernel = training_set.kernel
     error = max(
         float(np.max(np.abs(predictor.mean - expected.mean[finite]) / reference.deviation, initial=0.0)),
-        float(np.max(np.abs(predictor.variance - expected.variance[finite]) / kernel.signal_variance, initial=0.0)),
+        float(
+            np.max(np.abs(predictor.variance - expected.variance[finite]) / kernel.signal_variance, initial=0.0)
+        ),
     )
     # The predictor works with explicit inverses, whose entries are of size 1/rho and cancel.
     rounding = 256.0 * np.finfo(float).eps / float((kernel.noise_variance / kernel.signal_variance).min())
     if not error <= TOLERANCE["double"] + rounding:
         raise ExportError(
-            f"the predictor bcm is {error:.3g} signal deviations off its own reference, {rounding:.3g} is explained",
+            f"the predictor bcm is {error:.3g} off its own reference, {rounding:.3g} is explained by rounding",
             advice="The noise variance may be too small for points this close; `split verify` the set.",
         )
     rng = np.random.default_rng(7)
@@ -167,13 +190,13 @@ def check_predictions(answer: Answer, oracle: Oracle, real: str, what: str) -> P
         documented.
     """
     tolerance = TOLERANCE[real]
-    mean, variance, _ = answer(oracle.z)
+    mean, variance = answer.predict(oracle.z)
     deviation = oracle.reference.deviation
     mean_error = _worst(mean, oracle.mean, deviation, oracle.z, tolerance, f"{what}: mean")
     variance_error = _worst(variance, oracle.variance, deviation**2, oracle.z, tolerance, f"{what}: variance")
-    _, _, slopes = answer(oracle.slope_z)
     jacobian_error = None
-    if slopes is not None:
+    if answer.jacobian is not None:
+        slopes = answer.jacobian(oracle.slope_z)
         scale = oracle.reference.jacobian_scale()
         jacobian_error = _worst(
             slopes, oracle.slopes, scale, oracle.slope_z, JACOBIAN_TOLERANCE[real], f"{what}: Jacobian"
@@ -206,10 +229,12 @@ def _check_not_finite(answer: Answer, oracle: Oracle, what: str) -> None:
     spoiled = np.repeat(typical, 3 * width, axis=0)
     for feature in range(width):
         spoiled[3 * feature : 3 * feature + 3, feature] = (np.nan, np.inf, -np.inf)
-    mean, variance, _ = answer(spoiled)
+    mean, variance = answer.predict(spoiled)
     prior = oracle.reference.training_set.kernel.signal_variance
     is_nan = np.isnan(spoiled).any(axis=1)
     good = np.isnan(mean[is_nan]).all() and np.isnan(variance[is_nan]).all()
     good &= (mean[~is_nan] == 0.0).all() and np.allclose(variance[~is_nan], prior, rtol=1e-6, atol=0.0)
     if not good:
-        raise ExportError(f"{what}: queries that are not finite are not answered as documented; nothing was written")
+        raise ExportError(
+            f"{what}: queries that are not finite are not answered as documented; nothing was written"
+        )

@@ -15,7 +15,7 @@ import numpy as np
 
 from split_cli.errors import ExportError
 
-__all__ = ["STRICT_FLAGS", "Compiler", "Driver", "find_compiler"]
+__all__ = ["STRICT_FLAGS", "Compiler", "Driver", "find_compiler", "run_program"]
 
 STRICT_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 _TIMEOUT = 600.0
@@ -47,7 +47,7 @@ class Compiler:
         arguments = [*self.command, *flags, *map(str, sources), "-o", str(output)]
         if "-c" not in flags:
             arguments.append("-lm")
-        done = _run(arguments, b"", "the C compiler")
+        done = run_program(arguments, b"", "the C compiler")
         if done.returncode:
             lines = done.stderr.decode(errors="replace").splitlines()
             first = next((line for line in lines if "error" in line), lines[0] if lines else "no message")
@@ -60,7 +60,7 @@ class Compiler:
             return None
         target = folder / "measured.o"
         self.build([source], target, [*flags, "-c"])
-        done = _run([size, "-A", str(target)], b"", "size")
+        done = run_program([size, "-A", str(target)], b"", "size")
         sections = re.findall(r"^(\.[\w.]+)\s+(\d+)", done.stdout.decode(errors="replace"), re.MULTILINE)
         code = sum(int(count) for name, count in sections if name.startswith(".text"))
         constants = sum(int(count) for name, count in sections if name.startswith((".rodata", ".data.rel.ro")))
@@ -95,7 +95,7 @@ class Driver:
         """
         content = np.ascontiguousarray(queries, dtype=self.dtype)
         command = [str(self.program), str(what), *map(str, (len(content), content.shape[1], width))]
-        done = _run(command, content.tobytes(), "the exported C")
+        done = run_program(command, content.tobytes(), "the exported C")
         expected = len(content) * width * np.dtype(self.dtype).itemsize
         if done.returncode or len(done.stdout) != expected:
             message = done.stderr.decode(errors="replace").strip().splitlines()
@@ -110,7 +110,7 @@ class Driver:
         width = 6 + 3 * content.shape[1]
         command = [str(self.program), "10" if with_jacobian else "9"]
         command += [str(len(content)), str(content.shape[1]), str(width)]
-        done = _run(command, content.tobytes(), "the exported C")
+        done = run_program(command, content.tobytes(), "the exported C")
         if done.returncode:
             raise ExportError(f"the exported C stopped with {done.returncode} while it was timed")
         return float(done.stdout.split()[0])
@@ -131,7 +131,7 @@ def find_compiler() -> Compiler | None:
             if named:
                 raise ExportError(f"$CC names {named!r}, which does not exist", advice="Unset CC or correct it.")
             continue
-        done = _run([*command, "--version"], b"", candidate)
+        done = run_program([*command, "--version"], b"", candidate)
         if done.returncode == 0:
             first = done.stdout.decode(errors="replace").splitlines() or [candidate]
             return Compiler(command, first[0])
@@ -140,7 +140,14 @@ def find_compiler() -> Compiler | None:
     return None
 
 
-def _run(command: list[str], given: bytes, what: str) -> subprocess.CompletedProcess:
+def run_program(command: list[str], given: bytes, what: str) -> subprocess.CompletedProcess:
+    """Run a program on `given` input; return code and output, or an error that names `what`.
+
+    Raises
+    ------
+    ExportError
+        If it cannot be run or does not finish within ten minutes.
+    """
     try:
         return subprocess.run(command, input=given, capture_output=True, timeout=_TIMEOUT, check=False)
     except subprocess.TimeoutExpired:

@@ -58,7 +58,9 @@ class Provenance:
     version: str = __version__
 
 
-def provenance_of(training_set: TrainingSet, predictor: str, set_name: str = "", set_sha256: str = "") -> Provenance:
+def provenance_of(
+    training_set: TrainingSet, predictor: str, set_name: str = "", set_sha256: str = ""
+) -> Provenance:
     """Return the provenance of a set; without a file, its SHA-256 is that of its content."""
     return Provenance(
         set_name=set_name,

@@ -1,4 +1,4 @@
-"""The vehicle's own right-hand side as a CasADi graph, so that every named term is exported as it is learned with."""
+"""The vehicle's right-hand side as a CasADi graph: every named term is exported as it was learned with."""
 
 from __future__ import annotations
 
@@ -85,7 +85,9 @@ def build_nominal(model: SingleTrack, features: FeatureSet) -> NominalGraph:
     yaw, velocity, T, delta = arguments[0], arguments[1:4], arguments[4], arguments[5]
     try:
         rates = derivatives(model, yaw, velocity, T, delta, place_time[0], place_time[1])
-        flow = model.flow(*(arguments[i] for i in range(1, 6)), yaw=yaw, t=place_time[0], s=place_time[1], ops=CASADI)
+        flow = model.flow(
+            *(arguments[i] for i in range(1, 6)), yaw=yaw, t=place_time[0], s=place_time[1], ops=CASADI
+        )
     except (TypeError, NotImplementedError, RuntimeError, AttributeError) as error:
         raise ExportError(
             f"a term cannot be traced symbolically ({type(error).__name__}: {str(error).splitlines()[0]})",

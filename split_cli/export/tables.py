@@ -118,7 +118,9 @@ def build_tables(training_set: TrainingSet, real: str = "double") -> BcmTables:
         If the set is empty or holds non-finite numbers.
     """
     if training_set.size == 0:
-        raise ExportError("the trained set is empty, there is nothing to export", advice="Train it on a drive first.")
+        raise ExportError(
+            "the trained set is empty, there is nothing to export", advice="Train it on a drive first."
+        )
     for name in ("z", "y"):
         if not np.isfinite(getattr(training_set, name)).all():
             raise ExportError(f"the trained set holds non-finite {name}", advice="Run `split verify` on it.")

@@ -1,0 +1,92 @@
+"""`split export`."""
+
+from __future__ import annotations
+
+import click
+
+from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
+
+__all__ = ["command"]
+
+
+@click.command("export")
+@click.argument("set_path", type=existing_file, metavar="SET.split")
+@click.option(
+    "--target",
+    "targets",
+    multiple=True,
+    required=True,
+    type=click.Choice(["c", "casadi", "npz", "json"]),
+    help="What to write; repeatable.",
+)
+@output_option("Folder to write into.")
+@click.option(
+    "--predictor", default="bcm", show_default=True, type=click.Choice(["bcm"]), help="How cells are combined."
+)
+@click.option("--name", metavar="NAME", help="Prefix of files and functions [default: the set's file name].")
+@click.option(
+    "--real",
+    default="double",
+    show_default=True,
+    type=click.Choice(["double", "float"]),
+    help="Numbers of the C target.",
+)
+@click.option(
+    "--queries",
+    default=10_000,
+    show_default=True,
+    type=click.IntRange(min=100),
+    metavar="N",
+    help="Queries on which the export is compared with Python.",
+)
+@json_option
+def command(set_path, targets, output, predictor, name, real, queries, as_json) -> None:
+    """Write a trained set as C, CasADi, npz or json.
+
+    Every target is compared with Python on random and border queries first; if one differs, nothing is written.
+    C is compiled with $CC, or cc, gcc or clang; without a compiler it is written and said to be unverified.
+
+    \b
+    Example:
+      split export car.split --target c --target casadi -o controller/
+    """
+    from split_cli.workflows.export import export_set
+
+    result = export_set(
+        set_path,
+        output,
+        targets,
+        predictor=predictor,
+        name=name,
+        real=real,
+        queries=queries,
+        say=lambda line: click.echo(f"{line} ...", err=True),
+    )
+    if as_json:
+        print_json(result)
+        return
+    print_table(
+        [
+            "target",
+            "mean error",
+            "variance error",
+            "Jacobian error",
+            "step error",
+            "us/query",
+            "tables kB",
+            "code kB",
+        ],
+        [_row(target) for target in result.targets],
+    )
+    click.echo(f"\n{result.points} points in {result.cells} cells, set SHA-256 {result.set_sha256}")
+    for target in result.targets:
+        click.echo(f"{target.target}: {', '.join(target.files)} ({target.note})")
+    click.echo(f"verified on {queries} queries; errors are in signal deviations and variances; in {result.folder}")
+
+
+def _row(target) -> list:
+    check = target.check
+    errors = [check.mean_error, check.variance_error, check.jacobian_error] if check else [None] * 3
+    microseconds = None if target.seconds_per_query is None else target.seconds_per_query * 1e6
+    code = None if target.code_bytes is None else target.code_bytes / 1e3
+    return [target.target, *errors, target.step_error, microseconds, target.table_bytes / 1e3, code]

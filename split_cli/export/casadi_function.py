@@ -1,0 +1,306 @@
+"""A trained set as CasADi functions: the committee in matrix form, and the model step built on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi
+import numpy as np
+import scipy.sparse
+
+from split_cli.errors import ExportError
+from split_cli.export.check import Answer, Oracle, PredictionCheck, check_predictions
+from split_cli.export.step_check import StepOracle, compare_states
+from split_cli.export.symbolic import NominalGraph
+from split_cli.export.tables import BcmTables
+
+__all__ = [
+    "CasadiFunctions",
+    "casadi_answer",
+    "check_casadi",
+    "check_hessian",
+    "committee",
+    "generate_c",
+    "model_step",
+]
+
+_SUBSTEPS, _TAYLOR_TERMS = 8, 18
+
+
+@dataclass(frozen=True)
+class CasadiFunctions:
+    """What the CasADi target consists of.
+
+    Attributes
+    ----------
+    predict : casadi.Function
+        z (D) to mean (3), variance (3).
+    step : casadi.Function or None
+        (x (8), u (2), h) to x_next (8), with p = [t, s] as fourth argument where a term needs them.
+    """
+
+    predict: casadi.Function
+    step: casadi.Function | None
+
+
+def committee(tables: BcmTables, name: str) -> casadi.Function:
+    """Return the committee z -> (mean, variance) as a graph of a few dozen matrix operations.
+
+    Parameters
+    ----------
+    tables : BcmTables
+        In double.
+    name : str
+
+    Notes
+    -----
+    An expanded (SX) graph would hold every point's exponential and every product, hundreds of thousands of
+    nodes. Here the points are rows of dense constants, the cells' eigenvectors one sparse block-diagonal matrix
+    and the sums over a cell sparse products, so graph, derivatives and generated C stay small. All cells are
+    visited: a branch would cost the graph its smooth derivatives, and the exponential of far cells is zero.
+    """
+    counts = np.diff(tables.offsets)
+    absolute = np.repeat(tables.reference, counts, axis=0) / tables.length_scales + tables.points
+    z = casadi.MX.sym("z", tables.feature_count)
+    squared = 0
+    for feature in range(tables.feature_count):
+        scaled = z[feature] / float(tables.length_scales[feature])
+        squared = squared + (scaled - casadi.DM(absolute[:, feature])) ** 2
+    correlations = casadi.exp(-0.5 * squared)
+    turned = casadi.mtimes(_block_diagonal(tables), correlations)
+    gathered = _gather(counts)
+    mean, variance = [], []
+    for output in range(3):
+        q = casadi.mtimes(_scaled(gathered, tables.gains[:, output]), turned**2)
+        m = casadi.mtimes(_scaled(gathered, tables.weights[:, output]), turned)
+        ratio = float(tables.noise_ratio[output])
+        # A cell's one point, asked for exactly, leaves the least there is, rho/(n + rho). The bound is half of
+        # that: where both sides of a maximum are equal its derivative is half of either, and Hessians are wrong.
+        share = 1.0 / casadi.fmax(1.0 - q, casadi.DM(0.5 * ratio / (counts + ratio)))
+        precision = 1.0 + casadi.dot(q, share)
+        mean.append(casadi.dot(m, share) / precision)
+        variance.append(float(tables.signal_variance[output]) / precision)
+    outputs = [casadi.vertcat(*mean), casadi.vertcat(*variance)]
+    return casadi.Function(name, [z], outputs, ["z"], ["mean", "variance"])
+
+
+def _block_diagonal(tables: BcmTables) -> casadi.DM:
+    """Return V^T of every cell on the diagonal, sparse (P, P)."""
+    counts = np.diff(tables.offsets)
+    squares = tables.square_offsets
+    blocks = [
+        tables.eigenvectors[squares[cell] : squares[cell + 1]].reshape(count, count).T
+        for cell, count in enumerate(counts)
+    ]
+    return _sparse(scipy.sparse.block_diag(blocks, format="csc"))
+
+
+def _gather(counts: np.ndarray) -> scipy.sparse.csc_matrix:
+    """Return the matrix that sums over the points of each cell, sparse (C, P)."""
+    points = int(counts.sum())
+    rows = np.repeat(np.arange(len(counts)), counts)
+    return scipy.sparse.csc_matrix((np.ones(points), rows, np.arange(points + 1)), (len(counts), points))
+
+
+def _scaled(matrix: scipy.sparse.csc_matrix, columns: np.ndarray) -> casadi.DM:
+    scaled = matrix.copy()
+    scaled.data = np.ascontiguousarray(columns)
+    return _sparse(scaled)
+
+
+def _sparse(matrix: scipy.sparse.csc_matrix) -> casadi.DM:
+    matrix = matrix.tocsc()
+    matrix.sort_indices()
+    pattern = casadi.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
+    return casadi.DM(pattern, matrix.data)
+
+
+def model_step(
+    predict: casadi.Function, graph: NominalGraph, name: str, plain: bool = False
+) -> casadi.Function | None:
+    """Return (x, u, h[, p]) -> x_next: linearised exact nominal step plus the residual; None without features.
+
+    Parameters
+    ----------
+    predict : casadi.Function
+        The committee.
+    graph : NominalGraph
+    name : str
+    plain : bool
+        Whether the set's labels are plain differences, so that h g itself is added.
+
+    Notes
+    -----
+    The matrix exponential's action is a Taylor series of 18 terms over 8 equal substeps of the linear system,
+    exact to rounding while the velocity Jacobian's norm times h is below about 8; no branch, so any number of
+    derivatives is right.
+    """
+    if graph.features is None:
+        return None
+    x, u, h = casadi.MX.sym("x", 8), casadi.MX.sym("u", 2), casadi.MX.sym("h")
+    p = casadi.MX.sym("p", 2)
+    place_time = p if graph.needs_place_and_time else casadi.DM.zeros(2)
+    f, A = _whole_model(graph)(x, u, place_time)
+    residual = predict(graph.features(x, u)[0])[0]
+    velocity_block = A[3:6, 3:6]
+    change = h * residual if plain else _linear_response(velocity_block, residual, h)
+    following = x + _linear_response(A, f, h) + casadi.vertcat(casadi.MX.zeros(3), change, casadi.MX.zeros(2))
+    arguments, names = ([x, u, h, p], ["x", "u", "h", "p"]) if graph.needs_place_and_time else (
+        [x, u, h], ["x", "u", "h"])  # fmt: skip
+    return casadi.Function(name, arguments, [following], names, ["x_next"])
+
+
+def _whole_model(graph: NominalGraph) -> casadi.Function:
+    """Return (x, u, p) -> x' = f of the whole state and its Jacobian A, sparse (8, 8)."""
+    x, u, p = casadi.SX.sym("x", 8), casadi.SX.sym("u", 2), casadi.SX.sym("p", 2)
+    rates, jacobian = graph.rates(x[2:8], p)
+    sine, cosine = casadi.sin(x[2]), casadi.cos(x[2])
+    east, north = x[3] * cosine - x[4] * sine, x[3] * sine + x[4] * cosine
+    A = casadi.SX(8, 8)
+    A[0, 2:5] = casadi.horzcat(-north, cosine, -sine)
+    A[1, 2:5] = casadi.horzcat(east, sine, cosine)
+    A[2, 5] = 1
+    A[3:6, 2:8] = jacobian
+    return casadi.Function(
+        "whole_model", [x, u, p], [casadi.vertcat(east, north, x[5], rates, u), A], {"cse": True}
+    )
+
+
+def _linear_response(A: casadi.MX, f: casadi.MX, h: casadi.MX) -> casadi.MX:
+    """Return y(h) of y' = A y + f from y(0) = 0; substeps call one function, so that generated C stays small."""
+    size = f.shape[0]
+    matrix = casadi.SX.sym("A", A.sparsity())
+    force, dt, start = casadi.SX.sym("f", size), casadi.SX.sym("dt"), casadi.SX.sym("y", size)
+    term = dt * (casadi.mtimes(matrix, start) + force)
+    end = start + term
+    for k in range(2, _TAYLOR_TERMS + 1):
+        term = casadi.mtimes(matrix, term) * (dt / k)
+        end = end + term
+    substep = casadi.Function(f"substep_{size}", [start, matrix, force, dt], [end])
+    y = casadi.MX.zeros(size)
+    for _ in range(_SUBSTEPS):
+        y = substep(y, A, f, h / _SUBSTEPS)
+    return y
+
+
+def casadi_answer(predict: casadi.Function) -> Answer:
+    """Return a committee as something `check_predictions` can ask, derivatives included."""
+    z = casadi.MX.sym("z", predict.size1_in(0))
+    slopes = casadi.Function("slopes", [z], [casadi.densify(casadi.jacobian(predict(z)[0], z))])
+
+    def answer(queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rows = [predict(query) for query in queries]
+        return tuple(np.array([np.asarray(row[k]).ravel() for row in rows]) for k in (0, 1))
+
+    return Answer(answer, lambda queries: np.array([np.asarray(slopes(query)) for query in queries]))
+
+
+def check_casadi(functions: CasadiFunctions, oracle: Oracle, steps: StepOracle | None) -> PredictionCheck:
+    """Compare value, Jacobian, Hessian and step with Python and with finite differences.
+
+    Raises
+    ------
+    ExportError
+        See `check_predictions`, `check_hessian` and `step_check.compare_states`.
+    """
+    check = check_predictions(casadi_answer(functions.predict), oracle, "double", "CasADi")
+    check_hessian(functions.predict, oracle)
+    if functions.step is not None and steps is not None:
+        found = np.array([_step_once(functions.step, row) for row in steps.asked])
+        compare_states(found, steps.exact, steps, "double", "CasADi: the step")
+        _check_step_jacobian(functions.step, steps)
+    return check
+
+
+def _step_once(step: casadi.Function, asked: np.ndarray) -> np.ndarray:
+    arguments = [asked[:8], asked[8:10], asked[10], asked[11:13]][: step.n_in()]
+    return np.asarray(step(*arguments)).ravel()
+
+
+def _check_step_jacobian(step: casadi.Function, steps: StepOracle) -> None:
+    """Compare the step's own Jacobian by (x, u) with central differences of fourth order of the step."""
+    symbols = [casadi.MX.sym(step.name_in(k), step.size1_in(k)) for k in range(step.n_in())]
+    jacobian = casadi.Function(
+        "step_jacobian", symbols, [casadi.jacobian(step(*symbols), casadi.vertcat(symbols[0], symbols[1]))]
+    )
+    for asked in steps.asked[:5]:
+        found = np.asarray(jacobian(*[asked[:8], asked[8:10], asked[10], asked[11:13]][: step.n_in()]))
+        for column in range(10):
+            move = np.zeros(13)
+            # Wide for torque, whose effect is small, and narrow for angles, on which slip depends.
+            move[column] = 1e-5 * (1.0 + np.abs(steps.asked[:, column]).max())
+            near = _step_once(step, asked + move) - _step_once(step, asked - move)
+            far = _step_once(step, asked + 2 * move) - _step_once(step, asked - 2 * move)
+            expected = (8.0 * near - far) / (12.0 * move[column])
+            worst = float((np.abs(found[:, column] - expected) / (1.0 + np.abs(expected))).max())
+            if not worst <= 1e-5:
+                raise ExportError(
+                    f"CasADi: the step's Jacobian is {worst:.3g} off finite differences in column {column}; "
+                    "nothing was written"
+                )
+
+
+def check_hessian(predict: casadi.Function, oracle: Oracle) -> float:
+    """Compare second derivatives of the mean with central differences of CasADi's own Jacobian.
+
+    Returns
+    -------
+    float
+        Largest error, relative to sd/(l l' rho), the size a second derivative can reach.
+
+    Raises
+    ------
+    ExportError
+        If it exceeds 1e-6.
+    """
+    width = predict.size1_in(0)
+    z = casadi.MX.sym("z", width)
+    jacobian = casadi.densify(casadi.jacobian(predict(z)[0], z))
+    first = casadi.Function("first", [z], [jacobian])
+    second = casadi.Function("second", [z], [casadi.densify(casadi.jacobian(casadi.vec(jacobian), z))])
+    kernel = oracle.reference.training_set.kernel
+    ratio = float((kernel.noise_variance / kernel.signal_variance).min())
+    steps = 1e-3 * np.sqrt(ratio) * kernel.length_scales
+    worst = 0.0
+    for query in oracle.slope_z[:: max(1, len(oracle.slope_z) // 20)]:
+        found = np.asarray(second(query)).reshape(width, 3, width)
+        for feature, step in enumerate(steps):
+            move = np.zeros(width)
+            move[feature] = step
+            near = np.asarray(first(query + move)) - np.asarray(first(query - move))
+            far = np.asarray(first(query + 2 * move)) - np.asarray(first(query - 2 * move))
+            expected = (8.0 * near - far) / (12.0 * step)
+            size = (
+                (oracle.reference.deviation / ratio)[:, None]
+                / kernel.length_scales
+                / kernel.length_scales[feature]
+            )
+            worst = max(worst, float((np.abs(found[:, :, feature].T - expected) / size).max()))
+    if not worst <= 1e-6:
+        raise ExportError(f"CasADi: the Hessian is {worst:.3g} off finite differences; nothing was written")
+    return worst
+
+
+def generate_c(functions: CasadiFunctions, name: str, folder: Path) -> tuple[Path, ...]:
+    """Write CasADi's own C of the committee and, if there is one, of the step with its Jacobian by (u, x).
+
+    The functions are ``NAME_mean_variance``, ``NAME_mean_variance_jacobian``, ``NAME_discrete`` and
+    ``NAME_discrete_jacobian``; the last two take (x, u, h).
+    """
+    generator = casadi.CodeGenerator(f"{name}_casadi.c", {"with_header": True, "casadi_int": "int"})
+    z = casadi.MX.sym("z", functions.predict.size1_in(0))
+    outputs = functions.predict(z)
+    slopes = casadi.densify(casadi.jacobian(outputs[0], z))
+    generator.add(casadi.Function(f"{name}_mean_variance", [z], outputs, ["z"], ["mean", "variance"]))
+    generator.add(casadi.Function(f"{name}_mean_variance_jacobian", [z], [*outputs, slopes]))
+    if functions.step is not None:
+        symbols = [casadi.MX.sym(functions.step.name_in(k), functions.step.size1_in(k)) for k in
+                   range(functions.step.n_in())]  # fmt: skip
+        following = functions.step(*symbols)
+        by_inputs = casadi.densify(casadi.jacobian(following, casadi.vertcat(symbols[1], symbols[0])))
+        generator.add(casadi.Function(f"{name}_discrete", symbols, [following]))
+        # Transposed, as acados wants it: rows are u then x, columns the next state.
+        generator.add(casadi.Function(f"{name}_discrete_jacobian", symbols, [following, by_inputs.T]))
+    generator.generate(f"{folder}/")
+    return folder / f"{name}_casadi.c", folder / f"{name}_casadi.h"

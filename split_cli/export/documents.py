@@ -1,0 +1,204 @@
+"""Trained sets as npz and json: points, labels, cells and kernel, for anyone who reads numbers.
+
+Both hold the same fields, described by ``schema/split-export.schema.json``; json as nested lists, npz as arrays
+with the rest as JSON text in the array ``metadata``.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from split_cli.errors import ExportError
+from split_cli.export.check import Answer
+from split_cli.export.provenance import CONVENTIONS, Provenance
+from split_cli.learning.training_set import TrainingSet
+
+__all__ = [
+    "DOCUMENT_FORMAT",
+    "Document",
+    "document_answer",
+    "document_of",
+    "read_json",
+    "read_npz",
+    "require_equal",
+    "schema_text",
+    "write_json",
+    "write_npz",
+]
+
+DOCUMENT_FORMAT = "split-export/1"
+ARRAYS = ("cell_numbers", "offsets", "z", "y", "gamma", "length_scales", "signal_variance", "noise_variance")
+
+
+@dataclass(frozen=True)
+class Document:
+    """A trained set as plain numbers.
+
+    Attributes
+    ----------
+    arrays : dict of str to ndarray
+        `ARRAYS`: cells and points as in `TrainingSet`, and the kernel's hyperparameters.
+    metadata : dict
+        Format, provenance, conventions, grid, region.
+    """
+
+    arrays: dict[str, np.ndarray]
+    metadata: dict[str, Any]
+
+
+def schema_text() -> str:
+    """Return the JSON schema of the json target."""
+    return (files("split_cli.export") / "schema" / "split-export.schema.json").read_text(encoding="utf-8")
+
+
+def document_of(training_set: TrainingSet, provenance: Provenance) -> Document:
+    """Return everything a prediction needs, and what it means."""
+    kernel = training_set.kernel
+    sources = {
+        "cell_numbers": np.asarray(training_set.cell_numbers, dtype=np.int64),
+        "offsets": np.asarray(training_set.offsets, dtype=np.int64),
+        "z": training_set.z,
+        "y": training_set.y,
+        "gamma": training_set.gamma,
+        "length_scales": kernel.length_scales,
+        "signal_variance": kernel.signal_variance,
+        "noise_variance": kernel.noise_variance,
+    }
+    grid, region = training_set.grid, training_set.region
+    metadata = {
+        "format": DOCUMENT_FORMAT,
+        "split_version": provenance.version,
+        "predictor": provenance.predictor,
+        "set": {"name": provenance.set_name, "sha256": provenance.set_sha256},
+        "vehicle": provenance.vehicle,
+        "vehicle_digest": provenance.vehicle_digest,
+        "conventions": dict(CONVENTIONS),
+        "features": list(provenance.features),
+        "outputs": ["vx", "vy", "r"],
+        "horizon": provenance.horizon,
+        "plain_labels": bool(training_set.plain),
+        "grid": {
+            "edges": list(grid.edges),
+            "lower": [_finite_or_none(value) for value in grid.lower],
+            "upper": [_finite_or_none(value) for value in grid.upper],
+        },
+        "region": {
+            name: float(getattr(region, name))
+            for name in ("p_long", "p_ellipse", "alpha_max", "dalpha_max", "minimum_speed")
+        },
+    }
+    return Document({name: np.ascontiguousarray(sources[name]) for name in ARRAYS}, metadata)
+
+
+def _finite_or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def write_npz(document: Document, path: Path) -> None:
+    """Write a document as npz, without pickled objects; equal documents give equal bytes."""
+    text = json.dumps(document.metadata, sort_keys=True, allow_nan=False)
+    with path.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, metadata=np.array(text), **document.arrays)
+
+
+def write_json(document: Document, path: Path) -> None:
+    """Write a document as json; numbers read back to the same bits."""
+    content = {**document.metadata, **{name: values.tolist() for name, values in document.arrays.items()}}
+    path.write_text(json.dumps(content, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_npz(path: Path) -> Document:
+    """Read what `write_npz` wrote.
+
+    Raises
+    ------
+    ExportError
+        If the file is damaged or lacks a field.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in ARRAYS}
+            metadata = json.loads(str(content["metadata"]))
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise ExportError(f"is not a whole npz export ({error})", where=str(path)) from error
+    except Exception as error:
+        # zipfile and zlib have errors of their own, of no common base.
+        raise ExportError(f"is damaged ({type(error).__name__}: {error})", where=str(path)) from error
+    return _checked(Document(arrays, metadata), path)
+
+
+def read_json(path: Path) -> Document:
+    """Read what `write_json` wrote; raises as `read_npz` does."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        integers = ("cell_numbers", "offsets")
+        arrays = {
+            name: np.array(content.pop(name), dtype=np.int64 if name in integers else np.float64)
+            for name in ARRAYS
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ExportError(f"is not a whole json export ({error})", where=str(path)) from error
+    return _checked(Document(arrays, content), path)
+
+
+def _checked(document: Document, path: Path) -> Document:
+    """Return the document if its arrays fit together."""
+    a = document.arrays
+    points, cells, width = len(a["z"]), len(a["cell_numbers"]), len(a["length_scales"])
+    fits = document.metadata.get("format") == DOCUMENT_FORMAT
+    fits = (
+        fits and a["z"].shape == (points, width) and a["y"].shape == (points, 3) and a["gamma"].shape == (points,)
+    )
+    fits = fits and a["signal_variance"].shape == a["noise_variance"].shape == (3,)
+    fits = fits and a["offsets"].shape == (cells + 1,) and a["offsets"][0] == 0 and a["offsets"][-1] == points
+    if not (fits and (np.diff(a["offsets"]) > 0).all()):
+        raise ExportError(f"is not a whole export of format {DOCUMENT_FORMAT}", where=str(path))
+    return document
+
+
+def require_equal(written: Document, found: Document, what: str) -> None:
+    """Require that a document read back is the one written, bit for bit.
+
+    Raises
+    ------
+    ExportError
+        If a number or a word differs.
+    """
+    for name, values in written.arrays.items():
+        if values.dtype != found.arrays[name].dtype or not np.array_equal(values, found.arrays[name]):
+            raise ExportError(f"{what}: {name} does not read back as written; nothing was written")
+    if found.metadata != json.loads(json.dumps(written.metadata)):
+        raise ExportError(f"{what}: the metadata do not read back as written; nothing was written")
+
+
+def document_answer(document: Document) -> Answer:
+    """Return predictions from the numbers of a document alone: the reader that docs/export.md prints."""
+    a = document.arrays
+    ratio = a["noise_variance"] / a["signal_variance"]
+    cells = []
+    for first, last in zip(a["offsets"][:-1], a["offsets"][1:], strict=True):
+        points = a["z"][first:last] / a["length_scales"]
+        away = points[:, None] - points[None]
+        values, vectors = np.linalg.eigh(np.exp(-0.5 * (away**2).sum(-1)))
+        damped = np.maximum(values, 0.0)[:, None] + ratio
+        cells.append((points, vectors, damped, vectors.T @ a["y"][first:last]))
+
+    def predict(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        top, precision = np.zeros((len(z), 3)), np.ones((len(z), 3))
+        scaled = z / a["length_scales"]
+        for points, vectors, damped, turned in cells:
+            # An infinite distance is a correlation of zero; a query of 1e300 has one.
+            with np.errstate(over="ignore", under="ignore"):
+                t = np.exp(-0.5 * ((scaled[:, None] - points[None]) ** 2).sum(-1)) @ vectors
+            q, m = t**2 @ (1.0 / damped), t @ (turned / damped)
+            top += m / (1.0 - q)
+            precision += q / (1.0 - q)
+        return top / precision, a["signal_variance"] / precision
+
+    return Answer(predict)

@@ -1,0 +1,82 @@
+"""CasADi's generated C, compiled and compared with Python."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.export.c99 import fill, template
+from split_cli.export.check import Answer, Oracle, check_predictions
+from split_cli.export.compiler import Compiler, Driver
+from split_cli.export.step_check import StepOracle, compare_states
+
+__all__ = ["build_generated", "check_generated"]
+
+# CasADi leaves parameters unused and declares none of its helpers static inline, so it cannot be as strict.
+_FLAGS = ("-std=c99", "-O1")
+_QUERIES = 1000
+
+
+def build_generated(name: str, source: Path, scratch: Path, compiler: Compiler, step_inputs: int) -> Driver:
+    """Compile ``NAME_casadi.c`` of folder `source` with a driver in folder `scratch`.
+
+    Parameters
+    ----------
+    name : str
+    source, scratch : Path
+    compiler : Compiler
+    step_inputs : int
+        Inputs of the discrete step, 0 when there is none.
+    """
+    driver = scratch / "casadi_driver.c"
+    cases = f"    case 1: function = {name}_discrete; break;\n" if step_inputs else ""
+    driver.write_text(fill(template("casadi_driver.c.in"), {"NAME": name, "STEP": cases}))
+    program = scratch / "casadi_driver"
+    flags = [*_FLAGS, f"-I{source}"]
+    compiler.build([source / f"{name}_casadi.c", driver], program, flags)
+    return Driver(program, "double")
+
+
+def check_generated(
+    name: str,
+    source: Path,
+    scratch: Path,
+    compiler: Compiler,
+    oracle: Oracle,
+    with_step: bool,
+    steps: StepOracle | None,
+) -> int | None:
+    """Compile and run the generated C and compare it with Python; return its code's bytes.
+
+    Raises
+    ------
+    ExportError
+        If it does not compile or differs.
+    """
+    driver = build_generated(name, source, scratch, compiler, 3 if with_step else 0)
+    dimension = oracle.z.shape[1]
+
+    def predict(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        out = driver.answers(0, z, 6)
+        return out[:, :3], out[:, 3:]
+
+    def jacobian(z: np.ndarray) -> np.ndarray:
+        # CasADi stores matrices column by column.
+        return driver.answers(2, z, 6 + 3 * dimension)[:, 6:].reshape(-1, dimension, 3).transpose(0, 2, 1)
+
+    few = Oracle(
+        oracle.z[:: max(1, len(oracle.z) // _QUERIES)],
+        oracle.mean[:: max(1, len(oracle.z) // _QUERIES)],
+        oracle.variance[:: max(1, len(oracle.z) // _QUERIES)],
+        oracle.slope_z,
+        oracle.slopes,
+        oracle.predictor_error,
+        oracle.reference,
+    )
+    check_predictions(Answer(predict, jacobian), few, "double", "CasADi's C")
+    if with_step and steps is not None:
+        found = driver.answers(1, steps.asked, 8)
+        compare_states(found, steps.exact, steps, "double", "CasADi's C: the step")
+    sizes = compiler.text_bytes(source / f"{name}_casadi.c", scratch, _FLAGS)
+    return sizes[0] if sizes else None

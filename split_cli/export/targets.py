@@ -1,0 +1,321 @@
+"""One export: every target written into a folder and compared with Python before anyone sees it."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from split_cli.errors import ExportError, nearest_names
+from split_cli.export.c99 import c_identifier, c_source, fill, template
+from split_cli.export.c_check import check_c, selftest_source
+from split_cli.export.casadi_function import CasadiFunctions, check_casadi, committee, generate_c, model_step
+from split_cli.export.check import Oracle, PredictionCheck, check_predictions, make_oracle
+from split_cli.export.compiler import Compiler, find_compiler
+from split_cli.export.documents import (
+    document_answer,
+    document_of,
+    read_json,
+    read_npz,
+    require_equal,
+    schema_text,
+    write_json,
+    write_npz,
+)
+from split_cli.export.generated_check import check_generated
+from split_cli.export.provenance import CONVENTIONS, Provenance
+from split_cli.export.step_check import make_step_oracle
+from split_cli.export.symbolic import NominalGraph, build_nominal
+from split_cli.export.tables import build_tables
+from split_cli.files import sha256_of_file
+from split_cli.learning.training_set import TrainingSet
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["CHECK_POINTS", "MANIFEST", "PREDICTORS", "TARGETS", "ExportPlan", "TargetResult", "write_export"]
+
+TARGETS = ("c", "casadi", "npz", "json")
+PREDICTORS = ("bcm",)
+MANIFEST = "manifest.json"
+MANIFEST_FORMAT = "split-export-manifest/1"
+CHECK_POINTS = 64
+
+
+@dataclass(frozen=True)
+class ExportPlan:
+    """What is asked for.
+
+    Attributes
+    ----------
+    targets : tuple of str
+        Of `TARGETS`.
+    name : str
+        Prefix of files and functions; turned into a C identifier.
+    real : {"double", "float"}
+        Numbers of the C target.
+    queries : int
+        Size of the comparison with Python.
+    """
+
+    targets: tuple[str, ...]
+    name: str
+    real: str = "double"
+    queries: int = 10_000
+
+
+@dataclass(frozen=True)
+class TargetResult:
+    """What one target came to.
+
+    Attributes
+    ----------
+    target : str
+    files : tuple of str
+    check : PredictionCheck or None
+        None when the C could not be compiled here.
+    step_error : float or None
+        Largest relative error of the model step.
+    seconds_per_query : float or None
+        Mean and variance of one query [s].
+    seconds_with_jacobian : float or None
+    table_bytes : int
+        Constants, as the target stores them.
+    code_bytes : int or None
+        Compiled code, where there is some.
+    note : str
+        Compiler, or why something was not verified.
+    """
+
+    target: str
+    files: tuple[str, ...]
+    check: PredictionCheck | None
+    step_error: float | None
+    seconds_per_query: float | None
+    seconds_with_jacobian: float | None
+    table_bytes: int
+    code_bytes: int | None
+    note: str
+
+
+def plan_export(targets: Sequence[str], name: str, real: str, queries: int, predictor: str) -> ExportPlan:
+    """Return a plan, or say which word of it is not known.
+
+    Raises
+    ------
+    ExportError
+        For an unknown target, precision or predictor, or too few queries.
+    """
+    for target in targets:
+        if target not in TARGETS:
+            raise ExportError(f"no target {target!r}", advice=nearest_names(target, TARGETS))
+    if not targets:
+        raise ExportError("no target was named", advice=f"Choose of {', '.join(TARGETS)}.")
+    if real not in ("double", "float"):
+        raise ExportError(f"no real number {real!r}", advice="double or float.")
+    if predictor not in PREDICTORS:
+        raise ExportError(
+            f"the predictor {predictor!r} has no export", advice=nearest_names(predictor, PREDICTORS)
+        )
+    if queries < 100:
+        raise ExportError(f"{queries} queries verify nothing", advice="Use at least 100; 10000 is the default.")
+    return ExportPlan(tuple(dict.fromkeys(targets)), c_identifier(name), real, queries)
+
+
+def write_export(
+    training_set: TrainingSet,
+    plan: ExportPlan,
+    provenance: Provenance,
+    folder: Path,
+    say: Callable[[str], None] = lambda _: None,
+) -> tuple[TargetResult, ...]:
+    """Write every target into `folder`, which should be temporary, each verified; the manifest last.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    plan : ExportPlan
+    provenance : Provenance
+    folder : Path
+        Exists and is empty.
+    say : callable
+        Told what happens.
+
+    Raises
+    ------
+    ExportError
+        If a target differs from Python, does not compile, or the set is empty.
+    """
+    graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features)
+    tables = build_tables(training_set)
+    say(f"answering {plan.queries} queries in Python")
+    oracle = make_oracle(training_set, plan.queries)
+    compiler = find_compiler()
+    results = []
+    for target in plan.targets:
+        say(f"writing and verifying {target}")
+        if target == "c":
+            results.append(_write_c(training_set, plan, provenance, graph, oracle, compiler, folder))
+        elif target == "casadi":
+            functions = casadi_functions(tables, graph, plan.name, training_set.plain)
+            results.append(_write_casadi(training_set, plan, graph, functions, oracle, compiler, folder))
+        else:
+            results.append(_write_document(training_set, plan, provenance, oracle, target, folder))
+    _write_check_points(oracle, folder / f"{plan.name}_check.json")
+    manifest = _manifest(training_set, plan, provenance, tables.digest(), oracle, results, folder)
+    (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return tuple(results)
+
+
+def _write_c(
+    training_set: TrainingSet,
+    plan: ExportPlan,
+    provenance: Provenance,
+    graph: NominalGraph,
+    oracle: Oracle,
+    compiler: Compiler | None,
+    folder: Path,
+) -> TargetResult:
+    if plan.real == "float":
+        oracle = make_oracle(training_set, plan.queries, "float")
+    source = c_source(build_tables(training_set, plan.real), graph, provenance, plan.name, training_set.plain)
+    written = {
+        f"{plan.name}.h": source.header,
+        f"{plan.name}.c": source.source,
+        f"{plan.name}_selftest.c": selftest_source(source, oracle),
+    }
+    for name, text in written.items():
+        (folder / name).write_text(text, encoding="ascii")
+    missing = (
+        "" if source.with_step else f"no model step: {', '.join(graph.foreign_features)} is not in the state; "
+    )
+    if compiler is None:
+        note = f"{missing}not compiled, hence not verified: there is no C compiler here"
+        return TargetResult("c", tuple(written), None, None, None, None, source.table_bytes, None, note)
+    with tempfile.TemporaryDirectory(prefix="split-export-") as scratch:
+        found = check_c(source, graph, training_set, oracle, compiler, Path(scratch))
+    return TargetResult(
+        "c", tuple(written), found.predictions, found.step_error, found.seconds_predict, found.seconds_jacobian,
+        source.table_bytes, found.code_bytes, f"{missing}{plan.real}, {found.compiler}",
+    )  # fmt: skip
+
+
+def casadi_functions(tables, graph: NominalGraph, name: str, plain: bool) -> CasadiFunctions:
+    """Return the committee and the model step as CasADi functions."""
+    predict = committee(tables, name)
+    return CasadiFunctions(predict, model_step(predict, graph, f"{name}_step", plain))
+
+
+def _write_casadi(
+    training_set: TrainingSet,
+    plan: ExportPlan,
+    graph: NominalGraph,
+    functions: CasadiFunctions,
+    oracle: Oracle,
+    compiler: Compiler | None,
+    folder: Path,
+) -> TargetResult:
+    steps = make_step_oracle(graph, training_set, oracle.reference) if functions.step is not None else None
+    check = check_casadi(functions, oracle, steps)
+    written = [f"{plan.name}.casadi"]
+    functions.predict.save(str(folder / written[0]))
+    if functions.step is not None:
+        written.append(f"{plan.name}_step.casadi")
+        functions.step.save(str(folder / written[1]))
+    written += [path.name for path in generate_c(functions, plan.name, folder)]
+    if functions.step is not None and not graph.needs_place_and_time:
+        values = {"NAME": plan.name, "UPPER": plan.name.upper(), "HORIZON": repr(float(training_set.horizon))}
+        written.append(f"{plan.name}_acados.c")
+        (folder / written[-1]).write_text(fill(template("acados.c.in"), values), encoding="ascii")
+    note = "the generated C was not compiled, hence not verified: there is no C compiler here"
+    code = None
+    if compiler is not None:
+        with tempfile.TemporaryDirectory(prefix="split-export-") as scratch:
+            code = check_generated(
+                plan.name, folder, Path(scratch), compiler, oracle, functions.step is not None, steps
+            )
+        note = f"generated C verified with {compiler.version}"
+    inside = oracle.slope_z
+    begin = perf_counter()
+    for query in inside:
+        functions.predict(query)
+    seconds = (perf_counter() - begin) / len(inside)
+    size = (folder / written[0]).stat().st_size
+    return TargetResult("casadi", tuple(written), check, None, seconds, None, size, code, note)
+
+
+def _write_document(
+    training_set: TrainingSet, plan: ExportPlan, provenance: Provenance, oracle: Oracle, target: str, folder: Path
+) -> TargetResult:
+    document = document_of(training_set, provenance)
+    path = folder / f"{plan.name}.{target}"
+    written = [path.name]
+    if target == "npz":
+        write_npz(document, path)
+        found = read_npz(path)
+    else:
+        write_json(document, path)
+        found = read_json(path)
+        written.append("split-export.schema.json")
+        (folder / written[1]).write_text(schema_text(), encoding="utf-8")
+    require_equal(document, found, target)
+    check = check_predictions(document_answer(found), oracle, "double", target)
+    return TargetResult(target, tuple(written), check, None, None, None, path.stat().st_size, None, "numbers only")
+
+
+def _write_check_points(oracle: Oracle, path: Path) -> None:
+    """Write some queries and answers, for `split verify` and for whoever ports the numbers elsewhere."""
+    usable = np.flatnonzero((np.abs(oracle.z) < 1e4).all(axis=1))
+    rows = usable[:: max(1, len(usable) // CHECK_POINTS)][:CHECK_POINTS]
+    content = {
+        "z": oracle.z[rows].tolist(),
+        "mean": oracle.mean[rows].tolist(),
+        "variance": oracle.variance[rows].tolist(),
+        "signal_variance": (oracle.reference.deviation**2).tolist(),
+    }
+    path.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _manifest(
+    training_set: TrainingSet,
+    plan: ExportPlan,
+    provenance: Provenance,
+    tables_digest: str,
+    oracle: Oracle,
+    results: Sequence[TargetResult],
+    folder: Path,
+) -> dict:
+    """Return the manifest: provenance, verification and a SHA-256 a file; no times, so equal exports are equal."""
+    verification = {
+        result.target: {
+            "verified": result.check is not None,
+            **(asdict(result.check) if result.check else {}),
+            "step_error": result.step_error,
+            "note": result.note,
+        }
+        for result in results
+    }
+    files = sorted(path.name for path in folder.iterdir() if path.is_file())
+    return {
+        "format": MANIFEST_FORMAT,
+        "name": plan.name,
+        "targets": list(plan.targets),
+        "real": plan.real,
+        "split_version": provenance.version,
+        "predictor": provenance.predictor,
+        "set": {"name": provenance.set_name, "sha256": provenance.set_sha256},
+        "features": list(provenance.features),
+        "horizon": provenance.horizon,
+        "points": training_set.size,
+        "cells": training_set.cell_count,
+        "vehicle": provenance.vehicle,
+        "vehicle_digest": provenance.vehicle_digest,
+        "conventions": dict(CONVENTIONS),
+        "tables_sha256": tables_digest,
+        "predictor_error": oracle.predictor_error,
+        "verification": verification,
+        "files": {name: sha256_of_file(folder / name) for name in files},
+    }

@@ -1,0 +1,80 @@
+"""Write a trained set for controllers and for other programs, verified before it is there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from split_cli.export.provenance import provenance_of
+from split_cli.export.targets import TargetResult, plan_export, write_export
+from split_cli.files import atomic_directory, sha256_of_file
+from split_cli.learning.training_set import read_set
+
+__all__ = ["ExportResult", "export_set"]
+
+
+@dataclass(frozen=True)
+class ExportResult:
+    """What was exported.
+
+    Attributes
+    ----------
+    folder, name : str
+    set_sha256 : str
+    points, cells : int
+    targets : tuple of TargetResult
+    """
+
+    folder: str
+    name: str
+    set_sha256: str
+    points: int
+    cells: int
+    targets: tuple[TargetResult, ...]
+
+
+def export_set(
+    set_path: str | Path,
+    output: str | Path,
+    targets: Sequence[str],
+    *,
+    predictor: str = "bcm",
+    name: str | None = None,
+    real: str = "double",
+    queries: int = 10_000,
+    say: Callable[[str], None] = lambda _: None,
+) -> ExportResult:
+    """Export a trained set into a folder.
+
+    Parameters
+    ----------
+    set_path : path
+        A ``.split`` file.
+    output : path
+        Folder; created if its parent exists. Files of the same names are replaced when all targets verified.
+    targets : sequence of str
+        Of c, casadi, npz, json.
+    predictor : str
+    name : str, optional
+        Prefix of files and functions; by default the set's file name.
+    real : {"double", "float"}
+        Numbers of the C target.
+    queries : int
+        Size of the comparison with Python.
+    say : callable
+        Told what happens, one line at a time.
+
+    Raises
+    ------
+    SplitError
+        If the set cannot be read, a word is unknown, or an export differs from Python; nothing is written then.
+    """
+    set_path = Path(set_path)
+    plan = plan_export(targets, name or set_path.stem, real, queries, predictor)
+    training_set = read_set(set_path)
+    digest = sha256_of_file(set_path)
+    provenance = provenance_of(training_set, predictor, set_path.name, digest)
+    with atomic_directory(output) as folder:
+        results = write_export(training_set, plan, provenance, folder, say)
+    return ExportResult(str(output), plan.name, digest, training_set.size, training_set.cell_count, results)
