@@ -43,7 +43,9 @@ class TimeSpan(click.ParamType):
 @click.option("--append", is_flag=True, help="Continue the set that -o names, with its own settings.")
 @click.option("--features", help="z2 (default), z1, or a comma-separated list of names.")
 @click.option(
-    "--hyperparameters", metavar="default|fit|FILE", help="Length scales and variances; fixed for the set's life."
+    "--hyperparameters",
+    metavar="fit|default|FILE",
+    help="Length scales and variances, fixed once a set is made; default: fit.",
 )
 @click.option("--horizon", type=float, metavar="S", help="Label interval h; default 0.05.")
 @click.option("--stride", type=int, metavar="N", help="Samples between labels; default: the horizon.")

@@ -1,7 +1,7 @@
-"""The two loops that carry the time: windows of the nominal model, and the update of cells. Private; needs numba.
+"""The loops that carry the time: windows of the nominal model, the update of cells, the likelihood of blocks.
 
-Every sample is computed by itself in a fixed order of operations, without fast-math, so that results do not depend
-on how samples are batched.
+Private; needs numba. Every sample is computed by itself in a fixed order of operations, without fast-math, so that
+labels and sets do not depend on how samples are batched.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numba import njit
 
-__all__ = ["REJECTED_BY_GAIN", "refresh_cells", "update_cells", "window_errors"]
+__all__ = ["blocks_likelihood", "refresh_cells", "update_cells", "window_errors"]
 
-REJECTED_BY_GAIN, INSERTED, REPLACED = 0, 1, 2
+_INSERTED, _REPLACED = 1, 2
 _JITTERS = np.array([0.0, 1e-13, 1e-12, 1e-11, 1e-10])
 
 
@@ -322,9 +322,9 @@ def update_cells(
             ):
                 slot = n
                 count[c] = n + 1
-                outcome[sample] = INSERTED
+                outcome[sample] = _INSERTED
             else:
-                outcome[sample] = REPLACED
+                outcome[sample] = _REPLACED
             z[c, slot] = z_new[sample]
             clock[c, slot] = clock_new[sample]
             origin[c, slot] = sample
@@ -347,3 +347,99 @@ def refresh_cells(offsets, z, scales, capacity):
         if _refresh(z[first:last], last - first, scales, low, inverse, gamma[first:last]) < 0:
             gamma[first:last] = np.nan
     return gamma
+
+
+# ---- the likelihood of blocks ----------------------------------------------------------------------------------
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _dot(a, b, first, last):
+    total = 0.0
+    for i in range(first, last):
+        total += a[i] * b[i]
+    return total
+
+
+@njit(cache=True)
+def _invert(covariance, n, low, rows, inverse):
+    """Fill the lower triangle of `inverse` from that of `covariance`; return half the log determinant, or NaN.
+
+    `rows` receives the transpose of L^-1, so that every inner loop runs along rows.
+    """
+    half = 0.0
+    for i in range(n):
+        for j in range(i + 1):
+            value = covariance[i, j] - _dot(low[i], low[j], 0, j)
+            if i > j:
+                low[i, j] = value / low[j, j]
+            elif value > 0.0:
+                low[i, i] = math.sqrt(value)
+                half += math.log(low[i, i])
+            else:
+                return np.nan
+    for j in range(n):
+        rows[j, j] = 1.0 / low[j, j]
+        for i in range(j + 1, n):
+            rows[j, i] = -_dot(low[i], rows[j], j, i) / low[i, i]
+    for i in range(n):
+        for j in range(i + 1):
+            inverse[i, j] = _dot(rows[i], rows[j], i, n)
+    return half
+
+
+@njit(cache=True)
+def blocks_likelihood(z, y, offsets, scales, signal, noise):
+    """Return the value and gradient that hyperparameters.block_likelihood defines, NaN where K is not positive.
+
+    Own loops rather than LAPACK: matrices of 60 are too small for threads, which some builds start all the same
+    and then wait for each other longer than they compute.
+    """
+    dimension, outputs = z.shape[1], y.shape[1]
+    most = np.max(np.diff(offsets))
+    shape = (most, most)
+    low, rows, inverse, covariance = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    correlation, distances = np.zeros(shape), np.zeros((dimension, most, most))
+    weights = np.zeros(most)
+    gradient = np.zeros(dimension + 2 * outputs)
+    value = 0.0
+    for block in range(len(offsets) - 1):
+        first = offsets[block]
+        n = offsets[block + 1] - first
+        for i in range(n):
+            for j in range(i + 1):
+                squared = 0.0
+                for d in range(dimension):
+                    distance = (z[first + i, d] - z[first + j, d]) / scales[d]
+                    distances[d, i, j] = distance * distance
+                    squared += distance * distance
+                correlation[i, j] = math.exp(-0.5 * squared)
+        for output in range(outputs):
+            for i in range(n):
+                for j in range(i + 1):
+                    covariance[i, j] = signal[output] * correlation[i, j]
+                covariance[i, i] += noise[output]
+            half = _invert(covariance, n, low, rows, inverse)
+            if np.isnan(half):
+                return np.nan, gradient
+            quadratic = 0.0
+            for i in range(n):
+                total = 0.0
+                for j in range(n):
+                    total += (inverse[i, j] if j <= i else inverse[j, i]) * y[first + j, output]
+                weights[i] = total
+                quadratic += total * y[first + i, output]
+            value += 0.5 * quadratic + half + 0.5 * n * math.log(2.0 * math.pi)
+            trace = 0.0
+            for i in range(n):
+                for j in range(i + 1):
+                    slope = inverse[i, j] - weights[i] * weights[j]
+                    # Off the diagonal each pair counts twice.
+                    slope *= 0.5 if i == j else 1.0
+                    if i == j:
+                        trace += slope
+                    part = slope * signal[output] * correlation[i, j]
+                    gradient[dimension + output] += part
+                    for d in range(dimension):
+                        gradient[d] += part * distances[d, i, j]
+            gradient[dimension + outputs + output] += noise[output] * trace
+    return value, gradient

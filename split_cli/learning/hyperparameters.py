@@ -1,4 +1,4 @@
-"""Hyperparameters: defaults, a file of given ones, and the maximum-likelihood fit over blocks of cells."""
+"""Hyperparameters: defaults, and the maximum-likelihood fit over blocks of neighbouring cells."""
 
 from __future__ import annotations
 
@@ -9,17 +9,28 @@ import numpy as np
 
 from split_cli.errors import SetError
 from split_cli.learning.kernel import OUTPUTS, Kernel
+from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid
 
-__all__ = ["KernelFit", "block_likelihood", "default_kernel", "fit_kernel", "neighbour_blocks"]
+__all__ = [
+    "FEWEST_TO_FIT",
+    "KernelFit",
+    "block_likelihood",
+    "default_kernel",
+    "fit_kernel",
+    "neighbour_blocks",
+    "scatter_variance",
+]
 
 LENGTH_SCALE_EDGES = 2.0
 # Bounds of the fit: length scales in cell edges, variances in the label's mean square.
 LENGTH_BOUNDS = (0.5, 100.0)
 SIGNAL_BOUNDS = (1e-3, 1e3)
 NOISE_BOUNDS = (1e-5, 1e1)
-BLOCK_POINTS = 180
-MAXIMUM_BLOCKS = 40
+BLOCK_POINTS = 60
+MAXIMUM_BLOCKS = 100
+FEWEST_TO_FIT = 60
+_AT_MOST = 6000
 _HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
 
 
@@ -57,13 +68,27 @@ def default_kernel(grid: Grid, y: np.ndarray, noise_variance: np.ndarray | None 
     y : ndarray, shape (N, 3)
         Labels; signal variance is their mean square less the noise, at least a tenth of it.
     noise_variance : ndarray, shape (3,), optional
-        Where known; a tenth of the mean square otherwise.
+        For example `scatter_variance`. A tenth of the mean square is the least, also when it is not given: what
+        the features do not tell of the residual counts as noise too, and is more than a sensor's.
     """
     mean_square = np.maximum(np.mean(np.square(y), axis=0), 1e-12)
-    noise = 0.1 * mean_square if noise_variance is None else np.asarray(noise_variance, dtype=float)
-    noise = np.clip(noise, NOISE_BOUNDS[0] * mean_square, mean_square)
+    noise = np.clip(0.0 if noise_variance is None else noise_variance, 0.1 * mean_square, mean_square)
     signal = np.maximum(mean_square - noise, 0.1 * mean_square)
     return Kernel(LENGTH_SCALE_EDGES * np.array(grid.edges), signal, noise, "default")
+
+
+def scatter_variance(labels: Labels) -> np.ndarray:
+    """Return a robust guess of the label noise from how successive labels differ, shape (3,).
+
+    Half the squared median absolute difference of successive accepted labels, scaled as for a normal
+    distribution; real change of the residual within h counts as noise.
+    """
+    good = labels.accepted
+    together = good[1:] & good[:-1] & (np.diff(labels.segment) == 0)
+    if not together.any():
+        return np.zeros(3)
+    difference = np.abs(np.diff(labels.y, axis=0)[together])
+    return 0.5 * (np.median(difference, axis=0) / 0.6745) ** 2
 
 
 def fit_kernel(
@@ -80,7 +105,7 @@ def fit_kernel(
     Parameters
     ----------
     z, y : ndarray, shape (N, D), (N, 3)
-        Points of a trained set (or labels) of training blocks of time.
+        Accepted labels of training blocks of time; thinned evenly to 6,000.
     grid : Grid
     start : Kernel
         Where the search begins; its length scales and four times them are tried.
@@ -96,33 +121,41 @@ def fit_kernel(
     Raises
     ------
     SetError
-        If there are fewer than 20 points.
+        If there are fewer than 60 labels.
 
     Notes
     -----
     The likelihood is the sum over blocks of neighbouring cells, each an independent Gaussian process, and over the
     outputs, with length scales in common (Rasmussen and Williams, Gaussian processes for machine learning, 2006,
-    eq. 5.8 and 5.9). Cells alone are too small to tell a length scale of several edges from a smaller signal;
-    docs/decisions tells how the block size was chosen, on held-out time.
+    eq. 5.8 and 5.9). Labels rather than the points a set keeps, and blocks of 60 rather than of 200, scored best
+    on held-out time over several recordings (docs/decisions/0010).
     """
     from scipy.optimize import minimize
 
-    if len(z) < 20:
+    from split_cli.learning._compiled import blocks_likelihood
+
+    if len(z) < FEWEST_TO_FIT:
         raise SetError(
-            f"{len(z)} points are too few to fit hyperparameters to", advice="Use --hyperparameters default."
+            f"{len(z)} valid labels are too few to fit hyperparameters to, {FEWEST_TO_FIT} are needed",
+            advice="Use --hyperparameters default.",
         )
+    if len(z) > _AT_MOST:
+        thinned = np.linspace(0, len(z) - 1, _AT_MOST).round().astype(int)
+        z, y = z[thinned], y[thinned]
     blocks = neighbour_blocks(grid.index(z)[0], block_points)
     if len(blocks) > maximum_blocks:
         chosen = np.linspace(0, len(blocks) - 1, maximum_blocks).round().astype(int)
         blocks = [blocks[i] for i in chosen]
-    parts = [(z[rows], y[rows]) for rows in blocks]
-    points = sum(len(rows) for rows in blocks)
+    rows = np.concatenate(blocks)
+    offsets = np.concatenate([[0], np.cumsum([len(block) for block in blocks])])
+    z_blocks, y_blocks, points = z[rows], y[rows], len(rows)
     mean_square = np.maximum(np.mean(np.square(y), axis=0), 1e-12)
     low, high = _bounds(grid, mean_square)
 
     def objective(theta: np.ndarray) -> tuple[float, np.ndarray]:
-        value, gradient = block_likelihood(theta, parts)
-        return value / points, gradient / points
+        value, gradient = blocks_likelihood(z_blocks, y_blocks, offsets, *_split(theta))
+        # K fails to factor only where the noise is some 1e-16 of the signal: a wall, should the search touch it.
+        return (value / points, gradient / points) if np.isfinite(value) else (1e25, np.zeros_like(theta))
 
     best, evaluations = None, 0
     for factor in (1.0, 4.0):
@@ -143,7 +176,7 @@ def fit_kernel(
     names += [f"{what} of {output}" for what in ("signal", "noise") for output in OUTPUTS]
     on_bound = np.isclose(best.x, low, atol=1e-6) | np.isclose(best.x, high, atol=1e-6)
     return KernelFit(
-        kernel=_unpack(best.x, z.shape[1]),
+        kernel=Kernel(*_split(best.x), origin="fitted"),
         negative_log_likelihood=float(best.fun) / len(OUTPUTS),
         points=points,
         blocks=len(blocks),
@@ -168,9 +201,11 @@ def _pack(kernel: Kernel) -> np.ndarray:
     return np.log(np.concatenate([kernel.length_scales, kernel.signal_variance, kernel.noise_variance]))
 
 
-def _unpack(theta: np.ndarray, dimension: int) -> Kernel:
+def _split(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return length scales, signal and noise variances from their logarithms."""
     values = np.exp(theta)
-    return Kernel(values[:dimension], values[dimension : dimension + 3], values[dimension + 3 :], "fitted")
+    dimension = len(theta) - 2 * len(OUTPUTS)
+    return values[:dimension], values[dimension : dimension + 3], values[dimension + 3 :]
 
 
 def neighbour_blocks(index: np.ndarray, most: int) -> list[np.ndarray]:
@@ -205,7 +240,7 @@ def neighbour_blocks(index: np.ndarray, most: int) -> list[np.ndarray]:
 def block_likelihood(
     theta: np.ndarray, parts: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> tuple[float, np.ndarray]:
-    """Return the negative log likelihood summed over blocks and outputs, and its gradient.
+    """Return the negative log likelihood summed over blocks and outputs, and its gradient; the plain version.
 
     Parameters
     ----------
@@ -220,32 +255,20 @@ def block_likelihood(
     trace((K^-1 - a a^T) dK)/2, with dK/d log l_d = S0 R (z_d - z_d')^2/l_d^2, dK/d log S0 = S0 R,
     dK/d log s^2 = s^2 I.
     """
-    from scipy.linalg import lapack
-
-    dimension = len(theta) - 2 * len(OUTPUTS)
-    kernel = _unpack(theta, dimension)
+    scales, signals, noises = _split(theta)
+    dimension = len(scales)
     total, gradient = 0.0, np.zeros_like(theta)
     for z, y in parts:
-        distances = [
-            np.square((z[:, None, d] - z[None, :, d]) / kernel.length_scales[d]) for d in range(dimension)
-        ]
-        correlation = np.exp(-0.5 * np.sum(distances, axis=0))
+        distances = np.square((z[:, None] - z[None, :]) / scales)
+        correlation = np.exp(-0.5 * distances.sum(axis=2))
         for output in range(len(OUTPUTS)):
-            signal, noise = kernel.signal_variance[output], kernel.noise_variance[output]
-            covariance = signal * correlation
-            covariance[np.diag_indices(len(z))] += noise
-            factor, failed = lapack.dpotrf(covariance, lower=1, overwrite_a=1)
-            if failed:
-                # Only where noise is some 1e-16 of the signal, outside any bounds: a wall, not an answer.
-                return 1e25, np.zeros_like(theta)
-            weights, _ = lapack.dpotrs(factor, y[:, output], lower=1)
-            inverse, _ = lapack.dpotri(factor, lower=1)
-            inverse = np.tril(inverse) + np.tril(inverse, -1).T
-            total += 0.5 * y[:, output] @ weights + np.log(np.diag(factor)).sum() + len(z) * _HALF_LOG_2PI
+            covariance = signals[output] * correlation + noises[output] * np.eye(len(z))
+            inverse = np.linalg.inv(covariance)
+            weights = inverse @ y[:, output]
+            total += 0.5 * y[:, output] @ weights + 0.5 * np.linalg.slogdet(covariance)[1] + len(z) * _HALF_LOG_2PI
             slope = inverse - np.outer(weights, weights)
-            weighted = slope * correlation * (0.5 * signal)
-            for d in range(dimension):
-                gradient[d] += np.vdot(weighted, distances[d])
+            weighted = 0.5 * signals[output] * slope * correlation
+            gradient[:dimension] += np.einsum("ij,ijd->d", weighted, distances)
             gradient[dimension + output] += weighted.sum()
-            gradient[dimension + 3 + output] += 0.5 * noise * np.trace(slope)
+            gradient[dimension + 3 + output] += 0.5 * noises[output] * np.trace(slope)
     return total, gradient

@@ -12,12 +12,17 @@ import numpy as np
 from split_cli.errors import SetError
 from split_cli.learning.cells import DEFAULT_CAPACITY, DEFAULT_THRESHOLD, empty_set, extend, warm_up
 from split_cli.learning.features import parse_features
-from split_cli.learning.hyperparameters import KernelFit, default_kernel, fit_kernel
+from split_cli.learning.hyperparameters import (
+    FEWEST_TO_FIT,
+    KernelFit,
+    default_kernel,
+    fit_kernel,
+    scatter_variance,
+)
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.labels import DEFAULT_HORIZON, Labels, compute_labels
-from split_cli.learning.noise import label_noise_variance, scatter_variance
-from split_cli.learning.region import Region, build_grid
+from split_cli.learning.region import Grid, Region, build_grid
 from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
@@ -35,7 +40,7 @@ class TrainSettings:
     features : str or None
         ``z2`` (default), ``z1`` or a comma-separated list of names.
     hyperparameters : str or None
-        ``default``, ``fit``, or a YAML file; only for a new set.
+        ``fit`` (default), ``default``, or a YAML file; only for a new set.
     horizon : float or None
         Label interval [s], 0.05 by default.
     stride : int or None
@@ -218,49 +223,57 @@ class _Run:
             yield labels, time.perf_counter() - start
 
     def create(self) -> tuple[TrainingSet, KernelFit | None]:
-        """Return an empty set: grid and default kernel of the first drive with valid samples, or kernel of all."""
+        """Return an empty set: its grid from the first drive with valid samples, its kernel as asked for."""
         settings = self.settings
-        first, noise = self._first_valid()
+        asked = settings.hyperparameters or "fit"
+        first = self._first_valid()
         valid = first.accepted
         grid = build_grid(self.features, self.vehicle, self.region, first.z[valid])
-        kernel = default_kernel(grid, first.y[valid], noise)
-        asked = settings.hyperparameters or "default"
-        if asked not in ("default", "fit"):
+        kernel, fit = default_kernel(grid, first.y[valid], scatter_variance(first)), None
+        if asked == "fit":
+            fit = self._fit(grid, kernel)
+            kernel = kernel if fit is None else fit.kernel
+        elif asked != "default":
             kernel = read_kernel(asked, self.features)
+        empty = empty_set(
+            self.vehicle,
+            self.features,
+            self.region,
+            grid,
+            kernel,
+            horizon=self.horizon,
+            capacity=DEFAULT_CAPACITY if settings.capacity is None else settings.capacity,
+            threshold=DEFAULT_THRESHOLD if settings.threshold is None else settings.threshold,
+            forgetting=settings.forgetting,
+            plain=self.plain,
+        )
+        return empty, fit
 
-        def blank(kernel: Kernel) -> TrainingSet:
-            return empty_set(
-                self.vehicle,
-                self.features,
-                self.region,
-                grid,
-                kernel,
-                horizon=self.horizon,
-                capacity=DEFAULT_CAPACITY if settings.capacity is None else settings.capacity,
-                threshold=DEFAULT_THRESHOLD if settings.threshold is None else settings.threshold,
-                forgetting=settings.forgetting,
-                plain=self.plain,
+    def _fit(self, grid: Grid, start: Kernel) -> KernelFit | None:
+        """Fit to the valid labels of all drives; None, with a note, when they are too few."""
+        z, y = [], []
+        for position in range(len(self.paths)):
+            labels = self._label(self._drive(position), position).inside(grid)
+            z.append(labels.z[labels.accepted])
+            y.append(labels.y[labels.accepted])
+        z, y = np.concatenate(z), np.concatenate(y)
+        if len(z) < FEWEST_TO_FIT:
+            self.notes.append(
+                f"{len(z)} valid labels are too few to fit hyperparameters to; the defaults are kept"
             )
+            return None
+        self.say(f"fitting hyperparameters to {len(z)} labels")
+        fit = fit_kernel(z, y, grid, start)
+        self.notes += [
+            f"the labels do not determine the {name}: it is on a bound of the fit" for name in fit.at_bound
+        ]
+        return fit
 
-        empty = blank(kernel)
-        if asked != "fit":
-            return empty, None
-        provisional = empty
+    def _first_valid(self) -> Labels:
         for position in range(len(self.paths)):
-            provisional = extend(provisional, [self._label(self._drive(position), position)])
-        self.say(f"fitting hyperparameters to {provisional.size} points")
-        fit = fit_kernel(provisional.z, provisional.y, grid, kernel)
-        for name in fit.at_bound:
-            self.notes.append(f"the labels do not determine the {name}: it ended on a bound of the fit")
-        return blank(fit.kernel), fit
-
-    def _first_valid(self) -> tuple[Labels, np.ndarray]:
-        for position in range(len(self.paths)):
-            drive = self._drive(position)
-            labels = self._label(drive, position)
+            labels = self._label(self._drive(position), position)
             if labels.accepted.any():
-                noise = label_noise_variance(drive, self.vehicle, labels)
-                return labels, scatter_variance(labels) if noise is None else noise
+                return labels
         counts = ", ".join(f"{count} {reason}" for reason, count in labels.counts().items()) or "no samples"
         raise SetError(
             f"no sample is inside the valid region (rejected: {counts})",
