@@ -134,6 +134,8 @@ def fit_kernel(
 
     from split_cli.learning._compiled import blocks_likelihood
 
+    inside = grid.index(z)[1]
+    z, y = z[inside], y[inside]
     if len(z) < FEWEST_TO_FIT:
         raise SetError(
             f"{len(z)} valid labels are too few to fit hyperparameters to, {FEWEST_TO_FIT} are needed",
