@@ -48,7 +48,7 @@ SMALL_CAR = Vehicle(
 BOTH = (ROAD_CAR, SMALL_CAR)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def road_car() -> Vehicle:
     return ROAD_CAR
 

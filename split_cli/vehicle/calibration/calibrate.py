@@ -197,7 +197,7 @@ def _given_peak(start: Vehicle, axle: str, load: float) -> float:
     tire = getattr(start, f"{axle}_tire")
     if start.friction_coefficient is None or start.origins.get(f"{axle}_tire.D") == "published":
         return tire.D
-    return start.friction_coefficient * load
+    return float(f"{start.friction_coefficient * load:.6g}")
 
 
 def _fit_resistance(

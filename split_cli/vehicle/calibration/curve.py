@@ -233,6 +233,9 @@ def fit_force_curve(
     width = alike.max(axis=0) - alike.min(axis=0)
     inside = grid <= covered
     tire = _tire(chosen.parameters)
+    if "D" not in determined:
+        # What is given stays as it was, to the last digit.
+        tire = MagicFormula(tire.cornering_stiffness / (tire.C * given_peak), tire.C, given_peak)
     return ForceCurve(
         axle=axle,
         tire=tire,

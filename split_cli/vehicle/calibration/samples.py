@@ -126,7 +126,7 @@ def motion_samples(
         parts.append(columns)
     if not parts:
         raise VehicleError(
-            f"no stretch without a gap is longer than {8.0 * smoothing:.2g} s",
+            "no stretch of the drives without a gap is long enough to take derivatives",
             advice="Record longer or smooth less.",
         )
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

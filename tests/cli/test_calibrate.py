@@ -1,0 +1,171 @@
+"""`split calibrate` run as users run it: its files reopened, its figures compared."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from split_cli.cli.calibrate import command
+from split_cli.cli.main import main
+from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
+from split_cli.vehicle.parameters import read_vehicle
+
+
+def run(*arguments):
+    return CliRunner().invoke(command, [str(argument) for argument in arguments], catch_exceptions=False)
+
+
+@pytest.fixture(scope="module")
+def calibrated(sample_logs, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("calibrated")
+    drive = sample_logs / "f1tenth_car_tests.parquet"
+    start = sample_logs / "f1tenth_car_start.yaml"
+    if not drive.is_file():
+        pytest.skip("the sample logs are not here")
+    result = run(drive, "--vehicle", start, "-o", folder / "car.yaml", "--figure", folder / "car.png", "--json")
+    assert result.exit_code == 0, result.output
+    return folder, json.loads(result.stdout)
+
+
+def test_the_bundled_vehicle_file_is_what_the_documented_command_gives(calibrated, sample_logs):
+    folder, _ = calibrated
+    ours, bundled = read_vehicle(folder / "car.yaml"), read_vehicle(sample_logs / "f1tenth_car.yaml")
+    for key in ("B", "C", "D"):
+        for axle in ("front_tire", "rear_tire"):
+            # Another NumPy may sum in another order; six digits are written.
+            ours_value, bundled_value = (getattr(getattr(car, axle), key) for car in (ours, bundled))
+            np.testing.assert_allclose(ours_value, bundled_value, rtol=1e-4)
+    assert ours.origins == bundled.origins
+    assert ours.drag_coefficient == pytest.approx(bundled.drag_coefficient, rel=1e-3)
+
+
+def test_the_json_tells_curves_and_held_out_errors(calibrated):
+    _, report = calibrated
+    assert [curve["axle"] for curve in report["curves"]] == ["front", "rear"]
+    for curve in report["curves"]:
+        assert curve["held_out"]["calibrated"] < curve["held_out"]["start"] < curve["held_out"]["signal"]
+        lower, force, upper = (np.array(curve[key]) for key in ("alike_lower", "force", "alike_upper"))
+        covered = np.array(curve["slip_angle"]) <= curve["covered"]
+        slack = curve["deviation_covered"]
+        assert np.all((lower - slack <= force) & (force <= upper + slack), where=covered)
+        # An open upper end of the peak is null, not a number.
+        assert curve["peak"][1] is None or curve["peak"][1] > curve["peak"][0]
+    assert any("peak is not identified" in remark for remark in report["remarks"])
+    assert report["drives"][0]["name"] == "f1tenth_car_tests.parquet"
+
+
+def test_the_file_names_its_drives_and_what_was_calibrated(calibrated):
+    folder, report = calibrated
+    text = (folder / "car.yaml").read_text()
+    assert report["drives"][0]["sha256"][:16] in text
+    car = read_vehicle(folder / "car.yaml")
+    assert car.origins["front_tire.B"] == "calibrated"
+    assert car.origins["front_tire.D"] == "assumed"
+    assert car.origins["mass"] == "published"
+
+
+def test_the_figure_is_a_png(calibrated):
+    folder, _ = calibrated
+    assert (folder / "car.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_two_runs_give_equal_files(calibrated, sample_logs, tmp_path):
+    folder, _ = calibrated
+    drive, start = sample_logs / "f1tenth_car_tests.parquet", sample_logs / "f1tenth_car_start.yaml"
+    assert run(drive, "--vehicle", start, "-o", tmp_path / "car.yaml").exit_code == 0
+    assert (tmp_path / "car.yaml").read_bytes() == (folder / "car.yaml").read_bytes()
+
+
+def test_tables_go_to_stdout_and_notes_to_stderr(sample_logs, tmp_path):
+    result = run(
+        sample_logs / "f1tenth_car_tests.parquet", "--vehicle", sample_logs / "f1tenth_car_start.yaml",
+        "-o", tmp_path / "car.yaml", "--fit", "drag,rolling",
+    )  # fmt: skip
+    assert result.exit_code == 0
+    assert "drag [N/(m/s)^2]" in result.stdout
+    assert "note:" in result.stderr
+    assert "note:" not in result.stdout
+    # What was not asked for is as it was.
+    start = read_vehicle(sample_logs / "f1tenth_car_start.yaml")
+    assert read_vehicle(tmp_path / "car.yaml").front_tire == start.front_tire
+
+
+def test_only_the_first_share_is_used(sample_logs, tmp_path):
+    drive = read_drive(sample_logs / "f1tenth_car_tests.parquet")
+    half = 0.5 * (drive["t"][-1] - drive["t"][0])
+    spoiled = {name: values.copy() for name, values in drive.columns.items()}
+    spoiled["vy"][drive["t"] > drive["t"][0] + half] += 5.0
+    write_drive(Drive("spoiled", spoiled, drive.segment, drive.period), tmp_path / "spoiled.parquet")
+    files = []
+    for name in (sample_logs / "f1tenth_car_tests.parquet", tmp_path / "spoiled.parquet"):
+        output = tmp_path / f"{name.stem}.yaml"
+        arguments = (name, "--vehicle", sample_logs / "f1tenth_car_start.yaml", "-o", output, "--first", "0.5")
+        assert run(*arguments, "--fit", "drag,rolling").exit_code == 0
+        files.append(read_vehicle(output))
+    assert files[0].digest() == files[1].digest()
+
+
+def failing(capsys, *arguments):
+    """Run the whole program; return its exit code and what it said."""
+    with pytest.raises(SystemExit) as caught:
+        main(["calibrate", *map(str, arguments)])
+    return caught.value.code, capsys.readouterr().err
+
+
+def test_bad_input_is_one_line_and_leaves_the_old_file(sample_logs, tmp_path, capsys):
+    start = sample_logs / "f1tenth_car_start.yaml"
+    old = tmp_path / "car.yaml"
+    old.write_text("old")
+    drive = sample_logs / "f1tenth_car_tests.parquet"
+    cases = [
+        ((tmp_path / "none.parquet", "--vehicle", start), "no such file"),
+        ((start, "--vehicle", start), "cannot be read as a drive"),
+        ((drive, "--vehicle", tmp_path / "none.yaml"), "no such file"),
+        ((drive, "--vehicle", start, "--fit", "tyres"), "tires"),
+    ]
+    for arguments, message in cases:
+        code, said = failing(capsys, *arguments, "-o", old)
+        assert code == 1
+        assert message in said
+        assert said.count("\n") == 1
+        assert old.read_text() == "old"
+
+
+def test_no_vehicle_is_a_usage_error(sample_logs, tmp_path, capsys):
+    code, said = failing(capsys, sample_logs / "f1tenth_car_tests.parquet", "-o", tmp_path / "car.yaml")
+    assert code == 2
+    assert "--vehicle" in said
+
+
+def test_derived_torque_cannot_give_resistances(sample_logs, tmp_path, capsys):
+    drive = read_drive(sample_logs / "f1tenth_car_tests.parquet")
+    metadata = DriveMetadata(kinds={"T": "derived: from acceleration"})
+    write_drive(Drive("d", drive.columns, drive.segment, drive.period, metadata), tmp_path / "d.parquet")
+    start = sample_logs / "f1tenth_car_start.yaml"
+    code, said = failing(capsys, tmp_path / "d.parquet", "--vehicle", start, "-o", tmp_path / "car.yaml")
+    assert code == 1
+    assert "--fit tires" in said
+
+
+def test_convert_writes_a_vehicle_and_tells_the_deviation(tmp_path):
+    source = tmp_path / "car_model.yaml"
+    source.write_text(
+        yaml.safe_dump(
+            {"C_Pf": [4.8, 2.16, 0.65, 0.37], "C_Pr": [7.8, 2.9, 0.54, 0.66], "I_z": 0.058, "l_f": 0.162,
+             "l_r": 0.145, "m": 3.54, "a_max": 3}
+        )
+    )  # fmt: skip
+    result = run("--convert", source, "-o", tmp_path / "car.yaml", "--json")
+    assert result.exit_code == 0
+    report = json.loads(result.stdout)
+    assert report["kind"] == "ForzaETH"
+    assert 0.0 < report["tires"][0]["largest_deviation"] < 1.0
+    assert read_vehicle(tmp_path / "car.yaml").mass == 3.54
+
+
+def test_help_has_an_example():
+    assert "split calibrate" in run("--help").stdout
