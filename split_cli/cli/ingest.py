@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
@@ -110,7 +111,7 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, keep_going,
 
 
 def _progress(text: str) -> None:
-    if click.get_text_stream("stderr").isatty():
+    if sys.stderr.isatty():
         click.echo(text, err=True)
 
 

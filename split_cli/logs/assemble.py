@@ -186,8 +186,7 @@ def _needed_channels(signal_map: SignalMap, derivations: Sequence[str]) -> list[
                     where=signal_map.name,
                     advice=nearest_names(key, derivation.settings),
                 )
-        named = [str(settings[k]) for k in ("throttle", "brake", "current") if k in settings]
-        needed += [channel for channel in (*derivation.needs, *named) if channel not in needed]
+        needed += [channel for channel in derivation.inputs(settings, mapped) if channel not in needed]
     return needed
 
 

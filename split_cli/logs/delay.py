@@ -269,8 +269,8 @@ def _estimate(channel, delay, error, reference, own, is_command) -> DelayEstimat
     refusal = ""
     if is_command:
         refusal = (
-            f"it is a command: that the car follows it {delay:.3f} +- {error:.3f} s "
-            f"{'earlier' if delay > 0 else 'later'} is the actuator's doing and stays in the drive"
+            f"it is a command: that the car {'precedes' if delay > 0 else 'follows'} it by {abs(delay):.3f} "
+            f"+- {error:.3f} s is the actuator's doing and stays in the drive"
         )
     elif not is_sure(delay, error):
         refusal = f"the delay {delay:+.3f} s is uncertain by {error:.3f} s"

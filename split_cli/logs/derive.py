@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from split_cli.errors import MapError, nearest_names
-from split_cli.logs.noise import difference_noise
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
 from split_cli.vehicle.tire import lateral_force
@@ -78,11 +77,13 @@ class Derivation:
     name : str
         As ``--derive`` takes it.
     makes, needs : tuple of str
-        Channels; ``needs`` as far as the settings do not name others.
+        Channels.
     settings : tuple of str
         Keys that the map may give.
     run : callable
         Situation to Derived.
+    choices : tuple of (str, str)
+        Settings that name a channel it needs too, each with its default.
     """
 
     name: str
@@ -90,6 +91,12 @@ class Derivation:
     needs: tuple[str, ...]
     settings: tuple[str, ...]
     run: Callable[[Situation], Derived]
+    choices: tuple[tuple[str, str], ...] = ()
+
+    def inputs(self, settings: Mapping[str, Any], mapped: Collection[str]) -> tuple[str, ...]:
+        """Return the channels it needs under the map's settings; a default that is not mapped is left out."""
+        chosen = [str(settings.get(key, default if default in mapped else "")) for key, default in self.choices]
+        return tuple(dict.fromkeys([*self.needs, *filter(None, chosen)]))
 
 
 def torque_from_acceleration(
@@ -179,55 +186,53 @@ def torque_from_current(
     return current * torque_constant * gear_ratio * np.where(current >= 0.0, efficiency, 1.0 / efficiency)
 
 
-def smooth(values: np.ndarray, sigma: float) -> np.ndarray:
-    """Smooth evenly spaced samples of known noise, shape (N,), penalising third differences.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-    sigma : float
-        Standard deviation of the white noise; 0 returns the values.
+def smooth(values: np.ndarray) -> np.ndarray:
+    """Smooth evenly spaced noisy samples by penalising third differences, shape (N,).
 
     Notes
     -----
-    z = (I + lambda D'D)^-1 values with D the third difference (Whittaker), the discrete quintic smoothing spline.
-    lambda by the discrepancy principle with degrees of freedom: the residual's variance is sigma^2 (1 - dof/N),
-    dof/N the mean of the filter's frequency response.
+    z = (I + lambda D'D)^-1 x with D the third difference (Whittaker's smoother, the discrete quintic spline),
+    lambda by generalised cross-validation: least RSS/(1 - dof/N)^2, dof/N the mean of the filter's frequency
+    response. The noise need not be known, only be white. Computed as x - lambda D'(I + lambda DD')^-1 D x, which
+    leaves a parabola alone to rounding at any lambda.
     """
-    if sigma <= 0.0 or len(values) < 12:
+    if len(values) < 12:
         return values
     from scipy.linalg import solveh_banded
+    from scipy.optimize import minimize_scalar
 
-    count = len(values)
-    penalty = _third_difference_bands(count)
-    frequency = np.linspace(0.0, np.pi, 2001)[1:]
+    third = np.diff(values, n=3)
+    bands = _third_difference_bands(len(third))
+    frequency = np.linspace(0.0, np.pi, 20001)[1:]
     response = (2.0 - 2.0 * np.cos(frequency)) ** 3
-    offset = np.mean(values)
 
-    def filtered(log_lambda: float) -> np.ndarray:
-        bands = np.exp(log_lambda) * penalty
-        bands[-1] += 1.0
-        return solveh_banded(bands, values - offset) + offset
+    def correction(log_lambda: float) -> np.ndarray:
+        system = np.exp(log_lambda) * bands
+        system[-1] += 1.0
+        inner = np.exp(log_lambda) * solveh_banded(system, third)
+        # D' inner, written out: each third difference reaches four samples.
+        out = np.zeros(len(values))
+        for shift, weight in enumerate((-1.0, 3.0, -3.0, 1.0)):
+            out[shift : shift + len(inner)] += weight * inner
+        return out
 
-    low, high = np.log(1e-4), np.log(1e10)
-    for _ in range(36):
-        middle = 0.5 * (low + high)
-        dof = float(np.mean(1.0 / (1.0 + np.exp(middle) * response)))
-        if np.mean((values - filtered(middle)) ** 2) < sigma**2 * (1.0 - dof):
-            low = middle
-        else:
-            high = middle
-    return filtered(low)
+    def score(log_lambda: float) -> float:
+        dof = float(np.mean(1.0 / (1.0 + np.exp(log_lambda) * response)))
+        rss = float(np.sum(correction(log_lambda) ** 2))
+        return np.log(max(rss, 1e-300)) - 2.0 * np.log(1.0 - dof)
+
+    grid = np.linspace(np.log(1e-4), np.log(1e12), 20)
+    best = int(np.argmin([score(point) for point in grid]))
+    around = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
+    chosen = minimize_scalar(score, bounds=around, method="bounded", options={"xatol": 0.05}).x
+    return values - correction(float(chosen))
 
 
 def _third_difference_bands(count: int) -> np.ndarray:
-    """Return D'D of the third difference in upper banded form, shape (4, count)."""
-    stencil = np.array([-1.0, 3.0, -3.0, 1.0])
-    bands = np.zeros((4, count))
-    for a in range(4):
-        for b in range(a, 4):
-            # Row a of a difference meets row b: element (i + a, i + b), stored in its column i + b.
-            bands[3 - (b - a), b : b + count - 3] += stencil[a] * stencil[b]
+    """Return DD' of the third difference in upper banded form, shape (4, count): a Toeplitz band."""
+    bands = np.empty((4, count))
+    for offset, value in enumerate((20.0, -15.0, 6.0, -1.0)):
+        bands[3 - offset] = value
     return bands
 
 
@@ -249,13 +254,12 @@ def velocity_from_pose(
 
     Notes
     -----
-    Each of X, Y, yaw is smoothed by its own noise as third differences show it (see `smooth`), differentiated by
-    central differences of fourth order, and turned into the vehicle's frame by the smoothed yaw.
+    Each of X, Y, yaw is smoothed as much as its own noise asks for (see `smooth`), differentiated by differences
+    of fourth order, and turned into the vehicle's frame by the smoothed yaw.
     """
     out = np.empty((3, len(X)))
     for run in segments:
-        pose = [channel[run] for channel in (X, Y, yaw)]
-        smoothed = [smooth(channel, difference_noise(channel, [(0, len(channel))])) for channel in pose]
+        smoothed = [smooth(channel[run]) for channel in (X, Y, yaw)]
         dX, dY, dyaw = (derivative(channel, period) for channel in smoothed)
         cosine, sine = np.cos(smoothed[2]), np.sin(smoothed[2])
         out[:, run] = cosine * dX + sine * dY, cosine * dY - sine * dX, dyaw
@@ -297,9 +301,7 @@ def _run_torque_from_acceleration(situation: Situation) -> Derived:
     elif source == "vx":
         ax = np.empty(len(c["vx"]))
         for run in situation.segments:
-            vx = c["vx"][run]
-            smoothed = smooth(vx, difference_noise(vx, [(0, len(vx))]))
-            ax[run] = derivative(smoothed, situation.period) - c["vy"][run] * c["r"][run]
+            ax[run] = derivative(smooth(c["vx"][run]), situation.period) - c["vy"][run] * c["r"][run]
         how = "from dv_x/dt - v_y r of smoothed v_x"
     else:
         raise MapError(
@@ -371,9 +373,7 @@ def _run_acceleration_from_velocity(situation: Situation) -> Derived:
     c = situation.columns
     made = {"ax": np.empty(len(c["vx"])), "ay": np.empty(len(c["vx"]))}
     for run in situation.segments:
-        vx, vy = (
-            smooth(c[name][run], difference_noise(c[name], [(run.start, run.stop)])) for name in ("vx", "vy")
-        )
+        vx, vy = smooth(c["vx"][run]), smooth(c["vy"][run])
         made["ax"][run] = derivative(vx, situation.period) - vy * c["r"][run]
         made["ay"][run] = derivative(vy, situation.period) + vx * c["r"][run]
     return Derived(
@@ -396,6 +396,7 @@ DERIVATIONS: dict[str, Derivation] = {
             ("vx", "vy", "r", "delta"),
             ("acceleration", "offset"),
             _run_torque_from_acceleration,
+            (("acceleration", "ax"),),
         ),
         Derivation(
             "torque-from-throttle-and-brake",
@@ -403,6 +404,7 @@ DERIVATIONS: dict[str, Derivation] = {
             ("vx",),
             ("throttle", "brake", "drive_map", "brake_gain", "brake_full_scale", "max_power"),
             _run_torque_from_pedals,
+            (("throttle", "throttle"), ("brake", "brake")),
         ),
         Derivation(
             "torque-from-current",
@@ -410,6 +412,7 @@ DERIVATIONS: dict[str, Derivation] = {
             (),
             ("current", "torque_constant", "gear_ratio", "efficiency"),
             _run_torque_from_current,
+            (("current", "motor_current"),),
         ),
     )
 }

@@ -31,9 +31,9 @@ _BY_TYPE = {
 _PATTERNS: tuple[tuple[str, str], ...] = (
     (
         "vx",
-        r"v_?x|vel(ocity)?_?x|u|vlong|long(itudinal)?_?vel\w*|v_?lon|ground_?speed|gps_?speed|speed|vehicle_?speed",
+        r"v_?x|vel(ocity)?_?x|u|v_?long\w*|long(itudinal)?_?vel\w*|v_?lon|ground_?speed|gps_?speed|speed|vehicle_?speed",
     ),
-    ("vy", r"v_?y|vel(ocity)?_?y|vlat|lat(eral)?_?vel\w*"),
+    ("vy", r"v_?y|vel(ocity)?_?y|v_?lat\w*|lat(eral)?_?vel\w*"),
     ("r", r"r|wz|omega(_?z)?|yaw_?rate|dpsi|psi_?dot|yaw_?vel\w*|gyro_?z|gyro_?yaw\w*|heading_?rate"),
     ("yaw", r"yaw(_?angle)?|psi|phi|heading|theta"),
     ("X", r"x|pos_?x|x_?pos\w*|east\w*"),

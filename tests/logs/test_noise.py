@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -59,8 +61,6 @@ def test_a_clean_simulation_has_no_noise_whatever_its_motion():
 def test_what_differences_cannot_tell_is_none_with_a_reason(values, reason):
     estimate = estimate_noise("vx", values, whole(values))
     assert estimate.sigma is None and estimate.sigma_raw is None
-    import re
-
     assert re.search(reason, estimate.reason)
 
 

@@ -1,0 +1,116 @@
+"""The recordings of others, each by one command with a map and a vehicle of the project."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from split_cli.cli.ingest import command
+from split_cli.logs.drive import Drive, read_drive
+from split_cli.vehicle.parameters import read_vehicle
+
+pytestmark = pytest.mark.foreign
+
+
+def ingest(tmp_path, log, *arguments: str) -> tuple[Drive, dict]:
+    output = tmp_path / "drive.parquet"
+    shown = CliRunner().invoke(
+        command, [str(log), *arguments, "-o", str(output), "--json"], catch_exceptions=False
+    )
+    assert shown.exit_code == 0
+    return read_drive(output), json.loads(shown.output)[0]
+
+
+def findings(report: dict) -> dict[tuple[str, str], float]:
+    return {(f["channel"], f["check"]): f["measured"] for f in report["quality"]["consistency"]["findings"]}
+
+
+def delays(report: dict) -> dict[str, dict]:
+    return {entry["channel"]: entry for entry in report["quality"]["delays"]}
+
+
+def test_genesis_its_biases_on_straights_are_found_and_its_held_steering_is_held(tmp_path, datasets):
+    drive, report = ingest(
+        tmp_path, datasets / "genesis_slow" / "cpg_slow_lap.mat",
+        "--map", "genesis_slow", "--vehicle", "genesis", "--derive", "torque-from-acceleration",
+        "--estimate-delays",
+    )  # fmt: skip
+    assert drive.rate == pytest.approx(100.0) and len(drive) > 36000
+    # Its folder's own description: v_y about -0.12 m/s and a_lat about -0.64 m/s^2 on straights.
+    found = findings(report)
+    assert found.pop(("vy", "bias on straights")) == pytest.approx(-0.12, abs=0.02)
+    assert found.pop(("ay", "bias on straights")) == pytest.approx(-0.64, abs=0.06)
+    assert found == {}
+    (steer,) = (c for c in report["quality"]["channels"] if c["channel"] == "delta")
+    assert steer["resampling"] == "held"
+    assert np.mean(np.diff(drive["delta"]) == 0.0) > 0.7
+    assert report["kinds"]["T"].startswith("derived")
+    # One INS: no channel is later than the 20 ms of its own filters' differences; accelerations a little more.
+    assert all(abs(d["delay"]) < 0.04 for d in delays(report).values())
+
+
+def test_av21_its_shifted_channels_are_found(tmp_path, datasets):
+    drive, report = ingest(
+        tmp_path, datasets / "av21_lvms" / "LVMS_23_01_04_B.csv",
+        "--map", "av21_lvms", "--vehicle", "av21", "--derive", "torque-from-throttle-and-brake",
+        "--estimate-delays",
+    )  # fmt: skip
+    assert drive.rate == pytest.approx(25.0)
+    found = delays(report)
+    # Yaw rate trails yaw and velocity by more than a quarter second, a_x by a whole one.
+    assert found["r"]["delay"] == pytest.approx(0.33, abs=0.1) and found["r"]["refusal"] == ""
+    assert found["r"]["delay"] - found["yaw"]["delay"] == pytest.approx(0.24, abs=0.05)
+    assert found["ax"]["delay"] > 0.9
+    # Rear wheels lead v_x by a tenth, front wheels do not.
+    assert found["wheel_speed_rl"]["delay"] == pytest.approx(-0.097, abs=0.02)
+    assert abs(found["wheel_speed_fl"]["delay"]) < 0.04
+    # Evidence by another measure: dyaw/dt and r agree better after, as far as r's own filter lets them.
+    before, _ = ingest(
+        tmp_path, datasets / "av21_lvms" / "LVMS_23_01_04_B.csv",
+        "--map", "av21_lvms", "--vehicle", "av21", "--derive", "torque-from-throttle-and-brake",
+    )  # fmt: skip
+    assert _yaw_rate_misfit(drive) < 0.8 * _yaw_rate_misfit(before)
+    # Its a_x is filtered to half its size; that is said.
+    assert findings(report)[("ax", "scale")] == pytest.approx(0.5, abs=0.1)
+    # Wheel speeds in km/h and a brake in kPa arrive in SI.
+    assert np.nanmax(drive["wheel_speed_rl"]) < 25.0 and np.nanmax(drive["brake_pressure"]) > 2e6
+    assert drive["T"].min() < -500.0 and drive["T"].max() > 500.0
+
+
+def _yaw_rate_misfit(drive: Drive) -> float:
+    from scipy.ndimage import gaussian_filter1d
+
+    rate = np.gradient(gaussian_filter1d(drive["yaw"], 5.0), drive.period)
+    moving = drive["vx"] > 5.0
+    return float(np.sqrt(np.mean((gaussian_filter1d(drive["r"], 5.0) - rate)[moving] ** 2)))
+
+
+@pytest.mark.parametrize("name", ["data_to_run.csv", "data_to_train_12.csv"])
+def test_tum_a_log_without_time_gets_one_and_its_torque_is_the_sum(tmp_path, datasets, name):
+    drive, report = ingest(tmp_path, datasets / "tum_sim" / name, "--map", "tum_sim", "--vehicle", "tum_sim")
+    assert drive.rate == pytest.approx(100.0)
+    assert findings(report) == {}  # a simulation: its channels do fit together
+    assert any("0.008 s apart" in text for text in report["quality"]["assumed"])
+    raw = np.loadtxt(datasets / "tum_sim" / name, delimiter=",", comments="#")
+    total = raw[:, 6] + raw[:, 7] - 70.0 * (raw[:, 8] + raw[:, 9])
+    held = total[np.floor(drive["t"] / 0.008 + 1e-6).astype(int)]
+    np.testing.assert_allclose(drive["T"], held, atol=1e-6)
+    assert np.std(drive["vx"] - np.interp(drive["t"], 0.008 * np.arange(len(raw)), raw[:, 0])) < 0.01
+
+
+@pytest.mark.parametrize("name", ["genesis", "av21", "tum_sim"])
+def test_every_value_of_the_vehicles_says_where_it_is_from(name):
+    vehicle = read_vehicle(name)
+    tires = {f"{axle}_tire.{key}" for axle in ("front", "rear") for key in "BCD"}
+    said = set(vehicle.origins)
+    assert {"mass", "yaw_inertia", "cg_to_front_axle", "cg_to_rear_axle", "wheel_radius", *tires} <= said
+    assert set(vehicle.origins.values()) <= {"published", "assumed", "calibrated"}
+
+
+def test_the_published_stiffness_of_the_genesis_is_kept():
+    vehicle = read_vehicle("genesis")
+    assert vehicle.front_tire.cornering_stiffness == pytest.approx(2 * 76419, rel=1e-3)
+    assert vehicle.rear_tire.cornering_stiffness == pytest.approx(2 * 134851, rel=1e-3)

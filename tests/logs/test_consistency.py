@@ -1,0 +1,193 @@
+"""Consistency: each planted fault is named, with its factor; a sound drive says nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from split_cli.logs.assemble import IngestSettings, assemble_drive
+from split_cli.logs.consistency import Consistency
+from tests.logs.planted import UNITS, PlantedDrive, planted_map
+
+DEGREES = 180.0 / np.pi
+NOISE = {
+    "vx": 0.02,
+    "vy": 0.02,
+    "r": 0.003,
+    "yaw": 0.002,
+    "ax": 0.1,
+    "ay": 0.1,
+    "delta": 1e-3,
+    "X": 0.02,
+    "Y": 0.02,
+}
+
+
+@pytest.fixture(scope="module")
+def drive() -> PlantedDrive:
+    return PlantedDrive()
+
+
+def judged(drive: PlantedDrive, channels=tuple(UNITS), **recording) -> Consistency:
+    made = assemble_drive(
+        drive.recording(channels, noise={**NOISE, **recording.pop("noise", {})}, **recording),
+        planted_map(channels),
+        drive.vehicle,
+    )
+    return made.quality.consistency
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_a_sound_drive_has_no_findings(seed):
+    result = judged(PlantedDrive(seed=seed), seed=seed)
+    assert result.findings == ()
+    assert len(result.relations) == 8  # all of them were measured, none was skipped for want of excitation
+
+
+def test_delays_of_an_ordinary_logger_are_not_called_faults(drive):
+    assert judged(drive, delays={"r": 0.1, "ax": 0.15, "X": 0.2, "Y": 0.2, "delta": 0.1}).findings == ()
+
+
+@pytest.mark.parametrize(
+    ("fault", "channel", "words", "factor"),
+    [
+        ({"r": lambda v: v * DEGREES}, "r", "r is in deg/s", DEGREES),
+        ({"r": lambda v: -v}, "r", "r is left-handed", -1.0),
+        # What autoware reports of some cars: 57 times too large and inverted at once.
+        ({"r": lambda v: -v * DEGREES}, "r", "r is in deg/s, and has the opposite sign", -DEGREES),
+        ({"vx": lambda v: 3.6 * v}, "vx", "vx is in km/h", 3.6),
+        ({"vx": lambda v: v / 0.44704}, "vx", "vx is in mph", 1 / 0.44704),
+        ({"yaw": lambda v: -v}, "yaw", "yaw is clockwise positive", -1.0),
+        ({"yaw": lambda v: v * DEGREES}, "yaw", "yaw is in deg", 1 / DEGREES),
+        ({"delta": lambda v: v * DEGREES}, "delta", "delta is in deg ", DEGREES),
+        ({"delta": lambda v: -v}, "delta", "delta is right-positive", -1.0),
+        ({"delta": lambda v: 15.0 * v}, "delta", "steering-wheel angle ", 15.0),
+        (
+            {"delta": lambda v: -15.0 * v * DEGREES},
+            "delta",
+            "steering-wheel angle, right-positive, in degrees",
+            -859.4,
+        ),
+        ({"ax": lambda v: v / 9.80665}, "ax", "ax is in g", 1 / 9.80665),
+        ({"ay": lambda v: -v}, "ay", "ay is right-positive", -1.0),
+        ({"wheel_speed_fl": lambda v: 3.6 * v}, "wheel_speed_fl", "wheel_speed_fl is in km/h", 3.6),
+        ({"X": lambda v: v / 0.3048, "Y": lambda v: v / 0.3048}, "X", "X and Y are in ft", 0.3048),
+        ({"T": lambda v: v / 8.0}, "T", "torque of engine or motor", 1 / 8.0),
+        ({"T": lambda v: -v}, "T", "T is positive when braking", -1.0),
+    ],
+)
+def test_a_wrong_unit_or_sign_is_blamed_on_its_channel_with_the_measured_slope(
+    drive, fault, channel, words, factor
+):
+    result = judged(drive, altered=fault)
+    assert [finding.channel for finding in result.findings] == [channel]
+    assert words in result.findings[0].text
+    # The noise of a ratio of deviations over two minutes is within a few per cent.
+    assert result.findings[0].measured == pytest.approx(factor, rel=0.06)
+
+
+def test_two_faults_at_once_are_both_named(drive):
+    result = judged(drive, altered={"r": lambda v: v * DEGREES, "vx": lambda v: 3.6 * v})
+    assert {f.channel for f in result.findings} == {"r", "vx"}
+
+
+def test_the_shorter_story_wins(drive):
+    result = judged(
+        drive, ("vx", "vy", "r", "T", "delta", "yaw"), altered={"yaw": lambda v: -v, "delta": lambda v: -v}
+    )
+    # r left-handed explains yaw and delta alike; yaw and delta both wrong is the longer story.
+    assert [f.channel for f in result.findings] == ["r"]
+
+
+def test_where_nothing_recorded_decides_both_possibilities_are_told(drive):
+    channels = ("vx", "vy", "r", "T", "delta", "yaw")
+    recording = drive.recording(channels, altered={"yaw": lambda v: -v}, noise=NOISE)
+    (finding,) = assemble_drive(recording, planted_map(channels)).quality.consistency.findings
+    assert "r is left-handed" in finding.text and "Or: yaw is clockwise positive" in finding.text
+    assert "nothing recorded decides" in finding.text
+
+
+def test_a_factor_of_no_known_unit_is_told_as_such(drive):
+    result = judged(drive, altered={"vx": lambda v: 1.13 * v})
+    assert result.findings and all("no usual mistake" in f.text for f in result.findings)
+    assert any(f.measured == pytest.approx(1.13, rel=0.01) for f in result.findings)
+
+
+def test_swapped_velocities(drive):
+    recording = drive.recording(noise=NOISE)
+    recording.signals["vx"], recording.signals["vy"] = recording.signals["vy"], recording.signals["vx"]
+    result = assemble_drive(recording, planted_map(), drive.vehicle).quality.consistency
+    assert [f.check for f in result.findings] == ["swapped"] and "Exchange" in result.findings[0].text
+
+
+def test_exchanged_positions_are_a_mirrored_path(drive):
+    recording = drive.recording(noise=NOISE)
+    recording.signals["X"], recording.signals["Y"] = recording.signals["Y"], recording.signals["X"]
+    result = assemble_drive(recording, planted_map(), drive.vehicle).quality.consistency
+    assert any("mirrored" in f.text for f in result.findings)
+
+
+@pytest.mark.parametrize("bias", [-0.12, 0.2])
+def test_a_lateral_velocity_bias_is_measured_on_straights(drive, bias):
+    (finding,) = judged(drive, altered={"vy": lambda v: v + bias}).findings
+    assert (finding.channel, finding.check) == ("vy", "bias on straights")
+    assert finding.measured == pytest.approx(bias, abs=0.01)
+    assert f"offset: {-bias:.2f}"[:11] in finding.text
+
+
+def test_a_lateral_acceleration_bias_is_measured_on_straights(drive):
+    (finding,) = judged(drive, altered={"ay": lambda v: v - 0.64}).findings
+    assert finding.channel == "ay" and finding.measured == pytest.approx(-0.64, abs=0.03)
+
+
+def test_the_sign_and_the_place_of_lateral_velocity_follow_from_its_share_of_yaw_rate(drive):
+    (flipped,) = judged(drive, altered={"vy": lambda v: -v}).findings
+    assert flipped.channel == "vy" and flipped.check == "sign"
+    l_r = drive.vehicle.cg_to_rear_axle
+    recording = drive.recording(noise=NOISE)
+    at_axle = recording.signals["vy"].values - l_r * drive.at("r", recording.signals["vy"].time)
+    recording.signals["vy"] = replace(recording.signals["vy"], values=at_axle)
+    (placed,) = assemble_drive(recording, planted_map(), drive.vehicle).quality.consistency.findings
+    assert placed.check == "place" and "position: rear_axle" in placed.text
+    assert placed.measured == pytest.approx(0.0, abs=0.1)
+    # Following the advice leaves nothing to find, and gives v_y at the CG back.
+    moved = assemble_drive(recording, planted_map(vy={"position": "rear_axle"}), drive.vehicle)
+    assert moved.quality.consistency.findings == ()
+    np.testing.assert_allclose(moved.drive["vy"], drive.at("vy", moved.drive["t"]), atol=0.15)
+
+
+def test_yaw_with_another_zero_is_told_with_its_offset(drive):
+    (finding,) = judged(drive, altered={"yaw": lambda v: v + 0.5 * np.pi}).findings
+    assert finding.check == "direction" and finding.measured == pytest.approx(-0.5 * np.pi, abs=0.02)
+
+
+def test_low_excitation_is_said_instead_of_judged(drive):
+    still = {channel: (lambda v: 0.0 * v) for channel in ("r", "vy", "ay", "delta", "ax", "T")}
+    still["vx"] = lambda v: 0.0 * v + 15.0
+    quiet = {"X": lambda v: 15.0 * np.arange(len(v)) * 0.01, "Y": lambda v: 0.0 * v, "yaw": lambda v: 0.0 * v}
+    noise = {channel: 0.2 * sigma for channel, sigma in NOISE.items()}
+    recording = drive.recording(altered={**still, **quiet})
+    rng = np.random.default_rng(0)
+    for name, sigma in noise.items():
+        signal = recording.signals[name]
+        recording.signals[name] = replace(
+            signal, values=signal.values + sigma * rng.standard_normal(len(signal.values))
+        )
+    result = assemble_drive(recording, planted_map(), drive.vehicle).quality.consistency
+    assert [f for f in result.findings if f.check != "constant"] == []
+    assert {"r against dyaw/dt", "a_x against dv_x/dt - v_y r", "delta against L r/v_x"} <= {
+        u.check for u in result.unjudged
+    }
+
+
+def test_a_channel_that_never_changes_is_said(drive):
+    result = judged(drive, altered={"vy": lambda v: 0.0 * v}, noise={"vy": 0.0})
+    assert any(f.check == "constant" and f.channel == "vy" for f in result.findings)
+
+
+def test_kilometres_an_hour_declared_as_metres_a_second_are_found_after_ingest(drive):
+    recording = drive.recording(noise=NOISE, altered={"vx": lambda v: 3.6 * v})
+    result = assemble_drive(recording, planted_map(), drive.vehicle, IngestSettings()).quality
+    assert any("km/h" in finding.text and "slope 3.6" in finding.text for finding in result.consistency.findings)
