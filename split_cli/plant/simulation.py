@@ -20,6 +20,7 @@ from split_cli.plant.drivers import (
     speed_profile,
     varied,
 )
+from split_cli.plant.faults import SOUND, Faults
 from split_cli.plant.road import Road
 from split_cli.plant.tracks import Track
 
@@ -127,9 +128,7 @@ def _channel(run: Trajectory, name: str) -> np.ndarray:
     quantity, _, corner = name.rpartition("_")
     if corner in _CORNERS and quantity in ("wheel_speed", "load"):
         wheel = _CORNERS.index(corner)
-        return (
-            run.states[:, _compiled.WHEEL + wheel] if quantity == "wheel_speed" else run.outputs[:, 2 + wheel]
-        )
+        return run.states[:, _compiled.WHEEL + wheel] if quantity == "wheel_speed" else run.outputs[:, 2 + wheel]
     raise KeyError(name)
 
 
@@ -160,6 +159,7 @@ def drive_laps(
     duration: float | None = None,
     seed: int = 0,
     road: Road | None = None,
+    faults: Faults = SOUND,
     sample_period: float = 2e-3,
 ) -> Trajectory:
     """Drive a number of laps with a flying start on the first straight.
@@ -174,6 +174,8 @@ def drive_laps(
         Of the person and of the unrest; the same seed gives the same drive.
     road : Road, optional
         Surroundings the driver does not know of; level and dry by default.
+    faults : Faults
+        What is wrong with the car and the driver does not know of.
 
     Raises
     ------
@@ -212,6 +214,7 @@ def drive_laps(
         road or Road(),
         distance,
         sample_period,
+        faults=faults,
         may_time_out=duration is not None,
     )
 
@@ -245,7 +248,19 @@ def drive_script(
 
 
 def _simulate(
-    car, start, script, track, profile, style, seed, road, distance, sample_period, *, may_time_out=False
+    car,
+    start,
+    script,
+    track,
+    profile,
+    style,
+    seed,
+    road,
+    distance,
+    sample_period,
+    *,
+    faults=SOUND,
+    may_time_out=False,
 ) -> Trajectory:
     keep = int(round(sample_period / STEP))
     substeps = int(round(CONTROL_PERIOD / STEP))
@@ -272,7 +287,8 @@ def _simulate(
     tables = _ScriptTables(script.torque, script.steer, script.speed, np.where(np.isnan(slope), 0.0, slope))
     stop = _StopTables(float(min(distance, 1e300)), car.crawl_speed, float(min(off_track, 1e300)))
     times, states, outputs, places, torques, steers, reason = _compiled.run(
-        start, 0.0, as_numbers(car), road.tables(), path, plan, tables, driver_tables(car, style, grip),
+        start, 0.0, as_numbers(car), as_numbers(faults), road.tables(), path, plan, tables,
+        driver_tables(car, style, grip),
         CONTROL_PERIOD, STEP, substeps, keep, stop,
     )  # fmt: skip
     if reason in _ENDINGS and not (may_time_out and reason == _compiled.OUT_OF_TIME):
