@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -197,7 +198,7 @@ class _Resolver:
         missing: list[tuple[str, str]] = []
         for entry in self.map.channels:
             names = [[self._resolve(name) for name in self._expand(source)] for source in entry.sources]
-            absent = [name for group in names for name in group if name not in self.infos]
+            absent = [name for group in names for name in group if not self._recorded(name)]
             if not absent:
                 found[entry.channel] = names
             elif entry.optional and entry.channel not in needed:
@@ -213,6 +214,10 @@ class _Resolver:
                 advice=f"{nearest_names(absent, self.infos)} `split ingest LOG --list` shows all.",
             )
         return found, skipped
+
+    def _recorded(self, name: str) -> bool:
+        """Whether a name is listed; a list of a message whose length varies is listed by its first element."""
+        return name in self.infos or re.sub(r"\[\d+\]", "[0]", name) in self.infos
 
     def _expand(self, source: Source) -> list[str]:
         suffixes = _SUFFIXES.get(source.convert, ())

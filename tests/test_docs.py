@@ -1,0 +1,46 @@
+"""What the documentation shows is what the program accepts."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from split_cli.logs.signal_map import map_from_mapping
+from split_cli.vehicle.parameters import vehicle_from_mapping
+from split_cli.vehicle.single_track import SingleTrack
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([*ROOT.glob("docs/**/*.md"), ROOT / "README.md", ROOT / "sample_logs" / "README.md"])
+
+
+def yaml_blocks(page: str) -> list[dict]:
+    text = (ROOT / "docs" / page).read_text()
+    return [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", text, flags=re.S)]
+
+
+def test_the_vehicle_file_of_the_docs_is_a_vehicle_with_a_working_effect():
+    content = next(block for block in yaml_blocks("formats.md") if "mass" in block)
+    car = vehicle_from_mapping(content)
+    plain = SingleTrack(car, terms=())
+    # 0.08 N/(m/s)^2 of added drag at 30 m/s on 1500 kg.
+    loss = plain.velocity_derivative(30.0, 0.0, 0.0, 0.0, 0.0)[0] - SingleTrack(car).velocity_derivative(
+        30.0, 0.0, 0.0, 0.0, 0.0
+    )[0]  # fmt: skip
+    assert loss == pytest.approx(0.08 * 900.0 / 1500.0)
+
+
+def test_the_signal_map_of_the_docs_is_a_map():
+    content = next(block for block in yaml_blocks("formats.md") if "channels" in block)
+    read = map_from_mapping(content)
+    assert read.channel("delta").sources[0].delay == pytest.approx(0.04)
+    assert len(read.channel("T").sources) == 3
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_between_pages_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
