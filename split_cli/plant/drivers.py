@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -134,6 +135,7 @@ class Grip:
     lateral_spacing: float
 
 
+@lru_cache(maxsize=64)
 def grip_of(car: CarParameters, friction: float = 1.0) -> Grip:
     """Return what a car can do: the axle that saturates first decides, with load transfer.
 

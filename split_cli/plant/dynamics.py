@@ -40,7 +40,8 @@ STATE_NAMES = (
     "torque", "steer", "ax_load", "ax_load_rate", "ay_load", "ay_load_rate",
 )  # fmt: skip
 """The state vector: pose [m, m, rad], velocities [m/s, m/s, rad/s], wheel spins [rad/s], relaxed slips [1],
-delivered torque [N m] and steer angle [rad], specific forces as the suspension passes them on [m/s^2], their rates.
+delivered torque [N m] and steer angle [rad], specific forces as the suspension passes them on [m/s^2] with their
+rates.
 """
 
 OUTPUT_NAMES = (
@@ -73,11 +74,8 @@ class Surroundings:
     wind_y: float = 0.0
 
     def vector(self) -> np.ndarray:
-        """Return the row that compiled code takes: friction at both axles, and no fault."""
-        row = np.zeros(_compiled.ENV_SIZE)
-        row[: _compiled.ENV_FRICTION_REAR] = self.friction, self.grade, self.bank, self.wind_x, self.wind_y
-        row[_compiled.ENV_FRICTION_REAR] = self.friction
-        return row
+        """Return the five numbers, shape (5,)."""
+        return np.array([self.friction, self.grade, self.bank, self.wind_x, self.wind_y])
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.plant._compiled import tire_force_many
+from split_cli.plant._numbers import as_numbers
+
 __all__ = ["TireParameters", "tire_force"]
 
 
@@ -102,14 +105,14 @@ def tire_force(
 
     Pacejka, Tyre and Vehicle Dynamics, 2nd ed. 2006, eqs. (4.E9) to (4.E68) without shifts.
     """
-    from split_cli.plant._compiled import tire_force_one
-    from split_cli.plant._numbers import as_numbers
-
-    numbers = as_numbers(tire)
     kappa, alpha, weight = np.broadcast_arrays(slip_ratio, slip_angle, load)
-    force = np.empty((2, *kappa.shape))
-    for index in np.ndindex(kappa.shape):
-        force[(0, *index)], force[(1, *index)] = tire_force_one(
-            float(kappa[index]), float(np.tan(alpha[index])), float(weight[index]), float(friction), numbers
-        )
-    return force[0], force[1]
+    force = np.empty((2, kappa.size))
+    tire_force_many(
+        np.ravel(kappa).astype(float),
+        np.tan(np.ravel(alpha).astype(float)),
+        np.ravel(weight).astype(float),
+        float(friction),
+        as_numbers(tire),
+        force,
+    )
+    return force[0].reshape(kappa.shape), force[1].reshape(kappa.shape)
