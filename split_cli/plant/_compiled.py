@@ -32,8 +32,23 @@ OUT_STEER_LEFT, OUT_STEER_RIGHT = 19, 20
 OUT_SIZE = 21
 
 # Surroundings of the car at one instant.
-ENV_FRICTION, ENV_GRADE, ENV_BANK, ENV_WIND_X, ENV_WIND_Y = 0, 1, 2, 3, 4
-ENV_SIZE = 5
+ENV_FRICTION, ENV_GRADE, ENV_BANK, ENV_WIND_X, ENV_WIND_Y, ENV_FRICTION_REAR = 0, 1, 2, 3, 4, 5
+# What a fault does at that instant; see `faults`. All zero in a sound car.
+ENV_FORCE_Y, ENV_MOMENT, ENV_REAR_STEER = 6, 7, 8
+ENV_GRIP_LOSS, ENV_DRAG_TORQUE = 9, 13
+ENV_SIZE = 17
+
+# What faults remember.
+MEM_WHEEL_ANGLE, MEM_BRAKE_HEAT, MEM_TIRE_HEAT, MEM_STUCK, MEM_SLOSH, MEM_SLOSH_RATE, MEM_PULSE = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+)
+MEM_SIZE = 7
 
 # Why a run ended.
 FINISHED, TOO_SLOW, LEFT_TRACK, SPUN, NOT_FINITE, OUT_OF_TIME = 0, 1, 2, 3, 4, 5
@@ -56,9 +71,7 @@ def tire_force_one(kappa, tangent, load, friction, tire):
     fx = peak * math.sin(tire.p_cx1 * math.atan(b - curvature * (b - math.atan(b))))
 
     peak = (tire.p_dy1 + tire.p_dy2 * df) * load * friction
-    slope = (
-        tire.p_ky1 * tire.nominal_load * math.sin(2.0 * math.atan(load / (tire.p_ky2 * tire.nominal_load)))
-    )
+    slope = tire.p_ky1 * tire.nominal_load * math.sin(2.0 * math.atan(load / (tire.p_ky2 * tire.nominal_load)))
     curvature = tire.p_ey1 + tire.p_ey2 * df
     b = slope / (tire.p_cy1 * peak) * alpha
     fy = peak * math.sin(tire.p_cy1 * math.atan(b - curvature * (b - math.atan(b))))
@@ -155,7 +168,7 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
         if is_front:
             angle = steer_left if is_left else steer_right
         else:
-            angle = -car.toe_rear if is_left else car.toe_rear
+            angle = env[ENV_REAR_STEER] + (-car.toe_rear if is_left else car.toe_rear)
         cos_a, sin_a = math.cos(angle), math.sin(angle)
         hub_x = vx - side * r
         hub_y = vy + arm * r
@@ -168,7 +181,10 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
 
         dx[SLIP + wheel] = (rim - along - speed * x[SLIP + wheel]) / tire.relaxation_longitudinal
         dx[TANGENT + wheel] = (-across - speed * x[TANGENT + wheel]) / tire.relaxation_lateral
-        fx, fy = tire_force_one(x[SLIP + wheel], x[TANGENT + wheel], load, env[ENV_FRICTION], tire)
+        friction = env[ENV_FRICTION] if is_front else env[ENV_FRICTION_REAR]
+        fx, fy = tire_force_one(x[SLIP + wheel], x[TANGENT + wheel], load, friction, tire)
+        fx *= 1.0 - env[ENV_GRIP_LOSS + wheel]
+        fy *= 1.0 - env[ENV_GRIP_LOSS + wheel]
 
         other = x[WHEEL + wheel + (1 if is_left else -1)]
         # Brakes and rolling resistance turn with the wheel; near standstill the sign is let go smoothly.
@@ -176,6 +192,7 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
         applied = 0.5 * (split if is_front else 1.0 - split) * torque
         if torque < 0.0:
             applied *= turning
+        applied -= env[ENV_DRAG_TORQUE + wheel] * turning
         rolling = tire.rolling_resistance * load * car.wheel_radius * turning
         locked = locking * (other - spin)
         dx[WHEEL + wheel] = (applied + locked - rolling - fx * car.wheel_radius) / inertia
@@ -261,12 +278,16 @@ def interpolate(table, position, closed):
 
 
 @compiled
-def surroundings(s, t, road, env):
-    """Write friction, grade, bank and wind at track position `s` and time `t`."""
+def surroundings(s, t, road, car, env):
+    """Write grade, bank and wind at track position `s` of the CG and time `t`, and friction where each axle is."""
     position = s / road.spacing
     closed = road.closed > 0.5
     moment = t / road.time_spacing
-    env[ENV_FRICTION] = interpolate(road.friction, position, closed) * interpolate(road.grip, moment, False)
+    grip = interpolate(road.grip, moment, False)
+    front = (s + car.cg_to_front_axle) / road.spacing
+    rear = (s - car.cg_to_rear_axle) / road.spacing
+    env[ENV_FRICTION] = interpolate(road.friction, front, closed) * grip
+    env[ENV_FRICTION_REAR] = interpolate(road.friction, rear, closed) * grip
     env[ENV_GRADE] = interpolate(road.grade, position, closed)
     env[ENV_BANK] = interpolate(road.bank, position, closed)
     env[ENV_WIND_X] = interpolate(road.wind_x, moment, False)
@@ -337,9 +358,7 @@ def torque_for(x, target_speed, target_acceleration, driver, car, noise):
     vx = x[VX]
     mass = car.mass + 2.0 * (car.wheel_inertia_front + car.wheel_inertia_rear) / car.wheel_radius**2
     resistance = 0.5 * car.air_density * car.drag_area * vx * vx
-    resistance += (
-        car.mass * GRAVITY * 0.5 * (car.front_tire.rolling_resistance + car.rear_tire.rolling_resistance)
-    )
+    resistance += car.mass * GRAVITY * 0.5 * (car.front_tire.rolling_resistance + car.rear_tire.rolling_resistance)
     force = mass * (target_acceleration + driver.speed_gain * (target_speed - vx)) + resistance
     torque = car.wheel_radius * force * (1.0 + noise)
     slipping = 0.0
@@ -355,7 +374,74 @@ def torque_for(x, target_speed, target_acceleration, driver, car, noise):
 
 
 @compiled
-def run(x0, s0, car, road, path, plan, script, driver, control, step, substeps, keep, stop):
+def disturb(x, torque, steer, faults, car, out, memory, env, step):
+    """Let faults act: return torque and steer angle as they arrive, write the rest to `env`; see `faults`."""
+    vx, r = x[VX], x[R]
+    spin = 0.25 * (x[WHEEL] + x[WHEEL + 1] + x[WHEEL + 2] + x[WHEEL + 3])
+    delivered = x[TORQUE]
+
+    braking = max(-delivered, 0.0)
+    heat = memory[MEM_BRAKE_HEAT]
+    power = braking * spin
+    memory[MEM_BRAKE_HEAT] += step * (power / faults.brake_heat_capacity - heat / faults.brake_cooling_time)
+    if torque < 0.0:
+        torque *= 1.0 - faults.brake_fade * min(heat, 1.0)
+    elif torque > 0.0:
+        torque *= 1.0 - faults.torque_bend * torque / car.max_torque
+
+    memory[MEM_WHEEL_ANGLE] += step * spin
+    torque += faults.ripple * car.max_torque * math.sin(faults.ripple_order * memory[MEM_WHEEL_ANGLE])
+    steer += faults.torque_steer * delivered / car.max_torque
+    env[ENV_REAR_STEER] = faults.rear_steer * x[STEER] * (vx / faults.rear_steer_speed - 1.0)
+
+    sliding = max(out[OUT_POWER_TIRE], 0.0)
+    warm = memory[MEM_TIRE_HEAT]
+    memory[MEM_TIRE_HEAT] += step / faults.tire_heat_time * (sliding / faults.tire_heat_power - warm)
+    warm_loss = faults.tire_heat_loss * min(warm, 1.0)
+    env[ENV_GRIP_LOSS] = 1.0 - (1.0 - faults.grip_loss_fl) * (1.0 - warm_loss)
+    env[ENV_GRIP_LOSS + 1] = 1.0 - (1.0 - faults.grip_loss_fr) * (1.0 - warm_loss)
+    env[ENV_GRIP_LOSS + 2] = 1.0 - (1.0 - faults.grip_loss_rl) * (1.0 - warm_loss)
+    env[ENV_GRIP_LOSS + 3] = 1.0 - (1.0 - faults.grip_loss_rr) * (1.0 - warm_loss)
+
+    stuck = faults.stuck_brake * braking
+    if stuck > memory[MEM_STUCK]:
+        memory[MEM_STUCK] = stuck
+    memory[MEM_STUCK] -= step * memory[MEM_STUCK] / faults.stuck_brake_time
+    env[ENV_DRAG_TORQUE] = memory[MEM_STUCK] if braking == 0.0 else 0.0
+
+    w, zeta = TURN * faults.slosh_frequency, 0.1
+    push = w * w * memory[MEM_SLOSH] + 2.0 * zeta * w * memory[MEM_SLOSH_RATE]
+    # The liquid's mass is part of the car's, so only what it does beyond a frozen load is added.
+    env[ENV_FORCE_Y] = faults.slosh_mass * (push + out[OUT_AY])
+    env[ENV_MOMENT] = faults.slosh_arm * env[ENV_FORCE_Y]
+    memory[MEM_SLOSH_RATE] -= step * (push + out[OUT_AY])
+    memory[MEM_SLOSH] += step * memory[MEM_SLOSH_RATE]
+
+    rear_angle = math.atan2(x[VY] - car.cg_to_rear_axle * r, vx)
+    if abs(rear_angle) > faults.pulse_threshold and memory[MEM_PULSE] <= -faults.pulse_pause:
+        memory[MEM_PULSE] = faults.pulse_time
+    memory[MEM_PULSE] -= step
+    # The brake of the front wheel on the outside of the turn.
+    outside = 1 if r > 0.0 else 0
+    env[ENV_DRAG_TORQUE + 1] = 0.0
+    if memory[MEM_PULSE] > 0.0:
+        env[ENV_DRAG_TORQUE + outside] += faults.pulse_torque
+    return torque, steer
+
+
+@compiled
+def arriving(t, torques, steers, played, x0, car, control):
+    """Return the torque and steer commands that reach the actuators at `t`: late, scaled, through the play."""
+    late = int(math.floor((t - car.drive_delay) / control + 1e-9))
+    torque = torques[late] if late >= 0 else x0[TORQUE]
+    late = int(math.floor((t - car.steer_delay) / control + 1e-9))
+    steer = car.steer_gain * (steers[late] if late >= 0 else x0[STEER])
+    half_play = 0.5 * car.steer_backlash
+    return torque, min(max(played, steer - half_play), steer + half_play)
+
+
+@compiled
+def run(x0, s0, car, faults, road, path, plan, script, driver, control, step, substeps, keep, stop):
     """Drive the car; see `simulation.simulate`.
 
     A script value that is NaN leaves the choice to the driver, an infinite one holds the last command.
@@ -371,7 +457,9 @@ def run(x0, s0, car, road, path, plan, script, driver, control, step, substeps, 
     x = x0.copy()
     work = np.empty((5, STATE_SIZE))
     out = np.empty(OUT_SIZE)
-    env = np.empty(ENV_SIZE)
+    out[:] = 0.0
+    env = np.zeros(ENV_SIZE)
+    memory = np.zeros(MEM_SIZE)
     on_track = path.length > 0.0
     s = s0
     error = 0.0
@@ -426,23 +514,50 @@ def run(x0, s0, car, road, path, plan, script, driver, control, step, substeps, 
 
         for j in range(substeps):
             t = k * control + j * step
-            late = int(math.floor((t - car.drive_delay) / control + 1e-9))
-            torque_now = torques[late] if late >= 0 else x0[TORQUE]
-            late = int(math.floor((t - car.steer_delay) / control + 1e-9))
-            steer_now = car.steer_gain * (steers[late] if late >= 0 else x0[STEER])
-            half_play = 0.5 * car.steer_backlash
-            played = min(max(played, steer_now - half_play), steer_now + half_play)
-            surroundings(s, t, road, env)
+            torque_now, played = arriving(t, torques, steers, played, x0, car, control)
+            torque_in, steer_in = torque_now, played
+            surroundings(s, t, road, car, env)
+            if faults.active > 0.0:
+                torque_in, steer_in = disturb(x, torque_now, played, faults, car, out, memory, env, step)
             if j % keep == 0:
-                derivative(x, torque_now, played, env, car, work[0], out)
+                derivative(x, torque_in, steer_in, env, car, work[0], out)
                 times[row] = t
                 states[row] = x
                 outs[row] = out
                 places[row] = s
                 row += 1
-            rk4_step(x, torque_now, played, env, car, step, work, out)
+            rk4_step(x, torque_in, steer_in, env, car, step, work, out)
             s += math.sqrt(x[VX] * x[VX] + x[VY] * x[VY]) * step
     return times[:row], states[:row], outs[:row], places[:row], torques[:used], steers[:used], reason
+
+
+@compiled
+def follow(motion, places, torques, steers, x0, car, road, control, step, keep, window):
+    """Predict a recorded motion piece by piece with a car of one's own; see `replay.predict`."""
+    rows = motion.shape[0]
+    count = (rows - 1) // window
+    predicted = np.empty((count, 3))
+    x = x0.copy()
+    work = np.empty((5, STATE_SIZE))
+    out = np.zeros(OUT_SIZE)
+    env = np.zeros(ENV_SIZE)
+    played = car.steer_gain * x0[STEER]
+    free = x.copy()
+    for row in range(count * window):
+        for i in range(6):
+            x[i] = motion[row, i]
+        if row % window == 0:
+            if row > 0:
+                predicted[row // window - 1] = free[VX : R + 1]
+            free[:] = x
+        for j in range(keep):
+            t = (row * keep + j) * step
+            torque, played = arriving(t, torques, steers, played, x0, car, control)
+            surroundings(places[row], t, road, car, env)
+            rk4_step(x, torque, played, env, car, step, work, out)
+            rk4_step(free, torque, played, env, car, step, work, out)
+    predicted[count - 1] = free[VX : R + 1]
+    return predicted
 
 
 @compiled

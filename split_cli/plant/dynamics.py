@@ -74,8 +74,11 @@ class Surroundings:
     wind_y: float = 0.0
 
     def vector(self) -> np.ndarray:
-        """Return the five numbers, shape (5,)."""
-        return np.array([self.friction, self.grade, self.bank, self.wind_x, self.wind_y])
+        """Return the row that compiled code takes: friction at both axles, and no fault."""
+        row = np.zeros(_compiled.ENV_SIZE)
+        row[: _compiled.ENV_FRICTION_REAR] = self.friction, self.grade, self.bank, self.wind_x, self.wind_y
+        row[_compiled.ENV_FRICTION_REAR] = self.friction
+        return row
 
 
 @dataclass(frozen=True)
