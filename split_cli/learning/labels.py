@@ -188,7 +188,7 @@ def compute_labels(
     region = region or Region.of(vehicle)
     model = SingleTrack(vehicle)
     window = window_samples(horizon, drive.period)
-    starts = _window_starts(drive, window, stride or window)
+    starts = _window_starts(drive, window, window if stride is None else stride)
     z = features.compute(model, drive)[starts]
     reason = _reject(drive, model, region, starts, window, z)
     y = np.full((len(starts), 3), np.nan)

@@ -205,11 +205,11 @@ class _Run:
         self.paths, self.vehicle, self.settings, self.rows, self.say = paths, vehicle, settings, rows, say
         if known is not None:
             self.features, self.region, self.plain = known.features, known.region, known.plain
-            self.horizon = settings.horizon or known.horizon
+            self.horizon = known.horizon if settings.horizon is None else settings.horizon
         else:
             self.features = parse_features(settings.features or "z2")
             self.region, self.plain = Region.of(vehicle), settings.plain
-            self.horizon = settings.horizon or DEFAULT_HORIZON
+            self.horizon = DEFAULT_HORIZON if settings.horizon is None else settings.horizon
         self.seen = {source.sha256: source.name for source in known.sources} if known else {}
         self.notes: list[str] = []
 

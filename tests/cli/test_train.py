@@ -1,0 +1,294 @@
+"""`split label` and `split train` as a user runs them: files reopened with the library, values compared."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from split_cli.cli.main import group, main
+from split_cli.errors import SplitError
+from split_cli.learning.cells import recompute_gains
+from split_cli.learning.features import Z1, Z2
+from split_cli.learning.kernel_file import kernel_to_yaml
+from split_cli.learning.label_file import read_labels
+from split_cli.learning.labels import compute_labels
+from split_cli.learning.training_set import read_set
+from split_cli.logs.drive import read_drive, write_drive
+from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows.train import TrainSettings, train_set
+from tests.factories import MissingForce, make_drive, road_car
+
+TERM = MissingForce({"front_grip_loss": 0.1, "front_lateral": 150.0})
+
+
+@pytest.fixture(scope="module")
+def garage(tmp_path_factory) -> Path:
+    """A folder with three drives, a vehicle and given hyperparameters."""
+    folder = tmp_path_factory.mktemp("garage")
+    car = road_car()
+    write_vehicle(car, folder / "car.yaml")
+    write_vehicle(road_car(mass=1600.0), folder / "other.yaml")
+    for number in range(3):
+        drive = make_drive(number, segments=40, seconds=3.0, vehicle=car, terms=[TERM], name=f"d{number}.parquet")
+        write_drive(drive, folder / drive.name)
+    (folder / "kernel.yaml").write_text(
+        "length_scales: {alpha_f: 0.05, alpha_r: 0.05, torque_ratio: 0.3}\n"
+        "signal_variance: {vx: 0.1, vy: 0.2, r: 0.1}\nnoise_variance: {vx: 0.01, vy: 0.01, r: 0.01}\n"
+    )
+    return folder
+
+
+def run(*arguments: object):
+    return CliRunner().invoke(group, [str(part) for part in arguments], catch_exceptions=True)
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def drives_of(garage: Path) -> list[Path]:
+    return [garage / f"d{number}.parquet" for number in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("features", "hyperparameters"),
+    [("z2", "kernel.yaml"), ("z2", "default"), ("z1", "default"), ("alpha_f,alpha_r,speed,steer_rate", "default")],
+)
+def test_one_run_equals_appended_runs_and_any_batch(garage, tmp_path, features, hyperparameters):
+    if hyperparameters == "kernel.yaml":
+        hyperparameters = garage / hyperparameters
+    first, second, third = drives_of(garage)
+    common = ("--vehicle", garage / "car.yaml")
+    new = ("--features", features, "--hyperparameters", hyperparameters)
+    one, two = tmp_path / "one.split", tmp_path / "two.split"
+    assert run("train", first, second, third, *common, *new, "-o", one).exit_code == 0
+    assert run("train", first, *common, *new, "-o", two).exit_code == 0
+    assert run("train", second, third, *common, "--append", "-o", two).exit_code == 0
+    assert digest(one) == digest(two)
+    settings = TrainSettings(features=features, hyperparameters=str(hyperparameters))
+    for batch in (37, 1000):
+        train_set([first, second, third], garage / "car.yaml", two, settings, batch=batch)
+        assert digest(one) == digest(two)
+    assert read_set(one).size > 500
+
+
+def test_a_fitted_kernel_is_kept_by_appending_and_repeats(garage, tmp_path):
+    first, second, _ = drives_of(garage)
+    one, two = tmp_path / "one.split", tmp_path / "two.split"
+    for path in (one, two):
+        assert run("train", first, "--vehicle", garage / "car.yaml", "-o", path).exit_code == 0
+    assert digest(one) == digest(two)
+    fitted = read_set(one)
+    assert fitted.kernel.origin == "fitted"
+    assert run("train", second, "--vehicle", garage / "car.yaml", "--append", "-o", one).exit_code == 0
+    appended = read_set(one)
+    assert appended.kernel.length_scales.tolist() == fitted.kernel.length_scales.tolist()
+    # Given to a fresh run, the fitted values give the same points.
+    given = tmp_path / "fitted.yaml"
+    given.write_text(kernel_to_yaml(fitted.kernel, fitted.features))
+    both = ("train", first, second, "--vehicle", garage / "car.yaml", "-o", two, "--hyperparameters", given)
+    assert run(*both).exit_code == 0
+    assert read_set(two).gamma.tobytes() == appended.gamma.tobytes()
+
+
+def test_another_process_writes_the_same_bits(garage, tmp_path):
+    first = drives_of(garage)[0]
+    arguments = ["train", str(first), "--vehicle", str(garage / "car.yaml"), "-o"]
+    assert run(*arguments, tmp_path / "one.split").exit_code == 0
+    command = [sys.executable, "-m", "split_cli", *arguments, str(tmp_path / "two.split")]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    assert digest(tmp_path / "one.split") == digest(tmp_path / "two.split")
+
+
+def test_json_accounts_for_every_sample_and_matches_the_file(garage, tmp_path):
+    path = tmp_path / "a.split"
+    outcome = run("train", *drives_of(garage), "--vehicle", garage / "car.yaml", "-o", path, "--json")
+    told = json.loads(outcome.stdout)
+    trained = read_set(path)
+    assert [row["drive"] for row in told["rows"]] == ["d0.parquet", "d1.parquet", "d2.parquet"]
+    for row in [*told["rows"], told["total"]]:
+        rejected = dict(row["rejected"])
+        assert row["samples"] == row["accepted"] + sum(n for r, n in rejected.items() if r != "gain")
+        assert row["accepted"] == row["updates"] + rejected["gain"]
+        assert row["microseconds"] > 0
+    assert told["total"]["points"] == trained.size
+    assert told["total"]["cells"] == trained.cell_count
+    assert told["total"]["valid_share"] == pytest.approx(trained.valid_share())
+    assert told["total"]["samples"] == sum(row["samples"] for row in told["rows"])
+    np.testing.assert_allclose(told["kernel"]["length_scales"], trained.kernel.length_scales, rtol=1e-12)
+    assert trained.gamma.tobytes() == recompute_gains(trained).tobytes()
+
+
+def test_the_table_has_a_row_a_drive_and_a_total(garage, tmp_path):
+    outcome = run("train", *drives_of(garage), "--vehicle", garage / "car.yaml", "-o", tmp_path / "a.split")
+    lines = outcome.stdout.splitlines()
+    assert lines[0].split()[:3] == ["drive", "samples", "accepted"]
+    for column in ("gap", "gain", "updates", "set size", "cells", "valid region %", "us/sample", "MB"):
+        assert column in lines[0]
+    assert [line.split()[0] for line in lines[2:6]] == ["d0.parquet", "d1.parquet", "d2.parquet", "total"]
+    assert outcome.stderr == ""  # not a terminal: no progress
+
+
+def test_points_are_the_labels_of_their_rows(garage, tmp_path):
+    path = tmp_path / "a.split"
+    run("train", *drives_of(garage), "--vehicle", garage / "car.yaml", "-o", path, "--hyperparameters", "default")
+    trained = read_set(path)
+    for source, drive_path in enumerate(drives_of(garage)):
+        drive = read_drive(drive_path)
+        labels = compute_labels(drive, road_car(), Z2, stride=1)
+        mine = trained.source == source
+        place = np.searchsorted(labels.row, trained.row[mine])
+        np.testing.assert_array_equal(trained.y[mine], labels.y[place])
+        np.testing.assert_array_equal(trained.z[mine], labels.z[place])
+        np.testing.assert_array_equal(trained.t[mine], drive["t"][trained.row[mine]])
+        assert trained.sources[source].sha256 == drive.sha256
+
+
+def test_excluded_time_is_not_learned(garage, tmp_path):
+    path = tmp_path / "a.split"
+    options = ("--vehicle", garage / "car.yaml", "-o", path, "--hyperparameters", "default")
+    assert (
+        run("train", drives_of(garage)[0], *options, "--exclude", "20:60", "--exclude", "100:120").exit_code == 0
+    )
+    trained = read_set(path)
+    window = trained.sources[0].horizon
+    for begin, end in ((20.0, 60.0), (100.0, 120.0)):
+        assert not ((trained.t + window >= begin) & (trained.t < end)).any()
+    assert trained.size > 300
+    drive = read_drive(drives_of(garage)[0])
+    rows = ~(((drive["t"] >= 20) & (drive["t"] < 60)) | ((drive["t"] >= 100) & (drive["t"] < 120)))
+    settings = TrainSettings(hyperparameters="default")
+    train_set(drives_of(garage)[:1], garage / "car.yaml", tmp_path / "b.split", settings, rows=[rows])
+    assert digest(path) == digest(tmp_path / "b.split")
+    assert run("train", drives_of(garage)[0], *options, "--exclude", "60:20").exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--vehicle", "other.yaml"), "was trained for the vehicle 'test car'"),
+        (
+            ("--vehicle", "car.yaml", "--features", "z1"),
+            "its features: alpha_f, alpha_r, torque_ratio; asked for: vx",
+        ),
+        (("--vehicle", "car.yaml", "--capacity", "5"), "its capacity: 10; asked for: 5"),
+        (("--vehicle", "car.yaml", "--plain-labels"), "its plain labels: False; asked for: True"),
+        (("--vehicle", "car.yaml", "--hyperparameters", "fit"), "keeps its hyperparameters"),
+    ],
+)
+def test_append_refuses_what_does_not_fit_and_leaves_the_set(garage, tmp_path, arguments, message):
+    path = tmp_path / "a.split"
+    first, second, _ = drives_of(garage)
+    assert run("train", first, "--vehicle", garage / "car.yaml", "-o", path).exit_code == 0
+    before = path.read_bytes()
+    named = [garage / part if part.endswith(".yaml") else part for part in arguments]
+    outcome = run("train", second, *named, "--append", "-o", path)
+    assert isinstance(outcome.exception, SplitError)
+    assert message in str(outcome.exception)
+    assert path.read_bytes() == before
+
+
+def test_bad_input_is_one_line_and_exit_code_1(garage, tmp_path):
+    (tmp_path / "cut.parquet").write_bytes(drives_of(garage)[0].read_bytes()[:5000])
+    (tmp_path / "cut.split").write_bytes(b"ARROW1")
+    drive = read_drive(drives_of(garage)[0])
+    short = drive.select(slice(0, 2))
+    write_drive(short, tmp_path / "short.parquet")
+    holes = {**drive.columns, "r": np.where(np.arange(len(drive)) == 77, np.nan, drive["r"])}
+    write_drive(replace(drive, columns=holes), tmp_path / "holes.parquet")
+    slow = {**drive.columns, "vx": 0.01 * drive["vx"]}
+    write_drive(replace(drive, columns=slow), tmp_path / "slow.parquet")
+    car = str(garage / "car.yaml")
+    good = str(drives_of(garage)[0])
+    cases = [
+        (["train", str(tmp_path / "cut.parquet"), "--vehicle", car], "cut.parquet: cannot be read as a drive"),
+        (["train", str(tmp_path / "none.parquet"), "--vehicle", car], "none.parquet: no such file"),
+        (
+            ["train", str(tmp_path / "short.parquet"), "--vehicle", car, "--horizon", "0.1"],
+            "too short for a label",
+        ),
+        (
+            ["train", str(tmp_path / "holes.parquet"), "--vehicle", car],
+            "non-finite values in r, the first in row 77",
+        ),
+        (["train", str(tmp_path / "slow.parquet"), "--vehicle", car], "no sample is inside the valid region"),
+        (["train", good, "--vehicle", car, "--features", "alpha_q"], "no feature 'alpha_q'. Did you mean alpha_"),
+        (["train", good, "--vehicle", car, "--hyperparameters", "fti"], "Give fit, default, or a YAML file"),
+        (["train", good, "--vehicle", car, "--threshold", "2"], "the gain threshold is 2"),
+        (["train", good, "--vehicle", car, "--horizon", "-1"], "the label horizon is -1"),
+        (["train", good, "--vehicle", car, "--stride", "0"], "the stride is 0"),
+    ]
+    for arguments, message in cases:
+        output = tmp_path / "out.split"
+        result = _real(*arguments, "-o", str(output))
+        assert result.returncode == 1, arguments
+        assert message in result.stderr
+        assert len(result.stderr.strip().splitlines()) == 1
+        assert not output.exists()
+    result = _real("train", good, "--vehicle", car, "--append", "-o", str(tmp_path / "cut.split"))
+    assert result.returncode == 1
+    assert "not a whole trained set" in result.stderr
+    assert (tmp_path / "cut.split").read_bytes() == b"ARROW1"
+
+
+def _real(*arguments: str) -> subprocess.CompletedProcess:
+    """Run the command in process, through the one place that makes lines and exit codes of errors."""
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main(list(arguments))
+        except SystemExit as leave:
+            code = leave.code
+    return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
+
+
+def test_label_writes_what_the_library_computes(garage, tmp_path):
+    path = tmp_path / "labels.parquet"
+    drive_path = drives_of(garage)[1]
+    outcome = run(
+        "label",
+        drive_path,
+        "--vehicle",
+        garage / "car.yaml",
+        "-o",
+        path,
+        "--features",
+        "z1",
+        "--stride",
+        "1",
+        "--json",
+    )
+    told = json.loads(outcome.stdout)
+    labels = read_labels(path)
+    expected = compute_labels(read_drive(drive_path), road_car(), Z1, stride=1)
+    np.testing.assert_array_equal(labels.y, expected.y)
+    np.testing.assert_array_equal(labels.row, expected.row)
+    assert told["samples"] == len(expected)
+    assert told["accepted"] == int(labels.accepted.sum())
+    assert told["horizon"] == pytest.approx(0.04)  # 0.05 s at 50 Hz, rounded to two samples
+    assert dict(told["rejected"]) == labels.counts()
+    rms = np.sqrt(np.mean(labels.y[labels.accepted] ** 2, axis=0))
+    np.testing.assert_allclose(told["rms"], rms)
+
+
+def test_learning_twice_is_noted_and_changes_nothing(garage, tmp_path):
+    path = tmp_path / "a.split"
+    first = drives_of(garage)[0]
+    run("train", first, "--vehicle", garage / "car.yaml", "-o", path)
+    before = read_set(path)
+    outcome = run("train", first, "--vehicle", garage / "car.yaml", "-o", path, "--append")
+    assert "d0.parquet was learned before" in outcome.stderr
+    after = read_set(path)
+    # A sample met again: its own point is there (gain 0), or was turned away by points of greater gain.
+    assert after.size == before.size
+    assert after.sources[1].insertions == 0
