@@ -132,7 +132,7 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
     head_pressure = 0.5 * car.air_density * air_x * air_x
 
     weight = car.mass * GRAVITY * math.cos(env[ENV_GRADE]) * math.cos(env[ENV_BANK])
-    pitch_shift = car.mass * x[AX_LOAD] * car.cg_height / wheelbase
+    pitch_shift = car.pitch_transfer * car.mass * x[AX_LOAD] * car.cg_height / wheelbase
     front = weight * car.cg_to_rear_axle / wheelbase - pitch_shift + head_pressure * car.downforce_area_front
     rear = weight * car.cg_to_front_axle / wheelbase + pitch_shift + head_pressure * car.downforce_area_rear
     front_share = car.cg_to_rear_axle / wheelbase
@@ -430,12 +430,22 @@ def disturb(x, torque, steer, faults, car, out, memory, env, step):
 
 
 @compiled
+def command_at(t, commands, before, control, ramp):
+    """Return a command at time `t`: held since its instant, or led there in a straight line over a period."""
+    position = t / control + 1e-9
+    k = int(math.floor(position))
+    now = commands[k] if k >= 0 else before
+    if ramp == 0.0:
+        return now
+    last = commands[k - 1] if k >= 1 else before
+    return last + (position - k) * (now - last)
+
+
+@compiled
 def arriving(t, torques, steers, played, x0, car, control):
     """Return the torque and steer commands that reach the actuators at `t`: late, scaled, through the play."""
-    late = int(math.floor((t - car.drive_delay) / control + 1e-9))
-    torque = torques[late] if late >= 0 else x0[TORQUE]
-    late = int(math.floor((t - car.steer_delay) / control + 1e-9))
-    steer = car.steer_gain * (steers[late] if late >= 0 else x0[STEER])
+    torque = command_at(t - car.drive_delay, torques, x0[TORQUE], control, car.command_ramp)
+    steer = car.steer_gain * command_at(t - car.steer_delay, steers, x0[STEER], control, car.command_ramp)
     half_play = 0.5 * car.steer_backlash
     return torque, min(max(played, steer - half_play), steer + half_play)
 

@@ -65,6 +65,11 @@ class CarParameters:
     drive_delay, drive_gain, brake_gain, drive_lag, torque_rate : float
         Torque path in the order in which they act: delay [s], gains for positive and negative commands [1],
         first-order time constant [s] with the greatest rate [N m/s].
+    pitch_transfer : float
+        Part of the load transfer between the axles that takes place; 0 for a simulation that leaves it out [1].
+    command_ramp : float
+        0 for commands held over a control period, 1 for set points led there in a straight line, one period late
+        [1]; the line is what counts as the command then.
     max_torque, max_brake_torque : float
         At all wheels together [N m], both positive.
     max_power : float
@@ -118,6 +123,8 @@ class CarParameters:
     drive_delay: float = 0.0
     drive_gain: float = 1.0
     brake_gain: float = 1.0
+    pitch_transfer: float = 1.0
+    command_ramp: float = 0.0
 
     @property
     def wheelbase(self) -> float:

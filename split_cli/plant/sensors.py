@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from split_cli.errors import SplitError
-from split_cli.plant.simulation import Trajectory
+from split_cli.plant.simulation import Trajectory, commands_at
 
 __all__ = ["ChannelSpec", "Reading", "SensorSpec", "lean", "measure", "perfect", "sensors_of"]
 
@@ -186,9 +186,7 @@ def measure(
             sensor = replace(sensor, rate=one_clock, clock_jitter=0.0, latency=0.0, latency_jitter=0.0)
         stamp = _stamps(run, sensor, rng, phase=0.0 if one_clock is not None else float(rng.uniform(0, 0.9)))
         if len(stamp) < 2:
-            raise SplitError(
-                f"the run of {run.t[-1]:.2g} s is too short for {sensor.name} at {sensor.rate:g} Hz"
-            )
+            raise SplitError(f"the run of {run.t[-1]:.2g} s is too short for {sensor.name} at {sensor.rate:g} Hz")
         excess = sensor.latency_jitter * rng.standard_exponential(len(stamp))
         values = {
             name: _report(_truth(run, sensor, name, stamp - spec.delay), spec, rng)
@@ -216,8 +214,7 @@ def _truth(run: Trajectory, sensor: SensorSpec, name: str, at: np.ndarray) -> np
 
     def value(channel: str) -> np.ndarray:
         if channel in ("T", "delta"):
-            held = np.clip(np.searchsorted(run.command_t, at + 1e-9, side="right") - 1, 0, None)
-            return (run.torque_command if channel == "T" else run.steer_command)[held]
+            return commands_at(run, channel, at)
         return np.interp(at, run.t, run.channel(channel))
 
     x, y, angle = sensor.position_x, sensor.position_y, sensor.turned

@@ -24,7 +24,7 @@ from split_cli.plant.faults import SOUND, Faults
 from split_cli.plant.road import Road
 from split_cli.plant.tracks import Track
 
-__all__ = ["Script", "Trajectory", "drive_laps", "drive_script", "initial_state"]
+__all__ = ["Script", "Trajectory", "commands_at", "drive_laps", "drive_script", "initial_state"]
 
 STEP = 1e-3
 CONTROL_PERIOD = 0.02
@@ -123,13 +123,23 @@ def _channel(run: Trajectory, name: str) -> np.ndarray:
     if name == "delta_actual":
         return run.states[:, _compiled.STEER] + run.car.steer_offset
     if name in ("T", "delta"):
-        held = np.searchsorted(run.command_t, run.t + 1e-9, side="right") - 1
-        return (run.torque_command if name == "T" else run.steer_command)[held]
+        return commands_at(run, name, run.t)
     quantity, _, corner = name.rpartition("_")
     if corner in _CORNERS and quantity in ("wheel_speed", "load"):
         wheel = _CORNERS.index(corner)
         return run.states[:, _compiled.WHEEL + wheel] if quantity == "wheel_speed" else run.outputs[:, 2 + wheel]
     raise KeyError(name)
+
+
+def commands_at(run: Trajectory, name: str, at: np.ndarray) -> np.ndarray:
+    """Return the command ``T`` [N m] or ``delta`` [rad] at times `at` [s], held or led in straight lines."""
+    values = run.torque_command if name == "T" else run.steer_command
+    if run.car.command_ramp:
+        before = run.states[0, _compiled.TORQUE if name == "T" else _compiled.STEER]
+        clock = np.concatenate([[0.0], run.command_t + CONTROL_PERIOD])
+        return np.interp(at, clock, np.concatenate([[before], values]))
+    held = np.clip(np.searchsorted(run.command_t, at + 1e-9, side="right") - 1, 0, None)
+    return values[held]
 
 
 def initial_state(car: CarParameters, speed: float, track: Track | None = None, s: float = 0.0) -> np.ndarray:
