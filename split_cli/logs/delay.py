@@ -80,13 +80,17 @@ class DelayEstimate:
 
 @dataclass(frozen=True)
 class _Edge:
-    """An identity between the clocks of two groups: `late(t + lag)` is linear in `regressors(t)`."""
+    """An identity between the clocks of two groups: `late(t + lag)` is linear in `regressors(t)`.
+
+    `doubts` are regressors that may or may not belong to it; what they change of the lag counts as its error.
+    """
 
     name: str
     late: str
     early: str
     signal: Callable[[], np.ndarray]
     regressors: Callable[[], list[np.ndarray]]
+    doubts: Callable[[], list[np.ndarray]] = list
 
 
 def estimate_delays(
@@ -126,8 +130,19 @@ def estimate_delays(
     fits: list[tuple[_Edge, LagFit]] = []
     for edge in _identities(k, vehicle, Kinematics(columns, period, segments, _COURSE_WIDTH)):
         if groups[edge.late] != groups[edge.early]:
-            fits.append((edge, fit_lag(edge.signal(), edge.regressors(), k.moving, period, segments)))
+            fits.append((edge, _fit(edge, k.moving, period, segments)))
     return tuple(_solve(fits, groups, columns, fixed, commands, vehicle))
+
+
+def _fit(edge: _Edge, mask: np.ndarray, period: float, segments: list[slice]) -> LagFit:
+    signal, regressors, doubts = edge.signal(), edge.regressors(), edge.doubts()
+    fit = fit_lag(signal, regressors, mask, period, segments)
+    if not doubts or fit.refusal:
+        return fit
+    other = fit_lag(signal, [*regressors, *doubts], mask, period, segments)
+    error = float(np.hypot(max(fit.error, other.error), other.lag - fit.lag))
+    refusal = "" if is_sure(other.lag, error) else f"wheel slip could make a lag of {fit.lag:+.3f} s too"
+    return replace(other, error=error, refusal=refusal)
 
 
 def _groups(columns: Mapping[str, np.ndarray], topics: Mapping[str, str]) -> dict[str, str]:
@@ -147,9 +162,12 @@ def _identities(k: Kinematics, vehicle: Vehicle | None, wide: Kinematics) -> lis
     have = set(k.columns)
     edges: list[_Edge] = []
 
-    def add(name: str, late: str, early: str, needs: set[str], signal, *regressors) -> None:
+    def add(name: str, late: str, early: str, needs: set[str], signal, *regressors, doubts=()) -> None:
         if {late, early, *needs} <= have:
-            edges.append(_Edge(name, late, early, signal, lambda: [make() for make in regressors]))
+            made = _Edge(
+                name, late, early, signal, lambda: [f() for f in regressors], lambda: [f() for f in doubts]
+            )
+            edges.append(made)
 
     c = k.columns
     turning = lambda: k.of("vx r", lambda: c["vx"] * c["r"])  # noqa: E731
@@ -165,7 +183,13 @@ def _identities(k: Kinematics, vehicle: Vehicle | None, wide: Kinematics) -> lis
         lambda: turning() + k.rate("vy"),
     )
     for wheel in [name for name in c if name.startswith("wheel_speed")]:
-        add(f"{wheel} = v_x", wheel, "vx", set(), lambda w=wheel: k.rate(w), lambda: k.rate("vx"))
+        # A driven wheel slips by its force: v_x (1 + k a_x) looks like v_x a little earlier.
+        slip = [lambda: k.of("vx ax", lambda: c["vx"] * _acceleration(k), 1)] if _is_driven(wheel, vehicle) else []
+        turn = [lambda: k.rate("r")] if "r" in c else []
+        add(
+            f"{wheel} = v_x", wheel, "vx", set(),
+            lambda w=wheel: k.rate(w), lambda: k.rate("vx"), *turn, doubts=slip,
+        )  # fmt: skip
     add(
         "speed of X, Y = v_x",
         "X",
@@ -179,6 +203,19 @@ def _identities(k: Kinematics, vehicle: Vehicle | None, wide: Kinematics) -> lis
         add("steer angle of the single track", "delta", "r", {"vx", "vy"}, lambda: k.signal("delta"),
             *_steer_regressors(k, vehicle))  # fmt: skip
     return edges
+
+
+def _is_driven(wheel: str, vehicle: Vehicle | None) -> bool:
+    """Whether a wheel may carry driving torque; a wheel of no known axle may."""
+    if vehicle is None or wheel[-2:] not in ("fl", "fr", "rl", "rr"):
+        return True
+    share = vehicle.drive_split_front if wheel[-2] == "f" else 1.0 - vehicle.drive_split_front
+    return share > 0.0
+
+
+def _acceleration(k: Kinematics) -> np.ndarray:
+    """Return dv_x/dt of the smoothed speed, 0 where it is not known."""
+    return np.nan_to_num(k.rate("vx"))
 
 
 def _turning(k: Kinematics) -> np.ndarray:

@@ -351,7 +351,10 @@ class _Converter:
         time = common if signals[0].time is None else signals[0].time
         if len(time) != len(values):
             raise LogError(f"{name} has {len(values)} samples and {len(time)} time stamps", where=self.where)
-        return Series(channel, signals[0].name, time, values, source.delay or 0.0)
+        recorded = signals[0].name
+        if source.convert == "yaw_from_quaternion":
+            recorded = recorded.rsplit(".", 1)[0]
+        return Series(channel, recorded, time, values, source.delay or 0.0)
 
     def _combine(self, channel: str, source: Source, signals: list[RawSignal]) -> tuple[np.ndarray, str | None]:
         columns = [signal.values for signal in signals]

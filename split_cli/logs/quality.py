@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -132,9 +132,9 @@ def render_quality(report: QualityReport) -> str:
     dropped = [f"{d.count} {d.reason} in {d.source}" for c in report.channels for d in c.drops]
     for title, entries in (
         ("dropped or moved", dropped),
-        ("assumed", report.assumed),
+        ("assumed", _assumed(report.assumed)),
         ("file and map disagree", report.contradictions),
-        ("not in this recording", report.skipped),
+        ("not in this recording", _skipped(report.skipped)),
         ("delays", [estimate.statement for estimate in report.delays]),
         ("does not fit together", [finding.text for finding in report.consistency.findings]),
         ("could not be judged", [f"{u.check}: {u.reason}" for u in report.consistency.unjudged]),
@@ -144,6 +144,18 @@ def render_quality(report: QualityReport) -> str:
             lines.append(f"{title}:")
             lines.extend(f"  {entry}" for entry in entries)
     return "\n".join(lines)
+
+
+def _assumed(texts: Sequence[str]) -> list[str]:
+    """Put the channels whose unit nobody says into one line."""
+    tail = " (neither file nor map says)"
+    units = [text.removesuffix(tail) for text in texts if text.endswith(tail)]
+    rest = [text for text in texts if not text.endswith(tail)]
+    return [*rest, *([", ".join(units) + tail] if units else [])]
+
+
+def _skipped(texts: Sequence[str]) -> list[str]:
+    return [", ".join(text.split(":")[0] for text in texts) + ", which the map calls optional"] if texts else []
 
 
 def _plain(value: Any) -> Any:
