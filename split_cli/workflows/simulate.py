@@ -238,10 +238,13 @@ def truth_drive(runs: list[Trajectory], name: str) -> Drive:
     ``T`` and ``delta`` are the commands; ``T_actual`` and ``delta_actual`` what the actuators delivered.
     """
     every = int(round(1.0 / TABLE_RATE / (runs[0].t[1] - runs[0].t[0])))
-    parts = [
-        {channel: run.channel(channel)[::every] for channel in (*TABLE_CHANNELS, *_TRUTH_EXTRAS)}
-        for run in runs
-    ]
+    parts = []
+    for run in runs:
+        part = {channel: run.channel(channel)[::every] for channel in (*TABLE_CHANNELS, *_TRUTH_EXTRAS)}
+        # In a drive a wheel's speed is that of its rim [m/s], the plant counts its spin [rad/s].
+        spins = [name for name in part if name.startswith("wheel_speed_")]
+        part |= {name: part[name] * run.car.wheel_radius for name in spins}
+        parts.append(part)
     noise = tuple(
         NoiseEstimate(channel, 0.0, 0.0) for channel in ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay")
     )

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from split_cli.cli.simulate import command
 from split_cli.errors import SplitError
 from split_cli.logs.drive import read_drive
+from split_cli.plant.cars import F1TENTH_CAR
 from split_cli.plant.maneuvers import CALIBRATION_TESTS
 from split_cli.plant.sensors import sensors_of
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
@@ -30,6 +31,9 @@ def test_a_log_lies_within_noise_of_the_truth_beside_it(tmp_path):
             np.hypot(spec.noise, spec.resolution / 12**0.5), rel=4 / np.sqrt(2 * len(log))
         )
     np.testing.assert_allclose(log["T"], truth["T"], atol=0.6e-4)  # commands are the commands, rounded
+    # A rim moves with its hub, v_x - y r, but for some per cent of slip.
+    hub = truth["vx"] - 0.5 * F1TENTH_CAR.track_rear * truth["r"]
+    assert np.abs(truth["wheel_speed_rl"] - hub).max() < 0.05 * truth["vx"].max()
     assert result.distance == pytest.approx(26.0, abs=0.3)
     assert result.top_speed == pytest.approx(truth["vx"].max(), rel=1e-3)
 
