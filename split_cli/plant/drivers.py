@@ -27,7 +27,6 @@ __all__ = [
     "find_driver",
     "grip_of",
     "speed_profile",
-    "understeer_gradient",
 ]
 
 _DriverTables = namedtuple(
@@ -204,17 +203,6 @@ def _longitudinal(car: CarParameters, sign: float, split: float, friction: float
                 return float(best)
         best = trial
     return float(best)
-
-
-def understeer_gradient(car: CarParameters) -> float:
-    """Return K in delta = L kappa + K v^2 kappa at small lateral acceleration [rad s^2/m].
-
-    K = m/L (l_r/C_f - l_f/C_r) with both tyres of an axle at their static load; Pacejka, eq. (1.43).
-    """
-    angle = 1e-3
-    front = 2.0 * tire_force(car.front_tire, 0.0, angle, car.static_load_front / 2)[1] / angle
-    rear = 2.0 * tire_force(car.rear_tire, 0.0, angle, car.static_load_rear / 2)[1] / angle
-    return float(car.mass / car.wheelbase * (car.cg_to_rear_axle / front - car.cg_to_front_axle / rear))
 
 
 @dataclass(frozen=True)

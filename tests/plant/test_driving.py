@@ -62,6 +62,23 @@ def test_styles_brake_into_corners_or_before_them():
     assert overlap["racer"] > 0.3
 
 
+@pytest.mark.parametrize("car", CARS.values(), ids=CARS)
+def test_the_steer_a_driver_adds_is_the_understeer_gradient_by_hand(car):
+    # d(alpha_f - alpha_r)/da_y at rest is m/L (l_r/C_f - l_f/C_r), C from each tyre's stated cornering stiffness.
+    def stiffness(tire, axle_load):
+        share = 0.5 * axle_load / tire.nominal_load
+        return 2.0 * tire.p_ky1 * tire.nominal_load * np.sin(2.0 * np.arctan(share / tire.p_ky2))
+
+    front = car.cg_to_rear_axle / stiffness(car.front_tire, car.static_load_front)
+    rear = car.cg_to_front_axle / stiffness(car.rear_tire, car.static_load_rear)
+    grip = grip_of(car)
+    slope = grip.slip_difference[2] / (2 * grip.lateral_spacing)
+    # The difference of two nearly equal angles, read from a table of 2.5 mrad steps at 0.04 g: 2 % of the larger.
+    assert slope == pytest.approx(
+        car.mass / car.wheelbase * (front - rear), abs=0.02 * car.mass / car.wheelbase * front
+    )
+
+
 def test_the_speed_profile_obeys_the_friction_ellipse():
     track, grip = find_track("handling"), grip_of(ROAD_CAR)
     profile = speed_profile(ROAD_CAR, track, DRIVER_STYLES["racer"], 0.8, grip)
