@@ -442,8 +442,10 @@ def command_at(t, commands, before, control, ramp):
 
 
 @compiled
-def arriving(t, torques, steers, played, x0, car, control):
+def arriving(t, torques, steers, played, x0, car, control, step):
     """Return the torque and steer commands that reach the actuators at `t`: late, scaled, through the play."""
+    # A straight line is best held over a step at its middle.
+    t += 0.5 * step * car.command_ramp
     torque = command_at(t - car.drive_delay, torques, x0[TORQUE], control, car.command_ramp)
     steer = car.steer_gain * command_at(t - car.steer_delay, steers, x0[STEER], control, car.command_ramp)
     half_play = 0.5 * car.steer_backlash
@@ -524,7 +526,7 @@ def run(x0, s0, car, faults, road, path, plan, script, driver, control, step, su
 
         for j in range(substeps):
             t = k * control + j * step
-            torque_now, played = arriving(t, torques, steers, played, x0, car, control)
+            torque_now, played = arriving(t, torques, steers, played, x0, car, control, step)
             torque_in, steer_in = torque_now, played
             surroundings(s, t, road, car, env)
             if faults.active > 0.0:
@@ -562,7 +564,7 @@ def follow(motion, places, torques, steers, x0, car, road, control, step, keep, 
             free[:] = x
         for j in range(keep):
             t = (row * keep + j) * step
-            torque, played = arriving(t, torques, steers, played, x0, car, control)
+            torque, played = arriving(t, torques, steers, played, x0, car, control, step)
             surroundings(places[row], t, road, car, env)
             rk4_step(x, torque, played, env, car, step, work, out)
             rk4_step(free, torque, played, env, car, step, work, out)
