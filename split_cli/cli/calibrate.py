@@ -24,11 +24,7 @@ __all__ = ["command"]
     help="What to fit, of tires, drag, rolling, splits, inertia.",
 )
 @click.option(
-    "--first",
-    type=click.FloatRange(0.0, 1.0, min_open=True),
-    default=1.0,
-    metavar="SHARE",
-    help="Use only the first share of each drive's time, and leave the rest unseen.",
+    "--training-blocks", is_flag=True, help="Leave out the blocks of time that `split evaluate` holds out."
 )
 @click.option("--offsets", is_flag=True, help="Also fit constant offsets of the slip angles.")
 @click.option("--measured-ay", is_flag=True, help="Take the channel ay, not v_y' + v_x r: right on a banked road.")
@@ -55,8 +51,8 @@ __all__ = ["command"]
 @click.option("--figure", type=click.Path(path_type=Path), metavar="FILE", help="Draw the curves (png, svg, pdf).")
 @click.option("--convert", is_flag=True, help="Convert a CommonRoad, F1TENTH or ForzaETH parameter file instead.")
 @json_option
-def command(files, start, output, parts, first, offsets, measured_ay, max_ax, max_ay, alpha_max, smooth, figure,
-            convert, as_json) -> None:  # fmt: skip
+def command(files, start, output, parts, training_blocks, offsets, measured_ay, max_ax, max_ay, alpha_max, smooth,
+            figure, convert, as_json) -> None:  # fmt: skip
     """Fit a vehicle file to gentle drives, or convert a foreign one.
 
     Tyres come from the axles' lateral forces, drag and rolling resistance from the longitudinal balance. Told are
@@ -86,7 +82,7 @@ def command(files, start, output, parts, first, offsets, measured_ay, max_ax, ma
         offsets=offsets,
     )
     calibration, used = calibrate_files(
-        files, start, output, settings, first=first, measured_lateral_acceleration=measured_ay
+        files, start, output, settings, training_blocks=training_blocks, measured_lateral_acceleration=measured_ay
     )
     if figure is not None:
         from split_cli.plots.calibration import plot_calibration
@@ -111,11 +107,11 @@ def _show_calibration(calibration, used, output, as_json) -> None:
         )
         return
     if calibration.curves:
-        header = ("axle", "B", "C", "D [N]", "set by data", "BCD [N/rad]", "+-", "slip to [rad]", "alike to [N]",
-                  "and at most [N]", "held out [N]", "start [N]", "signal [N]")  # fmt: skip
+        header = ("axle", "B", "C", "D [N]", "set by data", "slope fitted [N/rad]", "+-", "slip to [rad]",
+                  "alike to [N]", "and at most [N]", "held out [N]", "start [N]", "signal [N]")  # fmt: skip
         rows = [
             (
-                c.axle, c.tire.B, c.tire.C, c.tire.D, " ".join(c.determined), c.cornering_stiffness[0],
+                c.axle, c.tire.B, c.tire.C, c.tire.D, " ".join(c.determined) or "none", c.cornering_stiffness[0],
                 0.5 * (c.cornering_stiffness[2] - c.cornering_stiffness[1]), c.covered, c.deviation_covered,
                 c.deviation_everywhere, c.held_out.calibrated, c.held_out.start, c.held_out.signal,
             )

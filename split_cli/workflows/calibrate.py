@@ -8,6 +8,7 @@ from pathlib import Path
 
 from split_cli.errors import DriveError, SplitError
 from split_cli.logs.drive import Drive, read_drive
+from split_cli.scoring.splits import hold_out_blocks
 from split_cli.vehicle.calibration.calibrate import Calibration, CalibrationSettings, calibrate_vehicle
 from split_cli.vehicle.calibration.samples import MotionRun
 from split_cli.vehicle.converters import Conversion, convert_parameters
@@ -38,7 +39,7 @@ def calibrate_files(
     output: str | Path | None,
     settings: CalibrationSettings | None = None,
     *,
-    first: float = 1.0,
+    training_blocks: bool = False,
     measured_lateral_acceleration: bool = False,
 ) -> tuple[Calibration, tuple[DriveUse, ...]]:
     """Calibrate a vehicle file from drives and write it.
@@ -51,8 +52,9 @@ def calibrate_files(
     output : path or None
         Vehicle YAML to write; None writes nothing.
     settings : CalibrationSettings, optional
-    first : float
-        Share of each drive, from its beginning, that is used; the rest stays unseen for evaluation.
+    training_blocks : bool
+        Leave out the blocks of time (and their guards) that `split evaluate` holds out by default, so that an
+        evaluation on the same drives stays clean.
     measured_lateral_acceleration : bool
         Take the channel ``ay`` in place of v_y' + v_x r: right on a banked road.
 
@@ -66,7 +68,7 @@ def calibrate_files(
     runs, used, derived = [], [], set()
     for path in drives:
         drive = read_drive(path)
-        found = motion_runs(drive, first, measured_lateral_acceleration)
+        found = motion_runs(drive, training_blocks, measured_lateral_acceleration)
         runs += found
         used.append(DriveUse(drive.name, drive.sha256, sum(len(run.vx) * run.period for run in found)))
         if drive.metadata.kinds.get("T", "").startswith("derived"):
@@ -80,12 +82,14 @@ def calibrate_files(
         )
     calibration = calibrate_vehicle(runs, vehicle, settings)
     if output is not None:
-        write_vehicle(calibration.vehicle, output, comment=_provenance(used, settings, first))
+        write_vehicle(calibration.vehicle, output, comment=_provenance(used, settings, training_blocks))
     return calibration, tuple(used)
 
 
-def motion_runs(drive: Drive, first: float = 1.0, measured_lateral_acceleration: bool = False) -> list[MotionRun]:
-    """Return a drive's stretches without a gap, of its `first` share of time.
+def motion_runs(
+    drive: Drive, training_blocks: bool = False, measured_lateral_acceleration: bool = False
+) -> list[MotionRun]:
+    """Return a drive's stretches without a gap, all of it or its training blocks.
 
     Raises
     ------
@@ -94,21 +98,23 @@ def motion_runs(drive: Drive, first: float = 1.0, measured_lateral_acceleration:
     """
     if measured_lateral_acceleration and "ay" not in drive:
         raise DriveError("has no channel ay", where=drive.name, advice="Leave out --measured-ay.")
-    begin, end = drive["t"][0], drive["t"][-1]
+    if training_blocks:
+        drive = drive.select(hold_out_blocks(drive).train)
     runs = []
     for rows in drive.segments():
-        inside = drive["t"][rows] <= begin + first * (end - begin)
-        columns = {name: drive[name][rows][inside] for name in ("vx", "vy", "r", "T", "delta")}
-        ay = drive["ay"][rows][inside] if measured_lateral_acceleration else None
+        columns = {name: drive[name][rows] for name in ("vx", "vy", "r", "T", "delta")}
+        ay = drive["ay"][rows] if measured_lateral_acceleration else None
         runs.append(MotionRun(drive.period, **columns, ay=ay))
     return runs
 
 
-def _provenance(used: Sequence[DriveUse], settings: CalibrationSettings, first: float) -> str:
-    lines = [f"Calibrated by `split calibrate --fit {','.join(settings.parts)}` from"]
+def _provenance(used: Sequence[DriveUse], settings: CalibrationSettings, training_blocks: bool) -> str:
+    options = f"--fit {','.join(settings.parts)}"
+    options += " --offsets" * settings.offsets + " --training-blocks" * training_blocks
+    lines = [f"Calibrated by `split calibrate {options}` from"]
     lines += [f"  {use.name} ({use.seconds:.0f} s, sha256 {use.sha256[:16]})" for use in used]
-    if first < 1.0:
-        lines.append(f"of which the first {100.0 * first:g} % of time.")
+    if training_blocks:
+        lines.append("without the blocks of time that `split evaluate` holds out.")
     return "\n".join(lines)
 
 

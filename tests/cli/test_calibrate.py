@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from split_cli.cli.calibrate import command
 from split_cli.cli.main import main
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
+from split_cli.scoring.splits import hold_out_blocks
 from split_cli.vehicle.parameters import read_vehicle
 
 
@@ -94,19 +95,22 @@ def test_tables_go_to_stdout_and_notes_to_stderr(sample_logs, tmp_path):
     assert read_vehicle(tmp_path / "car.yaml").front_tire == start.front_tire
 
 
-def test_only_the_first_share_is_used(sample_logs, tmp_path):
+def test_held_out_blocks_do_not_reach_the_calibration(sample_logs, tmp_path):
+    # Whatever happens in the blocks that evaluation holds out, the vehicle file is the same.
     drive = read_drive(sample_logs / "f1tenth_car_tests.parquet")
-    half = 0.5 * (drive["t"][-1] - drive["t"][0])
+    held_out = hold_out_blocks(drive).test
     spoiled = {name: values.copy() for name, values in drive.columns.items()}
-    spoiled["vy"][drive["t"] > drive["t"][0] + half] += 5.0
+    spoiled["vx"][held_out] += 1.0
+    spoiled["vy"][held_out] += 5.0
     write_drive(Drive("spoiled", spoiled, drive.segment, drive.period), tmp_path / "spoiled.parquet")
-    files = []
+    found = []
     for name in (sample_logs / "f1tenth_car_tests.parquet", tmp_path / "spoiled.parquet"):
         output = tmp_path / f"{name.stem}.yaml"
-        arguments = (name, "--vehicle", sample_logs / "f1tenth_car_start.yaml", "-o", output, "--first", "0.5")
+        arguments = (name, "--vehicle", sample_logs / "f1tenth_car_start.yaml", "-o", output, "--training-blocks")
         assert run(*arguments, "--fit", "drag,rolling").exit_code == 0
-        files.append(read_vehicle(output))
-    assert files[0].digest() == files[1].digest()
+        found.append(read_vehicle(output))
+    assert found[0].digest() == found[1].digest()
+    assert "without the blocks of time" in (tmp_path / "spoiled.yaml").read_text()
 
 
 def failing(capsys, *arguments):

@@ -13,10 +13,11 @@ from split_cli.vehicle.calibration.resistance import Resistance, fit_resistance
 from split_cli.vehicle.calibration.samples import MotionRun, MotionSamples, axle_lateral_forces, motion_samples
 from split_cli.vehicle.calibration.turning import Estimate, estimate_splits, estimate_yaw_inertia, with_estimates
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.vehicle.tire import MagicFormula
+from split_cli.vehicle.tire import MagicFormula, lateral_force
 
 __all__ = ["PARTS", "Calibration", "CalibrationSettings", "calibrate_vehicle"]
 
+_OPEN_SLOPE = 0.25
 PARTS = ("tires", "drag", "rolling", "splits", "inertia")
 
 
@@ -131,7 +132,7 @@ def calibrate_vehicle(
     rounds = 3 if asked else 1
     for last in [False] * (rounds - 1) + [True]:
         if "tires" in settings.parts:
-            curves = _fit_curves(gentle, vehicle, start, settings, draws=settings.draws if last else 0)
+            curves = _fit_curves(samples, vehicle, start, settings, draws=settings.draws if last else 0)
             vehicle = replace(vehicle, front_tire=curves[0].tire, rear_tire=curves[1].tire)
         estimates = ()
         if "splits" in asked:
@@ -166,22 +167,24 @@ def _gentle(samples: MotionSamples, settings: CalibrationSettings) -> MotionSamp
 def _fit_curves(
     samples: MotionSamples, vehicle: Vehicle, start: Vehicle, settings: CalibrationSettings, draws: int
 ) -> tuple[ForceCurve, ...]:
-    forces = axle_lateral_forces(samples, vehicle)
+    gentle = _gentle(samples, settings)
     axles = (
-        ("front", samples.slip_front, samples.slip_noise_front, vehicle.static_load_front),
-        ("rear", samples.slip_rear, samples.slip_noise_rear, vehicle.static_load_rear),
+        ("front", gentle.slip_front, gentle.slip_noise_front, vehicle.static_load_front),
+        ("rear", gentle.slip_rear, gentle.slip_noise_rear, vehicle.static_load_rear),
     )
+    forces, everywhere = axle_lateral_forces(gentle, vehicle), axle_lateral_forces(samples, vehicle)
     curves = []
-    for (axle, slip, noise, load), force in zip(axles, forces, strict=True):
+    for (axle, slip, noise, load), force, force_anywhere in zip(axles, forces, everywhere, strict=True):
         tire = getattr(start, f"{axle}_tire")
         curve = fit_force_curve(
             axle,
             slip,
             force,
-            samples.block,
+            gentle.block,
             tire,
             given_peak=_given_peak(start, axle, load),
             static_load=load,
+            largest_force=float(np.quantile(np.abs(force_anywhere), 0.995)),
             slip_noise=noise,
             alpha_max=settings.alpha_max,
             fit_offset=settings.offsets,
@@ -189,7 +192,29 @@ def _fit_curves(
             seed=settings.seed,
         )
         curves.append(curve)
-    return tuple(curves)
+    return _kept_where_open(tuple(curves), start)
+
+
+def _kept_where_open(curves: tuple[ForceCurve, ...], start: Vehicle) -> tuple[ForceCurve, ...]:
+    """Return the start's tyres on both axles when the drives leave a slope open: half a balance is none."""
+    reasons = []
+    for curve in curves:
+        slope, low, high = curve.cornering_stiffness
+        if 0.5 * (high - low) > _OPEN_SLOPE * slope:
+            spread = f"known to +- {50.0 * (high - low) / slope:.0f} %" if high < 10.0 * slope else "open"
+            reasons.append(f"the {curve.axle} slope is {spread}")
+        elif curve.held_out.calibrated >= min(curve.held_out.start, curve.held_out.signal):
+            reasons.append(f"on held-out blocks the {curve.axle} curve is no better than the start or none")
+    if not reasons:
+        return curves
+    why = f"the start's tyres are kept on both axles: {' and '.join(reasons)}"
+    kept = []
+    for curve in curves:
+        tire = getattr(start, f"{curve.axle}_tire")
+        force = lateral_force(tire.B, tire.C, tire.D, curve.slip_angle)
+        kept.append(replace(curve, tire=tire, force=force, determined=(), remarks=(*curve.remarks, why)))
+    # The reason belongs to both, and is said once.
+    return (replace(kept[0], remarks=curves[0].remarks), *kept[1:])
 
 
 def _given_peak(start: Vehicle, axle: str, load: float) -> float:
@@ -252,7 +277,7 @@ def _marked(
         if note:
             notes[key] = note
 
-    for curve in curves:
+    for curve in (curve for curve in curves if curve.determined):
         for name in ("B", "C", "D"):
             key = f"{curve.axle}_tire.{name}"
             if name in curve.determined:

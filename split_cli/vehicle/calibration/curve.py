@@ -49,15 +49,15 @@ class ForceCurve:
     axle : str
         ``front`` or ``rear``.
     tire : MagicFormula
-        The calibrated coefficients.
+        The calibrated coefficients, or the start's where not even the slope is settled.
     determined : tuple of str
-        Which of B, C, D the data settle; the others were given.
+        Which of B, C, D the data settle; the others were given. Empty when the start's tyre is kept.
     slip_offset : float
         Added to the measured slip angle [rad]; 0 unless offsets were fitted.
     covered : float
         The data reach |slip angle| up to here [rad]: the 99 % quantile.
     cornering_stiffness : tuple of float
-        Estimate, lower and upper end of its 95 % interval [N/rad].
+        Slope that the data fit best, lower and upper end of its 95 % interval, at the given D [N/rad].
     peak : tuple of float
         Lower and upper end of the 95 % interval of D [N]; the upper is infinite where the data set no limit.
     slip_angle, force, lower, upper : ndarray, shape (G,)
@@ -164,6 +164,7 @@ def fit_force_curve(
     *,
     given_peak: float,
     static_load: float,
+    largest_force: float = 0.0,
     slip_noise: np.ndarray | float = 0.0,
     alpha_max: float = 0.18,
     fit_offset: bool = False,
@@ -186,6 +187,8 @@ def fit_force_curve(
         D to take when the data do not settle it [N], usually friction times static load.
     static_load : float
         Of the axle [N]; D is sought up to four times of it.
+    largest_force : float
+        That the axle gave anywhere in the drives [N], also where samples are left out: D is not sought below.
     slip_noise : ndarray, shape (M,), or float
         Standard deviation of the noise in `slip_angle` [rad].
     alpha_max : float
@@ -213,8 +216,8 @@ def fit_force_curve(
             f"{len(slip_angle)} usable samples in {blocks} blocks of time are too few for the {axle} tyres",
             advice=f"At least {_MINIMUM_SAMPLES} samples in {_MINIMUM_BLOCKS} blocks are needed.",
         )
-    largest = float(np.quantile(np.abs(force), 0.995))
-    lower = np.array([np.log(0.02 * static_load), np.log(0.8 * largest + 1e-9), _C_BOUNDS[0], -0.1])
+    largest = max(largest_force, 0.9 * float(np.quantile(np.abs(force), 0.995)), 1e-9)
+    lower = np.array([np.log(0.02 * static_load), np.log(largest), _C_BOUNDS[0], -0.1])
     upper = np.array([np.log(400.0 * static_load), np.log(4.0 * static_load + largest), _C_BOUNDS[1], 0.1])
     free = np.array([0, 1, 2, 3] if fit_offset else [0, 1, 2])
     exact = np.zeros_like(slip_angle)
@@ -333,7 +336,8 @@ def _settle(
     low, high = profile.interval
     estimate = float(np.exp(best.parameters[1]))
     reached = float(np.quantile(np.abs(problem.force), 0.995))
-    if high <= 1.15 * estimate and low >= 0.85 * estimate and reached >= 0.85 * estimate:
+    narrow = high <= 1.15 * estimate and low >= 0.85 * estimate and best.parameters[2] not in _C_BOUNDS
+    if narrow and reached >= 0.85 * estimate:
         return best, ("B", "C", "D"), []
     limit = "no upper limit" if np.isinf(high) else f"at most {high:.4g} N"
     remarks = [
