@@ -10,6 +10,8 @@ from split_cli.cli.options import existing_file, json_option, output_option, pri
 
 __all__ = ["command"]
 
+positive = click.FloatRange(0.0, min_open=True)
+
 
 @click.command("calibrate")
 @click.argument("files", nargs=-1, required=True, type=existing_file, metavar="DRIVE...")
@@ -45,9 +47,9 @@ __all__ = ["command"]
     help="Limit of |a_y| for resistances [m/s^2].",
 )
 @click.option(
-    "--alpha-max", type=float, default=0.18, show_default=True, metavar="RAD", help="Largest slip angle."
+    "--alpha-max", type=positive, default=0.18, show_default=True, metavar="RAD", help="Largest slip angle."
 )
-@click.option("--smooth", type=float, metavar="SECONDS", help="Kernel width; by default from the wheelbase.")
+@click.option("--smooth", type=positive, metavar="SECONDS", help="Kernel width; by default from the wheelbase.")
 @click.option("--figure", type=click.Path(path_type=Path), metavar="FILE", help="Draw the curves (png, svg, pdf).")
 @click.option("--convert", is_flag=True, help="Convert a CommonRoad, F1TENTH or ForzaETH parameter file instead.")
 @json_option

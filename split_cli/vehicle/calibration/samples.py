@@ -11,7 +11,7 @@ from split_cli.errors import VehicleError
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
 
-__all__ = ["MotionRun", "MotionSamples", "axle_lateral_forces", "motion_samples"]
+__all__ = ["MotionRun", "MotionSamples", "axle_lateral_forces", "front_longitudinal_force", "motion_samples"]
 
 
 @dataclass(frozen=True)

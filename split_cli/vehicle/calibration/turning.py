@@ -11,7 +11,7 @@ from split_cli.vehicle.calibration.samples import MotionSamples, axle_lateral_fo
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import lateral_force, lateral_force_slope
 
-__all__ = ["Estimate", "estimate_splits", "estimate_yaw_inertia"]
+__all__ = ["Estimate", "estimate_splits", "estimate_yaw_inertia", "with_estimates"]
 
 
 @dataclass(frozen=True)
