@@ -21,17 +21,20 @@ _JITTERS = np.array([0.0, 1e-13, 1e-12, 1e-11, 1e-10])
 
 
 @njit(cache=True)
-def _derivative(vx, vy, r, T, delta, p):
+def _derivative(vx, vy, r, T, delta, sine, cosine, p):
     """Return (v_x', v_y', r') of the nominal single track; `p` as packed by labels._nominal_constants."""
     m, i_z, l_f, l_r, radius = p[0], p[1], p[2], p[3], p[4]
     kappa = p[6] if T < 0.0 else p[5]
-    alpha_f = delta - math.atan2(vy + l_f * r, vx)
-    alpha_r = -math.atan2(vy - l_r * r, vx)
+    if vx > 0.0:  # the arctangent of one argument costs two thirds of the other
+        alpha_f = delta - math.atan((vy + l_f * r) / vx)
+        alpha_r = -math.atan((vy - l_r * r) / vx)
+    else:
+        alpha_f = delta - math.atan2(vy + l_f * r, vx)
+        alpha_r = -math.atan2(vy - l_r * r, vx)
     front_x = kappa * (T / radius) - p[7]
     rear_x = (1.0 - kappa) * (T / radius) - p[8]
     front_y = p[12] * math.sin(p[11] * math.atan(p[10] * alpha_f))
     rear_y = p[15] * math.sin(p[14] * math.atan(p[13] * alpha_r))
-    sine, cosine = math.sin(delta), math.cos(delta)
     along = front_x * cosine - front_y * sine
     across = front_y * cosine + front_x * sine
     dvx = (rear_x + along - p[9] * vx * vx) / m + vy * r
@@ -167,17 +170,22 @@ def window_errors(vx, vy, r, T, delta, starts, window, period, p, plain):
         a, b, c = vx[i], vy[i], r[i]
         for k in range(i, i + window):
             d_torque, d_steer = T[k + 1] - T[k], delta[k + 1] - delta[k]
+            T0, d0 = T[k], delta[k]
+            sine0, cosine0 = math.sin(d0), math.cos(d0)
             for sub in range(substeps):
-                s0, s1, s2 = sub / substeps, (sub + 0.5) / substeps, (sub + 1.0) / substeps
-                torque, steer = T[k] + s1 * d_torque, delta[k] + s1 * d_steer
-                a1, b1, c1 = _derivative(a, b, c, T[k] + s0 * d_torque, delta[k] + s0 * d_steer, p)
-                a2, b2, c2 = _derivative(a + 0.5 * h * a1, b + 0.5 * h * b1, c + 0.5 * h * c1, torque, steer, p)
-                a3, b3, c3 = _derivative(a + 0.5 * h * a2, b + 0.5 * h * b2, c + 0.5 * h * c2, torque, steer, p)
-                torque, steer = T[k] + s2 * d_torque, delta[k] + s2 * d_steer
-                a4, b4, c4 = _derivative(a + h * a3, b + h * b3, c + h * c3, torque, steer, p)
+                middle, last = (sub + 0.5) / substeps, (sub + 1.0) / substeps
+                T1, d1 = T[k] + middle * d_torque, delta[k] + middle * d_steer
+                T2, d2 = T[k] + last * d_torque, delta[k] + last * d_steer
+                sine1, cosine1, sine2, cosine2 = math.sin(d1), math.cos(d1), math.sin(d2), math.cos(d2)
+                a1, b1, c1 = _derivative(a, b, c, T0, d0, sine0, cosine0, p)
+                half = 0.5 * h
+                a2, b2, c2 = _derivative(a + half * a1, b + half * b1, c + half * c1, T1, d1, sine1, cosine1, p)
+                a3, b3, c3 = _derivative(a + half * a2, b + half * b2, c + half * c2, T1, d1, sine1, cosine1, p)
+                a4, b4, c4 = _derivative(a + h * a3, b + h * b3, c + h * c3, T2, d2, sine2, cosine2, p)
                 a += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
                 b += h / 6.0 * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
                 c += h / 6.0 * (c1 + 2.0 * c2 + 2.0 * c3 + c4)
+                T0, d0, sine0, cosine0 = T2, d2, sine2, cosine2
         end = i + window
         y0, y1, y2 = (vx[end] - a) / horizon, (vy[end] - b) / horizon, (r[end] - c) / horizon
         if not plain:
@@ -191,16 +199,16 @@ def window_errors(vx, vy, r, T, delta, starts, window, period, p, plain):
 
 
 @njit(cache=True)
-def _correlation(a, b, scales):
+def _correlation(a, b, inverse_scales):
     squared = 0.0
-    for feature in range(len(scales)):
-        distance = (a[feature] - b[feature]) / scales[feature]
+    for feature in range(len(inverse_scales)):
+        distance = (a[feature] - b[feature]) * inverse_scales[feature]
         squared += distance * distance
     return math.exp(-0.5 * squared)
 
 
 @njit(cache=True)
-def _refresh(z, n, scales, low, inverse, gamma):
+def _refresh(z, n, inverse_scales, low, inverse, gamma):
     """Recompute a cell from its points: L^-1 of K = L L^T, and gamma_i = 1/[K^-1]_ii.
 
     Returns the index of the jitter that was needed, -1 when the largest does not suffice.
@@ -209,7 +217,7 @@ def _refresh(z, n, scales, low, inverse, gamma):
         good = True
         for i in range(n):
             for j in range(i + 1):
-                value = 1.0 + _JITTERS[step] if i == j else _correlation(z[i], z[j], scales)
+                value = 1.0 + _JITTERS[step] if i == j else _correlation(z[i], z[j], inverse_scales)
                 for k in range(j):
                     value -= low[i, k] * low[j, k]
                 if i == j:
@@ -255,7 +263,7 @@ def _least(gamma, clock, n, now, forgetting):
 
 
 @njit(cache=True)
-def _exceeds(z, points, n, scales, inverse, k, bound):
+def _exceeds(z, points, n, inverse_scales, inverse, k, bound):
     """Return whether 1 - |L^-1 k|^2 exceeds `bound`.
 
     The sum of squares only grows, also in floating point, so a sample is turned away as soon as the partial sum
@@ -263,7 +271,7 @@ def _exceeds(z, points, n, scales, inverse, k, bound):
     """
     total = 0.0
     for i in range(n):
-        k[i] = _correlation(points[i], z, scales)
+        k[i] = _correlation(points[i], z, inverse_scales)
         value = 0.0
         for j in range(i + 1):
             value += inverse[i, j] * k[j]
@@ -275,7 +283,19 @@ def _exceeds(z, points, n, scales, inverse, k, bound):
 
 @njit(cache=True)
 def update_cells(
-    groups, cell_of_group, order, z_new, clock_new, scales, threshold, forgetting, count, z, gamma, clock, origin
+    groups,
+    cell_of_group,
+    order,
+    z_new,
+    clock_new,
+    inverse_scales,
+    threshold,
+    forgetting,
+    count,
+    z,
+    gamma,
+    clock,
+    origin,
 ):
     """Offer samples to their cells, cell by cell, each cell's samples in their order.
 
@@ -286,7 +306,8 @@ def update_cells(
     cell_of_group : ndarray of int64, shape (G,)
     order : ndarray of int64, shape (N,)
     z_new, clock_new : ndarray, shape (N, D), (N,)
-    scales : ndarray, shape (D,)
+    inverse_scales : ndarray, shape (D,)
+        Reciprocal length scales.
     threshold, forgetting : float
         Forgetting 0 is off.
     count, z, gamma, clock, origin : ndarray, shape (C,), (C, M, D), (C, M), (C, M), (C, M)
@@ -304,7 +325,7 @@ def update_cells(
     repairs = 0
     for group in range(len(cell_of_group)):
         c = cell_of_group[group]
-        _refresh(z[c], count[c], scales, low, inverse, gamma[c])
+        _refresh(z[c], count[c], inverse_scales, low, inverse, gamma[c])
         slot, least = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
         for position in range(groups[group], groups[group + 1]):
             sample = order[position]
@@ -315,10 +336,10 @@ def update_cells(
                 bound = least if n == capacity else min(threshold, least)
             else:
                 bound = least if n == capacity else threshold
-            if not _exceeds(z_new[sample], z[c], n, scales, inverse, k, bound):
+            if not _exceeds(z_new[sample], z[c], n, inverse_scales, inverse, k, bound):
                 continue
             if n < capacity and (
-                forgetting <= 0.0 or _exceeds(z_new[sample], z[c], n, scales, inverse, k, threshold)
+                forgetting <= 0.0 or _exceeds(z_new[sample], z[c], n, inverse_scales, inverse, k, threshold)
             ):
                 slot = n
                 count[c] = n + 1
@@ -328,7 +349,7 @@ def update_cells(
             z[c, slot] = z_new[sample]
             clock[c, slot] = clock_new[sample]
             origin[c, slot] = sample
-            jitter = _refresh(z[c], count[c], scales, low, inverse, gamma[c])
+            jitter = _refresh(z[c], count[c], inverse_scales, low, inverse, gamma[c])
             if jitter < 0:
                 return outcome, repairs, c
             if jitter > 0:
@@ -338,13 +359,13 @@ def update_cells(
 
 
 @njit(cache=True)
-def refresh_cells(offsets, z, scales, capacity):
+def refresh_cells(offsets, z, inverse_scales, capacity):
     """Return gamma of every point of a set, shape (P,); NaN where a cell's kernel matrix cannot be factored."""
     gamma = np.empty(len(z))
     low, inverse = np.zeros((capacity, capacity)), np.zeros((capacity, capacity))
     for c in range(len(offsets) - 1):
         first, last = offsets[c], offsets[c + 1]
-        if _refresh(z[first:last], last - first, scales, low, inverse, gamma[first:last]) < 0:
+        if _refresh(z[first:last], last - first, inverse_scales, low, inverse, gamma[first:last]) < 0:
             gamma[first:last] = np.nan
     return gamma
 

@@ -161,8 +161,7 @@ def recompute_gains(training_set: TrainingSet) -> np.ndarray:
     from split_cli.learning._compiled import refresh_cells
 
     widest = int(np.diff(training_set.offsets).max(initial=1))
-    scales = training_set.kernel.length_scales.copy()
-    return refresh_cells(training_set.offsets, training_set.z, scales, widest)
+    return refresh_cells(training_set.offsets, training_set.z, 1.0 / training_set.kernel.length_scales, widest)
 
 
 def warm_up() -> None:
@@ -206,8 +205,7 @@ class _Cells:
 
     def __init__(self, training_set: TrainingSet) -> None:
         self.set = training_set
-        # A copy: the kernel's array is read-only, a type of its own to the compiler.
-        self.length_scales = training_set.kernel.length_scales.copy()
+        self.inverse_scales = 1.0 / training_set.kernel.length_scales
         self.base = [0.0]  # clock of learning at which each source begins, and at last where the next will
         for source in training_set.sources:
             self.base.append(self.base[-1] + source.duration)
@@ -269,7 +267,7 @@ class _Cells:
             order,
             z,
             begin + t,
-            self.length_scales,
+            self.inverse_scales,
             self.set.threshold,
             self.set.forgetting or 0.0,
             self.count,

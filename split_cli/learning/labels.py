@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 DEFAULT_HORIZON = 0.05
-_CHUNK = 65_536
+_CHUNK = 4096  # temporaries of that length stay in the cache
 _VELOCITIES = ("vx", "vy", "r")
 
 
