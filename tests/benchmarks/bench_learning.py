@@ -80,9 +80,10 @@ def printed_updates(z, repeat, inverse_scales, gamma):
     size = (z.shape[1], z.shape[1])
     K, inverse, part, low, small = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
     for c in range(len(z)):
-        for slot in range(z.shape[1]):
-            printed_update(z[c], z.shape[1], slot, inverse_scales, K, inverse, part, low, small, gamma[c])
-        for _ in range(repeat - 1):
+        for i in range(z.shape[1]):
+            for j in range(z.shape[1]):
+                K[i, j] = _correlation(z[c, i], z[c, j], inverse_scales)
+        for _ in range(repeat):
             printed_update(z[c], z.shape[1], 0, inverse_scales, K, inverse, part, low, small, gamma[c])
 
 
@@ -92,7 +93,7 @@ def own_updates(z, repeat, inverse_scales, gamma):
     size = (z.shape[1], z.shape[1])
     low, inverse = np.zeros(size), np.zeros(size)
     for c in range(len(z)):
-        for _ in range(repeat + z.shape[1] - 1):
+        for _ in range(repeat):
             _refresh(z[c], z.shape[1], inverse_scales, low, inverse, gamma[c])
 
 
@@ -179,7 +180,7 @@ def full_cell_updates(capacity: int) -> list:
         way(z[:1], 1, inverse_scales, gamma)
         begin = time.process_time()
         way(z, repeat, inverse_scales, gamma)
-        seconds.append((time.process_time() - begin) / (len(z) * (repeat + capacity - 1)))
+        seconds.append((time.process_time() - begin) / (len(z) * repeat))
         gains.append(gamma)
     times = [f"{1e6 * value:.2f}" for value in seconds]
     apart = np.abs(gains[0] - gains[1]).max()
