@@ -369,13 +369,16 @@ def _settle(
 def _resampled_band(
     problem: _Problem, best: Fit, grid: np.ndarray, draws: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pointwise 2.5 and 97.5 % quantiles of the curves that resampled blocks give [N]."""
+    """Return the pointwise 95 % band of the curves that resampled blocks give [N]."""
     curves = [_curve(best.parameters, grid)]
     for weight in block_weights(problem.block, draws, seed):
         fit = problem.fit(best.parameters, weight=weight, scale=best.scale)
         curves.append(_curve(fit.parameters, grid))
     low, high = np.quantile(curves, [0.025, 0.975], axis=0)
-    return low, high
+    # Resampling B blocks sees B/(B - P) too little variance, as a plain variance of residuals does.
+    blocks = len(np.unique(problem.block))
+    widen = np.sqrt(blocks / max(blocks - len(best.free), 1))
+    return curves[0] + widen * (low - curves[0]), curves[0] + widen * (high - curves[0])
 
 
 def _held_out(problem: _Problem, chosen: Fit, start: MagicFormula) -> HeldOutError:
