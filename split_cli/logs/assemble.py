@@ -22,6 +22,7 @@ from split_cli.logs.raw import Clock, Recording
 from split_cli.logs.resample import (
     HIGHEST_RATE,
     Grid,
+    Resampled,
     is_sampled_and_held,
     make_grid,
     resample_continuous,
@@ -117,12 +118,14 @@ def assemble_drive(
     )
     _check_required(gathered, derivations, signal_map, recording.name)
     series, joined = join_clock_resets(_with_delays(gathered, settings), settings.gap)
-    channels = _clean_all(series, gathered.maps, needed, signal_map.despike)
+    channels, unusable = _clean_all(series, gathered.maps, needed, signal_map.despike)
     estimates: tuple[DelayEstimate, ...] = ()
     if settings.estimate_delays:
         channels, estimates = _apply_delays(channels, needed, settings, vehicle, recording.name)
-    grid, left_out = _grid(channels, needed, settings, recording.name)
-    columns, noise, qualities = _resample_all(channels, grid, settings, needed)
+    grid, too_short = _grid(channels, needed, settings, recording.name)
+    resampled = _resample_all(channels, grid, settings, needed)
+    noise, qualities = _noise_and_quality(channels, resampled, settings, needed)
+    columns = _columns(channels, resampled)
     grid, columns, dropped = _without_missing(grid, columns, needed)
     slices = _slices(grid.segment)
     conversions = [*gathered.conversions, *joined]
@@ -134,8 +137,9 @@ def assemble_drive(
     for name, derived in made:
         for channel in derived.columns:
             noise[channel] = NoiseEstimate(channel, None, None, reason=f"derived ({name})")
-    if left_out or dropped:
-        warnings.append(f"{left_out + dropped} rows of stretches too short to use were left out")
+    warnings += unusable
+    if too_short or dropped:
+        warnings.append(f"{too_short + dropped} rows of stretches too short to use were left out")
     drive = _drive(recording, grid, columns, vehicle)
     consistency = check_consistency(drive, vehicle, kinds)
     quality = QualityReport(
@@ -227,7 +231,9 @@ def _clean_all(
     maps: Mapping[str, ChannelMap],
     needed: Sequence[str],
     despike: bool,
-) -> _Channels:
+) -> tuple[_Channels, list[str]]:
+    """Clean every source; an optional channel that holds nothing usable is left out, and said."""
+    left_out: list[str] = []
     clean: dict[str, list[CleanSeries]] = {}
     modes: dict[str, list[str]] = {}
     for channel, parts in series.items():
@@ -235,15 +241,16 @@ def _clean_all(
         held = entry.resample == "held" or entry.kind == "command"
         try:
             cleaned = [clean_series(part, despike=despike, held=held or _may_hold(channel)) for part in parts]
-        except LogError:
+        except LogError as error:
             if channel in needed:
                 raise
-            continue  # an extra column that holds nothing is no reason to refuse the log
+            left_out.append(f"{channel} was left out: {error.what}")
+            continue
         if channel == "yaw":
             cleaned = [replace(part, values=np.unwrap(part.values)) for part in cleaned]
         clean[channel] = cleaned
         modes[channel] = [_mode(channel, entry, part) for part in cleaned]
-    return _Channels(clean, modes, {name: maps[name] for name in clean})
+    return _Channels(clean, modes, {name: maps[name] for name in clean}), left_out
 
 
 def _may_hold(channel: str) -> bool:
@@ -330,34 +337,64 @@ def _coverage(channels: _Channels, needed: Sequence[str]) -> str:
 
 def _resample_all(
     channels: _Channels, grid: Grid, settings: IngestSettings, needed: Sequence[str]
-) -> tuple[dict[str, np.ndarray], dict[str, NoiseEstimate], list[ChannelQuality]]:
-    columns: dict[str, np.ndarray] = {}
+) -> dict[tuple[str, int], Resampled]:
+    """Bring every source onto the drive's clock; sources that share a clock share the work."""
+    results: dict[tuple[str, int], Resampled] = {}
+    together: list[tuple[CleanSeries, float, list[tuple[str, int]]]] = []
+    for channel, parts in channels.clean.items():
+        for index, (part, mode) in enumerate(zip(parts, channels.modes[channel], strict=True)):
+            gap = _gap_of(part, mode, channel in needed, settings.gap)
+            if mode == "held":
+                held = resample_held(part.time, part.values, grid, longest=gap)
+                results[channel, index] = Resampled(held, 1.0, (1.0,), False)
+                continue
+            alike = (m for p, g, m in together if g == gap and np.array_equal(p.time, part.time))
+            members = next(alike, None)
+            if members is None:
+                together.append((part, gap, [(channel, index)]))
+            else:
+                members.append((channel, index))
+    for part, gap, members in together:
+        values = np.stack([channels.clean[channel][index].values for channel, index in members], axis=1)
+        joint = resample_continuous(part.time, values, grid, gap=gap)
+        for column, key in enumerate(members):
+            results[key] = replace(joint, values=joint.values[:, column])
+    return results
+
+
+def _columns(channels: _Channels, resampled: Mapping[tuple[str, int], Resampled]) -> dict[str, np.ndarray]:
+    return {
+        channel: np.sum([resampled[channel, index].values for index in range(len(parts))], axis=0)
+        for channel, parts in channels.clean.items()
+    }
+
+
+def _noise_and_quality(
+    channels: _Channels,
+    resampled: Mapping[tuple[str, int], Resampled],
+    settings: IngestSettings,
+    needed: Sequence[str],
+) -> tuple[dict[str, NoiseEstimate], list[ChannelQuality]]:
     noise: dict[str, NoiseEstimate] = {}
     qualities: list[ChannelQuality] = []
     for channel, parts in channels.clean.items():
-        total = np.zeros(len(grid.index))
         estimates = []
-        for part, mode in zip(parts, channels.modes[channel], strict=True):
+        for index, (part, mode) in enumerate(zip(parts, channels.modes[channel], strict=True)):
             gap = _gap_of(part, mode, channel in needed, settings.gap)
-            if mode == "held":
-                total += resample_held(part.time, part.values, grid, longest=gap)
-                estimates.append(NoiseEstimate(channel, None, None, reason="held between updates"))
-                words = "held"
-            else:
-                result = resample_continuous(part.time, part.values, grid, gap=gap)
-                total += result.values
-                runs = runs_of(part.time, gap)
-                estimates.append(
-                    estimate_noise(
-                        channel, part.values, runs, gain=result.gain, autocorrelation=result.autocorrelation
-                    )
-                )
-                words = "low-passed" if result.low_passed else "interpolated"
+            result = resampled[channel, index]
+            words = "held" if mode == "held" else "low-passed" if result.low_passed else "interpolated"
             qualities.append(source_quality(part, gap, words))
-        columns[channel] = total
-        if channel in CHANNELS:
+            if channel not in CHANNELS:
+                continue
+            if mode == "held":
+                estimates.append(NoiseEstimate(channel, None, None, reason="held between updates"))
+                continue
+            runs = runs_of(part.time, gap)
+            filtered = {"gain": result.gain, "autocorrelation": result.autocorrelation}
+            estimates.append(estimate_noise(channel, part.values, runs, **filtered))
+        if estimates:
             noise[channel] = sum_of_noise(channel, estimates)
-    return columns, noise, qualities
+    return noise, qualities
 
 
 def _without_missing(
@@ -455,7 +492,7 @@ def _apply_delays(
     for _ in range(_DELAY_PASSES):
         moved = _moved(channels, {channel: estimate.delay for channel, estimate in total.items()})
         grid, _ = _grid(moved, needed, settings, where)
-        columns, _, _ = _resample_all(moved, grid, settings, needed)
+        columns = _columns(moved, _resample_all(moved, grid, settings, needed))
         slices = _slices(grid.segment)
         for before in (True, False):
             move_to_cg(columns, channels.maps, vehicle, grid.period, slices, {}, [], before=before)

@@ -29,6 +29,7 @@ the drive's rate; 0.5 % off at a tenth of it."""
 
 _CHUNK = 20000
 _LONGEST_LAG = 12
+_ENOUGH_ROWS = 20000
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Resampled:
 
     Attributes
     ----------
-    values : ndarray, shape (N,)
+    values : ndarray, shape (N,) or (N, C)
         NaN where the signal has a gap.
     gain : float
         Standard deviation of the output for white noise of unit deviation at the input [1].
@@ -145,11 +146,18 @@ def resample_continuous(time: np.ndarray, values: np.ndarray, grid: Grid, *, gap
 
     Parameters
     ----------
-    time, values : ndarray, shape (M,)
+    time : ndarray, shape (M,)
         Strictly increasing; the clock may jitter.
+    values : ndarray, shape (M,) or (M, C)
+        One signal, or several that share the clock.
     grid : Grid
     gap : float
         Nothing is interpolated across a step longer than this [s].
+
+    Returns
+    -------
+    Resampled
+        Its values have shape (N,) or (N, C).
 
     Notes
     -----
@@ -158,7 +166,7 @@ def resample_continuous(time: np.ndarray, values: np.ndarray, grid: Grid, *, gap
     Others: the cubic through the four nearest samples, the sample itself where the clocks agree. Both are linear
     in the samples, so the noise on the drive's clock follows from the weights.
     """
-    output = np.full(len(grid.index), np.nan)
+    output = np.full((len(grid.index), *values.shape[1:]), np.nan)
     rows_time = grid.time
     slack = 1e-6 * grid.period
     noise = _NoiseOfWeights()
@@ -175,10 +183,8 @@ def resample_continuous(time: np.ndarray, values: np.ndarray, grid: Grid, *, gap
         for low in range(a, b, _CHUNK):
             at = rows_time[low : min(low + _CHUNK, b)]
             first, weights = weights_at(run_time, at, grid.period)
-            columns = first[:, None] + np.arange(weights.shape[1])
-            output[low : low + len(at)] = np.sum(
-                weights * run_values[np.minimum(columns, len(run_values) - 1)], axis=1
-            )
+            columns = np.minimum(first[:, None] + np.arange(weights.shape[1]), len(run_values) - 1)
+            output[low : low + len(at)] = np.einsum("nk,nk...->n...", weights, run_values[columns])
             noise.add(first, weights)
     gain, autocorrelation = noise.result()
     return Resampled(output, gain, autocorrelation, low_passed)
@@ -274,6 +280,8 @@ class _NoiseOfWeights:
         self.counts = np.zeros(_LONGEST_LAG + 1)
 
     def add(self, first: np.ndarray, weights: np.ndarray) -> None:
+        if self.counts[0] > _ENOUGH_ROWS:
+            return
         stride = max(1, len(first) // 2000)
         for lag in range(min(_LONGEST_LAG + 1, len(first))):
             a = np.arange(0, len(first) - lag, stride)

@@ -196,6 +196,17 @@ _CHANNEL_KEYS = (*_SOURCE_KEYS, "sum", "position", "kind", "resample", "optional
 _TIME_KEYS = ("source", "unit", "period", "clock")
 
 
+class _StrictLoader(yaml.SafeLoader):
+    """YAML without the silent rule that the last of two equal keys wins."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        twice = next((key for key in keys if keys.count(key) > 1), None)
+        if twice is not None:
+            raise yaml.constructor.ConstructorError(None, None, f"the key {twice!r} stands twice", node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
 def read_map(names: str | Path | Iterable[str | Path]) -> SignalMap:
     """Read one or several maps, each a preset's name or a YAML file; later ones override earlier ones.
 
@@ -252,7 +263,7 @@ def _load(path: str | Path, above: tuple[str, ...]) -> dict[str, Any]:
     if not file.is_file():
         file = preset_path(str(path)) or file
     try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        content = yaml.load(file.read_text(encoding="utf-8"), Loader=_StrictLoader)
     except FileNotFoundError:
         advice = f"{nearest_names(str(path), preset_names())} A map is a YAML file or one of the presets."
         raise MapError("no such map", where=str(path), advice=advice) from None

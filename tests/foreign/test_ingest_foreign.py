@@ -64,9 +64,9 @@ def test_av21_its_shifted_channels_are_found(tmp_path, datasets):
     assert found["r"]["delay"] == pytest.approx(0.33, abs=0.1) and found["r"]["refusal"] == ""
     assert found["r"]["delay"] - found["yaw"]["delay"] == pytest.approx(0.24, abs=0.05)
     assert found["ax"]["delay"] > 0.9
-    # Rear wheels lead v_x by a tenth, front wheels do not.
-    assert found["wheel_speed_rl"]["delay"] == pytest.approx(-0.097, abs=0.02)
+    # Front wheels are in time. The driven rear ones seem early; slip does that too, so the error covers it.
     assert abs(found["wheel_speed_fl"]["delay"]) < 0.04
+    assert found["wheel_speed_rl"]["error"] > 0.02
     # Evidence by another measure: dyaw/dt and r agree better after, as far as r's own filter lets them.
     before, _ = ingest(
         tmp_path, datasets / "av21_lvms" / "LVMS_23_01_04_B.csv",

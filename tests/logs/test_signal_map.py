@@ -225,6 +225,9 @@ def test_a_file_that_is_no_map_is_refused(tmp_path):
     (tmp_path / "bad.yaml").write_text("channels: [unclosed")
     with pytest.raises(MapError, match="is not YAML"):
         read_map(tmp_path / "bad.yaml")
+    (tmp_path / "twice.yaml").write_text("channels:\n  vx: a\n  vx: b\n")
+    with pytest.raises(MapError, match="the key 'vx' stands twice, line 2"):
+        read_map(tmp_path / "twice.yaml")
     with pytest.raises(MapError, match="no such map.*genesis_slow"):
         read_map("genesis_slo")
 
