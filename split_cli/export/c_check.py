@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.errors import ExportError
 from split_cli.export.c99 import CSource, fill, template
 from split_cli.export.check import Answer, Oracle, PredictionCheck, check_predictions
-from split_cli.export.compiler import STRICT_FLAGS, Compiler, Driver, run_program
+from split_cli.export.compiler import STRICT_FLAGS, Compiler, Driver, run_program, section_bytes
 from split_cli.export.step_check import (
     RK4_SUBSTEPS,
     compare_features,
@@ -89,7 +89,8 @@ def build_driver(
     driver = folder / "driver.c"
     driver.write_text(fill(template("driver.c.in"), values))
     program = folder / "driver"
-    compiler.build([folder / f"{source.name}.c", driver], program, [*STRICT_FLAGS, *flags])
+    compiled = compiler.compile(folder / f"{source.name}.c", folder, [*STRICT_FLAGS, *flags])
+    compiler.build([compiled, driver], program, [*STRICT_FLAGS, *flags])
     return Driver(program, source.real)
 
 
@@ -129,7 +130,7 @@ def check_c(
     selftest.write_text(selftest_source(source, oracle))
     run_selftest(compiler, folder, source.name)
     inside = oracle.z[np.isfinite(oracle.z).all(axis=1) & (np.abs(oracle.z) < 1e4).all(axis=1)]
-    sizes = compiler.text_bytes(folder / f"{source.name}.c", folder, [*STRICT_FLAGS, OPTIMISATION])
+    sizes = section_bytes(folder / f"{source.name}.o")
     return CCheck(
         predictions,
         step_error,
@@ -149,7 +150,10 @@ def run_selftest(compiler: Compiler, folder: Path, name: str) -> str:
         If it fails.
     """
     program = folder / "selftest"
-    compiler.build([folder / f"{name}.c", folder / f"{name}_selftest.c"], program, [*STRICT_FLAGS, OPTIMISATION])
+    compiled = folder / f"{name}.o"
+    if not compiled.is_file():
+        compiler.compile(folder / f"{name}.c", folder, [*STRICT_FLAGS, OPTIMISATION])
+    compiler.build([compiled, folder / f"{name}_selftest.c"], program, [*STRICT_FLAGS, OPTIMISATION])
     done = run_program([str(program)], b"", "the self-test")
     said = done.stdout.decode(errors="replace").strip()
     if done.returncode:

@@ -168,16 +168,22 @@ def _whole_model(graph: NominalGraph) -> casadi.Function:
 
 
 def _linear_response(A: casadi.MX, f: casadi.MX, h: casadi.MX) -> casadi.MX:
-    """Return y(h) of y' = A y + f from y(0) = 0; substeps call one function, so that generated C stays small."""
+    """Return y(h) of y' = A y + f from y(0) = 0.
+
+    Every substep calls one function, and every term of its series another. Written out, the derivatives of the
+    series are tens of thousands of lines of C, and compilers take minutes.
+    """
     size = f.shape[0]
-    matrix = casadi.SX.sym("A", A.sparsity())
-    force, dt, start = casadi.SX.sym("f", size), casadi.SX.sym("dt"), casadi.SX.sym("y", size)
-    term = dt * (casadi.mtimes(matrix, start) + force)
+    matrix, vector, scale = casadi.SX.sym("A", A.sparsity()), casadi.SX.sym("v", size), casadi.SX.sym("scale")
+    following = casadi.Function(f"term_{size}", [matrix, vector, scale], [casadi.mtimes(matrix, vector) * scale])
+    block, force = casadi.MX.sym("A", A.sparsity()), casadi.MX.sym("f", size)
+    start, dt = casadi.MX.sym("y", size), casadi.MX.sym("dt")
+    term = following(block, start, dt) + force * dt
     end = start + term
     for k in range(2, _TAYLOR_TERMS + 1):
-        term = casadi.mtimes(matrix, term) * (dt / k)
+        term = following(block, term, dt / k)
         end = end + term
-    substep = casadi.Function(f"substep_{size}", [start, matrix, force, dt], [end])
+    substep = casadi.Function(f"substep_{size}", [start, block, force, dt], [end])
     y = casadi.MX.zeros(size)
     for _ in range(_SUBSTEPS):
         y = substep(y, A, f, h / _SUBSTEPS)
@@ -196,8 +202,16 @@ def casadi_answer(predict: casadi.Function) -> Answer:
     return Answer(answer, lambda queries: np.array([np.asarray(slopes(query)) for query in queries]))
 
 
-def check_casadi(functions: CasadiFunctions, oracle: Oracle, steps: StepOracle | None) -> PredictionCheck:
+def check_casadi(
+    functions: CasadiFunctions, oracle: Oracle, steps: StepOracle | None
+) -> tuple[PredictionCheck, float | None]:
     """Compare value, Jacobian, Hessian and step with Python and with finite differences.
+
+    Returns
+    -------
+    PredictionCheck
+    float or None
+        Largest relative error of the step.
 
     Raises
     ------
@@ -208,9 +222,10 @@ def check_casadi(functions: CasadiFunctions, oracle: Oracle, steps: StepOracle |
     check_hessian(functions.predict, oracle)
     if functions.step is not None and steps is not None:
         found = np.array([_step_once(functions.step, row) for row in steps.asked])
-        compare_states(found, steps.exact, steps, "double", "CasADi: the step")
+        error = compare_states(found, steps.exact, steps, "double", "CasADi: the step")
         _check_step_jacobian(functions.step, steps)
-    return check
+        return check, error
+    return check, None
 
 
 def _step_once(step: casadi.Function, asked: np.ndarray) -> np.ndarray:
@@ -288,7 +303,7 @@ def generate_c(functions: CasadiFunctions, name: str, folder: Path) -> tuple[Pat
     The functions are ``NAME_mean_variance``, ``NAME_mean_variance_jacobian``, ``NAME_discrete`` and
     ``NAME_discrete_jacobian``; the last two take (x, u, h).
     """
-    generator = casadi.CodeGenerator(f"{name}_casadi.c", {"with_header": True, "casadi_int": "int"})
+    generator = casadi.CodeGenerator(f"{name}_casadi.c", {"with_header": True})
     z = casadi.MX.sym("z", functions.predict.size1_in(0))
     outputs = functions.predict(z)
     slopes = casadi.densify(casadi.jacobian(outputs[0], z))

@@ -15,7 +15,7 @@ import numpy as np
 
 from split_cli.errors import ExportError
 
-__all__ = ["STRICT_FLAGS", "Compiler", "Driver", "find_compiler", "run_program"]
+__all__ = ["STRICT_FLAGS", "Compiler", "Driver", "find_compiler", "run_program", "section_bytes"]
 
 STRICT_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 _TIMEOUT = 600.0
@@ -53,18 +53,23 @@ class Compiler:
             first = next((line for line in lines if "error" in line), lines[0] if lines else "no message")
             raise ExportError(f"the generated C does not compile: {first}", where=" ".join(self.command))
 
-    def text_bytes(self, source: Path, folder: Path, flags: Sequence[str]) -> tuple[int, int] | None:
-        """Return bytes of code and of constant tables of one object file, None where `size` is missing."""
-        size = shutil.which("size")
-        if size is None:
-            return None
-        target = folder / "measured.o"
+    def compile(self, source: Path, folder: Path, flags: Sequence[str]) -> Path:
+        """Compile one source into an object file in `folder` and return its path; raises as `build` does."""
+        target = folder / f"{source.stem}.o"
         self.build([source], target, [*flags, "-c"])
-        done = run_program([size, "-A", str(target)], b"", "size")
-        sections = re.findall(r"^(\.[\w.]+)\s+(\d+)", done.stdout.decode(errors="replace"), re.MULTILINE)
-        code = sum(int(count) for name, count in sections if name.startswith(".text"))
-        constants = sum(int(count) for name, count in sections if name.startswith((".rodata", ".data.rel.ro")))
-        return code, constants
+        return target
+
+
+def section_bytes(target: Path) -> tuple[int, int] | None:
+    """Return bytes of code and of constants in an object file, None where there is no `size` to ask."""
+    size = shutil.which("size")
+    if size is None:
+        return None
+    done = run_program([size, "-A", str(target)], b"", "size")
+    sections = re.findall(r"^(\.[\w.]+)\s+(\d+)", done.stdout.decode(errors="replace"), re.MULTILINE)
+    code = sum(int(count) for name, count in sections if name.startswith(".text"))
+    constants = sum(int(count) for name, count in sections if name.startswith((".rodata", ".data.rel.ro")))
+    return code, constants
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from split_cli.export.c99 import fill, template
 from split_cli.export.check import Answer, Oracle, check_predictions
-from split_cli.export.compiler import Compiler, Driver
+from split_cli.export.compiler import Compiler, Driver, section_bytes
 from split_cli.export.step_check import StepOracle, compare_states
 
 __all__ = ["build_generated", "check_generated"]
@@ -18,7 +19,7 @@ _FLAGS = ("-std=c99", "-O1")
 _QUERIES = 1000
 
 
-def build_generated(name: str, source: Path, scratch: Path, compiler: Compiler, step_inputs: int) -> Driver:
+def build_generated(name: str, source: Path, scratch: Path, compiler: Compiler, with_step: bool) -> Driver:
     """Compile ``NAME_casadi.c`` of folder `source` with a driver in folder `scratch`.
 
     Parameters
@@ -26,15 +27,16 @@ def build_generated(name: str, source: Path, scratch: Path, compiler: Compiler, 
     name : str
     source, scratch : Path
     compiler : Compiler
-    step_inputs : int
-        Inputs of the discrete step, 0 when there is none.
+    with_step : bool
+        Whether there is a discrete step.
     """
     driver = scratch / "casadi_driver.c"
-    cases = f"    case 1: function = {name}_discrete; break;\n" if step_inputs else ""
+    cases = f"    case 1: function = {name}_discrete; break;\n" if with_step else ""
     driver.write_text(fill(template("casadi_driver.c.in"), {"NAME": name, "STEP": cases}))
     program = scratch / "casadi_driver"
     flags = [*_FLAGS, f"-I{source}"]
-    compiler.build([source / f"{name}_casadi.c", driver], program, flags)
+    compiled = compiler.compile(source / f"{name}_casadi.c", scratch, flags)
+    compiler.build([compiled, driver], program, flags)
     return Driver(program, "double")
 
 
@@ -54,7 +56,7 @@ def check_generated(
     ExportError
         If it does not compile or differs.
     """
-    driver = build_generated(name, source, scratch, compiler, 3 if with_step else 0)
+    driver = build_generated(name, source, scratch, compiler, with_step)
     dimension = oracle.z.shape[1]
 
     def predict(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -65,18 +67,11 @@ def check_generated(
         # CasADi stores matrices column by column.
         return driver.answers(2, z, 6 + 3 * dimension)[:, 6:].reshape(-1, dimension, 3).transpose(0, 2, 1)
 
-    few = Oracle(
-        oracle.z[:: max(1, len(oracle.z) // _QUERIES)],
-        oracle.mean[:: max(1, len(oracle.z) // _QUERIES)],
-        oracle.variance[:: max(1, len(oracle.z) // _QUERIES)],
-        oracle.slope_z,
-        oracle.slopes,
-        oracle.predictor_error,
-        oracle.reference,
-    )
+    some = slice(None, None, max(1, len(oracle.z) // _QUERIES))
+    few = replace(oracle, z=oracle.z[some], mean=oracle.mean[some], variance=oracle.variance[some])
     check_predictions(Answer(predict, jacobian), few, "double", "CasADi's C")
     if with_step and steps is not None:
         found = driver.answers(1, steps.asked, 8)
         compare_states(found, steps.exact, steps, "double", "CasADi's C: the step")
-    sizes = compiler.text_bytes(source / f"{name}_casadi.c", scratch, _FLAGS)
+    sizes = section_bytes(scratch / f"{name}_casadi.o")
     return sizes[0] if sizes else None

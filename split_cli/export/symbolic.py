@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi
+import numpy as np
 
 from split_cli.errors import ExportError
 from split_cli.learning.features import FeatureSet
@@ -97,6 +98,7 @@ def build_nominal(model: SingleTrack, features: FeatureSet) -> NominalGraph:
     jacobian = casadi.densify(casadi.jacobian(rates, arguments))
     options = {"cse": True}
     traced = casadi.Function("rates", [arguments, place_time], [casadi.densify(rates), jacobian], options)
+    _require_same(model, traced)
     needs = casadi.which_depends(rates, place_time, 1, False)
     names = _feature_expressions(model, flow, arguments)
     foreign = tuple(name for name in features.names if name not in names)
@@ -104,6 +106,33 @@ def build_nominal(model: SingleTrack, features: FeatureSet) -> NominalGraph:
     if not foreign:
         feature_function = _feature_function(features, names, arguments, place_time)
     return NominalGraph(traced, feature_function, foreign, any(needs))
+
+
+def _require_same(model: SingleTrack, traced: casadi.Function) -> None:
+    """Compare the traced rates with NumPy's: a term may branch on numbers in a way that leaves no trace."""
+    rng = np.random.default_rng(5)
+    car, count = model.vehicle, 64
+    speed = car.minimum_speed * rng.uniform(1.0, 10.0, count)
+    asked = np.stack(
+        [
+            rng.uniform(-3.0, 3.0, count),
+            speed,
+            speed * rng.uniform(-0.1, 0.1, count),
+            speed / car.wheelbase * rng.uniform(-0.1, 0.1, count),
+            rng.uniform(-car.max_brake_torque, car.max_torque, count),
+            rng.uniform(-0.2, 0.2, count),
+        ]
+    )
+    t, s = rng.uniform(0.0, 100.0, count), rng.uniform(0.0, 1000.0, count)
+    expected = np.stack(np.broadcast_arrays(*model.velocity_derivative(*asked[1:], yaw=asked[0], t=t, s=s)))
+    found = np.asarray(traced.map(count)(asked, np.stack([t, s]))[0])
+    # Rounding of the same operations; a sum of forces of 1e4 N keeps 1e-12 of an acceleration.
+    if not np.allclose(found, expected, rtol=1e-9, atol=1e-9):
+        raise ExportError(
+            "the traced model is not the one that Python evaluates",
+            where=f"vehicle {car.name}, effects: {', '.join(term.id for term in model.terms)}",
+            advice="A term may use only the shared operations of split_cli.vehicle.operations.",
+        )
 
 
 def _feature_expressions(model: SingleTrack, flow: Any, a: casadi.SX) -> dict[str, Any]:

@@ -1,0 +1,142 @@
+"""Checking an export that already lies in a folder: hashes, then answers."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import ExportError
+from split_cli.export.c_check import run_selftest
+from split_cli.export.casadi_function import casadi_answer
+from split_cli.export.check import TOLERANCE, Answer
+from split_cli.export.compiler import find_compiler
+from split_cli.export.documents import document_answer, read_json, read_npz
+from split_cli.export.targets import MANIFEST, MANIFEST_FORMAT
+from split_cli.files import sha256_of_file
+
+__all__ = ["Finding", "read_manifest", "verify_folder"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was checked.
+
+    Attributes
+    ----------
+    check : str
+        What.
+    passed : bool or None
+        None when it could not be checked here.
+    detail : str
+    """
+
+    check: str
+    passed: bool | None
+    detail: str
+
+
+def read_manifest(folder: Path) -> dict:
+    """Return an export's manifest.
+
+    Raises
+    ------
+    ExportError
+        If there is none, or it is damaged or of another version.
+    """
+    path = folder / MANIFEST
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ExportError("holds no export: manifest.json is missing", where=str(folder)) from None
+    except (OSError, ValueError) as error:
+        raise ExportError(f"is damaged ({error})", where=str(path)) from error
+    if not isinstance(manifest, dict) or manifest.get("format") != MANIFEST_FORMAT:
+        found = manifest.get("format") if isinstance(manifest, dict) else type(manifest).__name__
+        raise ExportError(f"is of format {found!r}, this version reads {MANIFEST_FORMAT!r}", where=str(path))
+    missing = {"name", "targets", "files", "real"} - set(manifest)
+    if missing or not all(Path(name).name == name for name in manifest["files"]):
+        raise ExportError("is damaged (it lacks keys or names files elsewhere)", where=str(path))
+    return manifest
+
+
+def verify_folder(folder: str | Path) -> tuple[Finding, ...]:
+    """Check the hash of every file of an export, then ask every target its stored check points.
+
+    Returns
+    -------
+    tuple of Finding
+
+    Raises
+    ------
+    ExportError
+        If the folder holds no export.
+    """
+    folder = Path(folder)
+    manifest = read_manifest(folder)
+    findings = [_hash(folder / name, expected) for name, expected in sorted(manifest["files"].items())]
+    if not all(finding.passed for finding in findings):
+        # Answers of files that are not those written would prove nothing.
+        return tuple(findings)
+    checks = {"c": _verify_c, "casadi": _verify_casadi, "npz": _verify_npz, "json": _verify_json}
+    for target in manifest["targets"]:
+        try:
+            findings.append(checks[target](folder, manifest["name"]))
+        except (ExportError, KeyError) as error:
+            findings.append(Finding(f"{target}: answers", False, str(error)))
+    return tuple(findings)
+
+
+def _hash(path: Path, expected: str) -> Finding:
+    what = f"{path.name}: SHA-256"
+    if not path.is_file():
+        return Finding(what, False, "the file is missing")
+    found = sha256_of_file(path)
+    return Finding(what, found == expected, "as written" if found == expected else f"is {found}")
+
+
+def _verify_c(folder: Path, name: str) -> Finding:
+    compiler = find_compiler()
+    if compiler is None:
+        return Finding("c: self-test", None, "there is no C compiler here")
+    with tempfile.TemporaryDirectory(prefix="split-verify-") as scratch:
+        for suffix in (".h", ".c", "_selftest.c"):
+            (Path(scratch) / f"{name}{suffix}").write_bytes((folder / f"{name}{suffix}").read_bytes())
+        return Finding("c: self-test", True, run_selftest(compiler, Path(scratch), name))
+
+
+def _verify_casadi(folder: Path, name: str) -> Finding:
+    import casadi
+
+    try:
+        predict = casadi.Function.load(str(folder / f"{name}.casadi"))
+    except RuntimeError as error:
+        raise ExportError(f"cannot be loaded ({str(error).splitlines()[-1]})") from error
+    return _ask(casadi_answer(predict), folder, name, "casadi")
+
+
+def _verify_npz(folder: Path, name: str) -> Finding:
+    return _ask(document_answer(read_npz(folder / f"{name}.npz")), folder, name, "npz")
+
+
+def _verify_json(folder: Path, name: str) -> Finding:
+    return _ask(document_answer(read_json(folder / f"{name}.json")), folder, name, "json")
+
+
+def _ask(answer: Answer, folder: Path, name: str, target: str) -> Finding:
+    """Ask the stored check points; another machine's mathematics library is allowed ten times the tolerance."""
+    points = {
+        key: np.array(values) for key, values in json.loads((folder / f"{name}_check.json").read_text()).items()
+    }
+    mean, variance = answer.predict(points["z"])
+    scale = points["signal_variance"]
+    worst = max(
+        float(np.max(np.abs(mean - points["mean"]) / np.sqrt(scale))),
+        float(np.max(np.abs(variance - points["variance"]) / scale)),
+    )
+    allowed = 10.0 * TOLERANCE["double"]
+    detail = f"largest error {worst:.3g} on {len(mean)} stored queries, {allowed:g} is allowed"
+    return Finding(f"{target}: answers", bool(worst <= allowed), detail)
