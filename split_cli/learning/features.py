@@ -9,9 +9,10 @@ import numpy as np
 
 from split_cli.errors import DriveError, nearest_names
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.effects.recording import Recording
+from split_cli.vehicle.single_track import Flow, SingleTrack
 
-__all__ = ["Z1", "Z2", "FeatureSet", "parse_features"]
+__all__ = ["Z1", "Z2", "FeatureSet", "flow_along", "parse_features", "recording_of"]
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class FeatureSet:
         DriveError
             If a feature is neither computed nor a channel of the drive.
         """
-        flow = model.flow(drive["vx"], drive["vy"], drive["r"], drive["T"], drive["delta"])
+        flow = flow_along(model, drive)
         computed = {
             "alpha_f": flow.front.slip_angle,
             "alpha_r": flow.rear.slip_angle,
@@ -56,6 +57,20 @@ class FeatureSet:
                 raise DriveError(f"no feature {name!r}", where=drive.name, advice=nearest_names(name, known))
             columns.append(computed[name] if name in computed else drive[name])
         return np.ascontiguousarray(np.stack(columns, axis=1))
+
+
+def flow_along(model: SingleTrack, drive: Drive) -> Flow:
+    """Evaluate a model on every sample of a drive, the memory of its terms followed along each segment."""
+    yaw = drive.columns.get("yaw", 0.0)
+    channels = (drive[name] for name in ("vx", "vy", "r", "T", "delta"))
+    # Samples that are not finite are counted and rejected by who asks.
+    with np.errstate(invalid="ignore"):
+        return model.flow(*channels, yaw=yaw, t=drive["t"], recording=recording_of(drive))
+
+
+def recording_of(drive: Drive) -> Recording:
+    """Return a drive's clock and segments, as terms with memory need them."""
+    return Recording(drive.period, tuple((run.start, run.stop) for run in drive.segments()))
 
 
 Z1 = FeatureSet(("vx", "vy", "r", "torque_ratio", "delta"))

@@ -8,10 +8,10 @@ from enum import IntEnum
 import numpy as np
 
 from split_cli.errors import DriveError
-from split_cli.learning.features import FeatureSet
+from split_cli.learning.features import FeatureSet, flow_along, recording_of
 from split_cli.learning.region import Grid, Region
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.integration import integrate_recorded, phi_matrix
+from split_cli.vehicle.integration import RecordedInputs, integrate_recorded, phi_matrix, recorded_inputs
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -248,22 +248,32 @@ def nominal_errors(
         # Copies: columns of a file are read-only, a type of its own to the compiler.
         channels = [np.array(drive[name], dtype=float) for name in (*_VELOCITIES, "T", "delta")]
         return window_errors(*channels, starts, window, drive.period, _nominal_constants(model.vehicle), plain)
+    inputs = _recorded_inputs(model, drive)
     parts = [
-        _window_errors_reference(model, drive, starts[first : first + _CHUNK], window, plain)
+        _window_errors_reference(model, drive, inputs, starts[first : first + _CHUNK], window, plain)
         for first in range(0, len(starts), _CHUNK)
     ]
     return np.concatenate(parts) if parts else np.empty((0, 3))
 
 
+def _recorded_inputs(model: SingleTrack, drive: Drive) -> RecordedInputs:
+    """Return inputs as the terms' delays leave them, and the terms' states at every sample."""
+    velocity = np.stack([drive[name] for name in _VELOCITIES], axis=1)
+    yaw = drive.columns.get("yaw", 0.0)
+    recording = recording_of(drive)
+    return recorded_inputs(model, velocity, drive["T"], drive["delta"], recording, time=drive["t"], yaw=yaw)
+
+
 def _window_errors_reference(
-    model: SingleTrack, drive: Drive, starts: np.ndarray, window: int, plain: bool
+    model: SingleTrack, drive: Drive, inputs: RecordedInputs, starts: np.ndarray, window: int, plain: bool
 ) -> np.ndarray:
     begin = np.stack([drive[name][starts] for name in _VELOCITIES], axis=1)
     end = np.stack([drive[name][starts + window] for name in _VELOCITIES], axis=1)
     span = starts[:, None] + np.arange(window + 1)
-    torque, steer_angle = drive["T"][span], drive["delta"][span]
-    situation = {"t": drive["t"][starts], "yaw": drive["yaw"][starts] if "yaw" in drive else np.zeros(len(starts))}
-    jacobian = model.velocity_jacobian(*begin.T, torque[:, 0], steer_angle[:, 0], **situation)
+    torque, steer_angle, memory = inputs.torque[span], inputs.steer_angle[span], inputs.term_states[starts]
+    time, yaw = drive["t"][starts], drive["yaw"][starts] if "yaw" in drive else np.zeros(len(starts))
+    states = dict(zip(model.state_names, memory.T, strict=True)) or None
+    jacobian = model.velocity_jacobian(*begin.T, torque[:, 0], steer_angle[:, 0], t=time, yaw=yaw, states=states)
     substeps = _substeps(jacobian, drive.period, model.vehicle.wheelbase)
     predicted = np.empty_like(begin)
     for count in np.unique(substeps):
@@ -275,8 +285,9 @@ def _window_errors_reference(
             steer_angle[group],
             drive.period,
             int(count),
-            time=situation["t"][group],
-            yaw=situation["yaw"][group],
+            time=time[group],
+            yaw=yaw[group],
+            term_states=memory[group],
         )
     horizon = window * drive.period
     rate = (end - predicted) / horizon
@@ -339,16 +350,15 @@ def _reject(
     before = np.concatenate([[0], np.cumsum(broken)])
     non_finite = before[np.minimum(starts + window + 1, len(drive))] > before[starts]
     non_finite |= ~np.isfinite(z).all(axis=1)
-    at = [np.where(non_finite, 1.0, drive[name][starts]) for name in (*_VELOCITIES, "T", "delta")]
-    flow = model.flow(*at)
-    alpha_f, alpha_r = flow.front.slip_angle, flow.rear.slip_angle
+    flow = flow_along(model, drive)
+    alpha_f, alpha_r = flow.front.slip_angle[starts], flow.rear.slip_angle[starts]
     tests = (
         (Reason.GAP, gap),
         (Reason.NON_FINITE, non_finite),
-        (Reason.SPEED, ~(at[0] > region.minimum_speed)),
+        (Reason.SPEED, ~(drive["vx"][starts] > region.minimum_speed)),
         (Reason.SLIP, ~region.inside_slip(alpha_f, alpha_r)),
         (Reason.SLIP_DIFFERENCE, ~region.inside_slip_difference(alpha_f, alpha_r)),
-        (Reason.ELLIPSE, ~region.inside_ellipse(model.vehicle, alpha_f, alpha_r, at[3])),
+        (Reason.ELLIPSE, ~region.inside_ellipse(model.vehicle, alpha_f, alpha_r, drive["T"][starts])),
     )
     reason = np.zeros(len(starts), dtype=np.int8)
     for code, failed in reversed(tests):
