@@ -67,9 +67,9 @@ class TimeSpan(click.ParamType):
 def command(drives, vehicle_path, output, append, as_json, **settings) -> None:
     """Learn what the nominal model gets wrong, cell by cell, into a trained set.
 
-    Drives are learned in the order given; one run or several appended ones give the same file. Printed are, a
-    drive and in total, samples by what became of them, updates of the set, its size, non-empty cells, their share
-    of the valid region, time a sample and memory.
+    Drives are learned in the order given; with the same hyperparameters one run and several appended ones give
+    the same file, bit for bit. Printed are, a drive and in total, samples by what became of them, updates of the
+    set, its size, non-empty cells, their share of the valid region, time a sample and memory.
 
     \b
     Example:
@@ -78,10 +78,12 @@ def command(drives, vehicle_path, output, append, as_json, **settings) -> None:
     """
     from split_cli.workflows.train import TrainSettings, train_set
 
-    result = train_set(
-        drives, vehicle_path, output, TrainSettings(**settings), append=append, progress=_progress()
-    )
-    _clear_progress()
+    try:
+        result = train_set(
+            drives, vehicle_path, output, TrainSettings(**settings), append=append, progress=_progress()
+        )
+    finally:
+        _clear_progress()
     for note in result.notes:
         click.echo(f"note: {note}", err=True)
     if as_json:

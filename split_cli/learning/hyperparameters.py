@@ -47,7 +47,7 @@ class KernelFit:
         What the likelihood was summed over.
     evaluations : int
     at_bound : tuple of str
-        Hyperparameters that ended on a bound: the labels do not determine them.
+        Hyperparameters that ended on a bound: the labels ask for more, or do not determine them.
     """
 
     kernel: Kernel

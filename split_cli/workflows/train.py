@@ -264,9 +264,8 @@ class _Run:
             return None
         self.say(f"fitting hyperparameters to {len(z)} labels")
         fit = fit_kernel(z, y, grid, start)
-        self.notes += [
-            f"the labels do not determine the {name}: it is on a bound of the fit" for name in fit.at_bound
-        ]
+        scales = {f"length scale {i + 1}": f"length scale of {name}" for i, name in enumerate(self.features.names)}
+        self.notes += [f"the {scales.get(name, name)} ended on a bound of the fit" for name in fit.at_bound]
         return fit
 
     def _first_valid(self) -> Labels:
