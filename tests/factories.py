@@ -66,7 +66,7 @@ def make_drive(
     name: str = "made.parquet",
     knot: float = 0.2,
 ) -> Drive:
-    """Return a drive of `segments` runs of a single track with `terms` (or the vehicle's), steered and driven at random.
+    """Return a drive of `segments` runs of a single track with `terms` or the vehicle's, driven at random.
 
     Inputs are linear between knots `knot` seconds apart, so that the same motion can be recorded with any period
     that divides it. Integrated with steps of 1.25 ms, where RK4 is exact to some 1e-10.
