@@ -11,10 +11,10 @@ from split_cli.learning.features import parse_features
 from split_cli.learning.label_file import write_labels
 from split_cli.learning.labels import DEFAULT_HORIZON, compute_labels
 from split_cli.learning.region import Region, build_grid
-from split_cli.logs.drive import read_drive
+from split_cli.logs.drive import Drive, read_drive
 from split_cli.vehicle.parameters import read_vehicle
 
-__all__ = ["LabelResult", "label_drive"]
+__all__ = ["LabelResult", "drive_notes", "label_drive"]
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,9 @@ def label_drive(
     )
 
 
-def drive_notes(drive) -> tuple[str, ...]:
+def drive_notes(drive: Drive) -> tuple[str, ...]:
     """Return what a reader of labels should know of a drive's channels, in words."""
     kind = str(drive.metadata.kinds.get("T", ""))
-    if kind.startswith("derived") and "accel" in kind:
+    if kind.startswith("derived") and "a_x" in kind:
         return (f"{drive.name}: T is {kind}; the longitudinal label then says nothing",)
     return ()

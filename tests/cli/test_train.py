@@ -292,3 +292,15 @@ def test_learning_twice_is_noted_and_changes_nothing(garage, tmp_path):
     # A sample met again: its own point is there (gain 0), or was turned away by points of greater gain.
     assert after.size == before.size
     assert after.sources[1].insertions == 0
+
+
+def test_a_torque_derived_from_acceleration_is_told(garage, tmp_path):
+    drive = read_drive(drives_of(garage)[0])
+    kinds = {"T": "derived: torque from measured a_x by the nominal model of test car"}
+    write_drive(replace(drive, metadata=replace(drive.metadata, kinds=kinds)), tmp_path / "derived.parquet")
+    for name, output in (("label", "l.parquet"), ("train", "s.split")):
+        outcome = run(
+            name, tmp_path / "derived.parquet", "--vehicle", garage / "car.yaml", "-o", tmp_path / output
+        )
+        assert outcome.exit_code == 0
+        assert "the longitudinal label then says nothing" in outcome.stderr
