@@ -112,6 +112,9 @@ def group() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; leave with 0, 1 (the input is at fault) or 2 (usage), never with a traceback."""
+    # Matrices here are small: BLAS threads only wait for each other, and stall when other programs are busy.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("MKL_NUM_THREADS", "1")
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", NumericalRepairWarning)
     try:
