@@ -100,11 +100,13 @@ def build_nominal(model: SingleTrack, features: FeatureSet) -> NominalGraph:
     traced = casadi.Function("rates", [arguments, place_time], [casadi.densify(rates), jacobian], options)
     _require_same(model, traced)
     needs = casadi.which_depends(rates, place_time, 1, False)
-    names = _feature_expressions(model, flow, arguments)
-    foreign = tuple(name for name in features.names if name not in names)
+    x, u = casadi.SX.sym("x", 8), casadi.SX.sym("u", 2)
+    known = _feature_expressions(model, flow, arguments, x, u)
+    foreign = tuple(name for name in features.names if name not in known)
     feature_function = None
     if not foreign:
-        feature_function = _feature_function(features, names, arguments, place_time)
+        z = casadi.substitute(casadi.vertcat(*(known[name] for name in features.names)), arguments, x[2:8])
+        feature_function = _feature_function(z, x, u, place_time)
     return NominalGraph(traced, feature_function, foreign, any(needs))
 
 
@@ -135,34 +137,23 @@ def _require_same(model: SingleTrack, traced: casadi.Function) -> None:
         )
 
 
-def _feature_expressions(model: SingleTrack, flow: Any, a: casadi.SX) -> dict[str, Any]:
+def _feature_expressions(
+    model: SingleTrack, flow: Any, a: casadi.SX, x: casadi.SX, u: casadi.SX
+) -> dict[str, casadi.SX]:
     """Return what `FeatureSet.compute` computes from a drive, here from state and input."""
     return {
         "alpha_f": flow.front.slip_angle,
         "alpha_r": flow.rear.slip_angle,
         "torque_ratio": a[4] / model.vehicle.max_torque,
         "speed": casadi.sqrt(a[1] * a[1] + a[2] * a[2]),
-        "yaw": a[0],
-        "vx": a[1],
-        "vy": a[2],
-        "r": a[3],
-        "T": a[4],
-        "delta": a[5],
-        "X": None,
-        "Y": None,
-        "steer_rate": None,
-        "torque_rate": None,
+        "steer_rate": u[1],
+        **{name: x[index] for index, name in enumerate(STATES)},
     }
 
 
-def _feature_function(
-    features: FeatureSet, names: dict[str, Any], arguments: casadi.SX, place_time: casadi.SX
-) -> casadi.Function:
-    x, u = casadi.SX.sym("x", 8), casadi.SX.sym("u", 2)
-    names = {**names, "X": x[0], "Y": x[1], "steer_rate": u[1], "torque_rate": u[0]}
-    z = casadi.vertcat(*(names[name] for name in features.names))
-    z = casadi.densify(casadi.substitute(z, arguments, x[2:8]))
-    jacobian = casadi.densify(casadi.jacobian(z, casadi.vertcat(x, u)))
+def _feature_function(z: casadi.SX, x: casadi.SX, u: casadi.SX, place_time: casadi.SX) -> casadi.Function:
     if casadi.depends_on(z, place_time):
         raise ExportError("a feature depends on time or place through a term, which exported features do not take")
+    z = casadi.densify(z)
+    jacobian = casadi.densify(casadi.jacobian(z, casadi.vertcat(x, u)))
     return casadi.Function("features", [x, u], [z, jacobian], {"cse": True})

@@ -58,6 +58,14 @@ def test_float_agrees_with_python_within_its_tolerance(small_set, compiler, tmp_
     assert found.predictions.variance_error <= 1e-5
 
 
+def test_what_single_precision_cannot_hold_is_refused(compiler, tmp_path):
+    # Length scales of four cells with hardly any noise: cells' matrices are near singular, float loses a digit more.
+    stiff = make_training_set(seed=0, points=1500, noise=0.0005, length_scale_cells=4.0)
+    with pytest.raises(ExportError, match="Single precision cannot hold"):
+        checked(stiff, compiler, tmp_path, "float")
+    assert checked(stiff, compiler, tmp_path, "double").predictions.mean_error <= 1e-12
+
+
 def test_single_point_set(small_set, compiler, tmp_path):
     found = checked(take_cells(small_set, 1, 1), compiler, tmp_path, queries=200)
     assert found.predictions.mean_error < 1e-14
