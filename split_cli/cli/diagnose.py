@@ -1,0 +1,57 @@
+"""`split diagnose`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from split_cli.cli.options import existing_file, json_option, print_table, vehicle_option
+
+__all__ = ["command"]
+
+
+@click.command("diagnose")
+@click.option("--real", "real", type=existing_file, required=True, multiple=True, help="Real drive; repeatable.")
+@click.option("--sim", "simulated", type=existing_file, multiple=True, help="Simulated drive; repeatable.")
+@click.option("--holdout", type=existing_file, multiple=True, help="Real drive to judge on; repeatable.")
+@vehicle_option()
+@click.option("--out", "output", type=click.Path(path_type=Path), required=True, help="Folder to write into.")
+@click.option("--exit-code", is_flag=True, help="Leave with 3 when simulation and reality differ.")
+@json_option
+def command(real, simulated, holdout, vehicle_path, output, exit_code, as_json) -> None:
+    """Say where a simulation and reality differ, and name the physics that was left out.
+
+    Without --sim the nominal model is the simulation. Without --holdout the last quarter of the real drives is
+    kept out to judge the improvement on.
+
+    \b
+    Example:
+      split diagnose --real lap.parquet --sim twin.parquet --vehicle car.yaml --out diagnosis
+    """
+    from split_cli.diagnosis.document import diagnosis_to_text
+    from split_cli.workflows.diagnose import diagnose_files
+
+    def progress(step: str) -> None:
+        if sys.stderr.isatty():
+            click.echo(f"{step} ...", err=True)
+
+    result = diagnose_files(real, vehicle_path, output, simulated=simulated, holdout=holdout, progress=progress)
+    if as_json:
+        click.echo(diagnosis_to_text(result), nl=False)
+    else:
+        p_value = "" if result.p_value is None else f", p = {result.p_value:.2g}"
+        click.echo(f"{result.verdict}{p_value}; compared {result.compared_share:.0%} of the real drive")
+        click.echo(result.summary)
+        if result.findings:
+            rows = [
+                [f.term, name, p.value, p.std_error, p.unit, ", ".join(f.alternatives)]
+                for f in result.findings
+                for name, p in f.parameters.items()
+            ]
+            print_table(["term", "parameter", "value", "std error", "unit", "or"], rows)
+        for note in result.not_judged:
+            click.echo(f"not judged: {note}", err=True)
+    if exit_code and result.verdict == "mismatch":
+        sys.exit(3)

@@ -1,0 +1,293 @@
+"""The four questions in order: do they differ, where, what, does it help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from split_cli.diagnosis.candidates import build_candidates
+from split_cli.diagnosis.common import CommonPhysics, build_common_physics, features
+from split_cli.diagnosis.estimates import parameter_estimates
+from split_cli.diagnosis.evidence import Evidence, gather_evidence
+from split_cli.diagnosis.fitting import Fit, fit_parts
+from split_cli.diagnosis.improvement import label_errors, measure_improvement
+from split_cli.diagnosis.judge import CommonKnowledge, Judge, build_judge, learn_common
+from split_cli.diagnosis.location import gap_forces, gap_series, locate
+from split_cli.diagnosis.place import places_of
+from split_cli.diagnosis.result import Diagnosis, Finding, InputFile, RemainderTest, RivalSummary
+from split_cli.diagnosis.screening import judgeable, unfit
+from split_cli.diagnosis.selection import Rival, Rules, Selection, nothing, select_terms, term_size
+from split_cli.diagnosis.sentences import sentence_for, separations, summarise
+from split_cli.diagnosis.series import Series, build_series
+from split_cli.diagnosis.structure import FlexibleFit, Structure, build_structure
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["Settings", "diagnose"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """One fixed setting for all cases.
+
+    Attributes
+    ----------
+    level : float
+        p below which simulation and reality differ.
+    inflation : float
+        By which autocorrelation widens chi squared.
+    holdout_share : float
+        Share of the real drives' time kept out, at the end, when no drive is given for it.
+    nameless_share : float
+        Share of the gap without a name from which on it is said to be unexplained.
+    reach : float
+        How far, in scaled features, a real sample may be from the nearest simulated one.
+    least_rows : int
+        Rows of evidence below which nothing is decided.
+    """
+
+    level: float = 0.01
+    inflation: float = 1.5
+    holdout_share: float = 0.25
+    nameless_share: float = 0.15
+    reach: float = 0.35
+    least_rows: int = 250
+
+
+def diagnose(
+    real: Sequence[Drive],
+    vehicle: Vehicle,
+    simulated: Sequence[Drive] = (),
+    holdout: Sequence[Drive] = (),
+    *,
+    inputs: Sequence[InputFile] = (),
+    settings: Settings | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Diagnosis:
+    """Diagnose what reality has beyond a simulation.
+
+    Parameters
+    ----------
+    real : sequence of Drive
+        At least one.
+    vehicle : Vehicle
+        The nominal model.
+    simulated : sequence of Drive
+        Without any, the nominal model is the simulation.
+    holdout : sequence of Drive
+        Real drives to judge the improvement on; else the last share of `real`.
+    inputs : sequence of InputFile
+        For the record.
+    settings : Settings, optional
+    progress : callable
+        Called with the name of each step.
+    """
+    settings = settings or Settings()
+    described = {**asdict(settings), **{f"selection_{k}": v for k, v in asdict(Rules()).items()}}
+    drives = [*real, *simulated, *holdout]
+    roles = ["real"] * len(real) + ["sim"] * len(simulated) + ["holdout"] * len(holdout)
+    reasons = [reason for drive in drives for reason in unfit(drive, vehicle)]
+    if reasons:
+        return _undecided(reasons, 0.0, inputs, described)
+    progress("smoothing")
+    places, lap = places_of(drives, vehicle.wheelbase)
+    series = [
+        build_series(drive, role, s, lap_length=lap, place_reference=reference)
+        for drive, role, (s, reference) in zip(drives, roles, places, strict=True)
+    ]
+    progress("whitening")
+    case = _gather(vehicle, series, settings)
+    kept = sum(int(mask.sum()) for mask in case.keep)
+    share = kept / max(sum(len(one.at) for one in case.real), 1)
+    not_judged = judgeable(case.real, vehicle)
+    if kept < settings.least_rows:
+        reasons = [
+            f"Only {share:.0%} of the real drive ({kept} rows of 0.04 s) lies where the simulation has been; "
+            "drive both over the same speeds, torques and turns."
+        ]
+        return _undecided(reasons, share, inputs, described)
+    progress("comparing")
+    judge = build_judge(case.real, case.knowledge, case.keep)
+    structure = build_structure(judge, case.common)
+    base = nothing(judge)
+    gap = structure.fit(base.entries, settings.inflation)
+    progress("naming")
+    candidates = build_candidates(vehicle, case.real[0].series)
+    selection = select_terms(judge, candidates, settings.inflation)
+    p_value = min(1.0, 2.0 * min(gap.p_value, selection.first_p))
+    if p_value >= settings.level:
+        summary = summarise("match", (), False, None, None, ())
+        return Diagnosis(
+            "match", p_value, share, not_judged, inputs=tuple(inputs), settings=described,
+            history=selection.history, summary=summary, gaps=_gaps(case, ()),
+        )  # fmt: skip
+    progress("judging")
+    return _mismatch(
+        case, judge, structure, gap, selection, p_value, share, not_judged, inputs, described, settings
+    )
+
+
+@dataclass(frozen=True)
+class _Case:
+    """Everything whitened: real recordings, held-out ones, and what the simulation knows."""
+
+    vehicle: Vehicle
+    real: tuple[Evidence, ...]
+    holdout: tuple[Evidence, ...]
+    common: CommonPhysics
+    knowledge: CommonKnowledge | None
+    keep: tuple[np.ndarray, ...]
+
+    def common_rates(self, evidence: Evidence) -> np.ndarray:
+        """Return what the simulation knows beyond the nominal model along a recording, shape (N, 3)."""
+        if self.knowledge is None:
+            return np.zeros_like(evidence.series.measured)
+        return self.common.columns(evidence.series) @ self.knowledge.weights
+
+
+def _gather(vehicle: Vehicle, series: Sequence[Series], settings: Settings) -> _Case:
+    by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
+    common = build_common_physics(vehicle, (by_role["sim"] or by_role["real"])[0])
+    simulated = [gather_evidence(vehicle, one, common) for one in by_role["sim"]]
+    least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
+    real = [gather_evidence(vehicle, one, common, least) for one in by_role["real"]]
+    holdout = [gather_evidence(vehicle, one, common, least) for one in by_role["holdout"]]
+    knowledge = learn_common(simulated, settings.inflation) if simulated else None
+    keep = [_comparable(one, simulated, common, settings) for one in real]
+    return _Case(vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep))
+
+
+def _comparable(
+    one: Evidence, simulated: Sequence[Evidence], common: CommonPhysics, settings: Settings
+) -> np.ndarray:
+    """Return the rows of a real recording that are fast enough and near where a simulation has been."""
+    fast = one.series.smooth[one.at, 0] >= 0.6 * one.vehicle.minimum_speed
+    usable = fast & (one.weight > 0.0)
+    if not simulated:
+        return usable
+    from scipy.spatial import cKDTree
+
+    def scaled(evidence: Evidence) -> np.ndarray:
+        return (features(evidence.series, evidence.vehicle)[evidence.at] - common.center) / common.width
+
+    tree = cKDTree(np.concatenate([scaled(evidence) for evidence in simulated]))
+    distance, _ = tree.query(scaled(one), k=1, distance_upper_bound=settings.reach)
+    return usable & np.isfinite(distance)
+
+
+def _mismatch(
+    case: _Case,
+    judge: Judge,
+    structure: Structure,
+    gap: FlexibleFit,
+    selection: Selection,
+    p_value: float,
+    share: float,
+    not_judged: tuple[str, ...],
+    inputs: Sequence[InputFile],
+    described: dict,
+    settings: Settings,
+) -> Diagnosis:
+    chosen = selection.chosen
+    remainder = _remainder(structure, gap, selection, settings)
+    findings = _findings(judge, case, selection, settings)
+    unexplained = not findings or (
+        remainder.p_value < settings.level and remainder.share > settings.nameless_share
+    )
+    forces = [gap_forces(one, (), case.common_rates(one)) for one in case.real]
+    after = [gap_forces(one, chosen.terms, case.common_rates(one)) for one in case.real]
+    left = np.concatenate([f[one.at][mask] for f, one, mask in zip(after, case.real, case.keep, strict=True)])
+    location = locate(case.real, forces, case.keep, np.mean(left**2, axis=0))
+    improvement = _improvement(case, chosen, settings)
+    gaps = tuple(gap_series(one, f, a) for one, f, a in zip(case.real, forces, after, strict=True))
+    return Diagnosis(
+        "mismatch", p_value, share, not_judged, location, findings, unexplained, remainder, improvement,
+        tuple(inputs), described, gaps, selection.history,
+        summarise("mismatch", findings, unexplained, location, remainder, ()),
+    )  # fmt: skip
+
+
+def _remainder(structure: Structure, gap: FlexibleFit, selection: Selection, settings: Settings) -> RemainderTest:
+    left = structure.fit(selection.chosen.entries, settings.inflation)
+    named = selection.base.cost - selection.chosen.cost
+    nameless = max(left.saved - settings.inflation * left.freedom, 0.0)
+    return RemainderTest(left.p_value, nameless / max(nameless + named, 1e-9), left.severity, left.group_saved)
+
+
+def _findings(judge: Judge, case: _Case, selection: Selection, settings: Settings) -> tuple[Finding, ...]:
+    chosen = selection.chosen
+    estimates = parameter_estimates(judge, chosen)
+    total = max(selection.base.cost - chosen.cost, 1e-9)
+    out = []
+    for k, (part, rivals) in enumerate(zip(chosen.parts, selection.rivals, strict=True)):
+        term, variant = part.candidate.term, part.candidate.variant
+        others = chosen.parts[:k] + chosen.parts[k + 1 :]
+        without = fit_parts(judge, others).cost if others else selection.base.cost
+        alternatives = _alternatives(term, rivals, chosen)
+        values = {name: estimate.value for name, estimate in estimates[k].items()}
+        out.append(
+            Finding(
+                term,
+                variant,
+                estimates[k],
+                float(np.clip((without - chosen.cost) / total, 0.0, 1.0)),
+                alternatives,
+                sentence_for(term, variant, values, alternatives),
+                term_size(judge, chosen, k),
+                tuple(_summary(rival, chosen) for rival in rivals[:6]),
+                separations(term, alternatives),
+                CATALOGUE[term].exported,
+            )
+        )
+    return tuple(sorted(out, key=lambda finding: -finding.gap_explained))
+
+
+def _alternatives(term: str, rivals: Sequence[Rival], chosen: Fit) -> tuple[str, ...]:
+    """Return terms that fit as well here, and those that always would: exact degeneracies."""
+    rules = Rules()
+    names = [
+        rival.fit.parts[-1].candidate.term
+        for rival in rivals
+        if rival.z < rules.same_within or rival.excess < rules.same_excess
+    ]
+    names += [mimic.terms for mimic in CATALOGUE[term].mimics if mimic.exact and mimic.terms != term]
+    taken = {part.candidate.term for part in chosen.parts}
+    return tuple(name for name in dict.fromkeys(names) if name not in taken)
+
+
+def _summary(rival: Rival, chosen: Fit) -> RivalSummary:
+    candidate = rival.fit.parts[-1].candidate
+    return RivalSummary(candidate.term, candidate.variant, rival.excess, rival.z)
+
+
+def _improvement(case: _Case, chosen: Fit, settings: Settings):
+    """Refit on the training rows alone, then compare on the held-out ones."""
+    if case.holdout:
+        masks = [np.zeros(len(one.series), dtype=bool) for one in case.real]
+    else:
+        masks = [one.series.t > (1.0 - settings.holdout_share) * one.series.t[-1] for one in case.real]
+    keep = [mask & ~held[one.at] for one, mask, held in zip(case.real, case.keep, masks, strict=True)]
+    terms = fit_parts(build_judge(case.real, case.knowledge, keep), chosen.parts).terms if chosen.parts else ()
+    parts = [
+        label_errors(one, terms, case.common_rates(one), held) for one, held in zip(case.real, masks, strict=True)
+    ]
+    parts += [
+        label_errors(one, terms, case.common_rates(one), np.ones(len(one.series), dtype=bool))
+        for one in case.holdout
+    ]
+    return measure_improvement(parts, case.vehicle)
+
+
+def _gaps(case: _Case, terms):
+    forces = [gap_forces(one, (), case.common_rates(one)) for one in case.real]
+    return tuple(gap_series(one, f, f) for one, f in zip(case.real, forces, strict=True))
+
+
+def _undecided(reasons: Sequence[str], share: float, inputs: Sequence[InputFile], described: dict) -> Diagnosis:
+    return Diagnosis(
+        "undecided", None, share, tuple(reasons), inputs=tuple(inputs), settings=described,
+        summary=summarise("undecided", (), False, None, None, reasons),
+    )  # fmt: skip

@@ -1,0 +1,167 @@
+"""Whitened evidence of a recording: what it says against a model, one row of unit noise after another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.diagnosis.common import CommonPhysics
+from split_cli.diagnosis.series import Series, extended_model
+from split_cli.diagnosis.whitening import Whitener, build_whitener
+from split_cli.vehicle.effects import Term
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["Evidence", "gather_evidence"]
+
+_ROW_SECONDS = 0.04
+_TUNING_ROWS = 9000
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One recording's rows.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+    series : Series
+    jacobian : ndarray, shape (N, 3, 3)
+        Nominal velocity Jacobian at the smoothed states.
+    whitener : Whitener
+    plain : ndarray, shape (G, 3)
+        Whitened rows against the nominal model.
+    common : ndarray, shape (G, 3, C)
+        Whitened columns of the common physics.
+    at : ndarray of int64, shape (G,)
+        Sample in the middle of each row.
+    disturbance : ndarray, shape (3,)
+    weight : ndarray, shape (G,)
+        Root of the robust weight of a row, 0 where it is not compared.
+    """
+
+    vehicle: Vehicle
+    series: Series
+    jacobian: np.ndarray
+    whitener: Whitener
+    plain: np.ndarray
+    common: np.ndarray
+    at: np.ndarray
+    disturbance: np.ndarray
+    weight: np.ndarray
+
+    def rows(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return whitened rows, shape (G, 3), against the nominal model with `terms`."""
+        measured, smooth = self.series.corrected(terms)
+        rates = self.series.rates(extended_model(self.vehicle, terms), smooth)
+        return self.whitener(defects(self.series, rates, self.jacobian, measured, smooth))
+
+
+def defects(
+    series: Series, rates: np.ndarray, jacobian: np.ndarray, measured: np.ndarray, smooth: np.ndarray
+) -> np.ndarray:
+    """Return what each sample adds beyond the model, shape (N - 1, 3); 0 over gaps.
+
+    Notes
+    -----
+    The model is evaluated at smoothed states and carried to the measured ones by its Jacobian, so that sensor noise
+    enters to first order only, where the whitener knows of it.
+    """
+    expected = rates + np.einsum("nij,nj->ni", jacobian, measured - smooth)
+    out = np.diff(measured, axis=0) - 0.5 * series.period * (expected[1:] + expected[:-1])
+    out[~series.inside()] = 0.0
+    return out
+
+
+def integrated(series: Series, columns: np.ndarray) -> np.ndarray:
+    """Return what rates (N, ...) add over each transition, shape (N - 1, ...); 0 over gaps."""
+    out = 0.5 * series.period * (columns[1:] + columns[:-1])
+    out[~series.inside()] = 0.0
+    return out
+
+
+def gather_evidence(
+    vehicle: Vehicle, series: Series, common: CommonPhysics, least_disturbance: np.ndarray | None = None
+) -> Evidence:
+    """Whiten a recording, with the strength of nameless disturbances found by maximum likelihood.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    series : Series
+    common : CommonPhysics
+    least_disturbance : ndarray, shape (3,), optional
+        Found on another recording of the same kind; never less is assumed.
+    """
+    rows = series.smooth.T
+    jacobian = extended_model(vehicle).velocity_jacobian(
+        *rows, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s
+    )
+    rates = series.rates(extended_model(vehicle))
+    plain = defects(series, rates, jacobian, series.measured, series.smooth)
+    columns = integrated(series, common.columns(series))
+    group, at = _row_groups(series)
+    begins = series.transitions_begin()
+    disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
+    for _ in range(2):
+        whitener = build_whitener(jacobian, series.period, series.noise, disturbance, begins, group)
+        u, phi = whitener(plain), whitener(columns)
+        w = ridge(phi.reshape(-1, phi.shape[2]), u.reshape(-1))
+        disturbance = _likely_disturbance(series, jacobian, plain - columns @ w, begins, disturbance)
+        if least_disturbance is not None:
+            disturbance = np.maximum(disturbance, least_disturbance)
+    whitener = build_whitener(jacobian, series.period, series.noise, disturbance, begins, group)
+    u, phi = whitener(plain), whitener(columns)
+    left = u - phi @ ridge(phi.reshape(-1, phi.shape[2]), u.reshape(-1))
+    return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, _robust_weight(left))
+
+
+def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return weights of standard normal priors from whitened rows (R, C) and (R,)."""
+    precision = columns.T @ columns + np.eye(columns.shape[1])
+    return np.linalg.solve(precision, columns.T @ target)
+
+
+def _row_groups(series: Series) -> tuple[np.ndarray, np.ndarray]:
+    """Number the rows transitions are summed into; a remainder at a segment's end is left out."""
+    size = max(1, int(round(_ROW_SECONDS / series.period)))
+    group = np.full(len(series) - 1, -1, dtype=np.int64)
+    at, number = [], 0
+    for begin, end in series.recording.segments:
+        rows = (end - 1 - begin) // size
+        group[begin : begin + rows * size] = number + np.repeat(np.arange(rows), size)
+        at.append(begin + size // 2 + size * np.arange(rows))
+        number += rows
+    return group, np.concatenate(at).astype(np.int64)
+
+
+def _robust_weight(rows: np.ndarray) -> np.ndarray:
+    """Return roots of Huber weights of rows (G, 3), each channel scaled by its own spread."""
+    spread = 1.4826 * np.median(np.abs(rows), axis=0) + 1e-12
+    worst = np.max(np.abs(rows) / spread, axis=1)
+    return np.sqrt(np.minimum(1.0, 4.0 / np.maximum(worst, 1e-12)))
+
+
+def _likely_disturbance(series, jacobian, defect, begins, start) -> np.ndarray:
+    """Maximise the likelihood over the disturbance's variance, channel by channel, on part of a long recording."""
+    n = min(len(defect), _TUNING_ROWS)
+    every = np.arange(n, dtype=np.int64)
+    clipped = defect[:n].copy()
+    spread = 6.0 * 1.4826 * np.median(np.abs(clipped), axis=0) + 1e-12
+    clipped = np.clip(clipped, -spread, spread)
+    found = np.log10(np.asarray(start, dtype=float))
+
+    def cost(logs: np.ndarray) -> float:
+        whitener = build_whitener(jacobian[: n + 1], series.period, series.noise, 10.0**logs, begins[:n], every)
+        return whitener.cost(clipped)
+
+    for width in (2.0, 1.0, 0.5, 0.25):
+        for channel in range(3):
+            trials = []
+            for shift in (-width, 0.0, width):
+                logs = found.copy()
+                logs[channel] += shift
+                trials.append((cost(logs), logs))
+            found = min(trials, key=lambda trial: trial[0])[1]
+    return 10.0 ** np.clip(found, -9.0, 4.0)

@@ -1,0 +1,237 @@
+"""Fit named terms together by damped Gauss-Newton on whitened rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.diagnosis.candidates import Candidate
+from split_cli.diagnosis.judge import Judge
+from split_cli.vehicle.effects import Term
+
+__all__ = ["Fit", "Part", "fit_parts", "linear_cost", "scan_places"]
+
+_ITERATIONS = 12
+
+
+@dataclass(frozen=True)
+class Part:
+    """A candidate and the values it has: one term of an explanation."""
+
+    candidate: Candidate
+    values: dict[str, float]
+
+    @property
+    def term(self) -> Term:
+        """The term with these values."""
+        return self.candidate.build(self.values)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An explanation fitted on a judge's rows.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+    cost : float
+        In units of chi squared.
+    entries : ndarray, shape (R,)
+        Whitened entries it leaves, common physics taken out.
+    sensitivity : ndarray, shape (R, P)
+        Derivative of the entries by each parameter, over the parts in order; empty until asked for.
+    """
+
+    parts: tuple[Part, ...]
+    cost: float
+    entries: np.ndarray
+    sensitivity: np.ndarray
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms."""
+        return tuple(part.term for part in self.parts)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Ids of the terms, sorted."""
+        return tuple(sorted(part.candidate.term for part in self.parts))
+
+    @property
+    def complexity(self) -> float:
+        """Parameters effectively searched for."""
+        return sum(part.candidate.complexity for part in self.parts)
+
+
+def fit_parts(judge: Judge, parts: Sequence[Part], iterations: int = _ITERATIONS) -> Fit:
+    """Refit all parameters of all parts together from where they are.
+
+    Notes
+    -----
+    Levenberg-Marquardt with forward differences; parameters at a bound stay there while the gradient pushes out.
+    """
+    parts = tuple(parts)
+    names = [(k, name) for k, part in enumerate(parts) for name in part.values]
+    limits = [parts[k].candidate.ranges[name] for k, name in names]
+    steps = np.array([limit.step for limit in limits])
+    lower = np.array([limit.lower for limit in limits]) / steps
+    upper = np.array([limit.upper for limit in limits]) / steps
+    x = np.clip(np.array([parts[k].values[name] for k, name in names]) / steps, lower, upper)
+
+    def entries_at(x: np.ndarray) -> np.ndarray:
+        return judge.whiten(judge.residual([part.term for part in _with(parts, names, x * steps)]))
+
+    entries = entries_at(x)
+    cost = float(entries @ entries)
+    damping = 1e-3
+    for _ in range(iterations):
+        jacobian = _slopes(judge, parts, names, steps, x, upper)
+        curvature, slope = jacobian.T @ jacobian, jacobian.T @ entries
+        improved = 0.0
+        for _ in range(5):
+            scaled = curvature + damping * np.diag(np.diag(curvature)) + 1e-9 * np.eye(len(x))
+            free = ~(((x <= lower) & (slope > 0)) | ((x >= upper) & (slope < 0)))
+            move = np.zeros_like(x)
+            if free.any():
+                move[free] = -np.linalg.solve(scaled[np.ix_(free, free)], slope[free])
+            trial = np.clip(x + move, lower, upper)
+            trial_entries = entries_at(trial)
+            trial_cost = float(trial_entries @ trial_entries)
+            if trial_cost < cost:
+                improved = cost - trial_cost
+                x, entries, cost = trial, trial_entries, trial_cost
+                damping = max(damping / 5.0, 1e-6)
+                break
+            damping *= 8.0
+        if improved < 0.02:
+            break
+    return Fit(_with(parts, names, x * steps), cost, entries, jacobian / steps)
+
+
+def _slopes(judge: Judge, parts, names, steps, x, upper) -> np.ndarray:
+    """Return derivatives of the whitened entries by x, shape (R, P), by differences of one step."""
+    here = judge.residual([part.term for part in _with(parts, names, x * steps)])
+    columns = []
+    for p in range(len(x)):
+        # Away from a bound; one step is small against what matters, large against rounding.
+        direction = -1.0 if x[p] + 1.0 > upper[p] else 1.0
+        moved = x.copy()
+        moved[p] += direction
+        there = judge.residual([part.term for part in _with(parts, names, moved * steps)])
+        columns.append((there - here) * direction)
+    return judge.whiten(np.stack(columns, axis=1))
+
+
+def linear_cost(judge: Judge, fixed: Sequence[Part], part: Part) -> float:
+    """Return the cost that a linear fit around a start promises, without iterating."""
+    names = [(0, name) for name in part.values]
+    limits = [part.candidate.ranges[name] for _, name in names]
+    steps = np.array([limit.step for limit in limits])
+    fixed_terms = [one.term for one in fixed]
+    x = np.array([part.values[name] for _, name in names]) / steps
+
+    def at(values: np.ndarray) -> np.ndarray:
+        (moved,) = _with((part,), names, values * steps)
+        return judge.residual([*fixed_terms, moved.term])
+
+    here = at(x)
+    columns = [at(x + unit) - here for unit in np.eye(len(x))]
+    whitened = judge.whiten(np.stack([here, *columns], axis=1))
+    entries, slopes = whitened[:, 0], whitened[:, 1:]
+    normal, score = slopes.T @ slopes, slopes.T @ entries
+    normal += 1e-9 * np.trace(normal) * np.eye(len(x)) + 1e-12 * np.eye(len(x))
+    return float(entries @ entries - score @ np.linalg.solve(normal, score))
+
+
+def _with(parts: tuple[Part, ...], names: list[tuple[int, str]], values: np.ndarray) -> tuple[Part, ...]:
+    new = [dict(part.values) for part in parts]
+    for (k, name), value in zip(names, values, strict=True):
+        new[k][name] = float(value)
+    return tuple(Part(part.candidate, entry) for part, entry in zip(parts, new, strict=True))
+
+
+def scan_places(judge: Judge, fixed: Sequence[Term], base: np.ndarray, candidate: Candidate) -> list[dict]:
+    """Return starts for a candidate that acts on a stretch or as a wave, from scores place by place.
+
+    Parameters
+    ----------
+    judge : Judge
+    fixed : sequence of Term
+        What is explained already.
+    base : ndarray, shape (R,)
+        Entries left by it, `judge.residual(fixed)`.
+    candidate : Candidate
+    """
+    amount, step = ("scale", 0.97) if candidate.located == "patch" else ("angle", 0.005)
+    everywhere = {"s_start": 0.0, "s_end": 1e12}
+    neutral = 1.0 if amount == "scale" else 0.0
+    s = np.concatenate([
+        np.repeat(one.series.s[one.at][keep], 3) for one, keep in zip(judge.evidence, judge.keep, strict=True)
+    ])  # fmt: skip
+    reach = max(
+        limit.upper for name, limit in candidate.ranges.items() if name in ("s_start", "s_end", "wavelength")
+    )
+    if candidate.located == "wave":
+        return _scan_waves(judge, fixed, base, candidate, s, reach / 4.0)
+    from split_cli.vehicle.effects import CATALOGUE
+
+    whole = CATALOGUE[candidate.term]({amount: step, **everywhere}, candidate.variant)
+    effect = (base - judge.residual((*fixed, whole))) / (step - neutral)
+    bins = int(np.clip(reach / (0.02 * reach), 20, 60))
+    place = np.minimum((s / reach * bins).astype(int), bins - 1)
+    left = judge.whiten(judge.whiten(base))
+    score = np.bincount(place, effect * left, minlength=bins)
+    information = np.bincount(place, effect**2, minlength=bins)
+    closed = judge.evidence[0].series.lap_length is not None
+    found = []
+    for begin in range(bins):
+        total_score = total_information = 0.0
+        for length in range(1, bins):
+            end = begin + length
+            if end > bins and not closed:
+                break
+            index = (end - 1) % bins
+            total_score += score[index]
+            total_information += information[index]
+            if total_information > 0.0:
+                found.append((total_score**2 / total_information, begin, end, total_score / total_information))
+    found.sort(reverse=True)
+    starts = []
+    for _, begin, end, gain in found:
+        if all(abs(begin - b) + abs(end - e) > 3 for b, e, _ in starts):
+            starts.append((begin, end, gain))
+        if len(starts) == 2:
+            break
+    width = reach / bins
+    return [
+        {
+            amount: neutral + gain,
+            "s_start": begin * width,
+            "s_end": (end * width) % reach if end > bins else end * width,
+        }
+        for begin, end, gain in starts
+    ]
+
+
+def _scan_waves(judge: Judge, fixed, base, candidate: Candidate, s: np.ndarray, reach: float) -> list[dict]:
+    from split_cli.vehicle.effects import CATALOGUE
+
+    whole = CATALOGUE[candidate.term]({"angle": 0.005}, "")
+    effect = (base - judge.residual((*fixed, whole))) / 0.005
+    left = judge.whiten(judge.whiten(base))
+    closed = judge.evidence[0].series.lap_length is not None
+    waves = reach / np.arange(1, 13) if closed else reach * np.geomspace(2.0, 0.05, 24)
+    found = []
+    for wavelength in waves:
+        angle = 2.0 * np.pi * s / wavelength
+        pair = np.stack([effect * np.sin(angle), effect * np.cos(angle)], axis=1)
+        normal = pair.T @ pair + 1e-9 * np.eye(2)
+        a, b = np.linalg.solve(normal, pair.T @ left)
+        found.append((float((pair.T @ left) @ [a, b]), wavelength, np.hypot(a, b), np.arctan2(b, a)))
+    found.sort(reverse=True)
+    return [
+        {"amplitude": amplitude, "wavelength": wavelength, "phase": phase}
+        for _, wavelength, amplitude, phase in found[:2]
+    ]

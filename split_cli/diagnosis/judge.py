@@ -1,0 +1,135 @@
+"""The court: real recordings against nominal, common physics as the simulation knows it, and named terms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from split_cli.diagnosis.evidence import Evidence
+from split_cli.vehicle.effects import Term
+
+__all__ = ["CommonKnowledge", "Judge", "build_judge", "learn_common"]
+
+
+@dataclass(frozen=True)
+class CommonKnowledge:
+    """What the simulation taught about the common physics: weights and their precision.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (C,)
+    precision : ndarray, shape (C, C)
+    """
+
+    weights: np.ndarray
+    precision: np.ndarray
+
+
+def learn_common(simulations: Sequence[Evidence], inflation: float = 1.0) -> CommonKnowledge:
+    """Learn the common physics; `inflation` widens the noise for what autocorrelation takes from the rows."""
+    size = simulations[0].common.shape[2]
+    precision, score = np.eye(size), np.zeros(size)
+    for evidence in simulations:
+        weight = np.repeat(evidence.weight, 3)
+        columns = evidence.common.reshape(-1, size) * weight[:, None]
+        precision += columns.T @ columns / inflation
+        score += columns.T @ (evidence.plain.reshape(-1) * weight) / inflation
+    return CommonKnowledge(np.linalg.solve(precision, score), precision)
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Costs of explanations on a choice of rows of the real recordings.
+
+    The common physics' weights are integrated out: with r the weighted rows left by the terms and the simulation's
+    weights, the cost is r^T (I + Phi H^-1 Phi^T)^-1 r = |r|^2 - |V^T r|^2.
+
+    Attributes
+    ----------
+    evidence : tuple of Evidence
+    knowledge : CommonKnowledge or None
+        None where the nominal model is the simulation: nothing is common.
+    keep : tuple of ndarray of bool
+        Rows used, of every recording.
+    offset : ndarray, shape (R,)
+        Weighted rows of the common physics at the simulation's weights.
+    basis : ndarray, shape (R, C)
+        V; without columns when nothing is common.
+    block : ndarray of int, shape (R,)
+        Block of time each entry lies in.
+    weight : ndarray, shape (R,)
+        Root of each entry's robust weight.
+    root : ndarray, shape (C, C)
+        M with (I - V M V^T)^2 = I - V V^T.
+    """
+
+    evidence: tuple[Evidence, ...]
+    knowledge: CommonKnowledge | None
+    keep: tuple[np.ndarray, ...]
+    offset: np.ndarray
+    basis: np.ndarray
+    block: np.ndarray
+    weight: np.ndarray
+    root: np.ndarray
+
+    def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the kept, weighted entries of rows (G, 3, ...) of all recordings, shape (R, ...)."""
+        kept = [part[keep] for part, keep in zip(rows, self.keep, strict=True)]
+        flat = np.concatenate([part.reshape(-1, *part.shape[2:]) for part in kept])
+        return flat * (self.weight if flat.ndim == 1 else self.weight[:, None])
+
+    def residual(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return what terms and the simulation's common physics leave, shape (R,)."""
+        return self.stack([evidence.rows(terms) for evidence in self.evidence]) - self.offset
+
+    def whiten(self, rows: np.ndarray) -> np.ndarray:
+        """Return entries from which the still free part of the common physics is taken out, shape as given.
+
+        Sums of squares of the result are costs: it applies a symmetric root of (I + Phi H^-1 Phi^T)^-1.
+        """
+        if not self.basis.shape[1]:
+            return rows
+        return rows - self.basis @ (self.root @ (self.basis.T @ rows))
+
+    def cost(self, terms: Sequence[Term]) -> float:
+        """Return the cost of an explanation; its units are those of chi squared."""
+        return float(np.sum(self.whiten(self.residual(terms)) ** 2))
+
+    def block_sums(self, entries: np.ndarray) -> np.ndarray:
+        """Return sums over blocks of time, shape (B, ...)."""
+        total = np.zeros((int(self.block.max()) + 1, *entries.shape[1:]))
+        np.add.at(total, self.block, entries)
+        return total
+
+
+def build_judge(
+    evidence: Sequence[Evidence],
+    knowledge: CommonKnowledge | None,
+    keep: Sequence[np.ndarray],
+    block_seconds: float = 2.0,
+) -> Judge:
+    """Set up the costs on the kept rows; blocks are stretches of `block_seconds` of a recording."""
+    numbers, first = [], 0
+    for one, mask in zip(evidence, keep, strict=True):
+        number = (one.series.t[one.at] // block_seconds).astype(np.int64)
+        number = first + np.unique(number, return_inverse=True)[1]
+        first = int(number.max(initial=first - 1)) + 1
+        numbers.append(np.repeat(number[mask], 3))
+    block = np.unique(np.concatenate(numbers), return_inverse=True)[1]
+    weight = np.concatenate([np.repeat(one.weight[mask], 3) for one, mask in zip(evidence, keep, strict=True)])
+    judge = Judge(
+        tuple(evidence), knowledge, tuple(keep), np.zeros(len(weight)), np.zeros((len(weight), 0)), block, weight,
+        np.zeros((0, 0)),
+    )  # fmt: skip
+    if knowledge is None:
+        return judge
+    columns = judge.stack([one.common for one in evidence])
+    lower = np.linalg.cholesky(knowledge.precision + columns.T @ columns)
+    basis = solve_triangular(lower, columns.T, lower=True).T
+    # With V^T V = U diag(d) U^T the root is U diag((1 - sqrt(1 - d))/d) U^T = U diag(1/(1 + sqrt(1 - d))) U^T.
+    d, U = np.linalg.eigh(basis.T @ basis)
+    root = (U / (1.0 + np.sqrt(np.clip(1.0 - d, 0.0, 1.0)))) @ U.T
+    return replace(judge, offset=columns @ knowledge.weights, basis=basis, root=root)

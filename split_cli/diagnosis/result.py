@@ -1,0 +1,275 @@
+"""What a diagnosis says: the tree that `diagnosis.json`, the report and the proof are written from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+__all__ = [
+    "Diagnosis",
+    "Finding",
+    "Improvement",
+    "InputFile",
+    "Location",
+    "Match",
+    "ParameterEstimate",
+    "Place",
+    "RemainderTest",
+    "RivalSummary",
+    "Verdict",
+]
+
+Verdict = Literal["match", "mismatch", "undecided"]
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """One parameter of a finding.
+
+    Attributes
+    ----------
+    value : float
+    std_error : float or None
+    unit : str
+    interval_95 : (float, float)
+    """
+
+    value: float
+    std_error: float | None
+    unit: str
+    interval_95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class RivalSummary:
+    """Another term in a finding's place.
+
+    Attributes
+    ----------
+    term, variant : str
+    excess : float
+        How much worse it explains the recording, in units of chi squared.
+    z : float
+        The same in standard errors, from block by block differences.
+    """
+
+    term: str
+    variant: str
+    excess: float
+    z: float
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A named piece of physics, or a fault of the measurement.
+
+    Attributes
+    ----------
+    term, variant : str
+    parameters : mapping of str to ParameterEstimate
+    gap_explained : float
+        Share of the held-out improvable squared error.
+    alternatives : tuple of str
+        Terms that fit as well on this data, and exact degeneracies; a pair is written ``a+b``.
+    sentence : str
+    severity : float
+        Rms of its 0.05 s prediction error over that of sensor noise, in the worst channel [1].
+    runners_up : tuple of RivalSummary
+        Best first; the first that is no alternative is the placebo.
+    separated_by : tuple of str
+        Excitations that would tell alternatives apart.
+    exported : bool
+        Whether it belongs into the vehicle file; sensor faults do not.
+    """
+
+    term: str
+    variant: str
+    parameters: Mapping[str, ParameterEstimate]
+    gap_explained: float
+    alternatives: tuple[str, ...]
+    sentence: str
+    severity: float
+    runners_up: tuple[RivalSummary, ...] = ()
+    separated_by: tuple[str, ...] = ()
+    exported: bool = True
+
+    @property
+    def placebo(self) -> RivalSummary | None:
+        """The best wrong term."""
+        return next((rival for rival in self.runners_up if rival.term not in self.alternatives), None)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A stretch of track: s [m], lap length [m] or None, and the world position of its middle [m]."""
+
+    s_start: float
+    s_end: float
+    lap_length: float | None
+    reference: Literal["position", "dead_reckoned"]
+    x: float | None
+    y: float | None
+
+
+@dataclass(frozen=True)
+class Location:
+    """Where the gap is.
+
+    Attributes
+    ----------
+    forces : mapping of str to float
+        Shares of ``longitudinal``, ``front_lateral``, ``rear_lateral``; they sum to 1.
+    depends_on : tuple of (str, float)
+        Variables and scores, strongest first; a score is the share of the gap the variable alone explains.
+    region : mapping of str to (float, float)
+        Where the gap is larger than elsewhere, by variable, SI.
+    place : Place or None
+    time : (float, float) or None
+        In the real drive's t [s].
+    share_of_gap, share_of_samples : float
+        Of the region, place or time above.
+    """
+
+    forces: Mapping[str, float]
+    depends_on: tuple[tuple[str, float], ...]
+    region: Mapping[str, tuple[float, float]]
+    place: Place | None
+    time: tuple[float, float] | None
+    share_of_gap: float
+    share_of_samples: float
+
+
+@dataclass(frozen=True)
+class RemainderTest:
+    """Whether what is left after the findings is noise.
+
+    Attributes
+    ----------
+    p_value : float
+    share : float
+        Of the gap that has no name [1].
+    severity : float
+    by_group : tuple of (str, float)
+        What kinds of dependence explain of it, strongest first, in units of chi squared.
+    formula : str
+        The best sparse formula as a lead; empty when the remainder is noise.
+    """
+
+    p_value: float
+    share: float
+    severity: float
+    by_group: tuple[tuple[str, float], ...]
+    formula: str = ""
+
+
+@dataclass(frozen=True)
+class Match:
+    """Held-out error of a rollout of some length, before and with physics: v_x, v_y [m/s], r [rad/s]."""
+
+    horizon: float
+    before: tuple[float, float, float]
+    physics: tuple[float, float, float]
+    persistence: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """Held-out one-step errors in label units, of v_x, v_y [m/s^2] and r [rad/s^2].
+
+    Attributes
+    ----------
+    before, physics, after, split_only, persistence : tuple of three floats
+        Simulation as learned; plus terms; plus terms and SPLIT; plus SPLIT alone; last velocities held.
+    noise_floor : tuple of three floats or None
+    confidence : mapping of str to list
+        95 % intervals by block bootstrap, channel by channel.
+    rollouts : tuple of Match
+    """
+
+    before: tuple[float, ...]
+    physics: tuple[float, ...]
+    after: tuple[float, ...]
+    split_only: tuple[float, ...]
+    persistence: tuple[float, ...]
+    noise_floor: tuple[float, ...] | None
+    confidence: Mapping[str, object]
+    rollouts: tuple[Match, ...] = ()
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """A file that was read: name without folder, SHA-256, and role."""
+
+    name: str
+    sha256: str
+    role: Literal["real", "sim", "holdout", "vehicle"]
+
+
+@dataclass(frozen=True)
+class GapSeries:
+    """The gap along one real recording.
+
+    Attributes
+    ----------
+    drive : str
+    t, s : ndarray, shape (G,)
+    row : ndarray of int64, shape (G,)
+    forces : ndarray, shape (G, 3)
+        Total longitudinal, front lateral and rear lateral force [N], averaged over about 0.2 s.
+    remainder : ndarray, shape (G, 3)
+        The same after the findings.
+    """
+
+    drive: str
+    t: np.ndarray
+    s: np.ndarray
+    row: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    forces: np.ndarray
+    remainder: np.ndarray
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything a diagnosis found.
+
+    Attributes
+    ----------
+    verdict : {"match", "mismatch", "undecided"}
+    p_value : float or None
+    compared_share : float
+        Share of the real drive where both have been.
+    not_judged : tuple of str
+    location : Location or None
+    findings : tuple of Finding
+        Strongest first.
+    unexplained : bool
+    remainder : RemainderTest or None
+    improvement : Improvement or None
+    inputs : tuple of InputFile
+    settings : mapping
+    gaps : tuple of GapSeries
+    history : tuple of str
+        Steps of the selection, in words.
+    summary : str
+        One paragraph a reader can act on.
+    """
+
+    verdict: Verdict
+    p_value: float | None
+    compared_share: float
+    not_judged: tuple[str, ...] = ()
+    location: Location | None = None
+    findings: tuple[Finding, ...] = ()
+    unexplained: bool = False
+    remainder: RemainderTest | None = None
+    improvement: Improvement | None = None
+    inputs: tuple[InputFile, ...] = ()
+    settings: Mapping[str, object] = field(default_factory=dict)
+    gaps: tuple[GapSeries, ...] = ()
+    history: tuple[str, ...] = ()
+    summary: str = ""

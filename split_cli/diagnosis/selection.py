@@ -1,0 +1,175 @@
+"""Which terms earn their place: forward selection, backward elimination, and what looks the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.diagnosis.candidates import Candidate
+from split_cli.diagnosis.fitting import Fit, Part, fit_parts, linear_cost, scan_places
+from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.structure import minimum_effect_p, severity_of
+
+__all__ = ["Rival", "Rules", "Selection", "nothing", "select_terms", "term_p", "term_size"]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Settings of the selection, one for all cases."""
+
+    price: float = 8.0  # cost a searched parameter has to save, before inflation
+    most_terms: int = 3
+    full_fits: int = 9
+    same_within: float = 2.5  # standard errors of the paired block difference
+    same_excess: float = 9.0  # cost above the chosen one, after inflation
+    least_share: float = 0.03  # of the explained cost, for a further term
+    level: float = 0.01  # of the minimum-effect test, after counting the terms that were tried
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another explanation of the same rows, with how it compares.
+
+    Attributes
+    ----------
+    fit : Fit
+    excess : float
+        Cost above the chosen explanation, prices included, in units of chi squared after inflation.
+    z : float
+        The same over its standard error from differences block by block.
+    """
+
+    fit: Fit
+    excess: float
+    z: float
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The chosen explanation and everything it was compared with.
+
+    Attributes
+    ----------
+    base, chosen : Fit
+        Nothing added, and the explanation.
+    rivals : tuple of tuple of Rival
+        For each part of the chosen fit, that part replaced by every other candidate, best first.
+    history : tuple of str
+        What was added or removed, in order, in words.
+    first_p : float
+        Minimum-effect p value of the best single term, times the number of terms tried.
+    """
+
+    base: Fit
+    chosen: Fit
+    rivals: tuple[tuple[Rival, ...], ...]
+    history: tuple[str, ...]
+    first_p: float
+
+
+def nothing(judge: Judge) -> Fit:
+    """Return the explanation without any term."""
+    entries = judge.whiten(judge.residual(()))
+    return Fit((), float(entries @ entries), entries, np.empty((len(entries), 0)))
+
+
+def price(fit: Fit, inflation: float, rules: Rules) -> float:
+    """Return a fit's cost with the price of its parameters."""
+    return fit.cost / inflation + rules.price * fit.complexity
+
+
+def explore(
+    judge: Judge, current: Fit, candidates: Sequence[Candidate], rules: Rules, inflation: float
+) -> list[Fit]:
+    """Add each candidate to the current explanation; return the promising ones fitted, best first."""
+    taken = {part.candidate.term for part in current.parts}
+    base = judge.residual(current.terms)
+    promises = []
+    for candidate in candidates:
+        if candidate.term in taken:
+            continue
+        starts = candidate.starts or scan_places(judge, current.terms, base, candidate)
+        for start in starts:
+            part = Part(candidate, dict(start))
+            promises.append((linear_cost(judge, current.parts, part), part))
+    promises.sort(key=lambda promise: promise[0] / inflation + rules.price * promise[1].candidate.complexity)
+    fits, seen = [], {}
+    for _, part in promises:
+        key = (part.candidate.term, part.candidate.variant)
+        if seen.get(key, 0) >= 2 or (key not in seen and len(seen) >= rules.full_fits):
+            continue
+        seen[key] = seen.get(key, 0) + 1
+        fits.append(fit_parts(judge, (*current.parts, part)))
+    fits.sort(key=lambda fit: price(fit, inflation, rules))
+    return fits
+
+
+def select_terms(
+    judge: Judge, candidates: Sequence[Candidate], inflation: float, rules: Rules | None = None
+) -> Selection:
+    """Add the term that saves most while one earns its price, then drop those that no longer do."""
+    rules = rules or Rules()
+    base = chosen = nothing(judge)
+    history: list[str] = []
+    first_p = 1.0
+    while len(chosen.parts) < rules.most_terms:
+        fits = explore(judge, chosen, candidates, rules, inflation)
+        if not fits:
+            break
+        best = fits[0]
+        saved = price(chosen, inflation, rules) - price(best, inflation, rules)
+        share = (chosen.cost - best.cost) / max(base.cost - best.cost, 1e-12)
+        if saved <= 0.0 or (chosen.parts and share < rules.least_share):
+            break
+        p_value = term_p(judge, best, len(best.parts) - 1, chosen.cost - best.cost, inflation) * len(candidates)
+        first_p = first_p if chosen.parts else min(p_value, 1.0)
+        if p_value >= rules.level:
+            history.append(f"{best.parts[-1].candidate.label} would save {saved:.0f}, too small to name")
+            break
+        history.append(f"added {best.parts[-1].candidate.label}, saves {saved:.0f}")
+        chosen = best
+        chosen, dropped = _prune(judge, chosen, inflation, rules)
+        history += dropped
+    rivals = tuple(_rivals(judge, chosen, k, candidates, inflation, rules) for k in range(len(chosen.parts)))
+    return Selection(base, chosen, rivals, tuple(history), first_p)
+
+
+def term_size(judge: Judge, fit: Fit, k: int) -> float:
+    """Return the severity of one part of an explanation, the others in place."""
+    others = fit.terms[:k] + fit.terms[k + 1 :]
+    return max(severity_of(one, fit.terms, others) for one in judge.evidence)
+
+
+def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> float:
+    """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
+    return minimum_effect_p(saved, fit.parts[k].candidate.complexity, term_size(judge, fit, k), inflation)
+
+
+def _prune(judge: Judge, fit: Fit, inflation: float, rules: Rules) -> tuple[Fit, list[str]]:
+    history = []
+    while len(fit.parts) > 1:
+        reduced = [fit_parts(judge, fit.parts[:k] + fit.parts[k + 1 :]) for k in range(len(fit.parts) - 1)]
+        best = min(reduced, key=lambda one: price(one, inflation, rules))
+        if price(best, inflation, rules) > price(fit, inflation, rules):
+            break
+        gone = set(fit.names) - set(best.names)
+        history.append(f"dropped {', '.join(gone)}")
+        fit = best
+    return fit, history
+
+
+def _rivals(judge: Judge, chosen: Fit, k: int, candidates, inflation: float, rules: Rules) -> tuple[Rival, ...]:
+    others = chosen.parts[:k] + chosen.parts[k + 1 :]
+    own = chosen.parts[k].candidate.term
+    rest = fit_parts(judge, others) if others else nothing(judge)
+    fits = explore(judge, rest, [one for one in candidates if one.term != own], rules, inflation)
+    reference = judge.block_sums(chosen.entries**2)
+    rivals = []
+    for fit in fits:
+        difference = (judge.block_sums(fit.entries**2) - reference) / inflation
+        total = float(difference.sum()) + rules.price * (fit.complexity - chosen.complexity)
+        spread = float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9
+        rivals.append(Rival(fit, total, total / spread))
+    return tuple(sorted(rivals, key=lambda rival: rival.excess))

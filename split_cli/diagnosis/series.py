@@ -1,0 +1,166 @@
+"""A drive as the diagnosis sees it: smoothed states to evaluate physics at, raw ones to judge it by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.logs.drive import Drive
+from split_cli.logs.noise import difference_noise
+from split_cli.vehicle.effects import Recording, Term, build_terms
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import Flow, SingleTrack
+
+__all__ = ["Series", "build_series", "extended_model"]
+
+_WINDOWS_SECONDS = (0.05, 0.08, 0.12, 0.18, 0.26, 0.36)
+# A window counts as too long when what it takes away exceeds the noise by more than this.
+_SLACK = 1.04
+
+
+@dataclass(frozen=True)
+class Series:
+    """One drive, ready for evaluation.
+
+    Attributes
+    ----------
+    name, role : str
+        Role is ``real``, ``sim`` or ``holdout``.
+    drive : Drive
+    recording : Recording
+        Its clock.
+    measured, smooth : ndarray, shape (N, 3)
+        v_x, v_y, r as recorded, and smoothed.
+    torque, steer_angle, t, s, yaw : ndarray, shape (N,)
+        [N m], [rad], [s] from the drive's first sample, [m], [rad].
+    noise : ndarray, shape (3,)
+        Standard deviation of a sample of v_x, v_y, r.
+    """
+
+    name: str
+    role: str
+    drive: Drive
+    recording: Recording
+    measured: np.ndarray
+    smooth: np.ndarray
+    torque: np.ndarray
+    steer_angle: np.ndarray
+    t: np.ndarray
+    s: np.ndarray
+    yaw: np.ndarray
+    noise: np.ndarray
+    lap_length: float | None = None
+    place_reference: str = "dead_reckoned"
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def period(self) -> float:
+        """Sample period [s]."""
+        return self.recording.period
+
+    def corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
+        """Return measured and smooth velocities with the sensors' faults among `terms` taken off."""
+        measured, smooth = self.measured, self.smooth
+        for term in terms:
+            # A sensor's delay is taken into account by the commands' clock, see `SensorDelay`.
+            if not term.exported and term.id != "sensor_delay":
+                measured = _apply(term, measured, self.recording)
+                smooth = _apply(term, smooth, self.recording)
+        return measured, smooth
+
+    def flow(self, model: SingleTrack, velocity: np.ndarray | None = None) -> Flow:
+        """Evaluate a model along the recording, at the smoothed states unless others are given."""
+        vx, vy, r = (self.smooth if velocity is None else velocity).T
+        return model.flow(
+            vx, vy, r, self.torque, self.steer_angle, yaw=self.yaw, t=self.t, s=self.s, recording=self.recording
+        )
+
+    def rates(self, model: SingleTrack, velocity: np.ndarray | None = None) -> np.ndarray:
+        """Return (v_x', v_y', r') of a model along the recording, shape (N, 3)."""
+        rows = model.balance(self.flow(model, velocity))
+        return np.stack([np.broadcast_to(row, self.t.shape) for row in rows], axis=1)
+
+    def transitions_begin(self) -> np.ndarray:
+        """Return where the filter starts anew, shape (N - 1,), the transition over a gap included."""
+        begins = np.zeros(len(self) - 1, dtype=bool)
+        for first, end in self.recording.segments:
+            if first < len(begins):
+                begins[first] = True
+            if end - 1 < len(begins):
+                begins[end - 1] = True
+        return begins
+
+    def inside(self) -> np.ndarray:
+        """Return which transitions lie inside a segment, shape (N - 1,)."""
+        inside = np.ones(len(self) - 1, dtype=bool)
+        for _, end in self.recording.segments:
+            if end - 1 < len(inside):
+                inside[end - 1] = False
+        return inside
+
+
+def extended_model(vehicle: Vehicle, terms: Sequence[Term] = ()) -> SingleTrack:
+    """Return the nominal model, the effects its file names included, with more terms."""
+    return SingleTrack(vehicle, (*build_terms(vehicle), *terms))
+
+
+def build_series(
+    drive: Drive,
+    role: str,
+    s: np.ndarray,
+    *,
+    lap_length: float | None = None,
+    place_reference: str = "dead_reckoned",
+) -> Series:
+    """Prepare a drive; `s` is its track position, shape (N,)."""
+    segments = tuple((run.start, run.stop) for run in drive.segments())
+    recording = Recording(drive.period, segments)
+    measured = np.stack([drive["vx"], drive["vy"], drive["r"]], axis=1)
+    noise = np.array([difference_noise(column, list(segments)) for column in measured.T])
+    # A channel without visible noise would make certainty of rounding.
+    floor = 1e-4 * np.maximum(measured.std(axis=0), 1e-6)
+    noise = np.where(np.isfinite(noise), np.maximum(noise, floor), floor)
+    smooth = np.stack(
+        [_smoothed(column, sigma, recording) for column, sigma in zip(measured.T, noise, strict=True)], axis=1
+    )
+    t = drive["t"] - drive["t"][0]
+    if "yaw" in drive:
+        yaw = np.unwrap(drive["yaw"])
+    else:
+        yaw = np.concatenate([[0.0], np.cumsum(0.5 * (smooth[1:, 2] + smooth[:-1, 2]))]) * drive.period
+    return Series(
+        name=drive.name, role=role, drive=drive, recording=recording, measured=measured, smooth=smooth,
+        torque=drive["T"], steer_angle=drive["delta"], t=t, s=s, yaw=yaw, noise=noise, lap_length=lap_length,
+        place_reference=place_reference,
+    )  # fmt: skip
+
+
+def _apply(term: Term, velocity: np.ndarray, recording: Recording) -> np.ndarray:
+    columns = dict(zip(("vx", "vy", "r"), velocity.T, strict=True))
+    good = term.correct(columns, recording)
+    return np.stack([good["vx"], good["vy"], good["r"]], axis=1)
+
+
+def _smoothed(values: np.ndarray, sigma: float, recording: Recording) -> np.ndarray:
+    """Fit local cubics over the longest window that takes away no more than noise."""
+    from scipy.signal import savgol_filter
+
+    best = values
+    for seconds in _WINDOWS_SECONDS:
+        length = 2 * int(round(0.5 * seconds / recording.period)) + 1
+        if length < 5:
+            continue
+        trial = values.copy()
+        fitted = False
+        for begin, end in recording.segments:
+            if end - begin > length:
+                trial[begin:end] = savgol_filter(values[begin:end], length, 3, mode="interp")
+                fitted = True
+        if not fitted or np.std(trial - values) > _SLACK * sigma:
+            break
+        best = trial
+    return best

@@ -1,0 +1,172 @@
+"""What one recorded sample tells beyond all before it: the Kalman filter of a model that is linear around a recording.
+
+The defect of sample k, z_k = y_{k+1} - y_k - integral of f, holds the noise of two samples and everything the model
+lacks. Its noise is correlated from sample to sample, and plain least squares on it throws away what builds up
+slowly. The filter below turns it into innovations that are white and of unit variance, so that least squares on
+them is prediction-error estimation over every horizon at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+__all__ = ["Whitener", "build_whitener"]
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Gains of the filter along one recording of N samples, for its N - 1 transitions.
+
+    Attributes
+    ----------
+    gain, root, carry : ndarray, shape (N - 1, 3, 3)
+        K_k, inverse Cholesky factor of the innovation's covariance, and I + period/2 A_k.
+    begins : ndarray of bool, shape (N - 1,)
+        Transitions at which the filter starts anew.
+    group : ndarray of int64, shape (N - 1,)
+        Number of the output row a transition is summed into; -1 for none.
+    count : ndarray, shape (G,)
+        Transitions a row.
+    log_determinant : float
+        Sum of the logarithms of the innovations' covariance determinants.
+    """
+
+    gain: np.ndarray
+    root: np.ndarray
+    carry: np.ndarray
+    begins: np.ndarray
+    group: np.ndarray
+    count: np.ndarray
+    log_determinant: float
+
+    def __call__(self, defect: np.ndarray) -> np.ndarray:
+        """Return whitened rows, shape (G, 3, C), of defects (N - 1, 3, C), or (G, 3) of (N - 1, 3).
+
+        Rows are sums of successive innovations over the root of their count: still white and of unit variance;
+        what they leave out is faster than the rows.
+        """
+        flat = defect.ndim == 2
+        columns = np.ascontiguousarray(defect[:, :, None] if flat else defect)
+        rows = _whiten(columns, self.gain, self.root, self.carry, self.begins, self.group, len(self.count))
+        rows /= np.sqrt(self.count)[:, None, None]
+        return rows[:, :, 0] if flat else rows
+
+    def cost(self, defect: np.ndarray) -> float:
+        """Return minus twice the log likelihood of defects (N - 1, 3), up to a constant."""
+        every = np.arange(len(self.group), dtype=np.int64)
+        columns = np.ascontiguousarray(defect[:, :, None])
+        rows = _whiten(columns, self.gain, self.root, self.carry, self.begins, every, len(every))
+        return float(np.sum(rows**2)) + self.log_determinant
+
+
+def build_whitener(
+    jacobian: np.ndarray,
+    period: float,
+    noise: np.ndarray,
+    disturbance: np.ndarray,
+    begins: np.ndarray,
+    group: np.ndarray,
+) -> Whitener:
+    """Run the filter's covariance recursion.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (N, 3, 3)
+        A, velocity block of the nominal Jacobian at the smoothed states.
+    period : float
+        [s]
+    noise : ndarray, shape (3,)
+        Standard deviation of a sample of v_x, v_y, r.
+    disturbance : ndarray, shape (3,)
+        Variance per second of what shakes the car without a name [m^2/s^3], [m^2/s^3], [rad^2/s^3].
+    begins : ndarray of bool, shape (N - 1,)
+    group : ndarray of int64, shape (N - 1,)
+
+    Notes
+    -----
+    z_k = w_k + (I - period/2 A_{k+1}) n_{k+1} - (I + period/2 A_k) n_k with n the sensor noise and w the
+    disturbance: a moving average of order one. The estimate of n_k from the past, with covariance S, gives the
+    innovation z_k + N n^, its covariance Q + P R P^T + N S N^T, and the next estimate.
+    """
+    carry = np.eye(3) + 0.5 * period * jacobian[:-1]
+    onward = np.eye(3) - 0.5 * period * jacobian[1:]
+    R = np.diag(np.asarray(noise, dtype=float) ** 2)
+    Q = np.diag(np.asarray(disturbance, dtype=float) * period)
+    gain, root, log_determinant = _gains(carry, onward, R, Q, begins)
+    kept = group[group >= 0]
+    count = np.bincount(kept, minlength=(int(kept.max()) + 1) if len(kept) else 0).astype(float)
+    return Whitener(gain, root, carry, begins, group, count, float(log_determinant))
+
+
+@njit(cache=True)
+def _gains(carry, onward, R, Q, begins):
+    n = carry.shape[0]
+    gain = np.empty((n, 3, 3))
+    root = np.zeros((n, 3, 3))
+    S = R.copy()
+    log_determinant = 0.0
+    E = np.empty((3, 3))
+    L = np.empty((3, 3))
+    for k in range(n):
+        if begins[k]:
+            S = R.copy()
+        N, P = carry[k], onward[k]
+        PR = P @ R
+        E = Q + PR @ P.T + N @ S @ N.T
+        L[:] = 0.0
+        for i in range(3):
+            for j in range(i + 1):
+                total = E[i, j]
+                for m in range(j):
+                    total -= L[i, m] * L[j, m]
+                if i == j:
+                    L[i, i] = np.sqrt(max(total, 1e-300))
+                else:
+                    L[i, j] = total / L[j, j]
+        for i in range(3):
+            log_determinant += 2.0 * np.log(L[i, i])
+        inverse = root[k]
+        for i in range(3):
+            inverse[i, i] = 1.0 / L[i, i]
+            for j in range(i):
+                total = 0.0
+                for m in range(j, i):
+                    total -= L[i, m] * inverse[m, j]
+                inverse[i, j] = total / L[i, i]
+        K = PR.T @ (inverse.T @ inverse)
+        gain[k] = K
+        S = R - K @ PR
+    return gain, root, log_determinant
+
+
+@njit(cache=True)
+def _whiten(z, gain, root, carry, begins, group, rows):
+    n, _, columns = z.shape
+    out = np.zeros((rows, 3, columns))
+    estimate = np.zeros((3, columns))
+    innovation = np.empty((3, columns))
+    for k in range(n):
+        if begins[k]:
+            estimate[:] = 0.0
+        N, K, W = carry[k], gain[k], root[k]
+        for i in range(3):
+            for c in range(columns):
+                innovation[i, c] = (
+                    z[k, i, c] + N[i, 0] * estimate[0, c] + N[i, 1] * estimate[1, c] + N[i, 2] * estimate[2, c]
+                )
+        for i in range(3):
+            for c in range(columns):
+                estimate[i, c] = (
+                    K[i, 0] * innovation[0, c] + K[i, 1] * innovation[1, c] + K[i, 2] * innovation[2, c]
+                )
+        g = group[k]
+        if g >= 0:
+            for i in range(3):
+                for j in range(i + 1):
+                    w = W[i, j]
+                    for c in range(columns):
+                        out[g, i, c] += w * innovation[j, c]
+    return out

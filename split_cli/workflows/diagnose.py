@@ -1,0 +1,87 @@
+"""Diagnose a simulation against reality and write what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.diagnosis.document import diagnosis_to_text
+from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.result import Diagnosis, InputFile
+from split_cli.files import atomic_directory, sha256_of_file
+from split_cli.logs.drive import read_drive
+from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, write_vehicle
+
+__all__ = ["corrected_vehicle", "diagnose_files", "write_diagnosis"]
+
+
+def diagnose_files(
+    real: Sequence[str | Path],
+    vehicle_path: str | Path,
+    output: str | Path,
+    *,
+    simulated: Sequence[str | Path] = (),
+    holdout: Sequence[str | Path] = (),
+    progress: Callable[[str], None] = lambda step: None,
+) -> Diagnosis:
+    """Diagnose recordings and write `diagnosis.json`, `vehicle_corrected.yaml` and `gap.parquet`.
+
+    Parameters
+    ----------
+    real, simulated, holdout : sequence of path
+        Drives; without simulated ones the nominal model is the simulation.
+    vehicle_path, output : path
+    progress : callable
+        Called with the name of each step.
+    """
+    vehicle = read_vehicle(vehicle_path)
+    groups = {"real": real, "sim": simulated, "holdout": holdout}
+    drives = {role: [read_drive(path) for path in paths] for role, paths in groups.items()}
+    inputs = [InputFile(one.name, one.sha256, role) for role, several in drives.items() for one in several]
+    inputs.append(InputFile(Path(vehicle_path).name, sha256_of_file(vehicle_path), "vehicle"))
+    diagnosis = diagnose(
+        drives["real"], vehicle, drives["sim"], drives["holdout"], inputs=inputs, progress=progress
+    )
+    write_diagnosis(diagnosis, vehicle, output)
+    return diagnosis
+
+
+def corrected_vehicle(diagnosis: Diagnosis, vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle with the findings that belong to the car as effects."""
+    effects = [
+        EffectSpec(f.term, {name: p.value for name, p in f.parameters.items()}, f.variant)
+        for f in diagnosis.findings
+        if f.exported
+    ]
+    return vehicle.with_effects(*effects)
+
+
+def write_diagnosis(diagnosis: Diagnosis, vehicle: Vehicle, output: str | Path) -> None:
+    """Write a diagnosis into a folder, all files or none."""
+    comment = diagnosis.summary or "No terms were added."
+    with atomic_directory(output) as folder:
+        (folder / "diagnosis.json").write_text(diagnosis_to_text(diagnosis), encoding="utf-8")
+        write_vehicle(corrected_vehicle(diagnosis, vehicle), folder / "vehicle_corrected.yaml", comment=comment)
+        _write_gap(diagnosis, folder / "gap.parquet")
+
+
+def _write_gap(diagnosis: Diagnosis, path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    empty = np.empty(0)
+    gaps = diagnosis.gaps
+
+    def joined(pick: Callable) -> np.ndarray:
+        return np.concatenate([pick(gap) for gap in gaps]) if gaps else empty
+
+    names = [gap.drive for gap in gaps for _ in gap.t]
+    columns = {"drive": pa.array(names, pa.string())}
+    for name in ("t", "row", "s"):
+        columns[name] = pa.array(joined(lambda gap, name=name: getattr(gap, name)))
+    for k, force in enumerate(("longitudinal", "front_lateral", "rear_lateral")):
+        columns[f"gap_{force}"] = pa.array(joined(lambda gap, k=k: gap.forces[:, k]))
+        columns[f"remainder_{force}"] = pa.array(joined(lambda gap, k=k: gap.remainder[:, k]))
+    pyarrow.parquet.write_table(pa.table(columns), path, compression="zstd")
