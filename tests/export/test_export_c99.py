@@ -59,7 +59,7 @@ def test_float_agrees_with_python_within_its_tolerance(small_set, compiler, tmp_
 
 
 def test_what_single_precision_cannot_hold_is_refused(compiler, tmp_path):
-    # Length scales of four cells with hardly any noise: cells' matrices are near singular, float loses a digit more.
+    # Length scales of four cells and hardly any noise: matrices are near singular, float loses a digit more.
     stiff = make_training_set(seed=0, points=1500, noise=0.0005, length_scale_cells=4.0)
     with pytest.raises(ExportError, match="Single precision cannot hold"):
         checked(stiff, compiler, tmp_path, "float")
