@@ -28,6 +28,7 @@ LAYERS = {
     "export": 7,
     "plots": 7,
     "proof": 7,
+    "proof": 7,
     "workflows": 8,
     "cli": 9,
 }

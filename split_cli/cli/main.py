@@ -22,6 +22,7 @@ COMMANDS = {
     "export": "Write a trained set as C, CasADi, npz or json.",
     "calibrate": "Fit a vehicle file to gentle drives, or convert a foreign one.",
     "diagnose": "Say where a simulation and a real drive differ, and why.",
+    "prove": "Conceal known effects, diagnose them blind, and score.",
     "simulate": "Drive the double-track plant and write its logs.",
     "info": "Tell what a file of ours is.",
     "verify": "Check a trained set or an export against itself.",

@@ -170,6 +170,7 @@ def drive_laps(
     seed: int = 0,
     road: Road | None = None,
     faults: Faults = SOUND,
+    believed: CarParameters | None = None,
     sample_period: float = 2e-3,
 ) -> Trajectory:
     """Drive a number of laps with a flying start on the first straight.
@@ -186,6 +187,8 @@ def drive_laps(
         Surroundings the driver does not know of; level and dry by default.
     faults : Faults
         What is wrong with the car and the driver does not know of.
+    believed : CarParameters, optional
+        The car the driver thinks to sit in, from which he knows its grip; by default the car itself.
 
     Raises
     ------
@@ -199,8 +202,9 @@ def drive_laps(
     if duration is not None and not 0.0 < duration <= 7200.0:
         raise SplitError(f"the duration must lie above 0 s and not above 7200 s, got {duration:g} s")
     person = varied(style, seed)
-    grip = grip_of(car)
-    profile = speed_profile(car, track, person, aggressiveness, grip)
+    believed = believed or car
+    grip = grip_of(believed)
+    profile = speed_profile(believed, track, person, aggressiveness, grip)
     if profile.speed.min() < 1.2 * car.crawl_speed:
         raise SplitError(
             f"{car.name} would crawl round {track.name} at {profile.speed.min():.2g} m/s",
@@ -225,6 +229,7 @@ def drive_laps(
         distance,
         sample_period,
         faults=faults,
+        believed=believed,
         may_time_out=duration is not None,
     )
 
@@ -270,6 +275,7 @@ def _simulate(
     sample_period,
     *,
     faults=SOUND,
+    believed=None,
     may_time_out=False,
 ) -> Trajectory:
     keep = int(round(sample_period / STEP))
@@ -288,7 +294,8 @@ def _simulate(
         )  # fmt: skip
         # On a test circle the steer may be held on purpose; only laps have edges.
         off_track = 2.0 * track.half_width if np.isfinite(distance) else np.inf
-    grip = grip_of(car)
+    believed = believed or car
+    grip = grip_of(believed)
     reach = distance if np.isfinite(distance) else steps * CONTROL_PERIOD * 2.0 * float(start[_compiled.VX])
     plan = driver_plan(
         car, style, track.half_width if track else 0.0, reach, steps, CONTROL_PERIOD, seed
@@ -298,7 +305,7 @@ def _simulate(
     stop = _StopTables(float(min(distance, 1e300)), car.crawl_speed, float(min(off_track, 1e300)))
     times, states, outputs, places, torques, steers, reason = _compiled.run(
         start, 0.0, as_numbers(car), as_numbers(faults), road.tables(), path, plan, tables,
-        driver_tables(car, style, grip),
+        driver_tables(believed, style, grip),
         CONTROL_PERIOD, STEP, substeps, keep, stop,
     )  # fmt: skip
     if reason in _ENDINGS and not (may_time_out and reason == _compiled.OUT_OF_TIME):

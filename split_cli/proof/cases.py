@@ -1,0 +1,284 @@
+"""A case: drives and a vehicle file that conceal an effect, and the answer that is sealed apart from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+import numpy as np
+
+from split_cli.errors import SplitError
+from split_cli.logs.drive import Drive
+from split_cli.plant.cars import CARS
+from split_cli.plant.drivers import DRIVER_STYLES
+from split_cli.plant.simulation import Trajectory
+from split_cli.proof.cars import CarOfProof, bare, build_car, rich, varied_car
+from split_cli.proof.effects import Concealed, draw_effect
+from split_cli.proof.plan import CasePlan
+from split_cli.proof.recordings import record
+from split_cli.proof.strange import draw_strange
+from split_cli.proof.tracks import random_track
+from split_cli.proof.truth import (
+    ExactDrive,
+    Unreachable,
+    exact_drive,
+    fit_effective,
+    removed_share,
+    search_size,
+    severity,
+)
+from split_cli.proof.windows import window_errors
+from split_cli.proof.world import Trip, World, drive, effect_error
+from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["Answer", "Case", "Effect", "build_case"]
+
+_LAP_LENGTH = {"road_car": 1050.0, "f1tenth_car": 55.0, "formula_car": 620.0}
+_CARS_OF_A_SEED = 12
+_SEARCH_SECONDS = 45.0
+# A bare nominal model whose own error without the effect is larger than this is not offered as the simulation.
+_BARE_ENOUGH = 0.08
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One concealed effect.
+
+    Attributes
+    ----------
+    term : str
+    size, severity : float
+    parameters : mapping of str to float
+        True values: physical where the term has such, else those that fit noise-free paired runs.
+    scored : tuple of str
+        The parameters whose intervals are scored; stretches and wave lengths are not.
+    variant : str
+        With which the term fits best; empty for its default.
+    removed : float
+        Share of the effect's own squared error that the term with these parameters removes [1].
+    """
+
+    term: str
+    size: float
+    severity: float
+    parameters: dict[str, float] = field(default_factory=dict)
+    scored: tuple[str, ...] = ()
+    variant: str = ""
+    removed: float = 0.0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a case conceals.
+
+    Attributes
+    ----------
+    number : int
+    kind, tier : str
+    effects : tuple of Effect
+    car, base : str
+        The plant's car, and ``bare`` or ``rich``.
+    simulation : str
+        ``plant`` (a drive without the effect is given) or ``nominal``.
+    base_severity : float
+        Severity of what the nominal model gets wrong of the car without the effect.
+    total_severity : float
+        Of all effects together.
+    removed : float
+        Share of the held-out gap that the true terms remove [1]; 0 where there are none.
+    """
+
+    number: int
+    kind: str
+    tier: str
+    effects: tuple[Effect, ...]
+    car: str
+    base: str
+    simulation: str
+    base_severity: float
+    total_severity: float
+    removed: float
+
+
+@dataclass(frozen=True)
+class Case:
+    """Everything of a case: what is shown, and what is sealed.
+
+    Attributes
+    ----------
+    real : Drive
+    sim : Drive or None
+    vehicle : Vehicle
+    answer : Answer
+    heldout : ExactDrive or None
+        A noise-free drive that no diagnosis sees, to score by; None for nulls.
+    noise : ndarray, shape (3,)
+    """
+
+    real: Drive
+    sim: Drive | None
+    vehicle: Vehicle
+    answer: Answer
+    heldout: ExactDrive | None
+    noise: np.ndarray
+
+
+@lru_cache(maxsize=32)
+def _car(seed: int, number: int, base: str) -> CarOfProof:
+    """Return one of a seed's cars; they are shared by its cases, since calibrating takes a while."""
+    name = sorted(CARS)[number % 3]
+    rng = np.random.default_rng([seed, 7, number])
+    car = varied_car(name, rng)
+    return build_car(bare(car) if base == "bare" else rich(car, rng), seed % 10_000 + number)
+
+
+def build_case(plan: CasePlan) -> Case:
+    """Build a case; the same plan gives the same case.
+
+    Raises
+    ------
+    SplitError
+        If twelve drawings of surroundings and drivers did not give one that can be driven at that severity.
+    """
+    for attempt in range(12):
+        rng = plan.rng(2, attempt)
+        try:
+            return _build(plan, rng)
+        except Unreachable as error:
+            reason = error
+        except SplitError as error:
+            # The driver lost the car: another draw drives otherwise.
+            reason = error
+    raise SplitError(f"case {plan.number} of seed {plan.seed} cannot be built: {reason}")
+
+
+def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
+    base = "bare" if rng.random() < 0.6 else "rich"
+    simulation = "nominal" if base == "bare" and plan.kind != "null" and rng.random() < 0.6 else "plant"
+    if "yaw_moment_differential" in plan.terms:
+        base, simulation = "rich", "plant"
+    source = _car(plan.seed, int(rng.integers(_CARS_OF_A_SEED)), base)
+    name = source.car.name
+    length = _LAP_LENGTH[name] * rng.uniform(0.8, 1.3)
+    believed = replace(source.car, steer_rate=CARS[name].steer_rate, torque_rate=CARS[name].torque_rate)
+    track = random_track(rng, length, length / 2400, 4.0 * source.car.wheelbase / 2.7)
+    without = World(source.car, track, believed)
+    concealed = [_draw(plan, term, rng, without) for term in plan.terms]
+    for effect in concealed:
+        without = effect.neutral(without)
+    if without.car != source.car:
+        # The car without the effect is another one now; its file must be its own.
+        source = build_car(without.car, plan.seed % 10_000 + plan.number)
+    pace = (source.car.wheelbase / 2.7) ** 0.5
+    seconds = 70.0 + 60.0 * rng.random() if pace > 0.6 else 60.0 + 30.0 * rng.random()
+    trips = [_trip(rng, seconds) for _ in range(3)]
+    base_severity = _base_severity(without, trips[0], source)
+    if simulation == "nominal" and base_severity > _BARE_ENOUGH:
+        simulation = "plant"
+
+    effects, world = [], without
+    for effect in concealed:
+        found = _sized(effect, without, trips[0], plan, rng, source)
+        effects.append((effect, found))
+        world = effect.apply(world, found[0])
+    run = drive(world, trips[0])
+    error = effect_error(run, world, without)
+    total = severity(error, source.noise) if concealed else 0.0
+    if plan.kind in ("single", "strange") and not plan.low <= total <= plan.high:
+        raise Unreachable(f"severity {total:.3g} over the whole drive is not within {plan.low:g} to {plan.high:g}")
+    real = record(run, source.alignment, "real", rng, world.sensor)
+    sim = None
+    if simulation == "plant":
+        lap = drive(without, trips[1], sample_period=1e-2)
+        sim = record(lap, source.alignment, "sim", None, without.sensor)
+    told, heldout, removed = _told(effects, world, without, trips, source, plan)
+    answer = Answer(
+        number=plan.number, kind=plan.kind, tier=plan.tier, effects=told, car=name, base=base,
+        simulation=simulation, base_severity=base_severity, total_severity=total, removed=removed,
+    )  # fmt: skip
+    return Case(real, sim, source.vehicle, answer, heldout, source.noise)
+
+
+def _draw(plan: CasePlan, term: str, rng: np.random.Generator, world: World) -> Concealed:
+    return draw_strange(term, rng, world) if plan.kind == "strange" else draw_effect(term, rng, world)
+
+
+def _trip(rng: np.random.Generator, seconds: float) -> Trip:
+    style = DRIVER_STYLES[str(rng.choice(sorted(DRIVER_STYLES)))]
+    return Trip(style, rng.uniform(0.55, 0.8), seconds, int(rng.integers(2**31)))
+
+
+def _base_severity(without: World, trip: Trip, source: CarOfProof) -> float:
+    run = drive(without, trip, duration=_SEARCH_SECONDS, sample_period=1e-2)
+    nothing = np.zeros((0, 3))
+    columns = exact_drive(run, source.alignment, without.sensor, nothing).columns
+    return severity(window_errors(columns, source.vehicle, ()), source.noise)
+
+
+def _sized(
+    effect: Concealed, without: World, trip: Trip, plan: CasePlan, rng: np.random.Generator, source: CarOfProof
+) -> tuple[float, float]:
+    """Return the size of an effect with a severity drawn for the plan, and that severity."""
+
+    def measure(size: float) -> float:
+        world = effect.apply(without, size)
+        run = drive(world, trip, duration=min(_SEARCH_SECONDS, trip.duration))
+        return severity(effect_error(run, world, without), source.noise)
+
+    span = np.log(plan.high / plan.low)
+    target = plan.low * float(np.exp(span * rng.uniform(0.1, 0.9)))
+    found = search_size(measure, effect.start, effect.most, target, tolerance=0.15)
+    return float(found.size), found.severity
+
+
+def _exact(world: World, without: World, trip: Trip, source: CarOfProof) -> ExactDrive:
+    run = drive(world, trip)
+    return exact_drive(run, source.alignment, world.sensor, effect_error(run, world, without))
+
+
+def _told(effects, world, without, trips, source, plan) -> tuple[tuple[Effect, ...], ExactDrive | None, float]:
+    """Return the effects as told in the answer, the held-out drive and what the true terms remove of its gap."""
+    if not effects:
+        return (), None, 0.0
+    # Held out is another driver again, so that nothing fitted to the real drive is at home there.
+    heldout = _exact(world, without, replace(trips[2], duration=60.0), source)
+    if plan.kind == "strange":
+        return tuple(Effect(e.term, size, found) for e, (size, found) in effects), heldout, 0.0
+    told, terms = [], []
+    for effect, (size, found) in effects:
+        alone = heldout
+        if len(effects) > 1:
+            alone = _exact(effect.apply(without, size), without, replace(trips[2], duration=60.0), source)
+        parameters, variant, removed = _parameters(effect, without, size, alone, source)
+        scored = tuple(name for name in parameters if name not in effect.shape)
+        told.append(Effect(effect.term, size, found, parameters, scored, variant, removed))
+        terms.append(CATALOGUE[effect.term](parameters, variant))
+    return tuple(told), heldout, removed_share(heldout, source.vehicle, terms, source.noise)
+
+
+def _parameters(
+    effect: Concealed, without: World, size: float, exact: ExactDrive, source: CarOfProof
+) -> tuple[dict[str, float], str, float]:
+    """Return parameters, variant and removed share of the variant that says the effect best."""
+    known = {name: float(value) for name, value in effect.known(without, size).items()}
+    kind = CATALOGUE[effect.term]
+    variants = [effect.variant] if effect.variant else [
+        v for v in kind.variants if set(known) <= set(kind.parameter_units(v)) and v not in ("wave", "stretch")
+    ]  # fmt: skip
+    best: tuple[dict[str, float], str, float] | None = None
+    for variant in variants:
+        given = {**effect.shape, **known}
+        parameters = fit_effective(exact, source.vehicle, effect.term, given, source.noise, variant)
+        share = removed_share(exact, source.vehicle, [kind(parameters, variant)], source.noise)
+        if best is None or share > best[2]:
+            best = (parameters, variant, share)
+    assert best is not None
+    return best
+
+
+def arc_lengths(run: Trajectory, places: np.ndarray) -> np.ndarray:
+    """Return the arc length driven when a run first passes places of the track [m], shape of `places`."""
+    path = run.states[:, :2]
+    driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    return np.interp(places, run.s, driven)

@@ -1,0 +1,107 @@
+"""Making cases: in parallel, resumable, sealed at the end. `python -m split_cli.proof.generate` does it alone."""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+from split_cli.errors import SplitError
+from split_cli.proof.cases import build_case
+from split_cli.proof.plan import KINDS, plan_case
+from split_cli.proof.store import Seal, case_name, write_case, write_seal
+
+__all__ = ["generate_cases"]
+
+
+def generate_cases(
+    root: Path,
+    seed: int,
+    cases: int,
+    *,
+    jobs: int = 1,
+    kinds: tuple[str, ...] = KINDS,
+    report: Callable[[int, int], None] | None = None,
+) -> Seal:
+    """Write the cases of a seed that are not there yet, and seal them all.
+
+    Parameters
+    ----------
+    root : Path
+        Folder; made if missing. One that holds cases of another seed is refused.
+    seed, cases : int
+    jobs : int
+        Processes.
+    kinds : tuple of str
+        Of `plan.KINDS`.
+    report : callable, optional
+        Called with (done, total) after each case.
+
+    Raises
+    ------
+    SplitError
+        If a case cannot be built or the folder belongs to other settings.
+    """
+    root.mkdir(parents=True, exist_ok=True)
+    _claim(root, seed, kinds)
+    plan_case(seed, 0, kinds)
+    open_ = [n for n in range(cases) if not (root / "cases" / case_name(n)).is_dir()]
+    done = cases - len(open_)
+    if jobs <= 1:
+        for number in open_:
+            _make(root, seed, number, kinds)
+            done += 1
+            if report:
+                report(done, cases)
+    else:
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+            futures = [pool.submit(_make, root, seed, number, kinds) for number in open_]
+            for future in as_completed(futures):
+                future.result()
+                done += 1
+                if report:
+                    report(done, cases)
+    return write_seal(root, seed)
+
+
+def _make(root: Path, seed: int, number: int, kinds: tuple[str, ...]) -> None:
+    write_case(build_case(plan_case(seed, number, kinds)), root)
+
+
+def _claim(root: Path, seed: int, kinds: tuple[str, ...]) -> None:
+    """Note in the folder whose cases it holds; refuse a folder of others."""
+    mark = root / "seed.txt"
+    text = f"{seed} {','.join(kinds)}\n"
+    if mark.exists() and mark.read_text() != text:
+        raise SplitError(
+            f"holds cases of seed and kinds {mark.read_text().strip()!r}, not {text.strip()!r}",
+            where=str(root),
+            advice="Take another folder.",
+        )
+    mark.write_text(text)
+
+
+def _main() -> None:
+    parser = argparse.ArgumentParser(description="Write cases of the proof.")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--cases", type=int, default=20)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    given = parser.parse_args()
+
+    def told(done: int, total: int) -> None:
+        print(f"\r{done}/{total}", end="", file=sys.stderr, flush=True)
+
+    seal = generate_cases(
+        given.output, given.seed, given.cases, jobs=given.jobs, kinds=tuple(given.kinds.split(",")), report=told
+    )
+    print(f"\nseal {seal.sha256}, {seal.cases} cases")
+
+
+if __name__ == "__main__":
+    _main()

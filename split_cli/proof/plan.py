@@ -1,0 +1,106 @@
+"""Which cases a seed stands for: kinds, terms, tiers, in fixed proportions whatever their number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.errors import SplitError, nearest_names
+from split_cli.proof.effects import EFFECTS
+from split_cli.proof.strange import STRANGE
+from split_cli.vehicle.effects import CATALOGUE
+
+__all__ = ["FIRST_REPORTED_SEED", "KINDS", "TIERS", "CasePlan", "plan_case"]
+
+FIRST_REPORTED_SEED = 10**6
+"""Seeds from here on are for reports and never used in development, which has those below 1000."""
+
+TIERS = {"easy": (1.0, 3.0), "realistic": (0.35, 1.0), "hard": (0.12, 0.35)}
+"""Severity: rms of the effect's 0.05 s prediction error over sqrt(2) sigma, in the channel where it is largest."""
+
+KINDS = ("null", "single", "pair", "strange")
+# Of twenty cases: seven nulls, eight singles, two pairs, three effects outside the catalogue.
+_PATTERN = "sn snsxnps nsnxs nspxns n".replace(" ", "")[:20]
+_LETTERS = {"n": "null", "s": "single", "p": "pair", "x": "strange"}
+_TIER_PATTERN = ("realistic", "hard", "realistic", "easy", "hard", "realistic", "hard")
+_PAIR_RANGE = (0.5, 1.5)
+_STRANGE_RANGE = (0.5, 2.0)
+
+
+@dataclass(frozen=True)
+class CasePlan:
+    """What a case is to conceal.
+
+    Attributes
+    ----------
+    seed, number : int
+    kind : str
+        null, single, pair or strange.
+    terms : tuple of str
+        Ids of the catalogue, or kinds outside it.
+    tier : str
+        easy, realistic or hard for singles, else empty.
+    low, high : float
+        Between which the severity of each effect lies.
+    """
+
+    seed: int
+    number: int
+    kind: str
+    terms: tuple[str, ...]
+    tier: str
+    low: float
+    high: float
+
+    def rng(self, *stream: int) -> np.random.Generator:
+        """Return the case's own random stream."""
+        return np.random.default_rng([self.seed, self.number, *stream])
+
+
+def plan_case(seed: int, number: int, kinds: tuple[str, ...] = KINDS) -> CasePlan:
+    """Return the plan of case `number` (from 0) of a seed.
+
+    Raises
+    ------
+    SplitError
+        If the seed is neither for development nor for reports, or a kind is unknown.
+    """
+    if not (0 <= seed < 1000 or seed >= FIRST_REPORTED_SEED):
+        raise SplitError(
+            f"seed {seed} is neither one of development (0 to 999) nor one to report ({FIRST_REPORTED_SEED} on)",
+            where="--seed",
+        )
+    for kind in kinds:
+        if kind not in KINDS:
+            raise SplitError(f"no kind of case is called {kind!r}", advice=nearest_names(kind, KINDS))
+    pattern = [letter for letter in _PATTERN if _LETTERS[letter] in kinds]
+    kind = _LETTERS[pattern[number % len(pattern)]]
+    # How many of the kind came before, so that every term and tier comes up in turn.
+    rounds, rest = divmod(number, len(pattern))
+    turn = rounds * sum(_LETTERS[x] == kind for x in pattern) + sum(_LETTERS[x] == kind for x in pattern[:rest])
+    order = np.random.default_rng([seed, 99])
+    singles, strange = order.permutation(sorted(EFFECTS)), order.permutation(sorted(STRANGE))
+    rng = np.random.default_rng([seed, number, 1])
+    if kind == "null":
+        return CasePlan(seed, number, kind, (), "", 0.0, 0.0)
+    if kind == "single":
+        # The tier moves on by one each time round the terms.
+        tier = _TIER_PATTERN[(turn + turn // len(singles)) % len(_TIER_PATTERN)]
+        return CasePlan(seed, number, kind, (str(singles[turn % len(singles)]),), tier, *TIERS[tier])
+    if kind == "pair":
+        return CasePlan(seed, number, kind, _draw_pair(rng), "", *_PAIR_RANGE)
+    return CasePlan(seed, number, kind, (str(strange[turn % len(strange)]),), "", *_STRANGE_RANGE)
+
+
+def _draw_pair(rng: np.random.Generator) -> tuple[str, str]:
+    """Return two terms that are not declared to look alike."""
+    names = sorted(EFFECTS)
+    while True:
+        first, second = (str(name) for name in rng.choice(names, 2, replace=False))
+        if not (_looks_like(first, second) or _looks_like(second, first)):
+            return first, second
+
+
+def _looks_like(term: str, other: str) -> bool:
+    return any(other in mimic.terms.split("+") for mimic in CATALOGUE[term].mimics)

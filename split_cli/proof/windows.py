@@ -1,0 +1,58 @@
+"""Prediction errors of the nominal model, with and without terms, over windows of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from split_cli.proof.recordings import RATE
+from split_cli.vehicle.effects import Recording, Term
+from split_cli.vehicle.integration import integrate_recorded, recorded_inputs, substep_count
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["FIRST", "HORIZON", "window_errors"]
+
+HORIZON = 0.05
+"""Length of a window [s]."""
+FIRST = 0.5
+"""Where the first window starts, when tyres are loaded and late channels have begun [s]."""
+
+
+def window_errors(columns: Mapping[str, np.ndarray], vehicle: Vehicle, terms: Sequence[Term]) -> np.ndarray:
+    """Return recorded minus predicted v_x, v_y, r over windows of 0.05 s with the model and terms, shape (K, 3).
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, shape (N,)
+        t, s, yaw, vx, vy, r, T, delta at 100 Hz, without a gap, SI.
+    """
+    recording = Recording.single(1.0 / RATE, len(columns["t"]))
+    for term in terms:
+        # A late sensor is told by the commands' clock, see the term.
+        if not term.exported and term.id != "sensor_delay":
+            columns = term.correct(columns, recording)
+    velocity = np.stack([columns["vx"], columns["vy"], columns["r"]], axis=1)
+    place = {"time": columns["t"], "track_position": columns["s"], "yaw": columns["yaw"]}
+    model = SingleTrack(vehicle, terms)
+    inputs = recorded_inputs(model, velocity, columns["T"], columns["delta"], recording, **place)
+    steps = int(round(HORIZON * RATE))
+    start = np.arange(int(round(FIRST * RATE)), len(velocity) - steps, steps)
+
+    def window(values: np.ndarray) -> np.ndarray:
+        return np.stack([values[start + j] for j in range(steps + 1)], axis=1)
+
+    sample = velocity[start[:: max(1, len(start) // 50)]]
+    jacobian = SingleTrack(vehicle, ()).velocity_jacobian(*sample.T, np.zeros(len(sample)), np.zeros(len(sample)))
+    predicted = integrate_recorded(
+        model,
+        velocity[start],
+        window(inputs.torque),
+        window(inputs.steer_angle),
+        1.0 / RATE,
+        substep_count(jacobian, 1.0 / RATE),
+        **{name: values[start] for name, values in place.items()},
+        term_states=inputs.term_states[start] if model.state_names else None,
+    )
+    return velocity[start + steps] - predicted
