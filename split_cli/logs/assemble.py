@@ -7,29 +7,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.errors import DriveError, LogError, MapError, nearest_names
+from split_cli.errors import DriveError, MapError, nearest_names
 from split_cli.files import sha256_of_file
-from split_cli.logs.clean import CleanSeries, clean_series, join_clock_resets
+from split_cli.logs.clean import join_clock_resets
 from split_cli.logs.consistency import check_consistency
 from split_cli.logs.delay import DelayEstimate, estimate_delays
 from split_cli.logs.derive import DERIVATIONS, Derived, Situation, derivation_named
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source
 from split_cli.logs.gather import Gathered, Series, gather, topic_of
-from split_cli.logs.noise import estimate_noise, sum_of_noise
 from split_cli.logs.placing import move_to_cg
-from split_cli.logs.quality import ChannelQuality, QualityReport, source_quality
+from split_cli.logs.quality import QualityReport
 from split_cli.logs.raw import Clock, Recording
-from split_cli.logs.resample import (
-    HIGHEST_RATE,
-    Grid,
-    Resampled,
-    is_sampled_and_held,
-    make_grid,
-    resample_continuous,
-    resample_held,
-    runs_of,
+from split_cli.logs.resample import Grid
+from split_cli.logs.signal_map import SignalMap
+from split_cli.logs.synchronize import (
+    Channels,
+    clean_channels,
+    judge_sources,
+    lay_grid,
+    moved_earlier,
+    resample_channels,
+    slices_of,
+    sum_sources,
+    without_missing,
 )
-from split_cli.logs.signal_map import ChannelMap, SignalMap
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
@@ -74,15 +75,6 @@ class Assembled:
     quality: QualityReport
 
 
-@dataclass(frozen=True)
-class _Channels:
-    """Cleaned sources by channel, and how each is resampled."""
-
-    clean: dict[str, list[CleanSeries]]
-    modes: dict[str, list[str]]
-    maps: dict[str, ChannelMap]
-
-
 def assemble_drive(
     recording: Recording,
     signal_map: SignalMap,
@@ -107,6 +99,8 @@ def assemble_drive(
         If nothing usable remains.
     """
     settings = settings or IngestSettings()
+    if not settings.gap > 0:
+        raise MapError(f"the gap is {settings.gap:g} s, it must be positive", advice="Give --gap in seconds.")
     derivations = _ordered([derivation_named(name).name for name in settings.derive])
     needed = _needed_channels(signal_map, derivations)
     gathered = gather(
@@ -118,46 +112,37 @@ def assemble_drive(
     )
     _check_required(gathered, derivations, signal_map, recording.name)
     series, joined = join_clock_resets(_with_delays(gathered, settings), settings.gap)
-    channels, unusable = _clean_all(series, gathered.maps, needed, signal_map.despike)
+    channels, unusable = clean_channels(
+        series, gathered.maps, needed, gap=settings.gap, despike=signal_map.despike
+    )
     estimates: tuple[DelayEstimate, ...] = ()
     if settings.estimate_delays:
-        channels, estimates = _apply_delays(channels, needed, settings, vehicle, recording.name)
-    grid, too_short = _grid(channels, needed, settings, recording.name)
-    resampled = _resample_all(channels, grid, settings, needed)
-    noise, qualities = _noise_and_quality(channels, resampled, settings, needed)
-    columns = _columns(channels, resampled)
-    grid, columns, dropped = _without_missing(grid, columns, needed)
-    slices = _slices(grid.segment)
+        channels, estimates = _apply_delays(channels, settings, vehicle, recording.name)
+    grid, too_short = lay_grid(channels, settings.rate, recording.name)
+    resampled = resample_channels(channels, grid)
+    noise, qualities = judge_sources(channels, resampled)
+    columns = sum_sources(channels, resampled)
+    grid, columns, dropped = without_missing(grid, columns, needed)
+    slices = slices_of(grid.segment)
     conversions = [*gathered.conversions, *joined]
-    move_to_cg(columns, gathered.maps, vehicle, grid.period, slices, noise, conversions, before=True)
-    made = _derive(derivations, columns, grid, slices, vehicle, signal_map)
-    move_to_cg(columns, gathered.maps, vehicle, grid.period, slices, noise, conversions, before=False)
-    made += _derive(derivations, columns, grid, slices, vehicle, signal_map, skip=len(made))
+    made = _place_and_derive(derivations, columns, grid, slices, vehicle, signal_map, gathered, noise, conversions)
     kinds, warnings = _kinds(gathered, made, columns)
-    for name, derived in made:
-        for channel in derived.columns:
-            noise[channel] = NoiseEstimate(channel, None, None, reason=f"derived ({name})")
-    warnings += unusable
     if too_short or dropped:
         warnings.append(f"{too_short + dropped} rows of stretches too short to use were left out")
-    drive = _drive(recording, grid, columns, vehicle)
-    consistency = check_consistency(drive, vehicle, kinds)
+    drive = _drive(recording, grid, columns)
     quality = QualityReport(
         channels=tuple(qualities),
         segments=len(slices),
         duration=len(drive) * grid.period,
-        recorded=max(
-            (float(part.time[-1] - part.time[0]) for c in needed for part in channels.clean.get(c, [])),
-            default=0.0,
-        ),
+        recorded=max(float(part.time[-1] - part.time[0]) for c in needed for part in channels.clean[c]),
         origin=gathered.origin + float(grid.time[0]),
         clock=gathered.clock,
-        consistency=consistency,
+        consistency=check_consistency(drive, vehicle, kinds),
         delays=estimates,
         assumed=gathered.assumed,
         contradictions=gathered.contradictions,
         skipped=gathered.skipped,
-        warnings=tuple([*warnings, *(f"{n.where}: {n.count} x {n.what}" for n in recording.notes)]),
+        warnings=(*warnings, *unusable, *(f"{n.where}: {n.count} x {n.what}" for n in recording.notes)),
     )
     metadata = DriveMetadata(
         sources=(Source(recording.name, sha256_of_file(recording.path) if recording.path.exists() else ""),),
@@ -226,225 +211,41 @@ def _with_delays(gathered: Gathered, settings: IngestSettings) -> dict[str, tupl
     }
 
 
-def _clean_all(
-    series: Mapping[str, Sequence[Series]],
-    maps: Mapping[str, ChannelMap],
-    needed: Sequence[str],
-    despike: bool,
-) -> tuple[_Channels, list[str]]:
-    """Clean every source; an optional channel that holds nothing usable is left out, and said."""
-    left_out: list[str] = []
-    clean: dict[str, list[CleanSeries]] = {}
-    modes: dict[str, list[str]] = {}
-    for channel, parts in series.items():
-        entry = maps[channel]
-        held = entry.resample == "held" or entry.kind == "command"
-        try:
-            cleaned = [clean_series(part, despike=despike, held=held or _may_hold(channel)) for part in parts]
-        except LogError as error:
-            if channel in needed:
-                raise
-            left_out.append(f"{channel} was left out: {error.what}")
-            continue
-        if channel == "yaw":
-            cleaned = [replace(part, values=np.unwrap(part.values)) for part in cleaned]
-        clean[channel] = cleaned
-        modes[channel] = [_mode(channel, entry, part) for part in cleaned]
-    return _Channels(clean, modes, {name: maps[name] for name in clean}), left_out
-
-
-def _may_hold(channel: str) -> bool:
-    """Whether a channel may be an input, whose steps are its nature: steer angle, torque, or one not known."""
-    return channel not in CHANNELS or CHANNELS[channel].kind == "held"
-
-
-def _mode(channel: str, entry: ChannelMap, part: CleanSeries) -> str:
-    if entry.resample:
-        return entry.resample
-    if entry.kind == "command":
-        return "held"
-    if _may_hold(channel):
-        return "held" if is_sampled_and_held(part.values) else "continuous"
-    return CHANNELS[channel].kind
-
-
-def _gap_of(part: CleanSeries, mode: str, needed: bool, gap: float) -> float:
-    """Return the longest step of a source that is bridged [s]; slow optional channels and commands get more."""
-    if mode == "held":
-        return max(gap, 5.0 * part.period)
-    return gap if needed else max(gap, 2.5 * part.period)
-
-
-def _grid(channels: _Channels, needed: Sequence[str], settings: IngestSettings, where: str) -> tuple[Grid, int]:
-    spans, slowest = [], 0.0
-    for channel in needed:
-        for part, mode in zip(channels.clean[channel], channels.modes[channel], strict=True):
-            gap = _gap_of(part, mode, True, settings.gap)
-            if mode != "held":
-                if part.period > gap:
-                    raise LogError(
-                        f"{channel} comes every {part.period:.3g} s, longer than the gap of {gap:g} s",
-                        where=part.source,
-                        advice=f"Set --gap {2.5 * part.period:.2g} to interpolate it.",
-                    )
-                slowest = max(slowest, _true_period(part, gap))
-            reach = gap if mode == "held" else 0.0
-            spans.append(
-                [(float(part.time[a]), float(part.time[b - 1]) + reach) for a, b in runs_of(part.time, gap)]
-            )
-    slowest = slowest or max(_true_period(p, settings.gap) for c in needed for p in channels.clean[c])
-    period = _period(slowest, settings.rate, where)
-    grid, left_out = make_grid(spans, period)
-    if not len(grid.index):
-        raise LogError(
-            "no time is covered by all required channels without a gap",
-            where=where,
-            advice=_coverage(channels, needed),
-        )
-    return grid, left_out
-
-
-def _true_period(part: CleanSeries, gap: float) -> float:
-    """Return the mean distance of samples inside stretches without a gap [s]; jitter does not bias it."""
-    step = np.diff(part.time)
-    inside = step[step <= gap]
-    return float(np.mean(inside)) if len(inside) else part.period
-
-
-def _period(slowest: float, rate: float | None, where: str) -> float:
-    if rate is not None:
-        if not rate > 0:
-            raise LogError(f"the rate is {rate:g} Hz, it must be positive", where=where)
-        if 1.0 / rate < slowest * 0.99:
-            raise LogError(
-                f"a rate of {rate:g} Hz is above the slowest required channel's {1.0 / slowest:.4g} Hz",
-                where=where,
-                advice="A drive is never upsampled.",
-            )
-        return 1.0 / rate
-    period = max(slowest, 1.0 / HIGHEST_RATE)
-    # A clock that is nominally 25 Hz reads 24.998: within 1 %, the round figure is what the logger meant.
-    for nice in (1.0 / round(1.0 / period), round(period, 3), round(period, 4)):
-        if nice > 0 and abs(nice - period) < 0.01 * period:
-            return nice
-    return period
-
-
-def _coverage(channels: _Channels, needed: Sequence[str]) -> str:
-    parts = [part for channel in needed for part in channels.clean[channel]]
-    return "; ".join(f"{p.channel}: {p.time[0]:.2f} to {p.time[-1]:.2f} s, {1.0 / p.period:.3g} Hz" for p in parts)
-
-
-def _resample_all(
-    channels: _Channels, grid: Grid, settings: IngestSettings, needed: Sequence[str]
-) -> dict[tuple[str, int], Resampled]:
-    """Bring every source onto the drive's clock; sources that share a clock share the work."""
-    results: dict[tuple[str, int], Resampled] = {}
-    together: list[tuple[CleanSeries, float, list[tuple[str, int]]]] = []
-    for channel, parts in channels.clean.items():
-        for index, (part, mode) in enumerate(zip(parts, channels.modes[channel], strict=True)):
-            gap = _gap_of(part, mode, channel in needed, settings.gap)
-            if mode == "held":
-                held = resample_held(part.time, part.values, grid, longest=gap)
-                results[channel, index] = Resampled(held, 1.0, (1.0,), False)
-                continue
-            alike = (m for p, g, m in together if g == gap and np.array_equal(p.time, part.time))
-            members = next(alike, None)
-            if members is None:
-                together.append((part, gap, [(channel, index)]))
-            else:
-                members.append((channel, index))
-    for part, gap, members in together:
-        values = np.stack([channels.clean[channel][index].values for channel, index in members], axis=1)
-        joint = resample_continuous(part.time, values, grid, gap=gap)
-        for column, key in enumerate(members):
-            results[key] = replace(joint, values=joint.values[:, column])
-    return results
-
-
-def _columns(channels: _Channels, resampled: Mapping[tuple[str, int], Resampled]) -> dict[str, np.ndarray]:
-    return {
-        channel: np.sum([resampled[channel, index].values for index in range(len(parts))], axis=0)
-        for channel, parts in channels.clean.items()
-    }
-
-
-def _noise_and_quality(
-    channels: _Channels,
-    resampled: Mapping[tuple[str, int], Resampled],
-    settings: IngestSettings,
-    needed: Sequence[str],
-) -> tuple[dict[str, NoiseEstimate], list[ChannelQuality]]:
-    noise: dict[str, NoiseEstimate] = {}
-    qualities: list[ChannelQuality] = []
-    for channel, parts in channels.clean.items():
-        estimates = []
-        for index, (part, mode) in enumerate(zip(parts, channels.modes[channel], strict=True)):
-            gap = _gap_of(part, mode, channel in needed, settings.gap)
-            result = resampled[channel, index]
-            words = "held" if mode == "held" else "low-passed" if result.low_passed else "interpolated"
-            qualities.append(source_quality(part, gap, words))
-            if channel not in CHANNELS:
-                continue
-            if mode == "held":
-                estimates.append(NoiseEstimate(channel, None, None, reason="held between updates"))
-                continue
-            runs = runs_of(part.time, gap)
-            filtered = {"gain": result.gain, "autocorrelation": result.autocorrelation}
-            estimates.append(estimate_noise(channel, part.values, runs, **filtered))
-        if estimates:
-            noise[channel] = sum_of_noise(channel, estimates)
-    return noise, qualities
-
-
-def _without_missing(
-    grid: Grid, columns: dict[str, np.ndarray], needed: Sequence[str]
-) -> tuple[Grid, dict[str, np.ndarray], int]:
-    """Leave out rows where a required channel is missing, and number segments anew."""
-    present = np.all([np.isfinite(columns[channel]) for channel in needed], axis=0)
-    if present.all():
-        return grid, columns, 0
-    starts = np.flatnonzero(np.diff(present.astype(int), prepend=0) == 1)
-    for start in starts:
-        end = start + int(np.argmin(np.append(present[start:], False)))
-        if end - start < 4:
-            present[start:end] = False
-    if not present.any():
-        raise LogError("no row has all required channels", advice="See the rates and gaps of `--list`.")
-    rows = np.flatnonzero(present)
-    broken = np.diff(rows, prepend=rows[0] - 1) != 1
-    changed = np.diff(grid.segment[rows], prepend=grid.segment[rows[0]]) != 0
-    segment = np.cumsum(broken | changed).astype(np.int32)
-    kept = Grid(grid.origin, grid.period, grid.index[rows], segment)
-    return kept, {name: values[rows] for name, values in columns.items()}, len(present) - len(rows)
-
-
-def _slices(segment: np.ndarray) -> list[slice]:
-    edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
-    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-
-
-def _derive(
+def _place_and_derive(
     derivations: Sequence[str],
     columns: dict[str, np.ndarray],
     grid: Grid,
     slices: list[slice],
     vehicle: Vehicle | None,
     signal_map: SignalMap,
-    skip: int | None = None,
+    gathered: Gathered,
+    noise: dict[str, NoiseEstimate],
+    conversions: list[str],
 ) -> list[tuple[str, Derived]]:
-    """Run the derivations whose turn it is: velocities first (`skip` None), then all others."""
-    first = [name for name in derivations if name == "velocity-from-pose"]
-    made = []
-    for name in first if skip is None else derivations[len(first) :]:
-        derivation = DERIVATIONS[name]
-        missing = [channel for channel in derivation.needs if channel not in columns]
+    """Move sensors to the CG and compute what was asked for: position first, since velocities may come from it."""
+    made: list[tuple[str, Derived]] = []
+
+    def derive(name: str) -> None:
+        missing = [channel for channel in DERIVATIONS[name].needs if channel not in columns]
         if missing:
             raise MapError(f"--derive {name} needs {', '.join(missing)}", advice="Map or derive it too.")
         settings = signal_map.derivations.get(name.replace("-", "_"), {})
-        derived = derivation.run(Situation(columns, grid.period, slices, vehicle, settings))
+        derived = DERIVATIONS[name].run(Situation(columns, grid.period, slices, vehicle, settings))
         columns.update(derived.columns)
+        for channel in derived.columns:
+            noise[channel] = NoiseEstimate(channel, None, None, reason=f"derived ({name})")
         made.append((name, derived))
+
+    rest = list(derivations)
+    move_to_cg(columns, gathered.maps, vehicle, grid.period, slices, noise, conversions, before=True)
+    if rest and rest[0] == "velocity-from-pose":
+        derive(rest.pop(0))
+    # What was derived from a pose at the CG is at the CG, whatever place the map gives the sensor it replaces.
+    at_cg = {channel for _, derived in made for channel in derived.columns}
+    measured = {channel: entry for channel, entry in gathered.maps.items() if channel not in at_cg}
+    move_to_cg(columns, measured, vehicle, grid.period, slices, noise, conversions, before=False)
+    for name in rest:
+        derive(name)
     return made
 
 
@@ -467,7 +268,7 @@ def _kinds(
     return kinds, warnings
 
 
-def _drive(recording: Recording, grid: Grid, columns: Mapping[str, np.ndarray], vehicle: Vehicle | None) -> Drive:
+def _drive(recording: Recording, grid: Grid, columns: Mapping[str, np.ndarray]) -> Drive:
     ordered = {"t": (grid.index - grid.index[0]) * grid.period}
     for name in (*CHANNELS, *columns):
         if name in columns and name != "t":
@@ -479,21 +280,20 @@ def _drive(recording: Recording, grid: Grid, columns: Mapping[str, np.ndarray], 
 
 
 def _apply_delays(
-    channels: _Channels,
-    needed: Sequence[str],
+    channels: Channels,
     settings: IngestSettings,
     vehicle: Vehicle | None,
     where: str,
-) -> tuple[_Channels, tuple[DelayEstimate, ...]]:
+) -> tuple[Channels, tuple[DelayEstimate, ...]]:
     """Estimate delays on the drive's clock and move the raw times, until another estimate finds nothing more."""
     fixed = frozenset(settings.delays or {})
     commands = frozenset(c for c, entry in channels.maps.items() if entry.kind == "command")
     total: dict[str, DelayEstimate] = {}
     for _ in range(_DELAY_PASSES):
-        moved = _moved(channels, {channel: estimate.delay for channel, estimate in total.items()})
-        grid, _ = _grid(moved, needed, settings, where)
-        columns = _columns(moved, _resample_all(moved, grid, settings, needed))
-        slices = _slices(grid.segment)
+        moved = moved_earlier(channels, {channel: estimate.delay for channel, estimate in total.items()})
+        grid, _ = lay_grid(moved, settings.rate, where)
+        columns = sum_sources(moved, resample_channels(moved, grid))
+        slices = slices_of(grid.segment)
         for before in (True, False):
             move_to_cg(columns, channels.maps, vehicle, grid.period, slices, {}, [], before=before)
         topics = {c: topic_of(parts[0].source) for c, parts in channels.clean.items()}
@@ -504,13 +304,4 @@ def _apply_delays(
         if all(e.refusal or abs(e.delay) < max(0.1 * e.error, 1e-4) for e in found):
             break
     applied = {channel: estimate.applied for channel, estimate in total.items()}
-    return _moved(channels, applied), tuple(total.values())
-
-
-def _moved(channels: _Channels, delays: Mapping[str, float]) -> _Channels:
-    """Return the channels with their times moved earlier by `delays` [s]."""
-    clean = {
-        channel: [replace(part, time=part.time - delays.get(channel, 0.0)) for part in parts]
-        for channel, parts in channels.clean.items()
-    }
-    return replace(channels, clean=clean)
+    return moved_earlier(channels, applied), tuple(total.values())

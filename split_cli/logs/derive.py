@@ -362,6 +362,9 @@ def _run_velocity_from_pose(situation: Situation) -> Derived:
     vx, vy, r = velocity_from_pose(c["X"], c["Y"], c["yaw"], situation.period, situation.segments)
     made = {"vx": vx, "vy": vy, "r": r}
     only = situation.settings.get("channels", [name for name in made if name not in c])
+    for name in only:
+        if name not in made:
+            raise MapError(f"velocity_from_pose.channels names {name!r}", advice=nearest_names(str(name), made))
     return Derived(
         {name: made[name] for name in only},
         "from X, Y, yaw smoothed by their noise",

@@ -146,6 +146,31 @@ def test_torque_from_speed_alone_and_velocities_from_pose_in_one_ingest():
         )
 
 
+def test_a_pose_replaces_velocities_that_are_logged_but_worthless():
+    """What an F1TENTH odometry gives: v_y = 0, at the rear axle. The pose is there too."""
+    drive = PlantedDrive(seconds=40.0)
+    recording = drive.recording(altered={"vy": lambda v: 0.0 * v, "r": lambda v: 1.2 * v})
+    l_r = drive.vehicle.cg_to_rear_axle
+    for name, share in (("X", np.cos), ("Y", np.sin)):
+        signal = recording.signals[name]
+        at_axle = signal.values - l_r * share(drive.at("yaw", signal.time))
+        recording.signals[name] = replace(signal, values=at_axle)
+    rear = {"position": "rear_axle"}
+    made = assemble_drive(
+        recording,
+        planted_map(
+            X=rear, Y=rear, vx=rear, vy=rear, derivations={"velocity_from_pose": {"channels": ["vy", "r"]}}
+        ),
+        drive.vehicle,
+        IngestSettings(derive=("velocity-from-pose",)),
+    )
+    inside = slice(10, -10)
+    for name in ("vx", "vy", "r"):
+        np.testing.assert_allclose(made.drive[name][inside], drive.at(name, made.drive["t"])[inside], atol=1e-3)
+    assert made.drive.metadata.kinds["vx"] == "measured"
+    assert made.drive.metadata.kinds["vy"].startswith("derived")
+
+
 def test_what_a_derivation_lacks_is_said():
     drive = PlantedDrive(seconds=20.0)
     channels = ("vx", "vy", "r", "delta", "ax")

@@ -128,6 +128,20 @@ def test_a_clock_jump_back_is_a_segment_and_is_said(folder, drive):
     np.testing.assert_allclose(made["vx"][made.segment == 1][0], drive.at("vx", np.array(15.0)), atol=1e-6)
 
 
+def test_a_yaw_along_the_cut_of_the_angle_is_no_row_of_spikes(folder, drive):
+    table = frame(drive)
+    wrapped = table.assign(yaw=np.angle(np.exp(1j * (0.002 * np.sin(40.0 * table.t) + np.pi))))
+    made = ingest(folder, wrapped)
+    assert "spike" not in drops(made)
+    assert np.ptp(read_drive(made.drive_path)["yaw"]) < 0.005
+
+
+@pytest.mark.parametrize("gap", [0.0, -1.0])
+def test_a_gap_of_nothing_is_refused(folder, drive, gap):
+    with pytest.raises(MapError, match="the gap is .* must be positive"):
+        ingest(folder, frame(drive), gap=gap)
+
+
 @pytest.mark.parametrize("rows", [0, 1, 3])
 def test_an_empty_log_is_refused_and_leaves_the_old_output(folder, drive, rows):
     (folder / "drive.parquet").write_bytes(b"old")

@@ -1,0 +1,300 @@
+"""Cleaned sources onto one clock: how each is resampled, which rows are covered, what noise is left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.errors import LogError
+from split_cli.logs.clean import CleanSeries, clean_series
+from split_cli.logs.drive import NoiseEstimate
+from split_cli.logs.gather import Series
+from split_cli.logs.noise import estimate_noise, sum_of_noise
+from split_cli.logs.quality import ChannelQuality, source_quality
+from split_cli.logs.resample import (
+    HIGHEST_RATE,
+    Grid,
+    Resampled,
+    is_sampled_and_held,
+    make_grid,
+    resample_continuous,
+    resample_held,
+    runs_of,
+)
+from split_cli.logs.signal_map import ChannelMap
+from split_cli.signals import CHANNELS
+
+__all__ = [
+    "Channels",
+    "clean_channels",
+    "judge_sources",
+    "lay_grid",
+    "moved_earlier",
+    "resample_channels",
+    "slices_of",
+    "sum_sources",
+    "without_missing",
+]
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Cleaned sources by channel.
+
+    Attributes
+    ----------
+    clean : mapping of str to list of CleanSeries
+        A channel is the sum of its sources.
+    modes : mapping of str to list of str
+        How each source is resampled: ``continuous``, ``held`` or ``angle``.
+    maps : mapping of str to ChannelMap
+    needed : tuple of str
+        Channels without which a row is not kept.
+    gap : float
+        Longest step that is bridged [s].
+    """
+
+    clean: Mapping[str, list[CleanSeries]]
+    modes: Mapping[str, list[str]]
+    maps: Mapping[str, ChannelMap]
+    needed: tuple[str, ...]
+    gap: float
+
+    def gap_of(self, channel: str, index: int) -> float:
+        """Return the longest step of a source that is bridged [s]; more for commands and slow optional ones."""
+        period = self.clean[channel][index].period
+        if self.modes[channel][index] == "held":
+            return max(self.gap, 5.0 * period)
+        return self.gap if channel in self.needed else max(self.gap, 2.5 * period)
+
+
+def clean_channels(
+    series: Mapping[str, Sequence[Series]],
+    maps: Mapping[str, ChannelMap],
+    needed: Sequence[str],
+    *,
+    gap: float,
+    despike: bool,
+) -> tuple[Channels, list[str]]:
+    """Clean every source; an optional channel that holds nothing usable is left out, and said.
+
+    Raises
+    ------
+    LogError
+        If that happens to a needed channel.
+    """
+    left_out: list[str] = []
+    clean: dict[str, list[CleanSeries]] = {}
+    modes: dict[str, list[str]] = {}
+    for channel, parts in series.items():
+        entry = maps[channel]
+        held = entry.resample == "held" or entry.kind == "command" or _may_hold(channel)
+        if channel == "yaw" or entry.resample == "angle":
+            # Before spikes are looked for: a car that drives along the cut of the angle is no faulty sensor.
+            parts = [replace(part, values=_unwrapped(part.values)) for part in parts]
+        try:
+            cleaned = [clean_series(part, despike=despike, held=held) for part in parts]
+        except LogError as error:
+            if channel in needed:
+                raise
+            left_out.append(f"{channel} was left out: {error.what}")
+            continue
+        clean[channel] = cleaned
+        modes[channel] = [_mode(channel, entry, part) for part in cleaned]
+    return Channels(clean, modes, {name: maps[name] for name in clean}, tuple(needed), gap), left_out
+
+
+def _unwrapped(angle: np.ndarray) -> np.ndarray:
+    finite = np.isfinite(angle)
+    result = angle.copy()
+    result[finite] = np.unwrap(angle[finite])
+    return result
+
+
+def _may_hold(channel: str) -> bool:
+    """Whether a channel may be an input, whose steps are its nature: steer angle, torque, or one not known."""
+    return channel not in CHANNELS or CHANNELS[channel].kind == "held"
+
+
+def _mode(channel: str, entry: ChannelMap, part: CleanSeries) -> str:
+    if entry.resample:
+        return entry.resample
+    if entry.kind == "command":
+        return "held"
+    if _may_hold(channel):
+        return "held" if is_sampled_and_held(part.values) else "continuous"
+    return CHANNELS[channel].kind
+
+
+def lay_grid(channels: Channels, rate: float | None, where: str) -> tuple[Grid, int]:
+    """Return the drive's clock over what all needed channels cover, and the rows of stretches too short to keep.
+
+    Parameters
+    ----------
+    channels : Channels
+    rate : float or None
+        [Hz]; None takes the slowest continuous needed channel's, at most `HIGHEST_RATE`.
+    where : str
+        The recording, for errors.
+
+    Raises
+    ------
+    LogError
+        If a needed channel is slower than the gap, the rate above the slowest, or no time covered by all.
+    """
+    spans, slowest = [], 0.0
+    for channel in channels.needed:
+        for index, (part, mode) in enumerate(zip(channels.clean[channel], channels.modes[channel], strict=True)):
+            gap = channels.gap_of(channel, index)
+            if mode != "held":
+                if part.period > gap:
+                    raise LogError(
+                        f"{channel} comes every {part.period:.3g} s, longer than the gap of {gap:g} s",
+                        where=part.source,
+                        advice=f"Set --gap {2.5 * part.period:.2g} to interpolate it.",
+                    )
+                slowest = max(slowest, _true_period(part, gap))
+            reach = gap if mode == "held" else 0.0
+            spans.append(
+                [(float(part.time[a]), float(part.time[b - 1]) + reach) for a, b in runs_of(part.time, gap)]
+            )
+    slowest = slowest or max(_true_period(p, channels.gap) for c in channels.needed for p in channels.clean[c])
+    period = _period(slowest, rate, where)
+    grid, left_out = make_grid(spans, period)
+    if not len(grid.index):
+        raise LogError(
+            "no time is covered by all required channels without a gap",
+            where=where,
+            advice=_coverage(channels),
+        )
+    return grid, left_out
+
+
+def _true_period(part: CleanSeries, gap: float) -> float:
+    """Return the mean distance of samples inside stretches without a gap [s]; jitter does not bias it."""
+    step = np.diff(part.time)
+    inside = step[step <= gap]
+    return float(np.mean(inside)) if len(inside) else part.period
+
+
+def _period(slowest: float, rate: float | None, where: str) -> float:
+    if rate is not None:
+        if not rate > 0:
+            raise LogError(f"the rate is {rate:g} Hz, it must be positive", where=where)
+        if 1.0 / rate < slowest * 0.99:
+            raise LogError(
+                f"a rate of {rate:g} Hz is above the slowest required channel's {1.0 / slowest:.4g} Hz",
+                where=where,
+                advice="A drive is never upsampled.",
+            )
+        return 1.0 / rate
+    period = max(slowest, 1.0 / HIGHEST_RATE)
+    # A clock that is nominally 25 Hz reads 24.998: within 1 %, the round figure is what the logger meant.
+    for nice in (1.0 / round(1.0 / period), round(period, 3), round(period, 4)):
+        if nice > 0 and abs(nice - period) < 0.01 * period:
+            return nice
+    return period
+
+
+def _coverage(channels: Channels) -> str:
+    parts = [part for channel in channels.needed for part in channels.clean[channel]]
+    return "; ".join(f"{p.channel}: {p.time[0]:.2f} to {p.time[-1]:.2f} s, {1.0 / p.period:.3g} Hz" for p in parts)
+
+
+def resample_channels(channels: Channels, grid: Grid) -> dict[tuple[str, int], Resampled]:
+    """Bring every source onto the drive's clock; sources that share a clock share the work."""
+    results: dict[tuple[str, int], Resampled] = {}
+    together: list[tuple[CleanSeries, float, list[tuple[str, int]]]] = []
+    for channel, parts in channels.clean.items():
+        for index, (part, mode) in enumerate(zip(parts, channels.modes[channel], strict=True)):
+            gap = channels.gap_of(channel, index)
+            if mode == "held":
+                held = resample_held(part.time, part.values, grid, longest=gap)
+                results[channel, index] = Resampled(held, 1.0, (1.0,), False)
+                continue
+            alike = (m for p, g, m in together if g == gap and np.array_equal(p.time, part.time))
+            members = next(alike, None)
+            if members is None:
+                together.append((part, gap, [(channel, index)]))
+            else:
+                members.append((channel, index))
+    for part, gap, members in together:
+        values = np.stack([channels.clean[channel][index].values for channel, index in members], axis=1)
+        joint = resample_continuous(part.time, values, grid, gap=gap)
+        for column, key in enumerate(members):
+            results[key] = replace(joint, values=joint.values[:, column])
+    return results
+
+
+def sum_sources(channels: Channels, resampled: Mapping[tuple[str, int], Resampled]) -> dict[str, np.ndarray]:
+    """Return the channels on the drive's clock, each the sum of its sources, shapes (N,)."""
+    return {
+        channel: np.sum([resampled[channel, index].values for index in range(len(parts))], axis=0)
+        for channel, parts in channels.clean.items()
+    }
+
+
+def judge_sources(
+    channels: Channels,
+    resampled: Mapping[tuple[str, int], Resampled],
+) -> tuple[dict[str, NoiseEstimate], list[ChannelQuality]]:
+    """Return the noise of every canonical channel, and the quality of every source."""
+    noise: dict[str, NoiseEstimate] = {}
+    qualities: list[ChannelQuality] = []
+    for channel, parts in channels.clean.items():
+        estimates = []
+        for index, (part, mode) in enumerate(zip(parts, channels.modes[channel], strict=True)):
+            gap = channels.gap_of(channel, index)
+            result = resampled[channel, index]
+            words = "held" if mode == "held" else "low-passed" if result.low_passed else "interpolated"
+            qualities.append(source_quality(part, gap, words))
+            if channel not in CHANNELS:
+                continue
+            if mode == "held":
+                estimates.append(NoiseEstimate(channel, None, None, reason="held between updates"))
+                continue
+            runs = runs_of(part.time, gap)
+            filtered = {"gain": result.gain, "autocorrelation": result.autocorrelation}
+            estimates.append(estimate_noise(channel, part.values, runs, **filtered))
+        if estimates:
+            noise[channel] = sum_of_noise(channel, estimates)
+    return noise, qualities
+
+
+def without_missing(
+    grid: Grid, columns: dict[str, np.ndarray], needed: Sequence[str]
+) -> tuple[Grid, dict[str, np.ndarray], int]:
+    """Leave out rows where a required channel is missing, and number segments anew."""
+    present = np.all([np.isfinite(columns[channel]) for channel in needed], axis=0)
+    if present.all():
+        return grid, columns, 0
+    starts = np.flatnonzero(np.diff(present.astype(int), prepend=0) == 1)
+    for start in starts:
+        end = start + int(np.argmin(np.append(present[start:], False)))
+        if end - start < 4:
+            present[start:end] = False
+    if not present.any():
+        raise LogError("no row has all required channels", advice="See the rates and gaps of `--list`.")
+    rows = np.flatnonzero(present)
+    broken = np.diff(rows, prepend=rows[0] - 1) != 1
+    changed = np.diff(grid.segment[rows], prepend=grid.segment[rows[0]]) != 0
+    segment = np.cumsum(broken | changed).astype(np.int32)
+    kept = Grid(grid.origin, grid.period, grid.index[rows], segment)
+    return kept, {name: values[rows] for name, values in columns.items()}, len(present) - len(rows)
+
+
+def slices_of(segment: np.ndarray) -> list[slice]:
+    """Return the runs of rows of one segment, in order."""
+    edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
+    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def moved_earlier(channels: Channels, delays: Mapping[str, float]) -> Channels:
+    """Return the channels with their times moved earlier by `delays` [s]."""
+    clean = {
+        channel: [replace(part, time=part.time - delays.get(channel, 0.0)) for part in parts]
+        for channel, parts in channels.clean.items()
+    }
+    return replace(channels, clean=clean)
