@@ -25,11 +25,15 @@ class CommitteeTables:
         Features divided by their length scales.
     offsets : ndarray of int64, shape (C + 1,)
         Points of cell c are rows ``offsets[c]:offsets[c + 1]``.
-    weights : ndarray, shape (P, 3)
-        (C_i + rho I)^-1 y_i of each cell, rho = s^2/S0 of the output.
-    packed : ndarray, shape (Q, 3)
-        Lower triangle of (C_i + rho I)^-1, row by row, off-diagonal entries doubled.
-    packed_offsets : ndarray of int64, shape (C + 1,)
+    vectors : ndarray, shape (Q,)
+        Eigenvectors V of each cell's correlation matrix C_i, n_i x n_i: a row a point, a column an eigenvalue.
+    vector_offsets : ndarray of int64, shape (C + 1,)
+    gains : ndarray, shape (P, 3)
+        1/(lambda + rho), an eigenvalue of the cell each, rho = s^2/S0 of the output.
+    turned : ndarray, shape (P, 3)
+        V^T y of the cell times its gains.
+    weight_sum : ndarray, shape (C, 3)
+        Sum of the absolute weights (C_i + rho I)^-1 y_i.
     lower, upper : ndarray, shape (C, D)
         Box around each cell's points, in length scales.
     inverse_norm : ndarray, shape (C, 3)
@@ -40,9 +44,11 @@ class CommitteeTables:
 
     points: np.ndarray
     offsets: np.ndarray
-    weights: np.ndarray
-    packed: np.ndarray
-    packed_offsets: np.ndarray
+    vectors: np.ndarray
+    vector_offsets: np.ndarray
+    gains: np.ndarray
+    turned: np.ndarray
+    weight_sum: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
     inverse_norm: np.ndarray
@@ -50,37 +56,36 @@ class CommitteeTables:
 
 
 def committee_tables(training_set: TrainingSet) -> CommitteeTables:
-    """Invert every cell's kernel matrix, cells of one size together."""
+    """Decompose every cell's kernel matrix, cells of one size together."""
     kernel = training_set.kernel
     ratio = kernel.noise_variance / kernel.signal_variance
     points = np.ascontiguousarray(training_set.z / kernel.length_scales)
     offsets = np.ascontiguousarray(training_set.offsets, dtype=np.int64)
     counts = np.diff(offsets)
     cells = len(counts)
-    packed_offsets = np.concatenate([[0], np.cumsum(counts * (counts + 1) // 2)]).astype(np.int64)
-    weights = np.empty((len(points), 3))
-    packed = np.empty((packed_offsets[-1], 3))
+    vector_offsets = np.concatenate([[0], np.cumsum(counts * counts)]).astype(np.int64)
+    vectors = np.empty(vector_offsets[-1])
+    gains, turned = np.empty((len(points), 3)), np.empty((len(points), 3))
     box = np.empty((2, cells, points.shape[1]))
-    inverse_norm = np.empty((cells, 3))
+    inverse_norm, weight_sum = np.empty((cells, 3)), np.empty((cells, 3))
     for count in np.unique(counts):
         members = np.flatnonzero(counts == count)
         rows = offsets[members, None] + np.arange(count)
         inside = points[rows]
         box[0, members], box[1, members] = inside.min(axis=1), inside.max(axis=1)
         squared = np.square(inside[:, :, None] - inside[:, None, :]).sum(axis=-1)
-        values, vectors = np.linalg.eigh(np.exp(-0.5 * squared))
+        values, columns = np.linalg.eigh(np.exp(-0.5 * squared))
         # A kernel matrix has no negative eigenvalue; below zero is rounding, at most about 1e-15.
-        values = np.maximum(values, 0.0)
-        a, b = np.tril_indices(count)
-        slots = packed_offsets[members, None] + np.arange(len(a))
-        for output in range(3):
-            inverse = (vectors / (values + ratio[output])[:, None, :]) @ vectors.transpose(0, 2, 1)
-            weights[rows, output] = (inverse @ training_set.y[rows, output, None])[..., 0]
-            packed[slots, output] = inverse[:, a, b] * np.where(a == b, 1.0, 2.0)
-            inverse_norm[members, output] = 1.0 / (values[:, 0] + ratio[output])
-    floor = ratio / (counts[:, None] + ratio)
+        damped = np.maximum(values, 0.0)[:, :, None] + ratio
+        gains[rows] = 1.0 / damped
+        turned[rows] = np.einsum("cje,cjo->ceo", columns, training_set.y[rows]) / damped
+        slots = vector_offsets[members, None] + np.arange(count * count)
+        vectors[slots] = columns.reshape(len(members), -1)
+        inverse_norm[members] = 1.0 / damped[:, 0]
+        weight_sum[members] = np.abs(np.einsum("cje,ceo->cjo", columns, turned[rows])).sum(axis=1)
+    floor = np.ascontiguousarray(ratio / (counts[:, None] + ratio))
     return CommitteeTables(
-        points, offsets, weights, packed, packed_offsets, box[0], box[1], inverse_norm, np.ascontiguousarray(floor)
+        points, offsets, vectors, vector_offsets, gains, turned, weight_sum, box[0], box[1], inverse_norm, floor
     )
 
 
@@ -128,8 +133,8 @@ class BcmPredictor(Predictor):
         capacity = int(counts.max(initial=1))
         reach_squared = self._reach_squared(counts)
         return (
-            t.points, t.weights, t.packed, t.offsets, t.packed_offsets, t.lower, t.upper, reach_squared, t.floor,
-            capacity,
+            t.points, t.turned, t.gains, t.vectors, t.offsets, t.vector_offsets, t.lower, t.upper, reach_squared,
+            t.floor, capacity,
         )  # fmt: skip
 
     def _reach_squared(self, counts: np.ndarray) -> np.ndarray:
@@ -138,10 +143,9 @@ class BcmPredictor(Predictor):
             return np.full(len(counts), np.inf)
         share = self.neglect / (2.0 * len(counts))
         deviation = np.sqrt(self.training_set.kernel.signal_variance)
-        absolute = np.add.reduceat(np.abs(self.tables.weights), self.tables.offsets[:-1], axis=0)
         with np.errstate(divide="ignore"):
             variance = np.log(counts[:, None] * self.tables.inverse_norm / share)
-            mean = 2.0 * np.log(absolute / (share * deviation))
+            mean = 2.0 * np.log(self.tables.weight_sum / (share * deviation))
         return np.ascontiguousarray(np.maximum(np.maximum(variance, mean).max(axis=1), 0.0))
 
     def predict(self, z: np.ndarray) -> Prediction:
