@@ -1,0 +1,190 @@
+"""`split evaluate`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import click
+
+from split_cli.cli.options import (
+    existing_file,
+    json_option,
+    output_option,
+    print_json,
+    print_table,
+    vehicle_option,
+)
+
+__all__ = ["command"]
+
+
+def _list_of(kind: Callable) -> Callable:
+    """Return a callback that parses a comma-separated list."""
+
+    def parse(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple:
+        try:
+            return tuple(kind(part.strip()) for part in (text or "").split(",") if part.strip())
+        except ValueError as error:
+            raise click.BadParameter(f"{text!r} ({error})", context, parameter) from error
+
+    return parse
+
+
+def _size(text: str) -> int:
+    return 0 if text == "all" else int(text)
+
+
+def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tuple[str, ...]) -> tuple[str, ...]:
+    """Split ``z1,z2`` into two sets; a list that holds anything else is one set of named signals."""
+    sets: list[str] = []
+    for text in texts:
+        parts = [part.strip() for part in text.split(",") if part.strip()]
+        sets += parts if all(part.lower() in ("z1", "z2") for part in parts) else [",".join(parts)]
+    return tuple(sets)
+
+
+@click.command("evaluate")
+@click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE...")
+@vehicle_option(required=False)
+@click.option(
+    "--set", "set_path", type=existing_file, metavar="SET", help="Score this trained set on whole drives."
+)
+@click.option(
+    "--predictor",
+    "predictors",
+    default="bcm",
+    show_default=True,
+    callback=_list_of(str),
+    metavar="LIST",
+    help="Of bcm, full, fitc.",
+)
+@click.option(
+    "--protocol",
+    type=click.Choice(["held-out", "paper"]),
+    default="held-out",
+    show_default=True,
+    help="Held-out blocks of time, or the paper's: 100 samples of a lap, scored on that lap, in sample.",
+)
+@click.option(
+    "--features",
+    multiple=True,
+    default=("z2",),
+    show_default=True,
+    callback=_feature_sets,
+    metavar="LIST",
+    help="z1, z2, z1,z2 or signal names; repeatable. Several are also compared at equal sizes.",
+)
+@click.option(
+    "--sizes",
+    callback=_list_of(_size),
+    metavar="LIST",
+    help="Sizes of that comparison [default: 50,100,200,500,1000,all].",
+)
+@click.option(
+    "--blocks", type=click.IntRange(2), default=10, show_default=True, help="Blocks of time a drive is cut into."
+)
+@click.option("--holdout", type=float, default=0.3, show_default=True, metavar="SHARE", help="Share held out.")
+@click.option(
+    "--guard", type=float, default=1.0, show_default=True, metavar="S", help="Unused time beside a held-out block."
+)
+@click.option(
+    "--rollout",
+    default="0.5,1,2",
+    show_default=True,
+    callback=_list_of(float),
+    metavar="LIST",
+    help="Horizons of multi-step predictions [s].",
+)
+@click.option(
+    "--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h, without --set."
+)
+@output_option("Folder for figures.", required=False)
+@json_option
+def command(drives, vehicle_path, set_path, output, as_json, **settings) -> None:
+    """Score predictors beside the nominal model, persistence and the noise floor.
+
+    Without --set, a set is trained on the training blocks of the drives, with hyperparameters fitted there, and
+    scored on the held-out blocks. Errors are in label units, pooled over drives by their squares.
+
+    \b
+    Example:
+      split evaluate lap.parquet --vehicle car.yaml --features z1,z2 -o figures
+      split evaluate lap2.parquet --set car.split --predictor bcm,full
+    """
+    from split_cli.scoring.report import EvaluationSettings
+    from split_cli.workflows.evaluate import evaluate_files
+
+    asked = EvaluationSettings(**settings)
+    if output is not None and not output.parent.is_dir():
+        raise click.UsageError(f"the folder {output.parent} does not exist")
+    run = evaluate_files(drives, vehicle_path, asked, set_path, say=_say)
+    if output is not None:
+        from split_cli.plots.evaluation import write_figures
+
+        write_figures(run, output)
+    for note in run.report.notes:
+        click.echo(f"split: note: {note}", err=True)
+    if as_json:
+        print_json(run.report)
+    else:
+        _print_report(run.report)
+
+
+def _say(text: str) -> None:
+    """Tell progress on stderr, where someone watches."""
+    stream = click.get_text_stream("stderr")
+    if stream.isatty():
+        click.echo(f"split: {text}", err=True)
+
+
+def _print_report(report) -> None:
+    tested = sum(drive.tested for drive in report.drives)
+    valid = sum(drive.tested_valid for drive in report.drives)
+    click.echo(f"{report.vehicle}, protocol {report.settings.protocol}, h = {report.settings.horizon:g} s")
+    click.echo(f"{tested} test samples of {len(report.drives)} drives, {valid} in the valid region; label errors in")
+    click.echo("m/s^2, m/s^2, rad/s^2 (root mean square); skill = 1 - MSE/MSE of velocities held\n")
+    header = ("model", "features", "points", "norm", "v_x", "v_y", "r", "norm valid", "skill", "skill v_x,v_y,r",
+              "NLPD", "in 50 %", "in 95 %", "us/query")  # fmt: skip
+    pooled = [score for score in report.scores if not score.drive]
+    rows = [_score_row(score) for score in pooled]
+    floor = report.noise_floor
+    if floor.rms is not None:
+        rows.append(["noise floor", "", None, floor.norm, *map(float, floor.rms), None, None, "", None, "", "", None])
+    print_table(header, rows)
+    if floor.reason:
+        click.echo(f"noise floor: {floor.reason}")
+    if report.sizes:
+        click.echo("\nDense process on the most informative samples of each feature set")
+        sizes = [("all" if s.size == 0 else str(s.size), *_score_row(s.score)[1:11]) for s in report.sizes]
+        print_table(("size", *header[1:11]), sizes)
+    if report.rollouts:
+        click.echo("\nRollouts with recorded inputs: errors of v_x, v_y [m/s], r [rad/s], position [m]")
+        print_table(("model", "features", "after s", "starts", "v_x", "v_y", "r", "position"), [
+            (r.name, r.features, r.horizon, r.starts, *map(float, r.rmse), _number(r.distance))
+            for r in report.rollouts
+        ])  # fmt: skip
+
+
+def _score_row(score) -> list:
+    return [
+        score.name,
+        score.features,
+        score.points,
+        float(score.rmse[3]),
+        *(float(value) for value in score.rmse[:3]),
+        _number(score.rmse_valid[3]),
+        _number(score.skill_velocity_held[3]),
+        "/".join(f"{value:.2f}" for value in score.skill_velocity_held[:3]),
+        None if score.nlpd is None else float(score.nlpd.sum()),
+        _shares(score.coverage_50),
+        _shares(score.coverage_95),
+        None if score.time_per_query is None else 1e6 * score.time_per_query,
+    ]
+
+
+def _number(value: float) -> float | None:
+    return float(value) if value == value else None
+
+
+def _shares(shares) -> str:
+    return "" if shares is None else "/".join(f"{100 * share:.0f}" for share in shares)

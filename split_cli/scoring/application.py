@@ -1,0 +1,100 @@
+"""Predictors applied to drives: at recorded rows, and at states of the model's own, with FITC's future supplied."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from split_cli.learning.features import FeatureSet
+from split_cli.logs.drive import Drive
+from split_cli.prediction import Prediction, Predictor
+from split_cli.prediction.fitc import CONTEXT_INTERVAL, CONTEXT_STATES
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["correction_from", "features_at", "future_rows", "predict_rows", "time_per_query"]
+
+_TIMED_QUERIES = 200
+_LONGEST_TIMING = 2.0
+#: Features that follow the predicted state in a rollout; all others are taken as recorded.
+_OF_STATE = ("alpha_f", "alpha_r", "speed", "vx", "vy", "r")
+
+
+def future_rows(drive: Drive, row: int) -> np.ndarray:
+    """Return the rows of the next ten states 100 ms apart, fewer at the end of a segment, at least one."""
+    step = max(1, round(CONTEXT_INTERVAL / drive.period))
+    ahead = row + step * np.arange(1, CONTEXT_STATES + 1)
+    last = int(np.searchsorted(drive.segment[row:], drive.segment[row], side="right")) + row - 1
+    return np.unique(np.minimum(ahead, last))
+
+
+def predict_rows(predictor: Predictor, drive: Drive, z: np.ndarray, rows: np.ndarray) -> Prediction:
+    """Predict at recorded rows.
+
+    Parameters
+    ----------
+    predictor : Predictor
+    drive : Drive
+    z : ndarray, shape (rows of the drive, D)
+        Features of every row: a predictor that needs a situation gets the recorded future from it.
+    rows : ndarray of int, shape (N,)
+    """
+    if not predictor.needs_context:
+        return predictor.predict(z[rows])
+    mean, variance = np.empty((2, len(rows), 3))
+    for i, row in enumerate(rows):
+        one = predictor.at(z[future_rows(drive, row)]).predict(z[row : row + 1])
+        mean[i], variance[i] = one.mean[0], one.variance[0]
+    return Prediction(mean, variance)
+
+
+def correction_from(
+    predictor: Predictor, drive: Drive, z: np.ndarray, starts: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return g: features (N, 3 or D) of N rollouts that began at `starts` to residuals (N, 3)."""
+    if not predictor.needs_context:
+        return predictor.mean
+    situated = [predictor.at(z[future_rows(drive, row)]) for row in starts]
+    return lambda at: np.concatenate([s.mean(at[i : i + 1]) for i, s in enumerate(situated)])
+
+
+def features_at(
+    features: FeatureSet, model: SingleTrack, drive: Drive, rows: np.ndarray, velocity: np.ndarray, z: np.ndarray
+) -> np.ndarray:
+    """Return features at states of the model's own beside recorded inputs, shape (N, D).
+
+    Parameters
+    ----------
+    features : FeatureSet
+    model : SingleTrack
+    drive : Drive
+    rows : ndarray of int, shape (N,)
+        Where inputs and all that is no function of the state are taken from.
+    velocity : ndarray, shape (N, 3)
+        v_x, v_y, r in place of the recorded ones.
+    z : ndarray, shape (rows of the drive, D)
+        Recorded features.
+    """
+    columns = {name: values[rows] for name, values in drive.columns.items()}
+    columns.update(zip(("vx", "vy", "r"), velocity.T, strict=True))
+    alone = Drive(drive.name, columns, np.arange(len(rows), dtype=np.int32), drive.period)
+    follows = np.isin(features.names, _OF_STATE)
+    return np.where(follows, features.compute(model, alone), z[rows])
+
+
+def time_per_query(predictor: Predictor, drive: Drive, z: np.ndarray, rows: np.ndarray) -> float:
+    """Return the median time of one query with mean and variance, asked one at a time as a controller does [s].
+
+    For a predictor that needs a situation the time includes `at`.
+    """
+    rows = rows[np.linspace(0, len(rows) - 1, min(_TIMED_QUERIES, len(rows))).astype(int)]
+    predict_rows(predictor, drive, z, rows[:1])
+    times: list[float] = []
+    for row in rows:
+        if sum(times) > _LONGEST_TIMING:
+            break
+        begin = time.perf_counter()
+        predict_rows(predictor, drive, z, np.array([row]))
+        times.append(time.perf_counter() - begin)
+    return float(np.median(times))

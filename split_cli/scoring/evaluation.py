@@ -1,0 +1,236 @@
+"""One evaluation: predictors, nominal model, persistence and noise floor scored on the same samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.learning.labels import Labels
+from split_cli.logs.drive import Drive
+from split_cli.prediction import Prediction, Predictor
+from split_cli.scoring.application import correction_from, predict_rows
+from split_cli.scoring.metrics import ErrorSums, ProbabilitySums, skill
+from split_cli.scoring.noise import NoiseFloor, noise_floor
+from split_cli.scoring.persistence import label_persistence_errors, velocity_persistence_errors
+from split_cli.scoring.rollouts import (
+    Correction,
+    RolloutSums,
+    hold_velocity,
+    roll_out,
+    rollout_starts,
+    score_rollouts,
+)
+from split_cli.scoring.splits import BlockSplit
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = [
+    "LABEL_PERSISTENCE",
+    "NOMINAL",
+    "VELOCITY_PERSISTENCE",
+    "HeldOut",
+    "Score",
+    "Tally",
+    "baseline_tallies",
+    "pooled_noise_floor",
+    "predictor_tally",
+    "rollout_sums",
+    "score",
+]
+
+NOMINAL = "nominal"
+VELOCITY_PERSISTENCE = "velocity held"
+LABEL_PERSISTENCE = "last label held"
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """One drive's test samples.
+
+    Attributes
+    ----------
+    drive : Drive
+    split : BlockSplit
+    labels : Labels
+        All labels of the drive, in order.
+    z : ndarray, shape (rows of the drive, D)
+        Features of every row.
+    """
+
+    drive: Drive
+    split: BlockSplit
+    labels: Labels
+    z: np.ndarray
+
+    @property
+    def tested(self) -> np.ndarray:
+        """Index of the labels that test: window on test rows, and computable, shape (N,)."""
+        blocked = np.concatenate([[0], np.cumsum(~self.split.test)])
+        last = np.minimum(self.labels.row + self.labels.window + 1, len(self.drive))
+        inside = blocked[last] == blocked[self.labels.row]
+        return np.flatnonzero(inside & np.isfinite(self.labels.y).all(axis=1))
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Sums of one contestant over test samples: all of them, and those inside the valid region."""
+
+    everywhere: ErrorSums
+    valid: ErrorSums
+    probability: ProbabilitySums | None = None
+
+    @classmethod
+    def of(cls, errors: np.ndarray, valid: np.ndarray, variance: np.ndarray | None = None) -> Tally:
+        """Sum errors (N, 3) with the mask of the valid region (N,) and the labels' predicted variance."""
+        probability = None if variance is None else ProbabilitySums.of(errors, variance)
+        return cls(ErrorSums.of(errors), ErrorSums.of(errors[valid]), probability)
+
+    def __add__(self, other: Tally) -> Tally:
+        both = self.probability is not None and other.probability is not None
+        return Tally(
+            self.everywhere + other.everywhere,
+            self.valid + other.valid,
+            self.probability + other.probability if both else None,
+        )
+
+
+@dataclass(frozen=True)
+class Score:
+    """Figures of merit of one contestant; arrays are v_x, v_y, r, and the norm where there are four.
+
+    Attributes
+    ----------
+    name : str
+        ``nominal``, ``velocity held``, ``last label held``, or a predictor.
+    features : str
+        ``z1``, ``z2`` or names; empty for the baselines.
+    drive : str
+        Empty when pooled over all.
+    points : int or None
+        Size of the set behind it.
+    samples, samples_valid : int
+        Test samples, and those inside the valid region.
+    rmse, rmse_valid : ndarray, shape (4,)
+        [m/s^2], [m/s^2], [rad/s^2] and the norm.
+    skill_nominal, skill_velocity_held, skill_label_held : ndarray, shape (4,)
+        1 - MSE/MSE of that baseline.
+    nlpd : ndarray, shape (3,), or None
+        [nat] a sample. The nominal model's is that of a Gaussian with mean 0 and the training labels' mean square.
+    coverage_50, coverage_95 : ndarray, shape (3,), or None
+        Observed share inside the central intervals.
+    time_per_query : float or None
+        [s]
+    uses_recorded_future : bool
+    """
+
+    name: str
+    features: str
+    drive: str
+    points: int | None
+    samples: int
+    samples_valid: int
+    rmse: np.ndarray
+    rmse_valid: np.ndarray
+    skill_nominal: np.ndarray
+    skill_velocity_held: np.ndarray
+    skill_label_held: np.ndarray
+    nlpd: np.ndarray | None = None
+    coverage_50: np.ndarray | None = None
+    coverage_95: np.ndarray | None = None
+    time_per_query: float | None = None
+    uses_recorded_future: bool = False
+
+
+def baseline_tallies(held: HeldOut, model: SingleTrack, variance: np.ndarray | None) -> dict[str, Tally]:
+    """Return the tallies of the nominal model and both persistences on a drive's test samples.
+
+    Parameters
+    ----------
+    held : HeldOut
+    model : SingleTrack
+    variance : ndarray, shape (3,), or None
+        Of the Gaussian that the nominal model's density is scored with.
+    """
+    index = held.tested
+    tested = held.labels.take(index)
+    errors = {
+        NOMINAL: tested.y,
+        VELOCITY_PERSISTENCE: velocity_persistence_errors(model, held.drive, tested),
+        LABEL_PERSISTENCE: label_persistence_errors(held.labels)[index],
+    }
+    return {
+        name: Tally.of(values, tested.accepted, variance if name == NOMINAL else None)
+        for name, values in errors.items()
+    }
+
+
+def predictor_tally(held: HeldOut, predictor: Predictor) -> tuple[Tally, Prediction]:
+    """Return a predictor's tally on a drive's test samples, and its predictions in their order."""
+    tested = held.labels.take(held.tested)
+    prediction = predict_rows(predictor, held.drive, held.z, tested.row)
+    noise = predictor.training_set.kernel.noise_variance
+    return Tally.of(tested.y - prediction.mean, tested.accepted, prediction.variance + noise), prediction
+
+
+def score(name: str, tally: Tally, baselines: dict[str, Tally], **known: object) -> Score:
+    """Turn sums into figures of merit; `known` fills the other fields of `Score`."""
+    errors, valid, probability = tally.everywhere, tally.valid, tally.probability
+    return Score(
+        name=name,
+        samples=errors.count,
+        samples_valid=valid.count,
+        rmse=np.append(errors.rmse, errors.norm),
+        rmse_valid=np.append(valid.rmse, valid.norm),
+        skill_nominal=skill(errors, baselines[NOMINAL].everywhere),
+        skill_velocity_held=skill(errors, baselines[VELOCITY_PERSISTENCE].everywhere),
+        skill_label_held=skill(errors, baselines[LABEL_PERSISTENCE].everywhere),
+        nlpd=None if probability is None else probability.nlpd,
+        coverage_50=None if probability is None else probability.coverage[0],
+        coverage_95=None if probability is None else probability.coverage[1],
+        **{"features": "", "drive": "", "points": None, **known},
+    )
+
+
+def pooled_noise_floor(model: SingleTrack, drives: Sequence[HeldOut]) -> NoiseFloor:
+    """Return the floor over the test samples of all drives, pooled by squares."""
+    squares, count, notes = np.zeros(3), 0, []
+    for held in drives:
+        tested = held.labels.take(held.tested)
+        floor = noise_floor(model, held.drive, tested)
+        if floor.reason:
+            notes.append(f"{held.drive.name}: {floor.reason}")
+        if floor.rms is None:
+            return NoiseFloor(None, notes[-1])
+        squares += len(tested) * floor.rms**2
+        count += len(tested)
+    return NoiseFloor(np.sqrt(squares / count), "; ".join(notes)) if count else NoiseFloor(None, "no test samples")
+
+
+def rollout_sums(
+    held: HeldOut, model: SingleTrack, predictors: dict[tuple[str, str], tuple[HeldOut, Predictor]], steps: int
+) -> dict[tuple[str, str], RolloutSums]:
+    """Roll out every contestant from the same start points of a drive's test blocks.
+
+    Parameters
+    ----------
+    held : HeldOut
+        Says which rows test.
+    model : SingleTrack
+    predictors : dict
+        (Name, features) to the drive as the predictor's features see it, and the predictor.
+    steps : int
+        Steps of h.
+    """
+    window = held.labels.window
+    speed = held.labels.region.minimum_speed
+    starts = rollout_starts(held.drive, held.split.test, steps * window, speed)
+    trajectories = {
+        (NOMINAL, ""): roll_out(model, held.drive, starts, steps, window),
+        (VELOCITY_PERSISTENCE, ""): hold_velocity(held.drive, starts, steps, window),
+    }
+    for key, (own, predictor) in predictors.items():
+        residual = correction_from(predictor, own.drive, own.z, starts)
+        correction = Correction(own.labels.features, own.z, residual)
+        trajectories[key] = roll_out(model, held.drive, starts, steps, window, correction)
+    return score_rollouts(held.drive, starts, window, trajectories)

@@ -1,0 +1,135 @@
+"""The noise floor: the label rms that sensor noise alone makes, below which no model can go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.learning.labels import Labels
+from split_cli.logs.drive import Drive, NoiseEstimate
+from split_cli.logs.noise import estimate_noise
+from split_cli.scoring.persistence import phi_at
+from split_cli.vehicle.integration import integrate_recorded, substep_count
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["NoiseFloor", "noise_floor"]
+
+_VELOCITIES = ("vx", "vy", "r")
+_INPUTS = ("T", "delta")
+_MOST_WINDOWS = 400
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """Label rms from sensor noise.
+
+    Attributes
+    ----------
+    rms : ndarray, shape (3,), or None
+        [m/s^2], [m/s^2], [rad/s^2]; None where it cannot be told.
+    reason : str
+        Why it is None, or what it leaves out; empty otherwise.
+    """
+
+    rms: np.ndarray | None
+    reason: str = ""
+
+    @property
+    def norm(self) -> float | None:
+        """Root of the summed squares, to compare with the norm of an error."""
+        return None if self.rms is None else float(np.sqrt(np.square(self.rms).sum()))
+
+
+def noise_floor(model: SingleTrack, drive: Drive, labels: Labels) -> NoiseFloor:
+    """Propagate the drive's sensor noise into its labels.
+
+    Noise of a channel is what `split ingest` noted (standard deviation and autocorrelation on the drive's clock,
+    after its filter); for a drive that came without notes, white noise estimated from third and higher
+    differences of its samples.
+
+    Notes
+    -----
+    y = Phi^-1 (x(t + h) - f_h(x(t), u(t..t + h)))/h, so noise w of the velocities and n of the inputs adds
+    Phi^-1 (w(t + h) - F_x w(t) - sum_k F_u,k n(t_k))/h, with F_x and F_u,k the derivatives of the RK4 flow over
+    the window (central differences of the integrator itself). Its covariance uses the autocorrelation between the
+    window's two ends, and between input samples. Averaged over up to 400 windows spread over the labels.
+
+    The floor is what noise adds to the *label*; noise of the features, which blurs g, is not in it.
+    """
+    estimates = {name: _noise_of(drive, name) for name in (*_VELOCITIES, *_INPUTS)}
+    for name in _VELOCITIES:
+        if estimates[name].sigma is None:
+            return NoiseFloor(None, f"the noise of {name} is unknown: {estimates[name].reason}")
+    usable = np.flatnonzero(np.isfinite(labels.y).all(axis=1))
+    if not len(usable):
+        return NoiseFloor(None, "no label could be computed")
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, _MOST_WINDOWS).astype(int))]
+    rows, window = labels.row[chosen], labels.window
+    by_state, by_torque, by_steer = _flow_derivatives(model, drive, rows, window)
+    covariance = np.zeros((len(rows), 3, 3))
+    for i, name in enumerate(_VELOCITIES):
+        # How the noise at the window's two ends enters x(t + h) - f_h; the inputs' sign does not matter.
+        gains = np.stack([-by_state[:, :, i], np.tile(np.eye(3)[i], (len(rows), 1))], axis=2)
+        covariance += _propagate(gains, estimates[name], np.array([0, window]))
+    for name, gains in (("T", by_torque), ("delta", by_steer)):
+        if estimates[name].sigma:
+            covariance += _propagate(gains, estimates[name], np.arange(window + 1))
+    scale = np.broadcast_to(np.eye(3), covariance.shape)
+    if not labels.plain:
+        scale = np.linalg.inv(phi_at(model, drive, rows, labels.horizon))
+    covariance = scale @ covariance @ scale.transpose(0, 2, 1) / labels.horizon**2
+    rms = np.sqrt(np.mean(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
+    left_out = [f"{name} ({estimates[name].reason})" for name in _INPUTS if estimates[name].sigma is None]
+    return NoiseFloor(rms, f"a lower bound: without the noise of {' and '.join(left_out)}" if left_out else "")
+
+
+def _noise_of(drive: Drive, name: str) -> NoiseEstimate:
+    kind = str(drive.metadata.kinds.get(name, ""))
+    if name in _INPUTS and kind.startswith("command"):
+        return NoiseEstimate(name, 0.0, 0.0)
+    noted = drive.metadata.noise_of(name)
+    if noted is not None:
+        return noted
+    if drive.metadata.noise:
+        return NoiseEstimate(name, None, None, reason="ingest noted none")
+    return estimate_noise(name, drive[name], [(run.start, run.stop) for run in drive.segments()])
+
+
+def _propagate(gains: np.ndarray, noise: NoiseEstimate, at: np.ndarray) -> np.ndarray:
+    """Return G S G^T, shape (N, 3, 3): `gains` (N, 3, K) of noise at samples `at` (K,) with its autocorrelation."""
+    lag = np.abs(at[:, None] - at[None, :])
+    known = np.asarray(noise.autocorrelation)
+    correlation = np.where(lag < len(known), known[np.minimum(lag, len(known) - 1)], 0.0)
+    return noise.sigma**2 * np.einsum("nik,kl,njl->nij", gains, correlation, gains)
+
+
+def _flow_derivatives(
+    model: SingleTrack, drive: Drive, rows: np.ndarray, window: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the derivatives of f_h by state (N, 3, 3), and by the torque and steer samples (N, 3, K + 1)."""
+    state = np.stack([drive[name][rows] for name in _VELOCITIES], axis=1)
+    span = rows[:, None] + np.arange(window + 1)
+    inputs = {"T": drive["T"][span], "delta": drive["delta"][span]}
+    jacobian = model.velocity_jacobian(*state.T, inputs["T"][:, 0], inputs["delta"][:, 0])
+    substeps = substep_count(jacobian, drive.period)
+    yaw = drive["yaw"][rows] if "yaw" in drive else 0.0
+
+    def flow(begin: np.ndarray, torque: np.ndarray, steer: np.ndarray) -> np.ndarray:
+        time = drive["t"][rows]
+        return integrate_recorded(model, begin, torque, steer, drive.period, substeps, time=time, yaw=yaw)
+
+    def slope(step: float, change: object) -> np.ndarray:
+        return (change(step) - change(-step)) / (2.0 * step)
+
+    by_state = np.empty((len(rows), 3, 3))
+    for i in range(3):
+        unit = np.eye(3)[i]
+        by_state[:, :, i] = slope(1e-5, lambda e, d=unit: flow(state + e * d, inputs["T"], inputs["delta"]))
+    by_torque, by_steer = np.empty((2, len(rows), 3, window + 1))
+    for k in range(window + 1):
+        unit = np.eye(window + 1)[k]
+        step = 1e-5 * model.vehicle.max_torque
+        by_torque[:, :, k] = slope(step, lambda e, d=unit: flow(state, inputs["T"] + e * d, inputs["delta"]))
+        by_steer[:, :, k] = slope(1e-6, lambda e, d=unit: flow(state, inputs["T"], inputs["delta"] + e * d))
+    return by_state, by_torque, by_steer

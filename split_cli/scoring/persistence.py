@@ -1,0 +1,61 @@
+"""What any model must beat: velocities held over the horizon, and the last label held."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from split_cli.learning.labels import Labels
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.integration import phi_matrix
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["label_persistence_errors", "phi_at", "velocity_persistence_errors"]
+
+
+def phi_at(model: SingleTrack, drive: Drive, rows: np.ndarray, horizon: float) -> np.ndarray:
+    """Return Phi of the nominal model at rows of a drive, shape (N, 3, 3)."""
+    at = [drive[name][rows] for name in ("vx", "vy", "r", "T", "delta")]
+    yaw = drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows))
+    return phi_matrix(model.velocity_jacobian(*at, t=drive["t"][rows], yaw=yaw), horizon)
+
+
+def velocity_persistence_errors(model: SingleTrack, drive: Drive, labels: Labels) -> np.ndarray:
+    """Return the error of "nothing changes within h" in label units, shape (N, 3).
+
+    Notes
+    -----
+    A prediction p of x(t + h) has the label-unit error Phi^-1 B_d^+ (x(t + h) - p)/h; with p = f_h it is the
+    label itself, here p = x(t). NaN where the label is.
+    """
+    errors = np.full((len(labels), 3), np.nan)
+    usable = np.isfinite(labels.y).all(axis=1)
+    rows = labels.row[usable]
+    velocity = np.stack([drive[name] for name in ("vx", "vy", "r")], axis=1)
+    rate = (velocity[rows + labels.window] - velocity[rows]) / labels.horizon
+    if labels.plain:
+        errors[usable] = rate
+    else:
+        phi = phi_at(model, drive, rows, labels.horizon)
+        errors[usable] = np.linalg.solve(phi, rate[:, :, None])[:, :, 0]
+    return errors
+
+
+def label_persistence_errors(labels: Labels) -> np.ndarray:
+    """Return label minus the last label whose window had ended by then, in the same segment, shape (N, 3).
+
+    Parameters
+    ----------
+    labels : Labels
+        All labels of a drive, in order: the label before a held-out block is known when the block begins.
+
+    Returns
+    -------
+    ndarray
+        NaN where there is no such label, or either is NaN.
+    """
+    latest = np.searchsorted(labels.row, labels.row - labels.window, side="right") - 1
+    known = latest >= 0
+    known &= labels.segment[np.maximum(latest, 0)] == labels.segment
+    errors = labels.y - labels.y[np.maximum(latest, 0)]
+    errors[~known] = np.nan
+    return errors

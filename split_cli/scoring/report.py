@@ -1,0 +1,171 @@
+"""What an evaluation reports, as dataclasses that print as JSON; `evaluation.schema.json` is their schema."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.learning.kernel import Kernel
+from split_cli.scoring.evaluation import Score
+from split_cli.scoring.noise import NoiseFloor
+
+__all__ = [
+    "EVALUATION_FORMAT",
+    "DriveFacts",
+    "Evaluation",
+    "EvaluationSettings",
+    "RolloutScore",
+    "SetFacts",
+    "SizeScore",
+]
+
+EVALUATION_FORMAT = "split-evaluation/1"
+
+
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """What was asked for; the defaults are the same for every car and recording.
+
+    Attributes
+    ----------
+    protocol : {"held-out", "paper"}
+        Held-out blocks of time, or the SPLIT paper's in-sample comparison on one lap.
+    predictors, features : tuple of str
+    sizes : tuple of int
+        Sizes of the feature comparison; 0 is all training samples.
+    blocks : int
+    holdout : float
+    guard : float
+        [s]
+    rollout : tuple of float
+        Horizons of the multi-step predictions [s].
+    horizon : float
+        Label interval h [s].
+    """
+
+    protocol: str = "held-out"
+    predictors: tuple[str, ...] = ("bcm",)
+    features: tuple[str, ...] = ("z2",)
+    sizes: tuple[int, ...] = ()
+    blocks: int = 10
+    holdout: float = 0.3
+    guard: float = 1.0
+    rollout: tuple[float, ...] = (0.5, 1.0, 2.0)
+    horizon: float = 0.05
+
+
+@dataclass(frozen=True)
+class DriveFacts:
+    """One drive of an evaluation.
+
+    Attributes
+    ----------
+    name, sha256 : str
+    duration : float
+        [s]
+    labels, tested, tested_valid : int
+        Labels, test samples, and those inside the valid region.
+    in_sample : bool
+        Whether the set was trained on this very file.
+    held_out : tuple of (float, float)
+        Time intervals that test [s].
+    noise_floor : NoiseFloor
+        Of the labels, over the test samples.
+    notes : tuple of str
+    """
+
+    name: str
+    sha256: str
+    duration: float
+    labels: int
+    tested: int
+    tested_valid: int
+    in_sample: bool
+    held_out: tuple[tuple[float, float], ...]
+    noise_floor: NoiseFloor
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SetFacts:
+    """A trained set that was scored: its features, points, cells and kernel."""
+
+    features: str
+    points: int
+    cells: int
+    kernel: Kernel
+
+
+@dataclass(frozen=True)
+class SizeScore:
+    """A dense process on the most informative samples of a feature set.
+
+    Attributes
+    ----------
+    size : int
+        Asked for; 0 is all. The true size is ``score.points``.
+    score : Score
+    """
+
+    size: int
+    score: Score
+
+
+@dataclass(frozen=True)
+class RolloutScore:
+    """Multi-step prediction at one horizon, pooled over drives.
+
+    Attributes
+    ----------
+    name, features : str
+    horizon : float
+        [s]
+    starts, diverged : int
+        Start points, and those left out since some model left the finite numbers.
+    rmse : ndarray, shape (3,)
+        v_x, v_y [m/s], r [rad/s].
+    distance : float
+        Position [m]; NaN without a recorded position.
+    """
+
+    name: str
+    features: str
+    horizon: float
+    starts: int
+    diverged: int
+    rmse: np.ndarray
+    distance: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The result of `split evaluate`.
+
+    Attributes
+    ----------
+    settings : EvaluationSettings
+    vehicle : str
+    drives : tuple of DriveFacts
+    sets : tuple of SetFacts
+    scores : tuple of Score
+        Pooled over drives first, then drive by drive when there are several.
+    noise_floor : NoiseFloor
+        Pooled over drives.
+    rollouts : tuple of RolloutScore
+    sizes : tuple of SizeScore
+    notes : tuple of str
+        What the reader must know: recorded future used, in-sample scores, what could not be computed.
+    format : str
+    """
+
+    settings: EvaluationSettings
+    vehicle: str
+    drives: tuple[DriveFacts, ...]
+    sets: tuple[SetFacts, ...]
+    scores: tuple[Score, ...]
+    noise_floor: NoiseFloor
+    rollouts: tuple[RolloutScore, ...]
+    sizes: tuple[SizeScore, ...]
+    notes: tuple[str, ...]
+    format: str = EVALUATION_FORMAT

@@ -1,0 +1,200 @@
+"""Multi-step prediction with recorded inputs: nominal, corrected, and persistence, from many start points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.learning.features import FeatureSet
+from split_cli.logs.drive import Drive
+from split_cli.scoring.application import features_at
+from split_cli.vehicle.integration import integrate_recorded, phi_matrix, substep_count
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["Correction", "RolloutSums", "hold_velocity", "roll_out", "rollout_starts", "score_rollouts"]
+
+_MOST_STARTS = 200
+_VELOCITIES = ("vx", "vy", "r")
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A residual model in a rollout.
+
+    Attributes
+    ----------
+    features : FeatureSet
+    z : ndarray, shape (rows of the drive, D)
+        Recorded features.
+    residual : callable
+        Features (N, D) to g (N, 3).
+    """
+
+    features: FeatureSet
+    z: np.ndarray
+    residual: Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class RolloutSums:
+    """Squared errors of rollouts at the end of every step, pooled over starts and drives.
+
+    Attributes
+    ----------
+    squared : ndarray, shape (K, 3)
+        Of v_x, v_y [m^2/s^2] and r [rad^2/s^2].
+    squared_distance : ndarray, shape (K,)
+        Of the position [m^2]; NaN where the drive has none.
+    count : int
+        Start points.
+    diverged : int
+        Start points left out for every model because one of them left the finite numbers.
+    """
+
+    squared: np.ndarray
+    squared_distance: np.ndarray
+    count: int
+    diverged: int
+
+    def __add__(self, other: RolloutSums) -> RolloutSums:
+        return RolloutSums(
+            self.squared + other.squared,
+            self.squared_distance + other.squared_distance,
+            self.count + other.count,
+            self.diverged + other.diverged,
+        )
+
+    @property
+    def rmse(self) -> np.ndarray:
+        """Root mean square error of v_x, v_y, r at the end of every step, shape (K, 3)."""
+        return np.sqrt(self.squared / max(self.count, 1))
+
+    @property
+    def distance(self) -> np.ndarray:
+        """Root mean square position error at the end of every step, shape (K,) [m]."""
+        return np.sqrt(self.squared_distance / max(self.count, 1))
+
+
+def rollout_starts(
+    drive: Drive, rows: np.ndarray, length: int, minimum_speed: float, most: int = _MOST_STARTS
+) -> np.ndarray:
+    """Return start rows whose next `length` samples lie on `rows` (a mask), in one segment, above the speed.
+
+    At most `most`, evenly spread over all that qualify.
+    """
+    fit = rows & (drive["vx"] > minimum_speed)
+    blocked = np.concatenate([[0], np.cumsum(~fit)])
+    starts = np.arange(max(len(drive) - length, 0))
+    starts = starts[(blocked[starts + length + 1] == blocked[starts])]
+    starts = starts[drive.segment[starts + length] == drive.segment[starts]]
+    if len(starts) > most:
+        starts = starts[np.linspace(0, len(starts) - 1, most).astype(int)]
+    return starts
+
+
+def roll_out(
+    model: SingleTrack,
+    drive: Drive,
+    starts: np.ndarray,
+    steps: int,
+    window: int,
+    correction: Correction | None = None,
+) -> np.ndarray:
+    """Predict `steps` steps of h = `window` samples over the recorded inputs.
+
+    Returns
+    -------
+    ndarray, shape (N, steps, 3) or (N, steps, 6)
+        (v_x, v_y, r) after every step, or (X, Y, yaw, v_x, v_y, r) where the drive has a position.
+
+    Notes
+    -----
+    Each step x+ = f_h(x) + h B_d Phi(x) g(z(x)), everything at the model's own state; inputs as recorded.
+    """
+    names = ("X", "Y", "yaw", *_VELOCITIES) if drive.has_position else _VELOCITIES
+    state = np.stack([drive[name][starts] for name in names], axis=1)
+    horizon = window * drive.period
+    trajectory = np.empty((len(starts), steps, len(names)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for step in range(steps):
+            rows = starts + step * window
+            state = _one_step(model, drive, rows, state, window, horizon, correction)
+            trajectory[:, step] = state
+    return trajectory
+
+
+def _one_step(
+    model: SingleTrack,
+    drive: Drive,
+    rows: np.ndarray,
+    state: np.ndarray,
+    window: int,
+    horizon: float,
+    correction: Correction | None,
+) -> np.ndarray:
+    span = rows[:, None] + np.arange(window + 1)
+    torque, steer = drive["T"][span], drive["delta"][span]
+    velocity = state[:, -3:]
+    yaw = state[:, 2] if state.shape[1] == 6 else (drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows)))
+    time = drive["t"][rows]
+    jacobian = model.velocity_jacobian(*velocity.T, torque[:, 0], steer[:, 0], t=time, yaw=yaw)
+    finite = np.isfinite(jacobian).all(axis=(1, 2))
+    substeps = substep_count(jacobian[finite], drive.period)
+    after = integrate_recorded(model, state, torque, steer, drive.period, min(substeps, 50), time=time, yaw=yaw)
+    if correction is not None:
+        at = features_at(correction.features, model, drive, rows, velocity, correction.z)
+        finite &= np.isfinite(at).all(axis=1)
+        residual = correction.residual(np.where(finite[:, None], at, 0.0))
+        phi = phi_matrix(np.where(finite[:, None, None], jacobian, 0.0), horizon)
+        after[:, -3:] += horizon * np.einsum("nij,nj->ni", phi, residual)
+    return after
+
+
+def hold_velocity(drive: Drive, starts: np.ndarray, steps: int, window: int) -> np.ndarray:
+    """Return the rollout in which v_x, v_y and r stay what they are: a circular arc; shape as `roll_out`."""
+    elapsed = np.arange(1, steps + 1) * window * drive.period
+    vx, vy, r = (np.broadcast_to(drive[name][starts][:, None], (len(starts), steps)) for name in _VELOCITIES)
+    held = np.stack([vx, vy, r], axis=2)
+    if not drive.has_position:
+        return held
+    half = 0.5 * r * elapsed
+    # sin(rt)/r and (1 - cos(rt))/r, without the division where r is small.
+    along = elapsed * np.sinc(2.0 * half / np.pi)
+    across = elapsed * half * np.sinc(half / np.pi) ** 2
+    ahead, left = vx * along - vy * across, vx * across + vy * along
+    yaw = drive["yaw"][starts][:, None]
+    x = drive["X"][starts][:, None] + ahead * np.cos(yaw) - left * np.sin(yaw)
+    y = drive["Y"][starts][:, None] + ahead * np.sin(yaw) + left * np.cos(yaw)
+    return np.concatenate([np.stack([x, y, yaw + r * elapsed], axis=2), held], axis=2)
+
+
+def score_rollouts(
+    drive: Drive, starts: np.ndarray, window: int, trajectories: Mapping[Hashable, np.ndarray]
+) -> dict[Hashable, RolloutSums]:
+    """Compare rollouts with the recording; start points where any model diverged count for none.
+
+    Parameters
+    ----------
+    drive : Drive
+    starts : ndarray of int, shape (N,)
+    window : int
+        Samples a step.
+    trajectories : mapping of names to ndarray
+        Of `roll_out` and `hold_velocity`, one a model, all of one length.
+    """
+    finite = np.ones(len(starts), dtype=bool)
+    for trajectory in trajectories.values():
+        finite &= np.isfinite(trajectory).all(axis=(1, 2))
+    sums = {}
+    for name, trajectory in trajectories.items():
+        rows = starts[finite, None] + window * np.arange(1, trajectory.shape[1] + 1)
+        truth = np.stack([drive[channel][rows] for channel in _VELOCITIES], axis=2)
+        squared = np.square(trajectory[finite][:, :, -3:] - truth).sum(axis=0)
+        distance = np.full(trajectory.shape[1], np.nan)
+        if drive.has_position:
+            position = np.stack([drive["X"][rows], drive["Y"][rows]], axis=2)
+            distance = np.square(trajectory[finite][:, :, :2] - position).sum(axis=(0, 2))
+        sums[name] = RolloutSums(squared, distance, int(finite.sum()), int((~finite).sum()))
+    return sums

@@ -1,0 +1,370 @@
+"""`split evaluate`: score predictors and features beside the nominal model, persistence and the noise floor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import DriveError, SetError, SplitError
+from split_cli.learning.cells import learn
+from split_cli.learning.features import Z1, Z2, FeatureSet, parse_features
+from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fit_kernel, scatter_variance
+from split_cli.learning.labels import Labels, compute_labels
+from split_cli.learning.region import Region, build_grid
+from split_cli.learning.training_set import TrainingSet, read_set
+from split_cli.logs.drive import Drive, read_drive
+from split_cli.prediction import PREDICTORS, Prediction, Predictor, make_predictor
+from split_cli.scoring.application import time_per_query
+from split_cli.scoring.evaluation import (
+    HeldOut,
+    Score,
+    Tally,
+    baseline_tallies,
+    pooled_noise_floor,
+    predictor_tally,
+    rollout_sums,
+    score,
+)
+from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, first_lap, informative_sets
+from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
+from split_cli.scoring.rollouts import RolloutSums
+from split_cli.scoring.splits import hold_out_blocks, whole_drive
+from split_cli.vehicle.parameters import Vehicle, read_vehicle
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["EvaluationRun", "Trace", "evaluate", "evaluate_files", "train_in_memory"]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Test samples of one drive with the predictions of one predictor, for figures.
+
+    Attributes
+    ----------
+    name, features, drive : str
+    held : HeldOut
+    tested : Labels
+        In the order of the predictions.
+    prediction : Prediction
+    noise_variance : ndarray, shape (3,)
+    """
+
+    name: str
+    features: str
+    drive: str
+    held: HeldOut
+    tested: Labels
+    prediction: Prediction
+    noise_variance: np.ndarray
+
+
+@dataclass(frozen=True)
+class EvaluationRun:
+    """A report, and what figures are drawn from.
+
+    Attributes
+    ----------
+    report : Evaluation
+    sets : tuple of TrainingSet
+        One a feature set.
+    traces : tuple of Trace
+    tallies : mapping of (str, str) to Tally
+        Pooled, by name and features.
+    rollouts : mapping of (str, str) to RolloutSums
+        Pooled, by name and features.
+    """
+
+    report: Evaluation
+    sets: tuple[TrainingSet, ...]
+    traces: tuple[Trace, ...]
+    tallies: dict[tuple[str, str], Tally]
+    rollouts: dict[tuple[str, str], RolloutSums]
+
+
+def evaluate_files(
+    drives: Sequence[str | Path],
+    vehicle: str | Path | None,
+    settings: EvaluationSettings,
+    set_path: str | Path | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> EvaluationRun:
+    """Read drives, vehicle and set, and evaluate; see `evaluate`.
+
+    Raises
+    ------
+    SplitError
+        If neither vehicle nor set is given, or they are not of the same physics.
+    """
+    trained = read_set(set_path) if set_path else None
+    if vehicle is None and trained is None:
+        raise SplitError("needs a vehicle or a trained set", advice="Give --vehicle or --set.")
+    car = read_vehicle(vehicle) if vehicle else trained.vehicle
+    if trained is not None and trained.vehicle.digest() != car.digest():
+        raise SetError(
+            f"was trained for another vehicle than {car.name!r}",
+            where=str(set_path),
+            advice="Leave --vehicle out, the set carries its own.",
+        )
+    return evaluate([read_drive(path) for path in drives], car, settings, trained, say)
+
+
+def evaluate(
+    drives: Sequence[Drive],
+    vehicle: Vehicle,
+    settings: EvaluationSettings,
+    trained: TrainingSet | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> EvaluationRun:
+    """Score predictors on drives.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+    vehicle : Vehicle
+    settings : EvaluationSettings
+    trained : TrainingSet, optional
+        Scored on the whole of every drive. Without one, sets are trained on the training blocks, with
+        hyperparameters fitted there, and scored on the held-out blocks.
+    say : callable
+        Gets a line about what is being done.
+
+    Raises
+    ------
+    SplitError
+        If a setting is unknown, a drive too short, or nothing can be scored.
+    """
+    _check(settings, trained)
+    if trained is not None:
+        settings = replace(settings, features=(_short_name(trained.features),), horizon=trained.horizon)
+    model = SingleTrack(vehicle)
+    contestants = []
+    for features in settings.features:
+        say(f"{features}: labels and training")
+        held = _hold_out(drives, vehicle, parse_features(features), settings, trained)
+        own = trained or train_in_memory([_training(h) for h in held], vehicle)
+        contestants.append((features, held, own))
+    _require_samples(contestants[0][1])
+    baseline_variance = np.mean(np.square(contestants[0][2].y), axis=0) if contestants[0][2].size else None
+    baselines = [baseline_tallies(h, model, baseline_variance) for h in contestants[0][1]]
+    scores, traces, tallies, predictors = _score_predictors(contestants, baselines, settings, say)
+    say("rollouts")
+    rollouts, rollout_scores = _rollouts(contestants[0][1], model, predictors, settings)
+    sizes = _sizes(contestants, vehicle, baselines, settings, say)
+    say("noise floor")
+    facts = tuple(_facts(h, model, trained) for h in contestants[0][1])
+    report = Evaluation(
+        settings=settings,
+        vehicle=vehicle.name,
+        drives=facts,
+        sets=tuple(SetFacts(name, own.size, own.cell_count, own.kernel) for name, _, own in contestants),
+        scores=tuple(scores),
+        noise_floor=pooled_noise_floor(model, contestants[0][1]),
+        rollouts=tuple(rollout_scores),
+        sizes=tuple(sizes),
+        notes=tuple(_notes(facts, settings, rollout_scores)),
+    )
+    return EvaluationRun(report, tuple(own for *_, own in contestants), tuple(traces), tallies, rollouts)
+
+
+def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
+    """Learn a set from training labels, with hyperparameters fitted to them.
+
+    With fewer than 60 valid labels the defaults stay (the set's kernel then says so).
+    """
+    accepted = np.concatenate([part.z[part.accepted] for part in labels])
+    if not len(accepted):
+        raise DriveError(
+            "no training sample lies inside the valid region",
+            where=labels[0].drive,
+            advice="Look at `split label`'s counts by reason, and at units and signs.",
+        )
+    y = np.concatenate([part.y[part.accepted] for part in labels])
+    grid = build_grid(labels[0].features, vehicle, labels[0].region, accepted)
+    kernel = default_kernel(grid, y, scatter_variance(labels[0]))
+    if len(accepted) >= FEWEST_TO_FIT:
+        kernel = fit_kernel(accepted, y, grid, kernel).kernel
+    return learn(labels, vehicle=vehicle, grid=grid, kernel=kernel)
+
+
+def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
+    for name in settings.predictors:
+        if name not in PREDICTORS:
+            make_predictor(name, None)
+    if settings.protocol not in ("held-out", "paper"):
+        raise SplitError(f"no protocol {settings.protocol!r}", advice="There are held-out and paper.")
+    if settings.protocol == "paper" and trained is not None:
+        raise SplitError("the paper's protocol trains on the lap it scores", advice="Leave --set out.")
+
+
+def _short_name(features: FeatureSet) -> str:
+    return {Z1.names: "z1", Z2.names: "z2"}.get(features.names, ",".join(features.names))
+
+
+def _hold_out(
+    drives: Sequence[Drive],
+    vehicle: Vehicle,
+    features: FeatureSet,
+    settings: EvaluationSettings,
+    trained: TrainingSet | None,
+) -> list[HeldOut]:
+    model = SingleTrack(vehicle)
+    region = trained.region if trained else Region.of(vehicle)
+    held = []
+    for drive in drives:
+        if settings.protocol == "paper":
+            drive = drive.select(first_lap(drive, vehicle.wheelbase))
+        whole = trained is not None or settings.protocol == "paper"
+        split = (
+            whole_drive(drive)
+            if whole
+            else hold_out_blocks(drive, settings.blocks, settings.holdout, settings.guard)
+        )
+        plain = trained.plain if trained else False
+        labels = compute_labels(drive, vehicle, features, region, horizon=settings.horizon, plain=plain)
+        held.append(HeldOut(drive, split, labels, features.compute(model, drive)))
+    return held
+
+
+def _training(held: HeldOut) -> Labels:
+    """Return the labels that train: of the training blocks, or all where the drive is scored in sample."""
+    return held.labels.within(held.split.train if held.split.train.any() else held.split.test)
+
+
+def _require_samples(held: Sequence[HeldOut]) -> None:
+    if not any(len(h.tested) for h in held):
+        raise DriveError(
+            "no test sample can be scored: all are in gaps, too slow or not finite",
+            where=", ".join(h.drive.name for h in held),
+        )
+
+
+def _score_predictors(
+    contestants: list[tuple[str, list[HeldOut], TrainingSet]],
+    baselines: list[dict[str, Tally]],
+    settings: EvaluationSettings,
+    say: Callable[[str], None],
+) -> tuple[list[Score], list[Trace], dict, dict]:
+    pooled = {name: _sum([b[name] for b in baselines]) for name in baselines[0]}
+    scores = [score(name, tally, pooled) for name, tally in pooled.items()]
+    tallies = {(name, ""): tally for name, tally in pooled.items()}
+    by_drive = [
+        score(name, tally, own, drive=held.drive.name)
+        for held, own in zip(contestants[0][1], baselines, strict=True)
+        for name, tally in own.items()
+    ]
+    traces, predictors = [], {}
+    for features, held, training_set in contestants:
+        for name in settings.predictors if settings.protocol == "held-out" else ():
+            say(f"{features}: {name} on {training_set.size} points")
+            predictor = make_predictor(name, training_set)
+            parts = [predictor_tally(h, predictor) for h in held]
+            known = {"features": features, "points": training_set.size}
+            known["uses_recorded_future"] = predictor.needs_context
+            longest = max(held, key=lambda h: len(h.tested))
+            rows = longest.labels.row[longest.tested]
+            tally = tallies[name, features] = _sum([part for part, _ in parts])
+            seconds = time_per_query(predictor, longest.drive, longest.z, rows)
+            scores.append(score(name, tally, pooled, time_per_query=seconds, **known))
+            predictors[name, features] = (held, predictor)
+            for h, own, (part, prediction) in zip(held, baselines, parts, strict=True):
+                by_drive.append(score(name, part, own, drive=h.drive.name, **known))
+                noise = training_set.kernel.noise_variance
+                tested = h.labels.take(h.tested)
+                traces.append(Trace(name, features, h.drive.name, h, tested, prediction, noise))
+    return scores + (by_drive if len(baselines) > 1 else []), traces, tallies, predictors
+
+
+def _sum(parts: Sequence) -> object:
+    total = parts[0]
+    for part in parts[1:]:
+        total = total + part
+    return total
+
+
+def _rollouts(
+    drives: list[HeldOut],
+    model: SingleTrack,
+    predictors: dict[tuple[str, str], tuple[list[HeldOut], Predictor]],
+    settings: EvaluationSettings,
+) -> tuple[dict[tuple[str, str], RolloutSums], list[RolloutScore]]:
+    if not settings.rollout or settings.protocol == "paper":
+        return {}, []
+    steps = max(1, round(max(settings.rollout) / drives[0].labels.horizon))
+    pooled: dict[tuple[str, str], RolloutSums] = {}
+    for position, held in enumerate(drives):
+        own = {key: (parts[position], predictor) for key, (parts, predictor) in predictors.items()}
+        for key, sums in rollout_sums(held, model, own, steps).items():
+            pooled[key] = pooled[key] + sums if key in pooled else sums
+    scores = []
+    for seconds in settings.rollout:
+        step = min(steps, max(1, round(seconds / drives[0].labels.horizon))) - 1
+        for (name, features), sums in pooled.items():
+            if sums.count:
+                at = (sums.count, sums.diverged, sums.rmse[step], float(sums.distance[step]))
+                scores.append(RolloutScore(name, features, seconds, *at))
+    return pooled, scores
+
+
+def _sizes(
+    contestants: list[tuple[str, list[HeldOut], TrainingSet]],
+    vehicle: Vehicle,
+    baselines: list[dict[str, Tally]],
+    settings: EvaluationSettings,
+    say: Callable[[str], None],
+) -> list[SizeScore]:
+    paper = settings.protocol == "paper"
+    asked = settings.sizes or ((PAPER_SIZE,) if paper else DEFAULT_SIZES if len(contestants) > 1 else ())
+    pooled = {name: _sum([b[name] for b in baselines]) for name in baselines[0]}
+    scores = []
+    for features, held, training_set in contestants if asked else ():
+        candidates = _concatenate([_training(h) for h in held])
+        for size, chosen in informative_sets(vehicle, candidates, training_set.kernel, asked):
+            say(f"{features}: full on the {chosen.size} most informative samples")
+            predictor = make_predictor("full", chosen)
+            tally = _sum([predictor_tally(h, predictor)[0] for h in held])
+            known = {"features": features, "points": chosen.size}
+            scores.append(SizeScore(size, score("full", tally, pooled, **known)))
+    return scores
+
+
+def _concatenate(parts: Sequence[Labels]) -> Labels:
+    names = ("t", "row", "segment", "z", "y", "reason")
+    return replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def _facts(held: HeldOut, model: SingleTrack, trained: TrainingSet | None) -> DriveFacts:
+    drive, tested = held.drive, held.labels.take(held.tested)
+    in_sample = bool(trained and drive.sha256 and any(s.sha256 == drive.sha256 for s in trained.sources))
+    notes = []
+    torque = str(drive.metadata.kinds.get("T", ""))
+    if torque.startswith("derived") and "accel" in torque:
+        notes.append("torque is derived from acceleration: the longitudinal label says nothing of the car")
+    return DriveFacts(
+        name=drive.name,
+        sha256=drive.sha256,
+        duration=held.labels.duration,
+        labels=len(held.labels),
+        tested=len(tested),
+        tested_valid=int(tested.accepted.sum()),
+        in_sample=in_sample,
+        held_out=held.split.intervals,
+        noise_floor=pooled_noise_floor(model, [held]),
+        notes=tuple(notes),
+    )
+
+
+def _notes(facts: Sequence[DriveFacts], settings: EvaluationSettings, rollouts: Sequence) -> list[str]:
+    notes = [f"{fact.name}: {note}" for fact in facts for note in fact.notes]
+    for fact in facts:
+        if fact.in_sample:
+            notes.append(f"IN SAMPLE: the set was trained on {fact.name}; its scores say nothing of other drives")
+    if settings.protocol == "paper":
+        notes.append("IN SAMPLE: the paper's protocol trains on the very lap it scores")
+    if settings.protocol == "held-out" and any(PREDICTORS[n][1] == "FitcPredictor" for n in settings.predictors):
+        notes.append("fitc was given the recorded future as pseudo-inputs, which no controller knows")
+    if settings.protocol == "held-out" and settings.rollout and not rollouts:
+        notes.append(f"no rollouts: no test stretch without a gap is longer than {max(settings.rollout):g} s")
+    return notes
