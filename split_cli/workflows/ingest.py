@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 from split_cli.errors import MapError, SplitError
 from split_cli.files import atomic_directory
 from split_cli.logs.assemble import Assembled, IngestSettings, assemble_drive
-from split_cli.logs.drive import Drive, write_drive
+from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
 from split_cli.logs.presets import preset_abouts
 from split_cli.logs.quality import QualityReport, render_quality
 from split_cli.logs.raw import RawChannelInfo
@@ -42,8 +43,7 @@ class IngestResult:
     period : float
         [s].
     quality : QualityReport
-    drive : Drive
-        As written, for whoever draws it.
+    metadata : DriveMetadata
     """
 
     log: str
@@ -51,13 +51,18 @@ class IngestResult:
     rows: int
     period: float
     quality: QualityReport
-    drive: Drive
+    metadata: DriveMetadata
+
+    @property
+    def drive(self) -> Drive:
+        """The drive, read from its file, for whoever draws it."""
+        return read_drive(self.drive_path)
 
     def to_text(self) -> str:
         """Return the report for a terminal."""
         head = f"{self.log} -> {self.drive_path}: {self.rows} rows at {1.0 / self.period:g} Hz"
-        kinds = ", ".join(f"{channel} {kind}" for channel, kind in self.drive.metadata.kinds.items())
-        converted = [f"  {text}" for text in self.drive.metadata.conversions]
+        kinds = ", ".join(f"{channel} {kind}" for channel, kind in self.metadata.kinds.items())
+        converted = [f"  {text}" for text in self.metadata.conversions]
         return "\n".join(
             [
                 head,
@@ -69,7 +74,7 @@ class IngestResult:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return what ``--json`` prints: no samples."""
-        metadata = self.drive.metadata
+        metadata = self.metadata
         return {
             "log": self.log,
             "drive": str(self.drive_path),
@@ -144,27 +149,23 @@ def ingest_logs(
     if not single:
         _check_folder(output, paths)
     signal_map = read_map(maps) if maps else None
-    made: list[tuple[Path, Assembled]] = []
+    results: list[IngestResult] = []
     failures: list[IngestFailure] = []
-    for number, path in enumerate(paths, 1):
-        progress(f"[{number}/{len(paths)}] {path.name}")
-        try:
-            made.append((path, _assemble(path, signal_map, vehicle, settings, topics or {}, message_paths)))
-        except SplitError as error:
-            if not keep_going:
-                raise
-            failures.append(IngestFailure(path.name, error))
-    results = []
-    if single:
-        for path, assembled in made:
-            write_drive(assembled.drive, output)
-            results.append(_result(path, output, assembled))
-    elif made:
-        with atomic_directory(output) as temporary:
-            for path, assembled in made:
-                name = f"{path.stem}.parquet"
-                write_drive(assembled.drive, temporary / name)
-                results.append(_result(path, output / name, assembled))
+    # Each drive is written as soon as it is made, so that memory holds one; a folder is shown only when all are.
+    with contextlib.ExitStack() as stack:
+        folder = None if single else stack.enter_context(atomic_directory(output))
+        for number, path in enumerate(paths, 1):
+            progress(f"[{number}/{len(paths)}] {path.name}")
+            try:
+                made = _assemble(path, signal_map, vehicle, settings, topics or {}, message_paths)
+            except SplitError as error:
+                if not keep_going:
+                    raise
+                failures.append(IngestFailure(path.name, error))
+                continue
+            target = output if folder is None else folder / f"{path.stem}.parquet"
+            write_drive(made.drive, target)
+            results.append(_result(path, output if folder is None else output / target.name, made))
     return tuple(results), tuple(failures)
 
 
@@ -246,4 +247,4 @@ def _check_folder(output: Path, paths: Sequence[Path]) -> None:
 
 def _result(path: Path, drive_path: Path, assembled: Assembled) -> IngestResult:
     drive = assembled.drive
-    return IngestResult(path.name, drive_path, len(drive), drive.period, assembled.quality, drive)
+    return IngestResult(path.name, drive_path, len(drive), drive.period, assembled.quality, drive.metadata)

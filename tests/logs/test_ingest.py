@@ -123,7 +123,7 @@ def test_a_clock_jump_back_is_a_segment_and_is_said(folder, drive):
     table.loc[1500:, "t"] -= 12.0
     result = ingest(folder, table)
     assert result.quality.segments == 2
-    assert any("jumps back by 11.99" in text for text in result.drive.metadata.conversions)
+    assert any("jumps back by 11.99" in text for text in result.metadata.conversions)
     made = read_drive(result.drive_path)
     np.testing.assert_allclose(made["vx"][made.segment == 1][0], drive.at("vx", np.array(15.0)), atol=1e-6)
 
