@@ -215,7 +215,7 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
         power_tire += fx * (rim - along) - fy * across
 
     ax = (front_fx + rear_fx + air_fx) / car.mass
-    ay = (front_fy + rear_fy + air_fy) / car.mass
+    ay = (front_fy + rear_fy + air_fy + env[ENV_FORCE_Y]) / car.mass
     gravity_x = -GRAVITY * math.sin(env[ENV_GRADE])
     gravity_y = -GRAVITY * math.sin(env[ENV_BANK])
     dx[X] = vx * cos_yaw - vy * sin_yaw
@@ -223,7 +223,7 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
     dx[YAW] = r
     dx[VX] = ax + vy * r + gravity_x
     dx[VY] = ay - vx * r + gravity_y
-    dx[R] = (front_moment + rear_moment) / car.yaw_inertia
+    dx[R] = (front_moment + rear_moment + env[ENV_MOMENT]) / car.yaw_inertia
 
     demand = torque_command * (car.drive_gain if torque_command >= 0.0 else car.brake_gain)
     dx[TORQUE] = smooth_limit((demand - torque) / car.drive_lag, car.torque_rate)
