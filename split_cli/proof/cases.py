@@ -14,8 +14,9 @@ from split_cli.plant.drivers import DRIVER_STYLES
 from split_cli.plant.simulation import Trajectory
 from split_cli.proof.cars import CarOfProof, bare, build_car, rich, varied_car
 from split_cli.proof.effects import Concealed, draw_effect
+from split_cli.proof.library import beyond_catalogue
 from split_cli.proof.plan import CasePlan
-from split_cli.proof.recordings import record
+from split_cli.proof.recordings import START, record
 from split_cli.proof.strange import draw_strange
 from split_cli.proof.tracks import random_track
 from split_cli.proof.truth import (
@@ -57,6 +58,10 @@ class Effect:
         With which the term fits best; empty for its default.
     removed : float
         Share of the effect's own squared error that the term with these parameters removes [1].
+    beyond : float
+        Of an effect outside the catalogue: severity of what the two best terms leave of it.
+    absorbed_by : tuple of str
+        Those two terms.
     """
 
     term: str
@@ -66,6 +71,8 @@ class Effect:
     scored: tuple[str, ...] = ()
     variant: str = ""
     removed: float = 0.0
+    beyond: float = 0.0
+    absorbed_by: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -87,6 +94,9 @@ class Answer:
         Of all effects together.
     removed : float
         Share of the held-out gap that the true terms remove [1]; 0 where there are none.
+    lap_length, lap_driven, s_origin : float
+        Of the track's centreline and of the real drive's first lap [m], and where on the track that drive begins
+        [m]: places of an answer are on the centreline, those a diagnosis finds along the drive.
     """
 
     number: int
@@ -99,6 +109,9 @@ class Answer:
     base_severity: float
     total_severity: float
     removed: float
+    lap_length: float = 0.0
+    lap_driven: float = 0.0
+    s_origin: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -139,11 +152,13 @@ def build_case(plan: CasePlan) -> Case:
     Raises
     ------
     SplitError
-        If twelve drawings of surroundings and drivers did not give one that can be driven at that severity.
+        If sixteen drawings of surroundings and drivers did not give one that can be driven at that severity.
     """
-    for attempt in range(12):
+    for attempt in range(16):
         rng = plan.rng(2, attempt)
         try:
+            if plan.kind == "strange":
+                return _build(replace(plan, terms=(plan.terms[attempt // 2 % len(plan.terms)],)), rng)
             return _build(plan, rng)
         except Unreachable as error:
             reason = error
@@ -185,7 +200,7 @@ def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
     run = drive(world, trips[0])
     error = effect_error(run, world, without)
     total = severity(error, source.noise) if concealed else 0.0
-    if plan.kind in ("single", "strange") and not plan.low <= total <= plan.high:
+    if plan.kind == "single" and not plan.low <= total <= plan.high:
         raise Unreachable(f"severity {total:.3g} over the whole drive is not within {plan.low:g} to {plan.high:g}")
     real = record(run, source.alignment, "real", rng, world.sensor)
     sim = None
@@ -196,6 +211,7 @@ def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
     answer = Answer(
         number=plan.number, kind=plan.kind, tier=plan.tier, effects=told, car=name, base=base,
         simulation=simulation, base_severity=base_severity, total_severity=total, removed=removed,
+        **_places(run),
     )  # fmt: skip
     return Case(real, sim, source.vehicle, answer, heldout, source.noise)
 
@@ -224,12 +240,21 @@ def _sized(
     def measure(size: float) -> float:
         world = effect.apply(without, size)
         run = drive(world, trip, duration=min(_SEARCH_SECONDS, trip.duration))
-        return severity(effect_error(run, world, without), source.noise)
+        error = effect_error(run, world, without)
+        if plan.kind == "strange":
+            error, _ = _beyond(run, world, error, source)
+        return severity(error, source.noise)
 
     span = np.log(plan.high / plan.low)
     target = plan.low * float(np.exp(span * rng.uniform(0.1, 0.9)))
     found = search_size(measure, effect.start, effect.most, target, tolerance=0.15)
     return float(found.size), found.severity
+
+
+def _beyond(run: Trajectory, world: World, error: np.ndarray, source: CarOfProof):
+    """Return what the two best terms of the catalogue leave of an error, and their names."""
+    columns = exact_drive(run, source.alignment, world.sensor, error).columns
+    return beyond_catalogue(error, columns, source.vehicle, run.lap_length, source.noise)
 
 
 def _exact(world: World, without: World, trip: Trip, source: CarOfProof) -> ExactDrive:
@@ -244,7 +269,13 @@ def _told(effects, world, without, trips, source, plan) -> tuple[tuple[Effect, .
     # Held out is another driver again, so that nothing fitted to the real drive is at home there.
     heldout = _exact(world, without, replace(trips[2], duration=60.0), source)
     if plan.kind == "strange":
-        return tuple(Effect(e.term, size, found) for e, (size, found) in effects), heldout, 0.0
+        left, names = beyond_catalogue(
+            heldout.error, heldout.columns, source.vehicle, world.track.length, source.noise
+        )
+        beyond = severity(left, source.noise)
+        ((effect, (size, found)),) = effects
+        total = severity(heldout.error, source.noise)
+        return (Effect(effect.term, size, total, beyond=beyond, absorbed_by=names),), heldout, 0.0
     told, terms = [], []
     for effect, (size, found) in effects:
         alone = heldout
@@ -277,8 +308,12 @@ def _parameters(
     return best
 
 
-def arc_lengths(run: Trajectory, places: np.ndarray) -> np.ndarray:
-    """Return the arc length driven when a run first passes places of the track [m], shape of `places`."""
+def _places(run: Trajectory) -> dict[str, float]:
+    """Return how places along a recording of a run relate to those of the track."""
     path = run.states[:, :2]
     driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    return np.interp(places, run.s, driven)
+    start = int(np.searchsorted(run.t, START))
+    s_origin = float(run.s[start])
+    end = np.interp(s_origin + run.lap_length, run.s, driven) if run.s[-1] > s_origin + run.lap_length else 0.0
+    lap_driven = float(end - driven[start]) if end else run.lap_length
+    return {"lap_length": run.lap_length, "lap_driven": lap_driven, "s_origin": s_origin}

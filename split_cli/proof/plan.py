@@ -25,7 +25,8 @@ _PATTERN = "sn snsxnps nsnxs nspxns n".replace(" ", "")[:20]
 _LETTERS = {"n": "null", "s": "single", "p": "pair", "x": "strange"}
 _TIER_PATTERN = ("realistic", "hard", "realistic", "easy", "hard", "realistic", "hard")
 _PAIR_RANGE = (0.5, 1.5)
-_STRANGE_RANGE = (0.5, 2.0)
+# Of what the two best terms of the catalogue leave of an effect outside it.
+_STRANGE_RANGE = (0.35, 1.0)
 
 
 @dataclass(frozen=True)
@@ -38,11 +39,12 @@ class CasePlan:
     kind : str
         null, single, pair or strange.
     terms : tuple of str
-        Ids of the catalogue, or kinds outside it.
+        Ids of the catalogue; or kinds outside it, of which the first that can be built is taken.
     tier : str
         easy, realistic or hard for singles, else empty.
     low, high : float
-        Between which the severity of each effect lies.
+        Between which the severity of each effect lies; of an effect outside the catalogue, the severity of what
+        the two best terms leave of it.
     """
 
     seed: int
@@ -90,7 +92,9 @@ def plan_case(seed: int, number: int, kinds: tuple[str, ...] = KINDS) -> CasePla
         return CasePlan(seed, number, kind, (str(singles[turn % len(singles)]),), tier, *TIERS[tier])
     if kind == "pair":
         return CasePlan(seed, number, kind, _draw_pair(rng), "", *_PAIR_RANGE)
-    return CasePlan(seed, number, kind, (str(strange[turn % len(strange)]),), "", *_STRANGE_RANGE)
+    # Some are all but a term of the catalogue in some cars; then the next kind takes the place.
+    following = tuple(str(strange[(turn + i) % len(strange)]) for i in range(len(strange)))
+    return CasePlan(seed, number, kind, following, "", *_STRANGE_RANGE)
 
 
 def _draw_pair(rng: np.random.Generator) -> tuple[str, str]:

@@ -12,9 +12,11 @@ from split_cli.plant.cars import CarParameters
 from split_cli.plant.sensors import sensors_of
 from split_cli.plant.simulation import Trajectory, commands_at
 
-__all__ = ["Alignment", "SensorFault", "alignment_of", "command_channels", "exact_motion", "record"]
+__all__ = ["START", "Alignment", "SensorFault", "alignment_of", "command_channels", "exact_motion", "record"]
 
 RATE = 100.0
+START = 0.2
+"""When a recording begins after the run's start: the first samples of a late channel would be made up [s]."""
 _MEASURED = ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay")
 
 
@@ -98,8 +100,7 @@ def record(
         Of the sensors' noise; None for a simulation, which has none.
     fault : SensorFault, optional
     """
-    # The first samples of a late channel would have to be made up.
-    first = 0.2
+    first = START
     t = np.arange(int((run.t[-1] - first) * RATE + 1e-6)) / RATE + first
     motion = exact_motion(run, fault or SensorFault(), t)
     torque, steer = command_channels(run, t, alignment)

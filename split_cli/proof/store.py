@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -159,7 +158,10 @@ def _digest(listed: dict[str, str]) -> str:
 def read_answer(root: Path, name: str) -> Answer:
     """Return the answer of a case."""
     told = json.loads((root / "sealed" / f"{name}.json").read_text())
-    effects = tuple(Effect(**{**e, "scored": tuple(e["scored"])}) for e in told.pop("effects"))
+    effects = tuple(
+        Effect(**{**e, "scored": tuple(e["scored"]), "absorbed_by": tuple(e["absorbed_by"])})
+        for e in told.pop("effects")
+    )
     return Answer(effects=effects, **told)
 
 
@@ -171,8 +173,3 @@ def read_heldout(root: Path, name: str) -> tuple[ExactDrive | None, np.ndarray]:
             return None, noise
         columns = {column: arrays[column] for column in _COLUMNS}
         return ExactDrive(columns, arrays["error"]), noise
-
-
-def names_of(names: Sequence[str]) -> str:
-    """Return names as a short list."""
-    return ", ".join(names[:5]) + (" ..." if len(names) > 5 else "")

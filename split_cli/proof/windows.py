@@ -35,8 +35,9 @@ def window_errors(columns: Mapping[str, np.ndarray], vehicle: Vehicle, terms: Se
             columns = term.correct(columns, recording)
     velocity = np.stack([columns["vx"], columns["vy"], columns["r"]], axis=1)
     place = {"time": columns["t"], "track_position": columns["s"], "yaw": columns["yaw"]}
-    model = SingleTrack(vehicle, terms)
-    inputs = recorded_inputs(model, velocity, columns["T"], columns["delta"], recording, **place)
+    torque, steer = _arrived(vehicle, terms, velocity, columns, recording)
+    model = SingleTrack(vehicle, [term for term in terms if not _acts_on_commands(term)])
+    inputs = recorded_inputs(model, velocity, torque, steer, recording, **place)
     steps = int(round(HORIZON * RATE))
     start = np.arange(int(round(FIRST * RATE)), len(velocity) - steps, steps)
 
@@ -56,3 +57,22 @@ def window_errors(columns: Mapping[str, np.ndarray], vehicle: Vehicle, terms: Se
         term_states=inputs.term_states[start] if model.state_names else None,
     )
     return velocity[start + steps] - predicted
+
+
+def _acts_on_commands(term: Term) -> bool:
+    return type(term).actuate is not Term.actuate
+
+
+def _arrived(
+    vehicle: Vehicle,
+    terms: Sequence[Term],
+    velocity: np.ndarray,
+    columns: Mapping[str, np.ndarray],
+    recording: Recording,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return torque and steer angle as actuators pass them on, followed exactly along the recording."""
+    acting = [term for term in terms if _acts_on_commands(term)]
+    if not acting:
+        return columns["T"], columns["delta"]
+    flow = SingleTrack(vehicle, acting).flow(*velocity.T, columns["T"], columns["delta"], recording=recording)
+    return flow.T, flow.delta

@@ -1,0 +1,127 @@
+"""`split prove`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from split_cli.cli.options import existing_file, json_option, print_json, print_table
+
+__all__ = ["command"]
+
+_folder = click.Path(path_type=Path, file_okay=False)
+_jobs = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
+
+
+@click.group("prove", context_settings={"help_option_names": ["-h", "--help"]})
+def command() -> None:
+    """Conceal known effects, diagnose them blind, unseal the answers and score.
+
+    Every step takes up where it stopped. Seeds 0 to 999 are for development, those from 1000000 on for reports.
+
+    \b
+    Example:
+      split prove generate proof --seed 5 --cases 40 --jobs 2
+      split prove identify proof --jobs 2
+      split prove score proof
+      split prove recording drive.parquet --vehicle car.yaml -o faults
+    """
+
+
+@command.command("generate")
+@click.argument("folder", type=_folder)
+@click.option("--seed", type=int, required=True, help="The same seed gives the same cases.")
+@click.option("--cases", type=click.IntRange(1), default=40, show_default=True, help="How many.")
+@click.option("--kinds", default="null,single,pair,strange", show_default=True, help="Kinds of cases.")
+@_jobs
+@json_option
+def generate(folder, seed, cases, kinds, jobs, as_json) -> None:
+    """Write cases, seal their answers, and print the seal."""
+    from split_cli.workflows.prove import generate_cases
+
+    seal = generate_cases(folder, seed, cases, jobs=jobs, kinds=tuple(kinds.split(",")), report=_progress("cases"))
+    _tell_seal(seal, as_json)
+
+
+@command.command("identify")
+@click.argument("folder", type=_folder)
+@click.option("--limit", type=click.IntRange(1), help="Only the first so many cases.")
+@_jobs
+@json_option
+def identify(folder, limit, jobs, as_json) -> None:
+    """Diagnose the cases that have no result yet; the seal of the answers is printed first."""
+    from split_cli.workflows.prove import check_seal, identify_cases
+
+    _tell_seal(check_seal(folder), as_json)
+    identify_cases(folder, jobs=jobs, limit=limit, report=_progress("identified"))
+
+
+@command.command("score")
+@click.argument("folder", type=_folder)
+@click.option("--baselines/--no-baselines", default=True, show_default=True, help="Score STLSQ and BIC too.")
+@click.option("--markdown", type=click.Path(path_type=Path), help="Write all tables to this file as well.")
+@json_option
+def score(folder, baselines, markdown, as_json) -> None:
+    """Unseal the answers and score what was identified."""
+    from split_cli.proof.tables import markdown_of, target_rows
+    from split_cli.workflows.prove import score_cases
+
+    result = score_cases(folder, with_baselines=baselines, report=_progress("scored"))
+    if markdown:
+        from split_cli.files import atomic_write_text
+
+        atomic_write_text(markdown, markdown_of(result))
+    if as_json:
+        print_json(result)
+        return
+    click.echo(f"seal {result.seal.sha256}, {result.identified} of {result.cases} cases identified")
+    print_table(["what", "goal", "reached", "met"], target_rows(result.diagnosis))
+    for name, failure in result.failed:
+        click.echo(f"case {name} could not be diagnosed: {failure}", err=True)
+
+
+@command.command("recording")
+@click.argument("drives", type=existing_file, nargs=-1, required=True)
+@click.option("--vehicle", "vehicle_path", type=existing_file, required=True, help="Vehicle YAML.")
+@click.option("-o", "--output", type=_folder, required=True, help="Folder to write into.")
+@click.option("--faults", help="Only these, separated by commas; a wrong name lists those there are.")
+@click.option("--block", type=float, default=10.0, show_default=True, help="Length of the blocks of time [s].")
+@json_option
+def recording(drives, vehicle_path, output, faults, block, as_json) -> None:
+    """Put known faults into real recordings, and see whether they are found.
+
+    Blocks of time of a drive are dealt in turn: one half stays as it is and stands for the simulation, the other
+    gets the fault. One more pair has no fault.
+    """
+    from split_cli.workflows.prove_recording import prove_recording
+
+    rows = prove_recording(
+        drives, vehicle_path, output, only=faults.split(",") if faults else None, block=block,
+        report=_progress("faults"),
+    )  # fmt: skip
+    if as_json:
+        print_json(rows)
+        return
+    header = ["drive", "fault", "put in", "outcome", "said", "found", "interval"]
+    print_table(header, [[r.drive, r.fault, r.value, r.outcome, r.said, r.found, r.interval] for r in rows])
+
+
+def _tell_seal(seal, as_json: bool) -> None:
+    if as_json:
+        print_json(seal)
+    else:
+        click.echo(f"seal {seal.sha256} of {seal.cases} answers, seed {seal.seed}, version {seal.version}")
+
+
+def _progress(what: str):
+    """Return a function that tells progress on stderr, where someone watches."""
+    if not sys.stderr.isatty():
+        return None
+
+    def told(done: int, total: int) -> None:
+        end = "\n" if done == total else ""
+        click.echo(f"\r{what}: {done} of {total}{end}", err=True, nl=False)
+
+    return told

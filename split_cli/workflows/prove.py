@@ -1,0 +1,167 @@
+"""`split prove`: conceal known effects, identify them blind, unseal the answers and score.
+
+The diagnosis sees a case's folder and nothing else; the answers' seal is checked and told before it begins.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import SplitError
+from split_cli.files import atomic_write_text
+from split_cli.logs.drive import read_drive
+from split_cli.proof.baselines import build_regression, greedy_bic, stlsq
+from split_cli.proof.generate import generate_cases
+from split_cli.proof.outcome import Statement
+from split_cli.proof.scoring import CaseScore, Score, named_from, score_case, summarise
+from split_cli.proof.store import Seal, ShownCase, check_seal, read_answer, read_heldout, shown_cases
+from split_cli.vehicle.parameters import read_vehicle
+
+__all__ = ["ProofScore", "generate_cases", "identify_cases", "read_statement", "score_cases"]
+
+_CASES_OF_A_PROCESS = 10
+"""A worker is replaced after so many cases, so that memory stays bounded whatever a case leaves behind."""
+
+Report = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class ProofScore:
+    """The score of a diagnosis, and of the baselines on the same cases.
+
+    Attributes
+    ----------
+    seal : Seal
+    identified, cases : int
+    diagnosis : Score
+    baselines : tuple of (str, Score)
+    scores : tuple of CaseScore
+    failed : tuple of (str, str)
+        Cases the diagnosis gave an error for; they count as undecided.
+    """
+
+    seal: Seal
+    identified: int
+    cases: int
+    diagnosis: Score
+    baselines: tuple[tuple[str, Score], ...]
+    scores: tuple[CaseScore, ...]
+    failed: tuple[tuple[str, str], ...]
+
+
+def identify_cases(root: Path, *, jobs: int = 1, limit: int | None = None, report: Report | None = None) -> Seal:
+    """Diagnose every case that has no result yet, each in a worker process.
+
+    Parameters
+    ----------
+    root : Path
+        A folder that `generate_cases` wrote.
+    jobs : int
+        Worker processes.
+    limit : int, optional
+        Only the first so many cases.
+    report : callable, optional
+        Called with (done, total) after each case.
+
+    Returns
+    -------
+    Seal
+        Of the answers, checked before the first case.
+    """
+    seal = check_seal(root)
+    cases = shown_cases(root)[:limit]
+    results = root / "results"
+    results.mkdir(exist_ok=True)
+    open_ = [case for case in cases if not (results / f"{case.name}.json").exists()]
+    done = len(cases) - len(open_)
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context, max_tasks_per_child=_CASES_OF_A_PROCESS) as pool:
+        futures = [pool.submit(_identify, case, results) for case in open_]
+        for future in as_completed(futures):
+            future.result()
+            done += 1
+            if report:
+                report(done, len(cases))
+    return seal
+
+
+def _identify(case: ShownCase, results: Path) -> None:
+    """Diagnose one case and note time and memory; the note is written last and says that the case is done."""
+    import resource
+
+    from split_cli.workflows.diagnose import diagnose_files
+
+    began, failure = time.perf_counter(), ""
+    try:
+        diagnose_files([case.real], case.vehicle, results / case.name, simulated=[case.sim] if case.sim else [])
+    except SplitError as error:
+        failure = str(error)
+    note = {
+        "seconds": round(time.perf_counter() - began, 3),
+        "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1),
+        "error": failure,
+    }
+    atomic_write_text(results / f"{case.name}.json", json.dumps(note) + "\n")
+
+
+def read_statement(root: Path, name: str) -> Statement:
+    """Return what was said of a case; an error of the diagnosis counts as undecided."""
+    path = root / "results" / name / "diagnosis.json"
+    if not path.exists():
+        return Statement("undecided")
+    told = json.loads(path.read_text())
+    return Statement(told["verdict"], tuple(named_from(f) for f in told["findings"]), bool(told["unexplained"]))
+
+
+def score_cases(root: Path, *, with_baselines: bool = True, report: Report | None = None) -> ProofScore:
+    """Unseal the answers of the identified cases and score them.
+
+    Raises
+    ------
+    SplitError
+        If an answer was changed after sealing, or nothing was identified yet.
+    """
+    seal = check_seal(root)
+    shown = shown_cases(root)
+    cases = [case for case in shown if (root / "results" / f"{case.name}.json").exists()]
+    if not cases:
+        raise SplitError("nothing was identified yet", where=str(root), advice="Run `split prove identify`.")
+    notes = [json.loads((root / "results" / f"{case.name}.json").read_text()) for case in cases]
+    scores: list[CaseScore] = []
+    rivals: dict[str, list[CaseScore]] = {"STLSQ": [], "greedy BIC": []}
+    for number, case in enumerate(cases):
+        answer = read_answer(root, case.name)
+        heldout, noise = read_heldout(root, case.name)
+        vehicle = read_vehicle(case.vehicle)
+        scores.append(score_case(case.name, answer, read_statement(root, case.name), heldout, noise, vehicle))
+        if with_baselines:
+            sim = read_drive(case.sim) if case.sim else None
+            regression = build_regression(read_drive(case.real), sim, vehicle)
+            for label, method in (("STLSQ", stlsq), ("greedy BIC", greedy_bic)):
+                rivals[label].append(score_case(case.name, answer, method(regression), None, noise, vehicle))
+        if report:
+            report(number + 1, len(cases))
+    seconds = [note["seconds"] for note in notes]
+    summary = replace(
+        summarise(scores),
+        seconds_median=float(np.median(seconds)),
+        seconds_most=max(seconds),
+        memory_most=max(note["peak_memory_mb"] for note in notes),
+    )
+    return ProofScore(
+        seal=seal,
+        identified=len(cases),
+        cases=len(shown),
+        diagnosis=summary,
+        baselines=tuple((label, summarise(found)) for label, found in rivals.items() if found),
+        scores=tuple(scores),
+        failed=tuple((c.name, n["error"]) for c, n in zip(cases, notes, strict=True) if n["error"]),
+    )
