@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent / "split_cli"
 LAYERS = {
     "errors": 0,
     "files": 1,
+    "yaml_file": 1,
     "signals": 1,
     "vehicle": 2,
     "plant": 2,
@@ -27,7 +28,6 @@ LAYERS = {
     "control": 7,
     "export": 7,
     "plots": 7,
-    "proof": 7,
     "proof": 7,
     "workflows": 8,
     "cli": 9,

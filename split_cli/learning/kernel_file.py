@@ -11,6 +11,7 @@ import yaml
 from split_cli.errors import SetError, nearest_names
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS, Kernel
+from split_cli.yaml_file import read_yaml_mapping
 
 __all__ = ["kernel_to_yaml", "read_kernel"]
 
@@ -26,13 +27,8 @@ def read_kernel(path: str | Path, features: FeatureSet) -> Kernel:
         If the file is missing, not YAML, has unknown or missing keys, or values that are not positive.
     """
     where = str(path)
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        advice = "Give fit, default, or a YAML file of hyperparameters."
-        raise SetError("no such file", where=where, advice=advice) from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise SetError(f"cannot be read as YAML ({str(error).splitlines()[0]})", where=where) from error
+    advice = "Give fit, default, or a YAML file of hyperparameters."
+    content = read_yaml_mapping(path, SetError, advice=advice)
     _check_keys(content, _KEYS, "hyperparameters", where)
     names = (features.names, OUTPUTS, OUTPUTS)
     values = [_values(content[key], expected, key, where) for key, expected in zip(_KEYS, names, strict=True)]

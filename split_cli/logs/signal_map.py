@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from split_cli.errors import MapError, nearest_names
 from split_cli.logs.presets import preset_names, preset_path
 from split_cli.signals import CHANNELS, find_unit
+from split_cli.yaml_file import read_yaml_mapping
 
 __all__ = [
     "EXTRA_UNITS",
@@ -196,17 +196,6 @@ _CHANNEL_KEYS = (*_SOURCE_KEYS, "sum", "position", "kind", "resample", "optional
 _TIME_KEYS = ("source", "unit", "period", "clock")
 
 
-class _StrictLoader(yaml.SafeLoader):
-    """YAML without the silent rule that the last of two equal keys wins."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        twice = next((key for key in keys if keys.count(key) > 1), None)
-        if twice is not None:
-            raise yaml.constructor.ConstructorError(None, None, f"the key {twice!r} stands twice", node.start_mark)
-        return super().construct_mapping(node, deep)
-
-
 def read_map(names: str | Path | Iterable[str | Path]) -> SignalMap:
     """Read one or several maps, each a preset's name or a YAML file; later ones override earlier ones.
 
@@ -262,19 +251,8 @@ def _load(path: str | Path, above: tuple[str, ...]) -> dict[str, Any]:
     file = Path(path)
     if not file.is_file():
         file = preset_path(str(path)) or file
-    try:
-        content = yaml.load(file.read_text(encoding="utf-8"), Loader=_StrictLoader)
-    except FileNotFoundError:
-        advice = f"{nearest_names(str(path), preset_names())} A map is a YAML file or one of the presets."
-        raise MapError("no such map", where=str(path), advice=advice) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise MapError(f"cannot be read ({error})", where=str(path)) from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark else ""
-        raise MapError(f"is not YAML ({getattr(error, 'problem', error)}{line})", where=str(path)) from error
-    if not isinstance(content, dict):
-        raise MapError("holds no keys", where=str(path), advice="See the signal map in docs/formats.md.")
+    advice = f"{nearest_names(str(path), preset_names())} A map is a YAML file or one of the presets."
+    content = read_yaml_mapping(file, MapError, missing="no such map", advice=advice)
     _check_keys(content, _MAP_KEYS, str(path))
     content.setdefault("name", file.stem)
     return _with_presets(content, str(path), above)

@@ -17,6 +17,7 @@ from split_cli.errors import VehicleError, nearest_names
 from split_cli.files import atomic_write_text
 from split_cli.vehicle.library import library_names, library_path
 from split_cli.vehicle.tire import MagicFormula
+from split_cli.yaml_file import read_yaml_mapping
 
 __all__ = [
     "EffectSpec",
@@ -162,17 +163,6 @@ _NUMBERS = (*_POSITIVE, *_NOT_NEGATIVE, *_SHARES)
 _KEYS = ("name", *_NUMBERS, "front_tire", "rear_tire", "effects")
 
 
-class _StrictLoader(yaml.SafeLoader):
-    """YAML without the silent rule that the last of two equal keys wins."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        twice = next((key for key in keys if keys.count(key) > 1), None)
-        if twice is not None:
-            raise yaml.constructor.ConstructorError(None, None, f"the key {twice!r} stands twice", node.start_mark)
-        return super().construct_mapping(node, deep)
-
-
 def read_vehicle(path: str | Path) -> Vehicle:
     """Read a vehicle YAML; a name that is no file is looked up in the library of vehicles.
 
@@ -183,18 +173,10 @@ def read_vehicle(path: str | Path) -> Vehicle:
         physically impossible values.
     """
     path = Path(path)
-    try:
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
-    except FileNotFoundError:
-        raise VehicleError("no such file", where=str(path)) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise VehicleError(f"cannot be read ({error})", where=str(path)) from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark else ""
-        raise VehicleError(f"is not YAML ({getattr(error, 'problem', error)}{line})", where=str(path)) from error
-    if not isinstance(content, dict):
-        raise VehicleError("holds no keys", where=str(path), advice="See the vehicle file in docs/formats.md.")
+    if not path.exists():
+        path = library_path(str(path)) or path
+    advice = f"{nearest_names(str(path), library_names())} A vehicle is a YAML file or one of the library."
+    content = read_yaml_mapping(path, VehicleError, advice=advice)
     return vehicle_from_mapping(content, where=str(path))
 
 

@@ -128,15 +128,11 @@ def _drive(path: Path) -> FileDescription:
 
 
 def _yaml(path: Path) -> FileDescription:
-    import yaml
-
     from split_cli.vehicle.parameters import read_vehicle
+    from split_cli.yaml_file import read_yaml_mapping
 
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
-        raise SplitError(f"is not YAML ({str(error).splitlines()[0]})", where=str(path)) from error
-    if isinstance(content, dict) and ("channels" in content or "preset" in content):
+    content = read_yaml_mapping(path, SplitError)
+    if "channels" in content or "preset" in content:
         channels = content.get("channels") or {}
         return FileDescription(str(path), "signal map", (("channels", ", ".join(map(str, channels)) or "-"),))
     car = read_vehicle(path)
