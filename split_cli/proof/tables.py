@@ -12,8 +12,8 @@ __all__ = ["markdown_of", "target_rows"]
 
 def target_rows(score: Score) -> list[list[str]]:
     """Return what is asked for, the goal, what was reached and whether it is met."""
-    return [[what, goal, _value(reached), {True: "yes", False: "no", None: "-"}[met]] for what, goal, reached, met in
-            score.targets]  # fmt: skip
+    met_words = {True: "yes", False: "no", None: "-"}
+    return [[what, goal, _value(reached), met_words[met]] for what, goal, reached, met in score.targets]
 
 
 def _value(reached: Rate | float | None) -> str:
@@ -31,8 +31,8 @@ def markdown_of(result) -> str:
     """Return all tables of a `workflows.prove.ProofScore` as Markdown."""
     score: Score = result.diagnosis
     lines = [
-        f"Seal of the answers: `{result.seal.sha256}` (seed {result.seal.seed}, {result.seal.cases} cases, version "
-        f"{result.seal.version}); identified: {result.identified}.",
+        f"Seal of the answers: `{result.seal.sha256}` (seed {result.seal.seed}, {result.seal.cases} cases, "
+        f"version {result.seal.version}); identified: {result.identified}.",
         f"One identification took {score.seconds_median:.1f} s in the median, {score.seconds_most:.1f} s at most, "
         f"and {score.memory_most:.0f} MB at most.",
         "",

@@ -9,7 +9,6 @@ import json
 import multiprocessing
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -83,18 +82,18 @@ def identify_cases(root: Path, *, jobs: int = 1, limit: int | None = None, repor
     open_ = [case for case in cases if not (results / f"{case.name}.json").exists()]
     done = len(cases) - len(open_)
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, max_tasks_per_child=_CASES_OF_A_PROCESS) as pool:
-        futures = [pool.submit(_identify, case, results) for case in open_]
-        for future in as_completed(futures):
-            future.result()
+    # concurrent.futures can hang when it replaces workers (Python 3.11), multiprocessing's own pool does not.
+    with context.Pool(jobs, maxtasksperchild=_CASES_OF_A_PROCESS) as pool:
+        for _ in pool.imap_unordered(_identify, [(case, results) for case in open_]):
             done += 1
             if report:
                 report(done, len(cases))
     return seal
 
 
-def _identify(case: ShownCase, results: Path) -> None:
+def _identify(task: tuple[ShownCase, Path]) -> None:
     """Diagnose one case and note time and memory; the note is written last and says that the case is done."""
+    case, results = task
     import resource
 
     from split_cli.workflows.diagnose import diagnose_files
@@ -104,6 +103,9 @@ def _identify(case: ShownCase, results: Path) -> None:
         diagnose_files([case.real], case.vehicle, results / case.name, simulated=[case.sim] if case.sim else [])
     except SplitError as error:
         failure = str(error)
+    except Exception as error:
+        # A fault of the diagnosis is a result too: it is told with the score, and the other cases go on.
+        failure = f"{type(error).__name__}: {error}"
     note = {
         "seconds": round(time.perf_counter() - began, 3),
         "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1),

@@ -1,0 +1,137 @@
+"""Known faults put into recorded channels, as if the car or its sensors had had them.
+
+A fault between command and car is put in backwards: the recording shows what the car did, so the command that a
+faulty actuator would have needed to do just that is written in place of the one recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.errors import DriveError, SplitError, nearest_names
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["FAULTS", "InjectedFault", "faults_for", "inject", "split_in_blocks"]
+
+
+@dataclass(frozen=True)
+class InjectedFault:
+    """A fault and its size.
+
+    Attributes
+    ----------
+    name : str
+    term : str
+        Id of the catalogue that names it; empty for none.
+    parameters : tuple of (str, float)
+        True values; a parameter that is not among them is neutral.
+    """
+
+    name: str
+    term: str
+    parameters: tuple[tuple[str, float], ...]
+
+    @property
+    def value(self) -> float:
+        """The first parameter's value."""
+        return self.parameters[0][1] if self.parameters else 0.0
+
+
+FAULTS: dict[str, tuple[str, str, tuple[float, float]]] = {
+    "steering late": ("steer_delay", "delay", (0.08, 0.04)),
+    "steering scaled": ("steer_gain", "gain", (0.90, 0.95)),
+    "steering offset": ("steer_offset", "offset", (0.010, 0.005)),
+    "velocity rotated": ("sensor_misalignment", "angle", (0.02, 0.01)),
+    "velocity moved": ("sensor_lever_arm", "dx", (0.8, 0.4)),
+    "clocks shifted": ("sensor_delay", "delay", (0.08, 0.04)),
+    "torque scaled": ("drive_gain", "drive_gain", (0.80, 0.90)),
+}
+"""Name: the term, its parameter, and two sizes [s], [1], [rad], [rad], [m] for a wheelbase of 2.7 m, [s], [1]."""
+
+
+def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None) -> list[InjectedFault]:
+    """Return the faults to put into a drive, each in two sizes, and none as the first.
+
+    A torque that was derived from acceleration is not scaled: it would say nothing of the car.
+
+    Raises
+    ------
+    SplitError
+        If a name in `only` is no fault.
+    """
+    for name in only or ():
+        if name not in FAULTS:
+            raise SplitError(f"no fault is called {name!r}", where="--faults", advice=nearest_names(name, FAULTS))
+    derived = drive.metadata.kinds.get("T", "").startswith("derived")
+    found = [InjectedFault("none", "", ())]
+    for name, (term, parameter, sizes) in FAULTS.items():
+        if (only and name not in only) or (derived and term == "drive_gain"):
+            continue
+        for size in sizes:
+            value = size * vehicle.wheelbase / 2.7 if term == "sensor_lever_arm" else size
+            parameters = ((parameter, value),)
+            if term == "drive_gain":
+                parameters += (("brake_gain", value),)
+            found.append(InjectedFault(name, term, parameters))
+    return found
+
+
+def inject(drive: Drive, fault: InjectedFault) -> Drive:
+    """Return a drive with a fault in its channels."""
+    if not fault.term:
+        return drive
+    value = fault.value
+    columns = dict(drive.columns)
+    changes: dict[str, Callable[[], dict[str, np.ndarray]]] = {
+        "steer_delay": lambda: {"delta": _earlier(drive, "delta", value)},
+        "steer_gain": lambda: {"delta": columns["delta"] / value},
+        "steer_offset": lambda: {"delta": columns["delta"] - value},
+        "sensor_misalignment": lambda: _turned(columns, value),
+        "sensor_lever_arm": lambda: {"vy": columns["vy"] + value * columns["r"]},
+        "sensor_delay": lambda: {name: _earlier(drive, name, value) for name in ("T", "delta")},
+        "drive_gain": lambda: {"T": columns["T"] / value},
+    }
+    return replace(drive, columns={**columns, **changes[fault.term]()}, sha256="")
+
+
+def _turned(columns: dict[str, np.ndarray], angle: float) -> dict[str, np.ndarray]:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    vx, vy = columns["vx"], columns["vy"]
+    return {"vx": cosine * vx + sine * vy, "vy": cosine * vy - sine * vx}
+
+
+def _earlier(drive: Drive, channel: str, by: float) -> np.ndarray:
+    """Return a channel moved earlier by so many seconds inside each segment, its last value held."""
+    out = np.array(drive[channel], dtype=float)
+    for rows in drive.segments():
+        t = drive["t"][rows]
+        out[rows] = np.interp(t + by, t, drive[channel][rows])
+    return out
+
+
+def split_in_blocks(drive: Drive, block: float) -> tuple[Drive, Drive]:
+    """Return the even and the odd blocks of time of a drive; no sample is in both.
+
+    Parameters
+    ----------
+    block : float
+        Length of a block [s].
+
+    Raises
+    ------
+    DriveError
+        If the drive has fewer than eight blocks.
+    """
+    number = np.floor((drive["t"] - drive["t"][0]) / block).astype(int)
+    if number.max() < 7:
+        raise DriveError(
+            f"has {number.max() + 1} blocks of {block:g} s, at least 8 are needed",
+            where=drive.name,
+            advice="Use a longer recording or --block.",
+        )
+    even = number % 2 == 0
+    return drive.select(even), drive.select(~even)

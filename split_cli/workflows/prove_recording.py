@@ -1,0 +1,121 @@
+"""Known faults in real recordings: put in, diagnosed on top of everything else that is real, and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from split_cli.diagnosis.document import diagnosis_to_mapping
+from split_cli.errors import SplitError
+from split_cli.logs.drive import read_drive, write_drive
+from split_cli.proof.injection import InjectedFault, faults_for, inject, split_in_blocks
+from split_cli.proof.outcome import Statement, judge
+from split_cli.proof.scoring import named_from, words_of
+from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.diagnose import diagnose_files
+
+__all__ = ["InjectionResult", "prove_recording"]
+
+
+@dataclass(frozen=True)
+class InjectionResult:
+    """What became of one fault.
+
+    Attributes
+    ----------
+    drive, fault : str
+    term : str
+        That names it.
+    value : float or None
+        What was put in; None for the pair without a fault.
+    outcome : str
+        Of `proof.outcome.OUTCOMES`.
+    said : str
+    found : float or None
+        The named parameter.
+    interval : str
+        Its 95 % interval.
+    """
+
+    drive: str
+    fault: str
+    term: str
+    value: float | None
+    outcome: str
+    said: str
+    found: float | None
+    interval: str
+
+
+def prove_recording(
+    drives: Sequence[str | Path],
+    vehicle_path: str | Path,
+    output: Path,
+    *,
+    only: Sequence[str] | None = None,
+    block: float = 10.0,
+    report: Callable[[int, int], None] | None = None,
+) -> list[InjectionResult]:
+    """Put faults into drives and diagnose each.
+
+    Parameters
+    ----------
+    drives : sequence of path
+        Drives that `split ingest` wrote.
+    vehicle_path : path
+    output : Path
+        Folder; gets the pairs of drives and a diagnosis each.
+    only : sequence of str, optional
+        Names of `injection.FAULTS`.
+    block : float
+        Length of the blocks of time that are dealt in turn to reference and fault [s].
+    """
+    vehicle = read_vehicle(vehicle_path)
+    tasks = [(path, fault) for path in drives for fault in faults_for(read_drive(path), vehicle, only)]
+    results = []
+    for number, (path, fault) in enumerate(tasks):
+        results.append(_one(Path(path), fault, number, Path(vehicle_path), output, block))
+        if report:
+            report(number + 1, len(tasks))
+    return results
+
+
+def _one(
+    path: Path, fault: InjectedFault, number: int, vehicle_path: Path, output: Path, block: float
+) -> InjectionResult:
+    drive = read_drive(path)
+    reference, _ = split_in_blocks(drive, block)
+    _, faulted = split_in_blocks(inject(drive, fault), block)
+    folder = output / f"{number + 1:03d}"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_drive(replace(reference, name="sim.parquet"), folder / "sim.parquet")
+    write_drive(replace(faulted, name="real.parquet"), folder / "real.parquet")
+    try:
+        told = diagnosis_to_mapping(
+            diagnose_files(
+                [folder / "real.parquet"], vehicle_path, folder / "diagnosis", simulated=[folder / "sim.parquet"]
+            )
+        )
+        said = Statement(
+            told["verdict"], tuple(named_from(f) for f in told["findings"]), bool(told["unexplained"])
+        )
+    except SplitError as error:
+        said = Statement("undecided")
+        (folder / "error.txt").write_text(f"{error}\n")
+    truth = [fault.term] if fault.term else []
+    found = next((f for f in said.findings if f.term == fault.term), None)
+    value, low, high = next(
+        (found.parameters[name] for name, _ in fault.parameters if found and name in found.parameters),
+        (None, None, None),
+    )
+    return InjectionResult(
+        drive=path.name,
+        fault=fault.name,
+        term=fault.term,
+        value=fault.value if fault.term else None,
+        outcome=judge(truth, said),
+        said=words_of(said),
+        found=value,
+        interval="" if low is None else f"{low:.4g} to {high:.4g}",
+    )
