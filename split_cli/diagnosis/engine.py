@@ -202,7 +202,7 @@ def _mismatch(
     left = np.concatenate([f[one.at][mask] for f, one, mask in zip(after, case.real, case.keep, strict=True)])
     location = locate(case.real, forces, case.keep, np.mean(left**2, axis=0))
     improvement = _improvement(case, chosen, settings)
-    gaps = tuple(gap_series(one, f, a) for one, f, a in zip(case.real, forces, after, strict=True))
+    gaps = tuple(map(gap_series, case.real, case.keep, forces, after))
     return Diagnosis(
         "mismatch", p_value, share, not_judged, location, findings, unexplained, remainder, improvement,
         tuple(inputs), described, gaps, selection.history,
@@ -283,7 +283,7 @@ def _improvement(case: _Case, chosen: Fit, settings: Settings):
 
 def _gaps(case: _Case, terms):
     forces = [gap_forces(one, (), case.common_rates(one)) for one in case.real]
-    return tuple(gap_series(one, f, f) for one, f in zip(case.real, forces, strict=True))
+    return tuple(map(gap_series, case.real, case.keep, forces, forces))
 
 
 def _undecided(reasons: Sequence[str], share: float, inputs: Sequence[InputFile], described: dict) -> Diagnosis:

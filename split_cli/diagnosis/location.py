@@ -39,12 +39,15 @@ def gap_forces(evidence: Evidence, terms: Sequence[Term], common_rates: np.ndarr
     return mean @ np.linalg.inv(evidence.vehicle.force_matrix()).T
 
 
-def gap_series(evidence: Evidence, forces: np.ndarray, remainder: np.ndarray) -> GapSeries:
-    """Return the gap along a recording, thinned to the rows of the evidence."""
+def gap_series(evidence: Evidence, compared: np.ndarray, forces: np.ndarray, remainder: np.ndarray) -> GapSeries:
+    """Return the gap along a recording, thinned to the rows of the evidence, of which some are compared."""
     series, at = evidence.series, evidence.at
     nowhere = np.full(len(at), np.nan)
     position = (series.drive["X"][at], series.drive["Y"][at]) if "X" in series.drive else (nowhere, nowhere)
-    return GapSeries(series.name, series.drive["t"][at], series.s[at], at, *position, forces[at], remainder[at])
+    point = features(series, evidence.vehicle)[at]
+    return GapSeries(
+        series.name, series.drive["t"][at], series.s[at], at, *position, point, compared, forces[at], remainder[at]
+    )  # fmt: skip
 
 
 def variables(evidence: Evidence) -> dict[str, np.ndarray]:

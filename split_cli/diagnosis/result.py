@@ -217,6 +217,12 @@ class GapSeries:
     drive : str
     t, s : ndarray, shape (G,)
     row : ndarray of int64, shape (G,)
+    x, y : ndarray, shape (G,)
+        World position [m]; NaN without one.
+    operating_point : ndarray, shape (G, 4)
+        alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s].
+    compared : ndarray of bool, shape (G,)
+        Whether simulation and reality have both been there.
     forces : ndarray, shape (G, 3)
         Total longitudinal, front lateral and rear lateral force [N], averaged over about 0.2 s.
     remainder : ndarray, shape (G, 3)
@@ -229,6 +235,8 @@ class GapSeries:
     row: np.ndarray
     x: np.ndarray
     y: np.ndarray
+    operating_point: np.ndarray
+    compared: np.ndarray
     forces: np.ndarray
     remainder: np.ndarray
 
