@@ -108,6 +108,35 @@ def recording(drives, vehicle_path, output, faults, block, as_json) -> None:
     print_table(header, [[r.drive, r.fault, r.value, r.outcome, r.said, r.found, r.interval] for r in rows])
 
 
+@command.command("multibody")
+@click.option("--seed", type=int, default=1, show_default=True, help="Of tracks, driver and noise.")
+@click.option("--car", type=click.IntRange(1, 3), default=2, show_default=True, help="Of the foreign package.")
+@click.option("-o", "--output", type=_folder, required=True, help="Folder to write into.")
+@json_option
+def multibody(seed, car, output, as_json) -> None:
+    """Take the multi-body car of commonroad-vehicle-models as reality, a calibrated single track as simulation.
+
+    Needs the extra `proof`. The car is driven hard; what is found is judged on another hard drive.
+    """
+    from split_cli.diagnosis.document import diagnosis_to_text
+    from split_cli.workflows.prove_multibody import prove_multibody
+
+    result = prove_multibody(output, seed=seed, car=car)
+    if as_json:
+        click.echo(diagnosis_to_text(result), nl=False)
+        return
+    click.echo(result.summary)
+    if result.improvement:
+        done = result.improvement
+        rows = [
+            ["before", *done.holdout_rmse_before],
+            ["physics", *done.holdout_rmse_physics],
+            ["physics + learned", *done.holdout_rmse_after],
+            ["persistence", *done.persistence],
+        ]
+        print_table(["held-out rmse", "v_x m/s^2", "v_y m/s^2", "r rad/s^2"], rows)
+
+
 def _tell_seal(seal, as_json: bool) -> None:
     if as_json:
         print_json(seal)
