@@ -121,7 +121,10 @@ def command(drives, vehicle_path, set_path, output, as_json, **settings) -> None
     if output is not None:
         from split_cli.plots.evaluation import write_figures
 
-        write_figures(run, output)
+        drawn = write_figures(run, output)
+        click.echo(f"split: figures in {output}: {', '.join(drawn.written)}", err=True)
+        for reason in drawn.left_out:
+            click.echo(f"split: not drawn: {reason}", err=True)
     for note in run.report.notes:
         click.echo(f"split: note: {note}", err=True)
     if as_json:
@@ -141,15 +144,18 @@ def _print_report(report) -> None:
     tested = sum(drive.tested for drive in report.drives)
     valid = sum(drive.tested_valid for drive in report.drives)
     click.echo(f"{report.vehicle}, protocol {report.settings.protocol}, h = {report.settings.horizon:g} s")
-    click.echo(f"{tested} test samples of {len(report.drives)} drives, {valid} in the valid region; label errors in")
-    click.echo("m/s^2, m/s^2, rad/s^2 (root mean square); skill = 1 - MSE/MSE of velocities held\n")
+    click.echo(
+        f"{tested} test samples of {len(report.drives)} drives, {valid} in the valid region; root mean square"
+    )
+    click.echo("errors of labels in m/s^2, m/s^2, rad/s^2; skill = 1 - MSE/MSE of velocities held\n")
     header = ("model", "features", "points", "norm", "v_x", "v_y", "r", "norm valid", "skill", "skill v_x,v_y,r",
               "NLPD", "in 50 %", "in 95 %", "us/query")  # fmt: skip
     pooled = [score for score in report.scores if not score.drive]
     rows = [_score_row(score) for score in pooled]
     floor = report.noise_floor
     if floor.rms is not None:
-        rows.append(["noise floor", "", None, floor.norm, *map(float, floor.rms), None, None, "", None, "", "", None])
+        blank = [None, None, "", None, "", "", None]
+        rows.append(["noise floor", "", None, floor.norm, *map(float, floor.rms), *blank])
     print_table(header, rows)
     if floor.reason:
         click.echo(f"noise floor: {floor.reason}")

@@ -87,8 +87,8 @@ def first_lap(drive: Drive, length: float) -> slice:
     ----------
     drive : Drive
     length : float
-        Wheelbase [m]; the path closes when it comes back to its first point within 5 m and 0.35 rad, the 5 m scaled
-        by wheelbase/2.7 m, after having been four times as far away.
+        Wheelbase [m]; the path closes when it comes back to its first point within 5 m and 0.35 rad, the 5 m
+        scaled by wheelbase/2.7 m, after having been four times as far away.
     """
     if not drive.has_position:
         return slice(0, len(drive))

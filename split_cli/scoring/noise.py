@@ -97,7 +97,7 @@ def _noise_of(drive: Drive, name: str) -> NoiseEstimate:
 
 
 def _propagate(gains: np.ndarray, noise: NoiseEstimate, at: np.ndarray) -> np.ndarray:
-    """Return G S G^T, shape (N, 3, 3): `gains` (N, 3, K) of noise at samples `at` (K,) with its autocorrelation."""
+    """Return G S G^T, shape (N, 3, 3), of `gains` (N, 3, K) and the covariance S of noise at samples `at` (K,)."""
     lag = np.abs(at[:, None] - at[None, :])
     known = np.asarray(noise.autocorrelation)
     correlation = np.where(lag < len(known), known[np.minimum(lag, len(known) - 1)], 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.region import Region, build_grid
 from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.logs.drive import Drive, read_drive
-from split_cli.prediction import PREDICTORS, Prediction, Predictor, make_predictor
+from split_cli.prediction import PREDICTORS, Predictor, make_predictor
 from split_cli.scoring.application import time_per_query
 from split_cli.scoring.evaluation import (
     HeldOut,
@@ -31,57 +31,12 @@ from split_cli.scoring.evaluation import (
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, first_lap, informative_sets
 from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
 from split_cli.scoring.rollouts import RolloutSums
+from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["EvaluationRun", "Trace", "evaluate", "evaluate_files", "train_in_memory"]
-
-
-@dataclass(frozen=True)
-class Trace:
-    """Test samples of one drive with the predictions of one predictor, for figures.
-
-    Attributes
-    ----------
-    name, features, drive : str
-    held : HeldOut
-    tested : Labels
-        In the order of the predictions.
-    prediction : Prediction
-    noise_variance : ndarray, shape (3,)
-    """
-
-    name: str
-    features: str
-    drive: str
-    held: HeldOut
-    tested: Labels
-    prediction: Prediction
-    noise_variance: np.ndarray
-
-
-@dataclass(frozen=True)
-class EvaluationRun:
-    """A report, and what figures are drawn from.
-
-    Attributes
-    ----------
-    report : Evaluation
-    sets : tuple of TrainingSet
-        One a feature set.
-    traces : tuple of Trace
-    tallies : mapping of (str, str) to Tally
-        Pooled, by name and features.
-    rollouts : mapping of (str, str) to RolloutSums
-        Pooled, by name and features.
-    """
-
-    report: Evaluation
-    sets: tuple[TrainingSet, ...]
-    traces: tuple[Trace, ...]
-    tallies: dict[tuple[str, str], Tally]
-    rollouts: dict[tuple[str, str], RolloutSums]
+__all__ = ["evaluate", "evaluate_files", "train_in_memory"]
 
 
 def evaluate_files(
@@ -166,7 +121,9 @@ def evaluate(
         sizes=tuple(sizes),
         notes=tuple(_notes(facts, settings, rollout_scores)),
     )
-    return EvaluationRun(report, tuple(own for *_, own in contestants), tuple(traces), tallies, rollouts)
+    sets = tuple(own for *_, own in contestants)
+    drawn_from = tuple(tuple(held) for _, held, _ in contestants)
+    return EvaluationRun(report, sets, drawn_from, tuple(traces), tallies, rollouts)
 
 
 def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
@@ -273,7 +230,7 @@ def _score_predictors(
                 by_drive.append(score(name, part, own, drive=h.drive.name, **known))
                 noise = training_set.kernel.noise_variance
                 tested = h.labels.take(h.tested)
-                traces.append(Trace(name, features, h.drive.name, h, tested, prediction, noise))
+                traces.append(Trace(name, features, h, tested, prediction, noise))
     return scores + (by_drive if len(baselines) > 1 else []), traces, tallies, predictors
 
 

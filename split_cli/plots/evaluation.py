@@ -1,0 +1,81 @@
+"""All figures of an evaluation, written into one folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from split_cli.files import atomic_directory
+from split_cli.learning.kernel import OUTPUTS
+from split_cli.plots.accelerations import draw_accelerations
+from split_cli.plots.feature_space import draw_coverage, draw_labels
+from split_cli.plots.growth import draw_growth
+from split_cli.plots.reliability import draw_reliability
+from split_cli.plots.rollouts import draw_rollouts
+from split_cli.plots.sizes import draw_sizes
+from split_cli.plots.style import save
+from split_cli.plots.time_series import draw_error_over_time
+from split_cli.scoring.run import EvaluationRun
+
+__all__ = ["FigureFiles", "draw_figures", "write_figures"]
+
+_NO_PREDICTIONS = "this protocol scores no predictor on held-out time"
+
+
+@dataclass(frozen=True)
+class FigureFiles:
+    """Figures of one evaluation.
+
+    Attributes
+    ----------
+    written : tuple of str
+        Names of the files.
+    left_out : tuple of str
+        ``name: reason`` of those that this evaluation has no content for.
+    """
+
+    written: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+def write_figures(run: EvaluationRun, folder: str | Path) -> FigureFiles:
+    """Draw an evaluation into a folder: all figures appear together, or none.
+
+    Parameters
+    ----------
+    run : EvaluationRun
+    folder : path
+        Files of other names that are in it stay.
+    """
+    figures, left_out = draw_figures(run)
+    with atomic_directory(folder) as temporary:
+        for name, figure in figures.items():
+            save(figure, temporary / name)
+    return FigureFiles(tuple(figures), left_out)
+
+
+def draw_figures(run: EvaluationRun) -> tuple[dict[str, Figure], tuple[str, ...]]:
+    """Return the figures by file name, and ``name: reason`` of those there is nothing to draw for."""
+    drawing: dict[str, tuple[bool, str, Callable[[], Figure]]] = {
+        "error_over_time.png": (bool(run.traces), _NO_PREDICTIONS, lambda: draw_error_over_time(run)),
+        "calibration.png": (bool(run.traces), _NO_PREDICTIONS, lambda: draw_reliability(run)),
+        "rollouts.png": (bool(run.rollouts), "no rollouts were made", lambda: draw_rollouts(run)),
+        "sizes.png": (bool(run.report.sizes), "one feature set, no --sizes", lambda: draw_sizes(run)),
+        "gg.png": (True, "", lambda: draw_accelerations(run)),
+        "growth.png": (True, "", lambda: draw_growth(run)),
+    }
+    at = next((i for i, own in enumerate(run.sets) if own.features.is_z2), None)
+    other = "it is drawn for the features z2 only"
+    drawing["coverage.png"] = (at is not None, other, lambda: draw_coverage(run.sets[at]))
+    for output, state in enumerate(OUTPUTS):
+        drawing[f"labels_{state}.png"] = (
+            at is not None,
+            other,
+            lambda output=output: draw_labels(run.sets[at], run.held[at], output),
+        )
+    figures = {name: draw() for name, (possible, _, draw) in drawing.items() if possible}
+    left_out = tuple(f"{name}: {reason}" for name, (possible, reason, _) in drawing.items() if not possible)
+    return figures, left_out

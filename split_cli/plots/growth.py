@@ -1,0 +1,85 @@
+"""How a trained set grew, drive by drive, and when the points it kept were met."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from split_cli.learning.training_set import TrainingSet
+from split_cli.plots.style import PALETTE, new_figure, quiet
+from split_cli.scoring.run import EvaluationRun
+
+__all__ = ["draw_growth", "kept_over_time"]
+
+
+def kept_over_time(trained: TrainingSet) -> tuple[np.ndarray, np.ndarray]:
+    """Return driving time at which each point kept was met [s], ascending, and the number met by then.
+
+    Drives follow one another as they were learned. Points replaced since are not in it.
+    """
+    before = np.concatenate([[0.0], np.cumsum([source.duration for source in trained.sources])])
+    begin = np.array([source.start_time for source in trained.sources])
+    met = np.sort(before[trained.source] + trained.t - begin[trained.source])
+    return met, np.arange(1, len(met) + 1)
+
+
+def draw_growth(run: EvaluationRun) -> Figure:
+    """Draw size and updates after each drive, and the points kept over driving time, for every feature set."""
+    figure = new_figure(4.2)
+    axes = figure.subplots(1, 3)
+    sets = list(zip(run.report.settings.features, run.sets, strict=True))
+    for position, (features, trained) in enumerate(sets):
+        colour = PALETTE[position % len(PALETTE)]
+        _draw_size(axes[0], trained, features, colour)
+        _draw_updates(axes[1], trained, features, colour, position, len(sets))
+        met, count = kept_over_time(trained)
+        axes[2].plot(met, count, color=colour, label=features, drawstyle="steps-post")
+    for axis in axes:
+        quiet(axis)
+        axis.set_ylim(bottom=0.0)
+        axis.legend(fontsize="small")
+    axes[0].set(xlabel="drives learned", ylabel="count after each drive", title="points and cells")
+    axes[1].set(xlabel="drive", ylabel="samples", title="updates a drive")
+    axes[2].set(xlabel="driving time [s]", ylabel="points kept", title="when they were met")
+    drives = max(len(trained.sources) for trained in run.sets)
+    for axis in axes[:2]:
+        axis.set_xticks(np.unique(np.linspace(1, drives, min(drives, 8)).round().astype(int)))
+        axis.set_xlim(0.4, drives + 0.6)
+    figure.suptitle("; ".join(_finding(features, trained) for features, trained in sets))
+    return figure
+
+
+def _draw_size(axis: Axes, trained: TrainingSet, features: str, colour: str) -> None:
+    number = np.arange(1, len(trained.sources) + 1)
+    axis.plot(number, [s.points for s in trained.sources], "o-", color=colour, label=f"points, {features}")
+    axis.plot(
+        number,
+        [s.cells for s in trained.sources],
+        "s--",
+        color=colour,
+        fillstyle="none",
+        label=f"cells, {features}",
+    )
+
+
+def _draw_updates(axis: Axes, trained: TrainingSet, features: str, colour: str, position: int, sets: int) -> None:
+    width = 0.8 / sets
+    number = np.arange(1, len(trained.sources) + 1) + (position - 0.5 * (sets - 1)) * width
+    inserted = np.array([s.insertions for s in trained.sources])
+    replaced = [s.replacements for s in trained.sources]
+    axis.bar(number, inserted, width, color=colour, label=f"insertions, {features}")
+    axis.bar(
+        number, replaced, width, bottom=inserted, color=colour, alpha=0.4, hatch="//", edgecolor="white",
+        label=f"replacements, {features}",
+    )  # fmt: skip
+
+
+def _finding(features: str, trained: TrainingSet) -> str:
+    accepted = sum(source.accepted for source in trained.sources)
+    drives = f"{len(trained.sources)} drive" + ("s" if len(trained.sources) != 1 else "")
+    share = trained.size / accepted if accepted else 0.0
+    return (
+        f"{features}: {trained.size} points in {trained.cell_count} cells after {drives}, "
+        f"{share:.0%} of the samples offered"
+    )

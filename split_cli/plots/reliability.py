@@ -1,0 +1,48 @@
+"""Calibration: how many labels lie inside the intervals that were promised to hold them."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from split_cli.plots.style import STATES, line_styles, new_figure, quiet
+from split_cli.scoring.run import EvaluationRun
+
+__all__ = ["draw_reliability"]
+
+
+def draw_reliability(run: EvaluationRun) -> Figure:
+    """Draw observed against promised coverage of central intervals, a panel a state."""
+    scored = {key: tally for key, tally in run.tallies.items() if tally.probability is not None}
+    styles = line_styles(scored)
+    first = next(key for key in scored if key[1])
+    figure = new_figure(4.6)
+    axes = figure.subplots(1, 3, sharex=True, sharey=True)
+    for state, axis in enumerate(axes):
+        quiet(axis)
+        axis.plot([0, 100], [0, 100], color="0.6", linewidth=1.0, linestyle=":", label="as promised")
+        for key, tally in scored.items():
+            promised, observed = tally.probability.reliability_curve
+            axis.plot(100 * promised, 100 * observed[:, state], marker=".", **styles[key])
+        inside = 100 * scored[first].probability.coverage[1, state]
+        axis.set_title(f"{STATES[state]}: {inside:.0f} % inside the 95 % interval", fontsize="medium")
+        axis.set_xlabel("promised [%]")
+        axis.set_aspect("equal")
+        axis.set(xlim=(0, 100), ylim=(0, 100))
+    axes[0].set_ylabel("labels inside [%]")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    count = scored[first].probability.count
+    figure.suptitle(f"{_verdict(run, first)} ({count} test samples)")
+    return figure
+
+
+def _verdict(run: EvaluationRun, key: tuple[str, str]) -> str:
+    """Say of the first predictor whether its intervals are too narrow, too wide or as promised."""
+    promised, observed = run.tallies[key].probability.reliability_curve
+    deviation = 100 * (observed - promised[:, None])
+    worst = float(deviation.flat[abs(deviation).argmax()])
+    name = f"{key[0]} on {key[1]}"
+    if abs(worst) < 5.0:
+        return f"Intervals of {name} hold what they promise within {abs(worst):.0f} percentage points"
+    word = "wide" if worst > 0 else "narrow"
+    return f"Intervals of {name} are too {word}, by up to {abs(worst):.0f} percentage points"

@@ -1,0 +1,80 @@
+"""What all figures of an evaluation share: colours, names with units, size, and how a figure is made and saved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from split_cli.scoring.evaluation import LABEL_PERSISTENCE, NOMINAL, VELOCITY_PERSISTENCE
+
+__all__ = [
+    "EMPTY",
+    "HELD_OUT",
+    "LABEL_UNITS",
+    "PALETTE",
+    "STATES",
+    "line_styles",
+    "model_name",
+    "new_figure",
+    "quiet",
+    "save",
+]
+
+#: Okabe and Ito (2008), which the common forms of colour blindness can tell apart.
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+#: Cells in which nothing is known, and the ground of held-out time.
+EMPTY = "#DDDDDD"
+HELD_OUT = "#F0E442"
+STATES = ("$v_x$", "$v_y$", "$r$")
+LABEL_UNITS = ("m/s²", "m/s²", "rad/s²")
+
+_DPI = 120
+_WIDTH = 10.0
+_BASELINES = {
+    NOMINAL: {"color": "black", "linestyle": "-"},
+    VELOCITY_PERSISTENCE: {"color": "0.55", "linestyle": "--"},
+    LABEL_PERSISTENCE: {"color": "0.55", "linestyle": ":"},
+}
+
+
+def new_figure(height: float) -> Figure:
+    """Return an empty figure 1200 pixels wide and `height` inches (120 pixels each) high."""
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def quiet(axes: Axes) -> None:
+    """Take away the frame's upper and right line, and put a light grid behind."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def model_name(key: tuple[str, str]) -> str:
+    """Return how a legend calls a contestant, a pair of name and features."""
+    name, features = key
+    return f"{name} on {features}" if features else name
+
+
+def line_styles(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, str], dict]:
+    """Return line properties for each contestant: baselines black and grey, predictors in colour."""
+    styles, found = {}, 0
+    for key in keys:
+        if key[0] in _BASELINES:
+            styles[key] = {**_BASELINES[key[0]], "label": model_name(key)}
+            continue
+        # Seven predictors or more: the colours again, with another dash.
+        dash = ("-", "--", "-.", ":")[found // len(PALETTE) % 4]
+        styles[key] = {"color": PALETTE[found % len(PALETTE)], "linestyle": dash, "label": model_name(key)}
+        found += 1
+    return styles
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, without the time or version of the writer."""
+    figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})
