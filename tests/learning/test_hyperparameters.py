@@ -140,8 +140,8 @@ def test_given_hyperparameters_round_trip_and_mistakes_are_named(tmp_path):
         (text.replace("alpha_r", "alpha_x"), "unknown key 'alpha_x' in length_scales.*alpha_r"),
         (text.replace("0.04", "-0.04"), "length_scales.alpha_r is -0.04"),
         (text.replace("noise_variance", "noise"), "unknown key 'noise'"),
-        ("3", "must be a mapping"),
-        ("a: [", "cannot be read as YAML"),
+        ("3", "holds no keys"),
+        ("a: [", "is not YAML"),
     ):
         path.write_text(wrong)
         with pytest.raises(SetError, match=message):
