@@ -78,4 +78,4 @@ def _finding(across: np.ndarray, along: np.ndarray, reason: np.ndarray, shown: n
     share = np.mean(reason[shown] == Reason.ACCEPTED) if shown.any() else 0.0
     with np.errstate(invalid="ignore"):
         reach = np.nanquantile(np.hypot(across, along), 0.99)
-    return f"Driven up to {reach:.1f} m/s² (99 % of samples); {share:.1%} of them are in the valid region"
+    return f"99 % of samples stay below {reach:.1f} m/s²; {100 * share:.1f} % of samples lie in the valid region"

@@ -66,7 +66,7 @@ def coverage_maps(trained: TrainingSet) -> tuple[list[CellMap], list[CellMap]]:
 def draw_coverage(trained: TrainingSet) -> Figure:
     """Draw which valid cells hold points, and how many."""
     held, valid = coverage_maps(trained)
-    figure = new_figure(4.2)
+    figure = new_figure(3.7)
     axes = np.atleast_1d(figure.subplots(1, len(held), sharex=True, sharey=True))
     colours = ["#FDE725", "#A0DA39", "#4AC16D", "#1FA187", "#277F8E", "#365C8D", "#440154"]
     norm = BoundaryNorm([*_COUNTS, 1 << 20], len(colours))
@@ -89,8 +89,8 @@ def draw_coverage(trained: TrainingSet) -> Figure:
     known = int(np.isin(valid_numbers, trained.cell_numbers).sum())
     outside = trained.cell_count - known
     figure.suptitle(
-        f"{known} of {len(valid_numbers)} valid cells hold points ({known / len(valid_numbers):.0%}; grey: none), "
-        f"{trained.size} points in all"
+        f"{known} of {len(valid_numbers)} valid cells hold points ({100 * known / len(valid_numbers):.0f} %; "
+        f"grey: none), {trained.size} points in all"
         + (f"; {outside} cells with points have their centre outside" if outside else "")
     )
     return figure
@@ -102,7 +102,7 @@ def label_maps(
     """Return slices with the mean of the labels in each cell, and with the dense process' mean at its centre.
 
     Labels are the accepted ones of all drives. The learned mean is taken at the slice's median torque ratio, in
-    cells that are valid there, and is NaN where the process has forgotten less than a fifth of its prior.
+    cells that are valid there, and is NaN where the deviation left is over 80 % of the prior's.
     """
     grid = trained.grid
     layers, slip_shape, origin = _layout(trained)
@@ -138,7 +138,7 @@ def label_maps(
 def draw_labels(trained: TrainingSet, drives: Sequence[HeldOut], output: int) -> Figure:
     """Draw the mean label of each cell above the learned mean, for one state."""
     labels, learned = label_maps(trained, drives, output)
-    figure = new_figure(6.6)
+    figure = new_figure(5.9)
     axes = np.atleast_2d(figure.subplots(2, len(labels), sharex=True, sharey=True, squeeze=False))
     every = np.abs(np.concatenate([part.values.ravel() for part in labels]))
     # One colour scale for both rows, not stretched by the few cells of a single label.
@@ -163,9 +163,7 @@ def _finding(labels: list[CellMap], output: int) -> str:
     low = min(float(np.nanmin(part.values)) for part in labels if np.isfinite(part.values).any())
     high = max(float(np.nanmax(part.values)) for part in labels if np.isfinite(part.values).any())
     unit = LABEL_UNITS[output]
-    return (
-        f"What the nominal model leaves out of {STATES[output]}: {low:.2g} to {high:.2g} {unit} from cell to cell"
-    )
+    return f"What the nominal model leaves out of {STATES[output]}: {low:.2g} to {high:.2g} {unit} from cell to cell\n(grey: no label above, nothing known below)"
 
 
 def _layout(trained: TrainingSet) -> tuple[int, tuple[int, int], np.ndarray]:

@@ -25,54 +25,50 @@ def kept_over_time(trained: TrainingSet) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw_growth(run: EvaluationRun) -> Figure:
-    """Draw size and updates after each drive, and the points kept over driving time, for every feature set."""
+    """Draw the points kept over driving time and, for several drives, size and updates after each."""
     figure = new_figure(4.2)
-    axes = figure.subplots(1, 3)
     sets = list(zip(run.report.settings.features, run.sets, strict=True))
+    drives = max(len(trained.sources) for trained in run.sets)
+    axes = figure.subplots(1, 3 if drives > 1 else 1, squeeze=False)[0]
     for position, (features, trained) in enumerate(sets):
         colour = PALETTE[position % len(PALETTE)]
-        _draw_size(axes[0], trained, features, colour)
-        _draw_updates(axes[1], trained, features, colour, position, len(sets))
         met, count = kept_over_time(trained)
-        axes[2].plot(met, count, color=colour, label=features, drawstyle="steps-post")
+        axes[-1].plot(met, count, color=colour, label=features, drawstyle="steps-post")
+        if drives > 1:
+            _draw_size(axes[0], trained, colour)
+            _draw_updates(axes[1], trained, colour, position, len(sets))
     for axis in axes:
         quiet(axis)
-        axis.set_ylim(bottom=0.0)
-        axis.legend(fontsize="small")
-    axes[0].set(xlabel="drives learned", ylabel="count after each drive", title="points and cells")
-    axes[1].set(xlabel="drive", ylabel="samples", title="updates a drive")
-    axes[2].set(xlabel="driving time [s]", ylabel="points kept", title="when they were met")
-    drives = max(len(trained.sources) for trained in run.sets)
-    for axis in axes[:2]:
-        axis.set_xticks(np.unique(np.linspace(1, drives, min(drives, 8)).round().astype(int)))
-        axis.set_xlim(0.4, drives + 0.6)
-    figure.suptitle("; ".join(_finding(features, trained) for features, trained in sets))
+        axis.set_ylim(0.0, 1.05 * axis.get_ylim()[1])
+    axes[-1].set(xlabel="driving time [s]", ylabel="points", title="points kept, by when they were met")
+    if drives > 1:
+        axes[0].set(xlabel="drives learned", ylabel="count", title="points (dots), cells (squares)")
+        axes[1].set(xlabel="drive", ylabel="updates", title="insertions, replacements (hatched)")
+        for axis in axes[:2]:
+            axis.set_xticks(np.unique(np.linspace(1, drives, min(drives, 8)).round().astype(int)))
+            axis.set_xlim(0.4, drives + 0.6)
+    for axis in axes:
+        axis.title.set_size("medium")
+    handles, labels = axes[-1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle("\n".join(_finding(features, trained) for features, trained in sets))
     return figure
 
 
-def _draw_size(axis: Axes, trained: TrainingSet, features: str, colour: str) -> None:
+def _draw_size(axis: Axes, trained: TrainingSet, colour: str) -> None:
     number = np.arange(1, len(trained.sources) + 1)
-    axis.plot(number, [s.points for s in trained.sources], "o-", color=colour, label=f"points, {features}")
-    axis.plot(
-        number,
-        [s.cells for s in trained.sources],
-        "s--",
-        color=colour,
-        fillstyle="none",
-        label=f"cells, {features}",
-    )
+    axis.plot(number, [s.points for s in trained.sources], "o-", color=colour)
+    axis.plot(number, [s.cells for s in trained.sources], "s--", color=colour, fillstyle="none")
 
 
-def _draw_updates(axis: Axes, trained: TrainingSet, features: str, colour: str, position: int, sets: int) -> None:
+def _draw_updates(axis: Axes, trained: TrainingSet, colour: str, position: int, sets: int) -> None:
     width = 0.8 / sets
     number = np.arange(1, len(trained.sources) + 1) + (position - 0.5 * (sets - 1)) * width
     inserted = np.array([s.insertions for s in trained.sources])
     replaced = [s.replacements for s in trained.sources]
-    axis.bar(number, inserted, width, color=colour, label=f"insertions, {features}")
-    axis.bar(
-        number, replaced, width, bottom=inserted, color=colour, alpha=0.4, hatch="//", edgecolor="white",
-        label=f"replacements, {features}",
-    )  # fmt: skip
+    axis.bar(number, inserted, width, color=colour)
+    replaced_style = {"color": colour, "alpha": 0.4, "hatch": "//", "edgecolor": "white"}
+    axis.bar(number, replaced, width, bottom=inserted, **replaced_style)
 
 
 def _finding(features: str, trained: TrainingSet) -> str:
@@ -81,5 +77,5 @@ def _finding(features: str, trained: TrainingSet) -> str:
     share = trained.size / accepted if accepted else 0.0
     return (
         f"{features}: {trained.size} points in {trained.cell_count} cells after {drives}, "
-        f"{share:.0%} of the samples offered"
+        f"{100 * share:.0f} % of the samples offered"
     )

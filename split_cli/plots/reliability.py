@@ -30,7 +30,7 @@ def draw_reliability(run: EvaluationRun) -> Figure:
         axis.set(xlim=(0, 100), ylim=(0, 100))
     axes[0].set_ylabel("labels inside [%]")
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
     count = scored[first].probability.count
     figure.suptitle(f"{_verdict(run, first)} ({count} test samples)")
     return figure

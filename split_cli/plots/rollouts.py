@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from split_cli.plots.style import line_styles, model_name, new_figure, quiet
+from split_cli.plots.style import STATES, line_styles, model_name, new_figure, quiet
 from split_cli.scoring.evaluation import NOMINAL
 from split_cli.scoring.run import EvaluationRun
 
@@ -37,7 +37,7 @@ def draw_rollouts(run: EvaluationRun) -> Figure:
     for axis in axes[2:]:
         axis.set_xlabel("time predicted [s]")
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
     figure.suptitle(_finding(run, step))
     return figure
 
@@ -49,6 +49,6 @@ def _finding(run: EvaluationRun, step: float) -> str:
     if corrected is None or not nominal.count:
         return f"Rollouts with recorded inputs from {starts}"
     ratio = run.rollouts[corrected].rmse[-1] / nominal.rmse[-1]
-    parts = ", ".join(f"{name} {share:.2f}" for name, share in zip(("$v_x$", "$v_y$", "$r$"), ratio, strict=True))
+    parts = ", ".join(f"{share:.2f} ({name})" for name, share in zip(STATES, ratio, strict=True))
     end = step * len(nominal.squared)
-    return f"After {end:.3g} s, {model_name(corrected)} has these shares of the nominal error: {parts} ({starts})"
+    return f"After {end:.3g} s errors of {model_name(corrected)} are {parts} times the nominal model's; {starts}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
 
 from split_cli.plots.style import LABEL_UNITS, PALETTE, STATES, new_figure, quiet
 from split_cli.scoring.evaluation import NOMINAL
@@ -38,6 +39,9 @@ def draw_sizes(run: EvaluationRun) -> Figure:
             level = floor.norm if which == 3 else floor.rms[which]
             axis.axhline(level, color="0.5", linestyle="--", label="noise floor")
         axis.set_xscale("log")
+        axis.xaxis.set_major_locator(FixedLocator((10, 20, 50, 100, 200, 500, 1000, 2000)))
+        axis.xaxis.set_major_formatter(ScalarFormatter())
+        axis.xaxis.set_minor_locator(NullLocator())
         axis.set_ylim(bottom=0.0)
         axis.set_ylabel("rms norm of the error" if which == 3 else f"{STATES[which]}: rms [{LABEL_UNITS[which]}]")
     for axis in axes[2:]:

@@ -28,7 +28,7 @@ __all__ = [
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 #: Cells in which nothing is known, and the ground of held-out time.
 EMPTY = "#DDDDDD"
-HELD_OUT = "#F0E442"
+HELD_OUT = "0.91"
 STATES = ("$v_x$", "$v_y$", "$r$")
 LABEL_UNITS = ("m/s²", "m/s²", "rad/s²")
 

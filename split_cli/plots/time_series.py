@@ -37,7 +37,7 @@ def draw_error_over_time(run: EvaluationRun) -> Figure:
     for axis in axes[2]:
         axis.set_xlabel("time [s]")
     handles, labels = axes[0, 1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False, fontsize="medium")
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
     name = model_name((trace.name, trace.features))
     figure.suptitle(f"{trace.held.drive.name}: error of the nominal model, and what {name} says it is")
     return figure
@@ -47,8 +47,9 @@ def _draw(axis: Axes, trace: Trace, state: int, whole: bool) -> None:
     labels = trace.held.labels
     quiet(axis)
     if not trace.held.split.test.all():
-        for begin, end in trace.held.split.intervals:
-            axis.axvspan(begin, end, color=HELD_OUT, alpha=0.3, linewidth=0)
+        for number, (begin, end) in enumerate(trace.held.split.intervals):
+            # A name that begins with an underscore stays out of the legend: one block stands for all.
+            axis.axvspan(begin, end, color=HELD_OUT, linewidth=0, label="_" * bool(number) + "held-out block")
     axis.axhline(0.0, color="black", linewidth=1.0, label="nominal model")
     if whole:
         axis.plot(labels.t, labels.y[:, state], ".", color="0.55", markersize=2.0, rasterized=True, label="label")
@@ -97,4 +98,6 @@ def _finding(trace: Trace, state: int) -> str:
     after = np.sqrt(np.mean((label - trace.prediction.mean[:, state]) ** 2))
     word = "down" if after < before else "up"
     share = abs(1.0 - after / before) if before > 0 else 0.0
-    return f"{STATES[state]}: rms error {before:.3g} → {after:.3g} {LABEL_UNITS[state]} ({word} {share:.0%})"
+    return (
+        f"{STATES[state]}: rms error {before:.3g} → {after:.3g} {LABEL_UNITS[state]} ({word} {100 * share:.0f} %)"
+    )
