@@ -38,7 +38,7 @@ def prove_multibody(output: Path, *, seed: int = 1, car: int = 2, seconds: float
     Raises
     ------
     SplitError
-        If the package is not installed or its car cannot be kept on any of eight tracks.
+        If the package is not installed or its car cannot be kept on any of twelve tracks.
     """
     body = load_car(car)
     vehicle = calibrated_vehicle(body, gentle_drives(body, seed))
@@ -57,13 +57,13 @@ def prove_multibody(output: Path, *, seed: int = 1, car: int = 2, seconds: float
 
 
 def _kept_on_track(body, seed: int, first: int, seconds: float, name: str):
-    """Return a hard drive on the first of eight random tracks on which the car is not lost."""
-    for number in range(first, first + 8):
+    """Return a hard drive on the first of twelve random tracks on which the car is not lost."""
+    for number in range(first, first + 12):
         track = random_track(np.random.default_rng([seed, number]), 1000.0, 0.5, 5.0)
         try:
             return hard_drive(
-                body, track, lateral=5.5, braking=4.5, seconds=seconds, seed=seed + number, name=name
+                body, track, lateral=5.0, braking=4.0, seconds=seconds, seed=seed + number, name=name
             ), number
         except SplitError:
             continue
-    raise SplitError("the multi-body car was lost on eight tracks", advice="Take another seed.")
+    raise SplitError("the multi-body car was lost on twelve tracks", advice="Take another seed.")

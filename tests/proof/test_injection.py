@@ -1,0 +1,71 @@
+"""Faults put into recordings: the term that names each undoes it, and blocks share no sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.errors import SplitError
+from split_cli.logs.drive import Drive, DriveMetadata
+from split_cli.proof.injection import FAULTS, faults_for, inject, split_in_blocks
+from split_cli.proof.windows import window_errors
+from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.tire import MagicFormula
+
+VEHICLE = Vehicle(
+    "car", 1500.0, 2500.0, 1.2, 1.5, 0.3, 0.5, 0.6, MagicFormula(9.0, 1.3, 8000.0),
+    MagicFormula(10.0, 1.3, 6500.0), 2000.0, 5000.0, drag_coefficient=0.4,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    t = np.arange(12_000) * 0.01
+    steer = 0.03 * np.sin(0.7 * t) + 0.01 * np.sin(2.9 * t + 1.0)
+    columns = {
+        "t": t, "X": 20 * t, "Y": 0 * t, "yaw": 0.1 * np.sin(0.3 * t), "vx": 20 + 3 * np.sin(0.2 * t),
+        "vy": 0.3 * np.sin(0.7 * t), "r": 0.25 * np.sin(0.7 * t - 0.2), "T": 800 * np.sin(0.9 * t), "delta": steer,
+    }  # fmt: skip
+    kinds = {"T": "command", "delta": "command"}
+    return Drive("real", columns, np.zeros(len(t), dtype=np.int32), 0.01, DriveMetadata(kinds=kinds))
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_the_term_that_names_a_fault_undoes_it(name, drive):
+    fault = next(f for f in faults_for(drive, VEHICLE, [name]) if f.term)
+    faulty = inject(drive, fault)
+    changed = [c for c in drive.columns if not np.array_equal(faulty[c], drive[c])]
+    assert changed
+
+    def errors(one, terms):
+        return window_errors({**one.columns, "s": one["t"] * 0.0}, VEHICLE, terms)
+
+    term = CATALOGUE[fault.term](dict(fault.parameters))
+    clean, repaired, broken = errors(drive, ()), errors(faulty, [term]), errors(faulty, ())
+    # Delays interpolate between samples; a sine of 3 rad/s is then right to (3 x 0.01)^2/8 of itself.
+    inner = slice(5, -5)
+    scale = np.abs(broken - clean)[inner].max(axis=0)
+    left = np.abs(repaired - clean)[inner].max(axis=0)
+    assert (left <= 2e-3 * scale.max() + 1e-12).all(), f"{left} is left of {scale}"
+
+
+def test_a_derived_torque_is_not_scaled(drive):
+    metadata = DriveMetadata(kinds={"T": "derived: from acceleration"})
+    derived = Drive("d", drive.columns, drive.segment, drive.period, metadata)
+    assert "drive_gain" in {f.term for f in faults_for(drive, VEHICLE)}
+    assert "drive_gain" not in {f.term for f in faults_for(derived, VEHICLE)}
+
+
+def test_blocks_share_no_sample_and_are_far_from_each_other(drive):
+    even, odd = split_in_blocks(drive, 10.0)
+    assert not set(even["t"]) & set(odd["t"])
+    assert len(even) + len(odd) == len(drive)
+    assert len(even.segments()) == 6 and len(odd.segments()) == 6
+
+
+def test_unknown_faults_and_short_drives_are_refused(drive):
+    with pytest.raises(SplitError, match="steering"):
+        faults_for(drive, VEHICLE, ["steering lat"])
+    with pytest.raises(SplitError, match="blocks"):
+        split_in_blocks(drive, 30.0)

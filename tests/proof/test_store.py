@@ -1,0 +1,133 @@
+"""Sealing, resuming, and that identification sees no answers."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from split_cli.errors import SplitError
+from split_cli.proof.generate import generate_cases
+from split_cli.proof.store import check_seal, read_answer, read_heldout, shown_cases
+from split_cli.workflows import prove
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    root = tmp_path_factory.mktemp("proof") / "out"
+    counts = []
+    seal = generate_cases(root, 4, 2, kinds=("null", "single"), report=lambda done, of: counts.append((done, of)))
+    assert counts == [(1, 2), (2, 2)]
+    return root, seal
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    root, seal = made
+    return shutil.copytree(root, tmp_path / "copy"), seal
+
+
+def test_a_run_that_was_cut_off_ends_with_the_same_seal(copy):
+    root, seal = copy
+    shutil.rmtree(root / "cases" / "0002")
+    (root / "sealed" / "0002.json").unlink()
+    (root / "seal.json").unlink()
+    with pytest.raises(SplitError, match="seal"):
+        check_seal(root)
+    again = generate_cases(root, 4, 2, kinds=("null", "single"))
+    assert again == seal
+
+
+def test_nothing_is_made_twice(copy, monkeypatch):
+    root, seal = copy
+    monkeypatch.setattr("split_cli.proof.generate.build_case", lambda plan: pytest.fail("built again"))
+    assert generate_cases(root, 4, 2, kinds=("null", "single")) == seal
+
+
+def test_cases_of_another_seed_do_not_mix(copy):
+    with pytest.raises(SplitError, match="seed"):
+        generate_cases(copy[0], 5, 2, kinds=("null", "single"))
+
+
+@pytest.mark.parametrize("damage", ["change", "add", "remove", "list"])
+def test_a_broken_seal_is_noticed(copy, damage):
+    root, _ = copy
+    path = root / "sealed" / "0001.json"
+    if damage == "change":
+        path.write_text(path.read_text().replace("bare", "rich").replace("plant", "nominal"))
+    elif damage == "add":
+        (root / "sealed" / "0009.json").write_text("{}")
+    elif damage == "remove":
+        path.unlink()
+    else:
+        told = json.loads((root / "seal.json").read_text())
+        told["files"]["0001.json"] = "0" * 64
+        (root / "seal.json").write_text(json.dumps(told))
+    with pytest.raises(SplitError):
+        check_seal(root)
+
+
+def test_answers_and_held_out_drives_come_back_whole(made):
+    root, _ = made
+    kinds = [read_answer(root, case.name).kind for case in shown_cases(root)]
+    assert sorted(kinds) == ["null", "single"]
+    for case in shown_cases(root):
+        heldout, noise = read_heldout(root, case.name)
+        assert (heldout is None) == (read_answer(root, case.name).kind == "null")
+        assert noise.shape == (3,) and (noise > 0).all()
+
+
+def test_what_is_shown_tells_nothing(made):
+    root, _ = made
+    for case in shown_cases(root):
+        names = {path.name for path in case.real.parent.iterdir()}
+        assert names <= {"real.parquet", "sim.parquet", "vehicle.yaml"}
+        answer = read_answer(root, case.name)
+        content = case.real.read_bytes() + case.vehicle.read_bytes()
+        for word in ("severity", answer.kind, answer.car, *(effect.term for effect in answer.effects)):
+            assert word.encode() not in content
+
+
+def test_identification_is_handed_the_shown_files_only_and_takes_up_where_it_stopped(copy, monkeypatch):
+    root, seal = copy
+    asked = []
+
+    def diagnose(real, vehicle, output, *, simulated=()):
+        asked.append([*real, vehicle, *simulated])
+        if len(asked) == 2:
+            raise SplitError("too short")
+        output.mkdir()
+        (output / "diagnosis.json").write_text('{"verdict": "match", "findings": [], "unexplained": false}')
+
+    monkeypatch.setattr("split_cli.workflows.diagnose.diagnose_files", diagnose)
+    (root / "results").mkdir()
+    for case in shown_cases(root):
+        prove._identify((case, root / "results"))
+    assert all("sealed" not in str(path) for paths in asked for path in paths)
+    notes = [json.loads((root / "results" / f"000{n}.json").read_text()) for n in (1, 2)]
+    assert [bool(note["error"]) for note in notes] == [False, True]
+    # All are answered, so no worker has anything to do; a failure counts as undecided.
+    assert prove.identify_cases(root) == seal
+    assert prove.read_statement(root, "0001").verdict == "match"
+    assert prove.read_statement(root, "0002").verdict == "undecided"
+    score = prove.score_cases(root, with_baselines=False)
+    assert score.identified == 2 and score.failed == (("0002", "too short"),)
+    outcomes = {s.answer.kind: s.outcome for s in score.scores}
+    assert outcomes == {"null": "exact", "single": "missed"}
+
+
+def test_nothing_is_scored_before_something_was_identified(copy):
+    with pytest.raises(SplitError, match="identified"):
+        prove.score_cases(copy[0])
+
+
+def test_another_number_of_cases_keeps_the_first_ones(made, tmp_path):
+    root, _ = made
+    other = tmp_path / "other"
+    generate_cases(other, 4, 1, kinds=("null", "single"))
+    np.testing.assert_equal(
+        json.loads((other / "sealed" / "0001.json").read_text()),
+        json.loads((root / "sealed" / "0001.json").read_text()),
+    )
