@@ -163,7 +163,10 @@ def _finding(labels: list[CellMap], output: int) -> str:
     low = min(float(np.nanmin(part.values)) for part in labels if np.isfinite(part.values).any())
     high = max(float(np.nanmax(part.values)) for part in labels if np.isfinite(part.values).any())
     unit = LABEL_UNITS[output]
-    return f"What the nominal model leaves out of {STATES[output]}: {low:.2g} to {high:.2g} {unit} from cell to cell\n(grey: no label above, nothing known below)"
+    return (
+        f"What the nominal model leaves out of {STATES[output]}: {low:.2g} to {high:.2g} {unit} "
+        "from cell to cell\n(grey: no label above, nothing known below)"
+    )
 
 
 def _layout(trained: TrainingSet) -> tuple[int, tuple[int, int], np.ndarray]:

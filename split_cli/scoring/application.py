@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from split_cli.learning.features import FeatureSet
+from split_cli.learning.features import FeatureSet, recording_of
 from split_cli.logs.drive import Drive
 from split_cli.prediction import Prediction, Predictor
 from split_cli.prediction.fitc import CONTEXT_INTERVAL, CONTEXT_STATES
+from split_cli.vehicle.integration import RecordedInputs, recorded_inputs
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["correction_from", "features_at", "future_rows", "predict_rows", "time_per_query"]
+__all__ = ["correction_from", "features_at", "future_rows", "inputs_along", "predict_rows", "time_per_query"]
 
 _TIMED_QUERIES = 200
 _LONGEST_TIMING = 2.0
 #: Features that follow the predicted state in a rollout; all others are taken as recorded.
 _OF_STATE = ("alpha_f", "alpha_r", "speed", "vx", "vy", "r")
+
+
+def inputs_along(model: SingleTrack, drive: Drive) -> RecordedInputs:
+    """Return a drive's inputs as the delays among the terms leave them, and the terms' states at every sample."""
+    if not model.terms:
+        return RecordedInputs(drive["T"], drive["delta"], np.empty((len(drive), 0)))
+    velocity = np.stack([drive[name] for name in ("vx", "vy", "r")], axis=1)
+    situation = {"time": drive["t"], "yaw": drive.columns.get("yaw", 0.0)}
+    return recorded_inputs(model, velocity, drive["T"], drive["delta"], recording_of(drive), **situation)
 
 
 def future_rows(drive: Drive, row: int) -> np.ndarray:
@@ -80,7 +91,12 @@ def features_at(
     columns.update(zip(("vx", "vy", "r"), velocity.T, strict=True))
     alone = Drive(drive.name, columns, np.arange(len(rows), dtype=np.int32), drive.period)
     follows = np.isin(features.names, _OF_STATE)
-    return np.where(follows, features.compute(model, alone), z[rows])
+    at = features.compute(model, alone)
+    if model.terms:
+        # A row by itself knows no delay and no memory of the terms; those of the recording stay.
+        recorded = {name: values[rows] for name, values in drive.columns.items()}
+        at = at + z[rows] - features.compute(model, replace(alone, columns=recorded))
+    return np.where(follows, at, z[rows])
 
 
 def time_per_query(predictor: Predictor, drive: Drive, z: np.ndarray, rows: np.ndarray) -> float:

@@ -197,6 +197,8 @@ def pooled_noise_floor(model: SingleTrack, drives: Sequence[HeldOut]) -> NoiseFl
     squares, count, notes = np.zeros(3), 0, []
     for held in drives:
         tested = held.labels.take(held.tested)
+        if not len(tested):
+            continue
         floor = noise_floor(model, held.drive, tested)
         if floor.reason:
             notes.append(f"{held.drive.name}: {floor.reason}")

@@ -9,6 +9,7 @@ import numpy as np
 from split_cli.learning.labels import Labels
 from split_cli.logs.drive import Drive, NoiseEstimate
 from split_cli.logs.noise import estimate_noise
+from split_cli.scoring.application import inputs_along
 from split_cli.scoring.persistence import phi_at
 from split_cli.vehicle.integration import integrate_recorded, substep_count
 from split_cli.vehicle.single_track import SingleTrack
@@ -110,14 +111,15 @@ def _flow_derivatives(
     """Return the derivatives of f_h by state (N, 3, 3), and by the torque and steer samples (N, 3, K + 1)."""
     state = np.stack([drive[name][rows] for name in _VELOCITIES], axis=1)
     span = rows[:, None] + np.arange(window + 1)
-    inputs = {"T": drive["T"][span], "delta": drive["delta"][span]}
-    jacobian = model.velocity_jacobian(*state.T, inputs["T"][:, 0], inputs["delta"][:, 0])
+    recorded = inputs_along(model, drive)
+    inputs = {"T": recorded.torque[span], "delta": recorded.steer_angle[span]}
+    yaw = drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows))
+    situation = {"yaw": yaw, "time": drive["t"][rows], "term_states": recorded.term_states[rows]}
+    jacobian = model.velocity_jacobian(*state.T, inputs["T"][:, 0], inputs["delta"][:, 0], yaw=yaw)
     substeps = substep_count(jacobian, drive.period)
-    yaw = drive["yaw"][rows] if "yaw" in drive else 0.0
 
     def flow(begin: np.ndarray, torque: np.ndarray, steer: np.ndarray) -> np.ndarray:
-        time = drive["t"][rows]
-        return integrate_recorded(model, begin, torque, steer, drive.period, substeps, time=time, yaw=yaw)
+        return integrate_recorded(model, begin, torque, steer, drive.period, substeps, **situation)
 
     def slope(step: float, change: object) -> np.ndarray:
         return (change(step) - change(-step)) / (2.0 * step)

@@ -6,6 +6,7 @@ import numpy as np
 
 from split_cli.learning.labels import Labels
 from split_cli.logs.drive import Drive
+from split_cli.scoring.application import inputs_along
 from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -14,9 +15,12 @@ __all__ = ["label_persistence_errors", "phi_at", "velocity_persistence_errors"]
 
 def phi_at(model: SingleTrack, drive: Drive, rows: np.ndarray, horizon: float) -> np.ndarray:
     """Return Phi of the nominal model at rows of a drive, shape (N, 3, 3)."""
-    at = [drive[name][rows] for name in ("vx", "vy", "r", "T", "delta")]
+    inputs = inputs_along(model, drive)
+    velocity = [drive[name][rows] for name in ("vx", "vy", "r")]
     yaw = drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows))
-    return phi_matrix(model.velocity_jacobian(*at, t=drive["t"][rows], yaw=yaw), horizon)
+    states = dict(zip(model.state_names, inputs.term_states[rows].T, strict=True)) or None
+    at = (*velocity, inputs.torque[rows], inputs.steer_angle[rows])
+    return phi_matrix(model.velocity_jacobian(*at, t=drive["t"][rows], yaw=yaw, states=states), horizon)
 
 
 def velocity_persistence_errors(model: SingleTrack, drive: Drive, labels: Labels) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What an evaluation reports, as dataclasses that print as JSON; `evaluation.schema.json` is their schema."""
+"""What an evaluation reports, as dataclasses that print as JSON with these names as keys."""
 
 from __future__ import annotations
 

@@ -9,13 +9,14 @@ import numpy as np
 
 from split_cli.learning.features import FeatureSet
 from split_cli.logs.drive import Drive
-from split_cli.scoring.application import features_at
-from split_cli.vehicle.integration import integrate_recorded, phi_matrix, substep_count
+from split_cli.scoring.application import features_at, inputs_along
+from split_cli.vehicle.integration import RecordedInputs, integrate_recorded, phi_matrix, substep_count
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = ["Correction", "RolloutSums", "hold_velocity", "roll_out", "rollout_starts", "score_rollouts"]
 
 _MOST_STARTS = 200
+_MOST_SUBSTEPS = 50  # a sample; a rollout that needs more is leaving the finite numbers
 _VELOCITIES = ("vx", "vy", "r")
 
 
@@ -111,16 +112,17 @@ def roll_out(
 
     Notes
     -----
-    Each step x+ = f_h(x) + h B_d Phi(x) g(z(x)), everything at the model's own state; inputs as recorded.
+    Each step x+ = f_h(x) + h B_d Phi(x) g(z(x)), everything at the model's own state; inputs as recorded. Terms
+    with memory (lags, tyre relaxation) begin each step with the memory that the recording gives them.
     """
     names = ("X", "Y", "yaw", *_VELOCITIES) if drive.has_position else _VELOCITIES
     state = np.stack([drive[name][starts] for name in names], axis=1)
-    horizon = window * drive.period
+    inputs = inputs_along(model, drive)
     trajectory = np.empty((len(starts), steps, len(names)))
     with np.errstate(over="ignore", invalid="ignore"):
         for step in range(steps):
             rows = starts + step * window
-            state = _one_step(model, drive, rows, state, window, horizon, correction)
+            state = _one_step(model, drive, inputs, rows, state, window, correction)
             trajectory[:, step] = state
     return trajectory
 
@@ -128,25 +130,29 @@ def roll_out(
 def _one_step(
     model: SingleTrack,
     drive: Drive,
+    inputs: RecordedInputs,
     rows: np.ndarray,
     state: np.ndarray,
     window: int,
-    horizon: float,
     correction: Correction | None,
 ) -> np.ndarray:
     span = rows[:, None] + np.arange(window + 1)
-    torque, steer = drive["T"][span], drive["delta"][span]
+    torque, steer, memory = inputs.torque[span], inputs.steer_angle[span], inputs.term_states[rows]
     velocity = state[:, -3:]
     yaw = state[:, 2] if state.shape[1] == 6 else (drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows)))
     time = drive["t"][rows]
-    jacobian = model.velocity_jacobian(*velocity.T, torque[:, 0], steer[:, 0], t=time, yaw=yaw)
+    situation = {"t": time, "yaw": yaw, "states": dict(zip(model.state_names, memory.T, strict=True)) or None}
+    jacobian = model.velocity_jacobian(*velocity.T, torque[:, 0], steer[:, 0], **situation)
     finite = np.isfinite(jacobian).all(axis=(1, 2))
     substeps = substep_count(jacobian[finite], drive.period)
-    after = integrate_recorded(model, state, torque, steer, drive.period, min(substeps, 50), time=time, yaw=yaw)
+    substeps = min(substeps, _MOST_SUBSTEPS)
+    situation = {"time": time, "yaw": yaw, "term_states": memory}
+    after = integrate_recorded(model, state, torque, steer, drive.period, substeps, **situation)
     if correction is not None:
         at = features_at(correction.features, model, drive, rows, velocity, correction.z)
         finite &= np.isfinite(at).all(axis=1)
         residual = correction.residual(np.where(finite[:, None], at, 0.0))
+        horizon = window * drive.period
         phi = phi_matrix(np.where(finite[:, None, None], jacobian, 0.0), horizon)
         after[:, -3:] += horizon * np.einsum("nij,nj->ni", phi, residual)
     return after

@@ -119,7 +119,7 @@ def evaluate(
         noise_floor=pooled_noise_floor(model, contestants[0][1]),
         rollouts=tuple(rollout_scores),
         sizes=tuple(sizes),
-        notes=tuple(_notes(facts, settings, rollout_scores)),
+        notes=tuple(_notes(facts, contestants[0][1], settings, rollout_scores)),
     )
     sets = tuple(own for *_, own in contestants)
     drawn_from = tuple(tuple(held) for _, held, _ in contestants)
@@ -147,6 +147,12 @@ def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
 
 
 def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
+    if not settings.features or not settings.predictors:
+        raise SplitError("at least one feature set and one predictor are needed")
+    if any(size < 0 for size in settings.sizes) or not all(0 < time < np.inf for time in settings.rollout):
+        raise SplitError(
+            f"sizes {settings.sizes} and rollout horizons {settings.rollout} s: positive numbers were expected"
+        )
     for name in settings.predictors:
         if name not in PREDICTORS:
             make_predictor(name, None)
@@ -154,6 +160,8 @@ def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
         raise SplitError(f"no protocol {settings.protocol!r}", advice="There are held-out and paper.")
     if settings.protocol == "paper" and trained is not None:
         raise SplitError("the paper's protocol trains on the lap it scores", advice="Leave --set out.")
+    if settings.sizes and trained is not None:
+        raise SplitError("sets of given sizes are made from training blocks", advice="Leave --set or --sizes out.")
 
 
 def _short_name(features: FeatureSet) -> str:
@@ -252,6 +260,8 @@ def _rollouts(
     steps = max(1, round(max(settings.rollout) / drives[0].labels.horizon))
     pooled: dict[tuple[str, str], RolloutSums] = {}
     for position, held in enumerate(drives):
+        if not _same_interval(held, drives[0]):
+            continue
         own = {key: (parts[position], predictor) for key, (parts, predictor) in predictors.items()}
         for key, sums in rollout_sums(held, model, own, steps).items():
             pooled[key] = pooled[key] + sums if key in pooled else sums
@@ -263,6 +273,11 @@ def _rollouts(
                 at = (sums.count, sums.diverged, sums.rmse[step], float(sums.distance[step]))
                 scores.append(RolloutScore(name, features, seconds, *at))
     return pooled, scores
+
+
+def _same_interval(held: HeldOut, first: HeldOut) -> bool:
+    """Tell whether a drive's label interval is the first drive's, so that rollouts of both have the same steps."""
+    return abs(held.labels.horizon - first.labels.horizon) < 1e-9
 
 
 def _sizes(
@@ -313,7 +328,9 @@ def _facts(held: HeldOut, model: SingleTrack, trained: TrainingSet | None) -> Dr
     )
 
 
-def _notes(facts: Sequence[DriveFacts], settings: EvaluationSettings, rollouts: Sequence) -> list[str]:
+def _notes(
+    facts: Sequence[DriveFacts], drives: Sequence[HeldOut], settings: EvaluationSettings, rollouts: Sequence
+) -> list[str]:
     notes = [f"{fact.name}: {note}" for fact in facts for note in fact.notes]
     for fact in facts:
         if fact.in_sample:
@@ -322,6 +339,10 @@ def _notes(facts: Sequence[DriveFacts], settings: EvaluationSettings, rollouts: 
         notes.append("IN SAMPLE: the paper's protocol trains on the very lap it scores")
     if settings.protocol == "held-out" and any(PREDICTORS[n][1] == "FitcPredictor" for n in settings.predictors):
         notes.append("fitc was given the recorded future as pseudo-inputs, which no controller knows")
+    for held in drives:
+        if rollouts and not _same_interval(held, drives[0]):
+            steps = f"{held.labels.horizon:g} s, not {drives[0].labels.horizon:g} s as of {drives[0].drive.name}"
+            notes.append(f"no rollouts of {held.drive.name}: its label interval is {steps}")
     if settings.protocol == "held-out" and settings.rollout and not rollouts:
         notes.append(f"no rollouts: no test stretch without a gap is longer than {max(settings.rollout):g} s")
     return notes
