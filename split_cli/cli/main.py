@@ -23,7 +23,6 @@ COMMANDS = {
     "calibrate": "Fit a vehicle file to gentle drives, or convert a foreign one.",
     "diagnose": "Say where a simulation and a real drive differ, and why.",
     "prove": "Conceal known effects, diagnose them blind, and score.",
-    "prove": "Conceal effects in drives, diagnose them blind, and score.",
     "simulate": "Drive the double-track plant and write its logs.",
     "info": "Tell what a file of ours is.",
     "verify": "Check a trained set or an export against itself.",

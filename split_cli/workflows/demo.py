@@ -72,7 +72,7 @@ def demo_steps(samples: Path, output: Path) -> tuple[DemoStep, ...]:
         DemoStep("Learn what the nominal model gets wrong.",
                  ("train", drives[TRAINING_LOG], "--vehicle", vehicle, "-o", trained)),
         DemoStep("Score it on the recording it has not seen, beside persistence and the noise floor.",
-                 ("evaluate", drives[HELD_OUT_LOG], "--vehicle", vehicle, "--set", trained, "-o", str(output / "figures"))),
+                 ("evaluate", drives[HELD_OUT_LOG], "--set", trained, "-o", str(output / "figures"))),
         DemoStep("Write it as C99 and as a CasADi function, verified against Python.",
                  ("export", trained, "--target", "c", "--target", "casadi", "-o", str(output / "controller"))),
         DemoStep("Ask what a file is.", ("info", trained)),
