@@ -13,6 +13,7 @@ from split_cli.diagnosis.result import Diagnosis, InputFile
 from split_cli.files import atomic_directory, sha256_of_file
 from split_cli.logs.drive import read_drive
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, write_vehicle
+from split_cli.workflows.report.page import report_page
 
 __all__ = ["corrected_vehicle", "diagnose_files", "write_diagnosis"]
 
@@ -26,7 +27,7 @@ def diagnose_files(
     holdout: Sequence[str | Path] = (),
     progress: Callable[[str], None] = lambda step: None,
 ) -> Diagnosis:
-    """Diagnose recordings and write `diagnosis.json`, `vehicle_corrected.yaml` and `gap.parquet`.
+    """Diagnose recordings and write `diagnosis.json`, `vehicle_corrected.yaml`, `gap.parquet`, `report.html`.
 
     Parameters
     ----------
@@ -65,6 +66,7 @@ def write_diagnosis(diagnosis: Diagnosis, vehicle: Vehicle, output: str | Path) 
         (folder / "diagnosis.json").write_text(diagnosis_to_text(diagnosis), encoding="utf-8")
         write_vehicle(corrected_vehicle(diagnosis, vehicle), folder / "vehicle_corrected.yaml", comment=comment)
         _write_gap(diagnosis, folder / "gap.parquet")
+        (folder / "report.html").write_text(report_page(diagnosis), encoding="utf-8")
 
 
 def _write_gap(diagnosis: Diagnosis, path: Path) -> None:

@@ -1,0 +1,124 @@
+"""How the report says names, numbers and chances."""
+
+from __future__ import annotations
+
+import html
+import math
+import unicodedata
+
+__all__ = [
+    "CHANNELS",
+    "FORCES",
+    "FORCE_IDS",
+    "chance",
+    "escape",
+    "number",
+    "parameter",
+    "percent",
+    "quantity",
+    "readable",
+    "term_title",
+    "variable",
+]
+
+FORCE_IDS = ("longitudinal", "front_lateral", "rear_lateral")
+FORCES = {
+    "longitudinal": "Longitudinal",
+    "front_lateral": "Front lateral",
+    "rear_lateral": "Rear lateral",
+}
+CHANNELS = (("v_x", "Longitudinal", "m/s²"), ("v_y", "Lateral", "m/s²"), ("r", "Yaw", "rad/s²"))
+_VARIABLES = {
+    "v_x": ("longitudinal velocity", "m/s"),
+    "v_y": ("lateral velocity", "m/s"),
+    "r": ("yaw rate", "rad/s"),
+    "T": ("torque", "N m"),
+    "delta": ("steer angle", "rad"),
+    "alpha_f": ("front slip angle", "rad"),
+    "alpha_r": ("rear slip angle", "rad"),
+    "a_x": ("longitudinal acceleration", "m/s²"),
+    "a_y": ("lateral acceleration", "m/s²"),
+    "steer_rate": ("steer rate", "rad/s"),
+    "t": ("time", "s"),
+    "s": ("track position", "m"),
+}
+_INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp", "Co", "Cn")
+
+
+def readable(text: str) -> str:
+    """Return text with what cannot be seen, or turns the direction of reading, spelled as an escape."""
+    return "".join(
+        character if unicodedata.category(character) not in _INVISIBLE else ascii(character)[1:-1]
+        for character in text
+    )
+
+
+def escape(text: object) -> str:
+    """Return text for HTML, inside an element or a quoted attribute."""
+    return html.escape(readable(str(text)), quote=True)
+
+
+def term_title(term: str, variant: str = "") -> str:
+    """Return a term's name in words: ``steer_gain`` is "Steer gain"."""
+    words = " + ".join(part.replace("_", " ").capitalize() for part in term.split("+"))
+    return f"{words} ({variant.replace('_', ' ')})" if variant else words
+
+
+def variable(name: str) -> tuple[str, str]:
+    """Return a variable's name in words and its unit."""
+    return _VARIABLES.get(name, (name.replace("_", " "), ""))
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Return a number with some significant digits, and a power of ten only where zeros would be counted."""
+    if not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    size = math.floor(math.log10(abs(value)))
+    if size < -4 or size >= 7:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        return _minus(f"{mantissa} × 10{_superscript(int(exponent))}")
+    return _minus(f"{value:,.{max(0, digits - 1 - size)}f}")
+
+
+def parameter(value: float, half_width: float) -> str:
+    """Return a value to the second digit of its uncertainty [same unit]."""
+    if not (math.isfinite(half_width) and half_width > 0.0):
+        return number(value, 4)
+    places = 1 - math.floor(math.log10(half_width))
+    return number(value, 4) if places > 7 else _minus(f"{value:,.{max(0, places)}f}")
+
+
+def percent(share: float) -> str:
+    """Return a share in per cent; never 100 or 0 for what only comes close."""
+    if not math.isfinite(share):
+        return "–"
+    scaled = 100.0 * share
+    if 0.0 < scaled < 1.0:
+        return "< 1 %"
+    if 99.0 < scaled < 100.0:
+        return "> 99 %"
+    return _minus(f"{scaled:.0f} %")
+
+
+def chance(p_value: float | None) -> str:
+    """Return a p value as an equation or inequality."""
+    if p_value is None:
+        return "–"
+    if p_value < 1e-6:
+        return "p < 10⁻⁶"
+    return f"p = {number(p_value, 2)}"
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a value with its unit, none for ``1``."""
+    return number(value) if unit in ("", "1") else f"{number(value)} {unit}"
+
+
+def _superscript(exponent: int) -> str:
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def _minus(text: str) -> str:
+    return text.replace("-", "−")
