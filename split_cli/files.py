@@ -7,12 +7,20 @@ import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from split_cli.errors import SplitError
 
-__all__ = ["atomic_directory", "atomic_path", "atomic_write_bytes", "atomic_write_text", "sha256_of_file"]
+__all__ = [
+    "atomic_directory",
+    "atomic_path",
+    "atomic_write_bytes",
+    "atomic_write_text",
+    "refuse_overwriting_inputs",
+    "refuse_what_cannot_be_written",
+    "sha256_of_file",
+]
 
 
 @contextlib.contextmanager
@@ -73,7 +81,8 @@ def atomic_directory(target: str | os.PathLike[str]) -> Iterator[Path]:
         produced = sorted(path for path in temporary.rglob("*") if path.is_file())
         for path in produced:
             _flush_to_disk(path)
-            _refuse_what_is_no_file(target / path.relative_to(temporary), shown)
+            place = path.relative_to(temporary)
+            _refuse_what_is_no_file(target / place, str(Path(shown) / place))
         if target.exists():
             for path in produced:
                 destination = target / path.relative_to(temporary)
@@ -89,6 +98,33 @@ def atomic_directory(target: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+def refuse_overwriting_inputs(output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]) -> None:
+    """Refuse to write over a file that is being read: a recording that is replaced by its result is lost.
+
+    Raises
+    ------
+    SplitError
+        If `output` is one of the `inputs`, by whatever name or link.
+    """
+    real = os.path.realpath(output)
+    for source in inputs:
+        if os.path.realpath(source) == real:
+            raise SplitError(
+                "is an input too, it would be overwritten", where=str(output), advice="Name another output."
+            )
+
+
+def refuse_what_cannot_be_written(target: str | os.PathLike[str]) -> None:
+    """Check a file's place before hours of work go into its content.
+
+    Raises
+    ------
+    SplitError
+        If the directory does not exist, or the target is a folder or a device.
+    """
+    _refuse_what_is_no_file(_real_target(target), str(target))
 
 
 def _real_target(target: str | os.PathLike[str]) -> Path:

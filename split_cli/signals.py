@@ -43,28 +43,32 @@ class Channel:
         (commands) keep their last value, angles are unwrapped first.
     meaning : str
         What it is, with frame and sign.
+    limit : float
+        A greater magnitude is no measurement of anything on wheels but a damaged number: far beyond what a wrong
+        unit makes of one, so that wrong units are still named as such.
     """
 
     name: str
     unit: str
     kind: Kind
     meaning: str
+    limit: float = 1e9
 
 
 CHANNELS: dict[str, Channel] = {
     channel.name: channel
     for channel in (
-        Channel("t", "s", "continuous", "time from the first sample of the recording's uniform clock"),
+        Channel("t", "s", "continuous", "time from the first sample of the recording's uniform clock", 1e15),
         Channel("X", "m", "continuous", "position of the CG, world frame, east or along the map's X"),
         Channel("Y", "m", "continuous", "position of the CG, world frame, north or along the map's Y"),
-        Channel("yaw", "rad", "angle", "yaw angle, counter-clockwise from X, unwrapped"),
-        Channel("vx", "m/s", "continuous", "longitudinal velocity of the CG, forward positive"),
-        Channel("vy", "m/s", "continuous", "lateral velocity of the CG, left positive"),
-        Channel("r", "rad/s", "continuous", "yaw rate, counter-clockwise positive"),
+        Channel("yaw", "rad", "angle", "yaw angle, counter-clockwise from X, unwrapped", 1e6),
+        Channel("vx", "m/s", "continuous", "longitudinal velocity of the CG, forward positive", 1e5),
+        Channel("vy", "m/s", "continuous", "lateral velocity of the CG, left positive", 1e5),
+        Channel("r", "rad/s", "continuous", "yaw rate, counter-clockwise positive", 1e4),
         Channel("T", "N m", "held", "total torque at the wheels, driving positive, braking negative"),
-        Channel("delta", "rad", "held", "road-wheel steer angle, left positive"),
-        Channel("ax", "m/s^2", "continuous", "longitudinal specific force at the CG, in the vehicle plane"),
-        Channel("ay", "m/s^2", "continuous", "lateral specific force at the CG, left positive"),
+        Channel("delta", "rad", "held", "road-wheel steer angle, left positive", 1e4),
+        Channel("ax", "m/s^2", "continuous", "longitudinal specific force at the CG, in the vehicle plane", 1e6),
+        Channel("ay", "m/s^2", "continuous", "lateral specific force at the CG, left positive", 1e6),
     )
 }
 

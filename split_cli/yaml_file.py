@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,14 @@ class _StrictLoader(yaml.SafeLoader):
         if twice is not None:
             raise yaml.constructor.ConstructorError(None, None, f"the key {twice!r} stands twice", node.start_mark)
         return super().construct_mapping(node, deep)
+
+
+# YAML 1.1 takes 1e3 and 1.5e3 for words, since they lack a dot or the sign of the exponent; people mean numbers.
+_StrictLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
 
 
 def read_yaml_mapping(
@@ -49,8 +58,12 @@ def read_yaml_mapping(
         content = yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_StrictLoader)
     except FileNotFoundError:
         raise error(missing, where=where, advice=advice) from None
-    except (OSError, UnicodeDecodeError) as problem:
-        raise error(f"cannot be read ({problem})", where=where) from problem
+    except OSError as problem:
+        raise error(f"cannot be read ({problem.strerror or problem})", where=where) from problem
+    except UnicodeDecodeError as problem:
+        raise error("cannot be read (it is no text, YAML was expected)", where=where) from problem
+    except RecursionError as problem:
+        raise error("is nested too deeply", where=where, advice="See docs/formats.md.") from problem
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
         line = f", line {mark.line + 1}" if mark else ""

@@ -118,6 +118,7 @@ def main(arguments: list[str] | None = None) -> None:
     os.environ.setdefault("MKL_NUM_THREADS", "1")
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", NumericalRepairWarning)
+    _refuse_undecodable(sys.argv[1:] if arguments is None else arguments)
     try:
         result = group.main(args=arguments, prog_name="split", standalone_mode=False)
         sys.stdout.flush()
@@ -151,6 +152,21 @@ def _fail(text: str, code: int) -> None:
     sys.exit(code)
 
 
+def _refuse_undecodable(arguments: list[str]) -> None:
+    """Refuse names that are no valid text: they could not be stored in a drive's or a set's provenance."""
+    for argument in arguments:
+        try:
+            argument.encode("utf-8")
+        except UnicodeEncodeError:
+            _fail(f"the name {ascii(argument)} is not valid UTF-8. Rename the file", 1)
+
+
 def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
-    """Show our own warnings as one line each; leave out where in the source they arose."""
+    """Show our own warnings as one line each; leave out where in the source they arose.
+
+    Those of libraries (an overflow, an empty slice) say nothing to a user, who sees their consequence in counts
+    and errors; they are shown to whoever debugs.
+    """
+    if not issubclass(category, NumericalRepairWarning) and not os.environ.get("SPLIT_TRACEBACK"):
+        return
     click.echo(f"split: warning: {message}", err=True)

@@ -53,7 +53,8 @@ def write_labels(labels: Labels, path: str | Path) -> None:
     }
     metadata = {b"split": json.dumps(stored, sort_keys=True).encode()}
     with atomic_path(path) as temporary:
-        pa.parquet.write_table(pa.table(columns).replace_schema_metadata(metadata), temporary, compression="zstd")
+        table = pa.table(columns).replace_schema_metadata(metadata)
+        pa.parquet.write_table(table, temporary, compression="zstd", write_page_checksum=True)
 
 
 def read_labels(path: str | Path) -> Labels:
@@ -69,7 +70,7 @@ def read_labels(path: str | Path) -> Labels:
     if not Path(path).is_file():
         raise DriveError("no such file", where=where)
     try:
-        table = pa.parquet.read_table(path)
+        table = pa.parquet.read_table(path, page_checksum_verification=True)
         stored = json.loads((table.schema.metadata or {})[b"split"])
         if stored["format"] != LABELS_FORMAT:
             raise DriveError(

@@ -212,7 +212,8 @@ class SetFile:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         if not self.path.is_file():
-            raise SetError("no such file", where=str(path))
+            what = "is a folder, a trained set is a file" if self.path.is_dir() else "no such file"
+            raise SetError(what, where=str(path))
         try:
             self._source = pa.memory_map(str(path))
             self._reader = pa.ipc.open_file(self._source)

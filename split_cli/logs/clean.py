@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.gather import Series
+from split_cli.signals import CHANNELS
 
 __all__ = ["CleanSeries", "Drop", "clean_series", "join_clock_resets", "longest_repeat"]
 
@@ -16,6 +17,8 @@ _RESET_WINDOW = 10
 _DUPLICATE_SHARE = 1e-3
 _SPIKE_SIGMAS = 25.0
 _LONGEST_SPIKE = 2
+_EXTRAS_LIMIT = 1e100
+"""Of channels without a meaning known here; squares of it are still finite."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ def _resets(time: np.ndarray, largest_step_back: float) -> list[int]:
 
 
 def clean_series(series: Series, *, despike: bool = True, held: bool = False) -> CleanSeries:
-    """Drop non-finite samples and duplicate times, sort, remove spikes and the repeats of a held sensor.
+    """Drop impossible samples and duplicate times, sort, remove spikes and the repeats of a held sensor.
 
     Parameters
     ----------
@@ -151,6 +154,8 @@ def clean_series(series: Series, *, despike: bool = True, held: bool = False) ->
     keep(np.isfinite(time), "time not finite")
     keep(~np.isnan(values), "NaN")
     keep(np.isfinite(values), "infinite")
+    limit = CHANNELS[series.channel].limit if series.channel in CHANNELS else _EXTRAS_LIMIT
+    keep(np.abs(values) <= limit, f"beyond {limit:g}, no measurement")
     backward = int(np.count_nonzero(np.diff(time) < 0))
     if backward:
         order = np.argsort(time, kind="stable")

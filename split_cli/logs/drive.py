@@ -195,12 +195,13 @@ def read_drive(path: str | Path) -> Drive:
     """
     path = Path(path)
     if not path.is_file():
-        raise DriveError("no such file", where=str(path))
+        what = "is a folder, a drive is a file" if path.is_dir() else "no such file"
+        raise DriveError(what, where=str(path))
     try:
         if path.suffix.lower() == ".csv":
             table = pa.csv.read_csv(path)
         else:
-            table = pa.parquet.read_table(path)
+            table = pa.parquet.read_table(path, page_checksum_verification=True)
     except (pa.ArrowInvalid, pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise DriveError(
@@ -230,6 +231,8 @@ def _drive_from_table(table: pa.Table, path: Path) -> Drive:
             if unit and name in CHANNELS:
                 expected = CHANNELS[name].unit
                 values = convert_to_si(values, unit, expected=expected, channel=name, where=str(path))
+            if name in columns:
+                raise DriveError(f"two columns are {name}", where=str(path), advice="Leave one.")
             columns[name] = values
     if "t" not in columns:
         raise DriveError("the drive lacks t", where=str(path), advice=nearest_names("t", columns))
@@ -252,6 +255,15 @@ def _check_drive(drive: Drive, path: Path) -> None:
                 where=str(path),
                 advice="Run the recording through `split ingest`, which drops and counts them.",
             )
+        limit = CHANNELS[name].limit
+        bad = np.flatnonzero(np.abs(drive.columns[name]) > limit)
+        if len(bad):
+            raise DriveError(
+                f"{name} is {drive.columns[name][bad[0]]:g} in row {bad[0]}, beyond {limit:g} no number is a "
+                "measurement",
+                where=str(path),
+                advice="Check units, or run the recording through `split ingest`, which drops and counts them.",
+            )
     for run in drive.segments():
         step = np.diff(drive.columns["t"][run])
         uneven = np.flatnonzero(np.abs(step - drive.period) > 0.02 * drive.period + 1e-6)
@@ -270,7 +282,7 @@ def _segments_from_time(time: np.ndarray, path: Path) -> np.ndarray:
     if len(step) and not np.all(step > 0):
         row = int(np.flatnonzero(~(step > 0))[0])
         raise DriveError(
-            f"time does not increase at row {row + 1} ({time[row]!r} then {time[row + 1]!r})",
+            f"time does not increase at row {row + 1} ({time[row]:.9g} then {time[row + 1]:.9g} s)",
             where=str(path),
             advice="Run the recording through `split ingest`, which drops and counts such samples.",
         )
@@ -309,7 +321,10 @@ def _metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[Drive
             noise=noise,
             quality=stored["quality"],
         )
-        return metadata, float(stored["period"])
+        period = float(stored["period"])
+        if not 0.0 < period < float("inf"):
+            raise ValueError(f"a period of {period:g} s")
+        return metadata, period
     except (KeyError, TypeError, ValueError) as error:
         raise DriveError(f"its metadata is damaged ({error})", where=str(path)) from error
 
@@ -322,4 +337,5 @@ def write_drive(drive: Drive, path: str | Path) -> None:
     text = json.dumps(stored, sort_keys=True, allow_nan=False)
     table = pa.table(fields).replace_schema_metadata({b"split": text.encode()})
     with atomic_path(path) as temporary:
-        pa.parquet.write_table(table, temporary, compression="zstd")
+        # Checksums: a bit that flips on a disk must not become a velocity.
+        pa.parquet.write_table(table, temporary, compression="zstd", write_page_checksum=True)

@@ -131,4 +131,4 @@ def write_parquet(readings: tuple[Reading, ...], path: str | Path) -> None:
     columns = _table(readings)
     table = pa.table({name: pa.array(values) for name, values in columns.items()})
     with atomic_path(path) as temporary:
-        pyarrow.parquet.write_table(table, temporary, compression="zstd")
+        pyarrow.parquet.write_table(table, temporary, compression="zstd", write_page_checksum=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from split_cli.errors import DriveError, SplitError
+from split_cli.files import refuse_overwriting_inputs
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.scoring.splits import hold_out_blocks
 from split_cli.vehicle.calibration.calibrate import Calibration, CalibrationSettings, calibrate_vehicle
@@ -64,6 +65,8 @@ def calibrate_files(
         If a file cannot be read or too little of the drives can be used.
     """
     settings = settings or CalibrationSettings()
+    if output is not None:
+        refuse_overwriting_inputs(output, drives)
     vehicle = read_vehicle(start)
     runs, used, derived = [], [], set()
     for path in drives:
@@ -128,6 +131,7 @@ def convert_files(sources: Sequence[str | Path], output: str | Path, *, alpha_ma
     """
     if not sources:
         raise SplitError("no parameter file was named")
+    refuse_overwriting_inputs(output, sources)
     conversion = convert_parameters(sources, alpha_max=alpha_max)
     names = ", ".join(Path(source).name for source in sources)
     write_vehicle(conversion.vehicle, output, comment=f"Converted by `split calibrate --convert` from {names}.")

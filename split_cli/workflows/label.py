@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from split_cli.files import refuse_overwriting_inputs
 from split_cli.learning.features import parse_features
 from split_cli.learning.label_file import write_labels
 from split_cli.learning.labels import DEFAULT_HORIZON, compute_labels
@@ -67,6 +68,7 @@ def label_drive(
     horizon, stride, plain
         As for `compute_labels`.
     """
+    refuse_overwriting_inputs(output, (drive_path, vehicle_path))
     vehicle, drive = read_vehicle(vehicle_path), read_drive(drive_path)
     region = Region.of(vehicle)
     labels = compute_labels(

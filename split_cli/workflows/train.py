@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import SetError
+from split_cli.files import refuse_overwriting_inputs
 from split_cli.learning.cells import DEFAULT_CAPACITY, DEFAULT_THRESHOLD, empty_set, extend, warm_up
 from split_cli.learning.features import parse_features
 from split_cli.learning.hyperparameters import (
@@ -168,6 +169,8 @@ def train_set(
         If an input is at fault; `output` is then as it was before.
     """
     say = progress or (lambda text: None)
+    kernel_file = {settings.hyperparameters} - {None, "fit", "default"}
+    refuse_overwriting_inputs(output, (*drive_paths, vehicle_path, *kernel_file))
     vehicle = read_vehicle(vehicle_path)
     known = read_set(output) if append else None
     if known is not None:

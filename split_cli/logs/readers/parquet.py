@@ -31,7 +31,7 @@ def open_parquet(path: Path) -> Recording:
         raise _damaged(path, "Parquet", error) from error
 
     def read(names: Sequence[str]) -> Any:
-        return pq.read_table(path, columns=list(names), partitioning=None)
+        return pq.read_table(path, columns=list(names), partitioning=None, page_checksum_verification=True)
 
     return _recording(path, "Parquet", file.schema_arrow, file.metadata.num_rows, read)
 
