@@ -29,7 +29,8 @@ const Charts = (() => {
 
   function ticks(low, high, count) {
     if (!(high > low)) return [];
-    const step = tickStep(low, high, count);
+    let step = tickStep(low, high, count);
+    for (let more = count + 1; Math.floor(high / step) - Math.ceil(low / step) < 1 && more < count + 6; more++) step = tickStep(low, high, more);
     const out = [];
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) out.push(k * step);
     return out.map((value) => ({ value, text: fixed(value, step) }));
@@ -108,7 +109,7 @@ const Charts = (() => {
       this.inner = width - this.left - 12;
       if (options.equal) this.equalise();
       const yTicks = names || ticks(...this.y, count);
-      const xTicks = ticks(...this.x, Math.max(2, Math.round(this.inner / 74)));
+      const xTicks = ticks(...this.x, Math.max(2, Math.round(this.inner / 70)));
       const frame = shape("g");
       for (const { value, text } of xTicks) {
         const at = this.sx(value);

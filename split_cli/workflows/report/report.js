@@ -34,6 +34,7 @@
 
   const chosenDrives = () => (state.drive < 0 ? drives : [drives[state.drive]]);
   const forceName = () => numbers.forces[state.channel].toLowerCase();
+  const averaged = () => `averaged over ${state.seconds} s`;
   const unit = (value, step) => `${fixed(value, step)} N`;
 
   /* Gap forces of a drive, averaged over a centred window that does not cross gaps. */
@@ -214,7 +215,7 @@
         for (const k of order) if (shades[k].length) stroke(shades[k], state.stage === "compared" ? BEFORE : diverging((2 * k) / (SHADES - 1) - 1), 4.5);
         const marks = located.place ? [key("#ffd84d", "where the gap stands out")] : [];
         const thin = chosenDrives().some((drive) => drive.compared.includes(0)) ? [key("#b4bac4", "not compared")] : [];
-        legend("track", ...(state.stage === "compared" ? [key(BEFORE, "compared")] : scaleLegend(limit, `over ${state.seconds} s`)), ...thin, ...marks);
+        legend("track", ...(state.stage === "compared" ? [key(BEFORE, "compared")] : scaleLegend(limit, averaged())), ...thin, ...marks);
       },
       hover(x, y, plot) {
         return nearest((drive, i) => {
@@ -277,7 +278,7 @@
         const keys = [key(BEFORE, "gap: reality less simulation")];
         if (numbers.named) keys.push(key(AFTER, "left after the named physics"));
         if (chosenDrives().some((drive) => drive.compared.includes(0))) keys.push(key("#b4bac4", "not compared"));
-        legend("strip", ...keys, element("span", {}, `over ${state.seconds} s`));
+        legend("strip", ...keys, element("span", {}, averaged()));
       },
       hover(x, y, plot) {
         const reach = plot.x[1] - plot.x[0];
@@ -469,6 +470,10 @@
     const errors = document.getElementById("errors");
     const rollouts = document.getElementById("rollouts");
     numbers.help.channels.forEach((_, channel) => errorChart(errors, numbers.help, channel));
-    if (rollouts) numbers.help.channels.forEach((_, channel) => rolloutChart(rollouts, numbers.help, channel));
+    if (rollouts) {
+      const names = [key(BEFORE, "before"), key(AFTER, "with the named physics"), key("#8b929e", "persistence", true)];
+      document.getElementById("rollout-legend").replaceChildren(...names);
+      numbers.help.channels.forEach((_, channel) => rolloutChart(rollouts, numbers.help, channel));
+    }
   }
 })();

@@ -1,11 +1,13 @@
-"""The report's sections as HTML: verdict, where, what, does it help, what was not judged, and what was read."""
+"""The report's sections as HTML: verdict, where, does it help, what was not judged, and what was read."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 
-from split_cli.diagnosis.result import Diagnosis, Finding, Improvement, Location, RemainderTest, RivalSummary
+from split_cli.diagnosis.result import Diagnosis, Improvement, Location
+from split_cli.workflows.report.findings import what_section
+from split_cli.workflows.report.markup import bar_row, section, table
 from split_cli.workflows.report.words import (
     CHANNELS,
     FORCE_IDS,
@@ -13,7 +15,6 @@ from split_cli.workflows.report.words import (
     chance,
     escape,
     number,
-    parameter,
     percent,
     quantity,
     term_title,
@@ -49,7 +50,7 @@ def all_sections(diagnosis: Diagnosis) -> str:
     if any(len(gap.t) for gap in diagnosis.gaps):
         parts.append(_where(diagnosis))
     if diagnosis.verdict == "mismatch":
-        parts.append(_what(diagnosis))
+        parts.append(what_section(diagnosis))
     if diagnosis.improvement is not None:
         parts.append(_help(diagnosis, diagnosis.improvement))
     if diagnosis.verdict != "undecided":
@@ -63,24 +64,16 @@ def improvable_removed(before: Sequence[float], other: Sequence[float], floor: S
 
     NaN when the squared error before is, on average, within 2 % of the floor's: noise over noise is no share.
     """
-    weights = [1.0 / f**2 if f > 0.0 else 0.0 for f in floor]
-    removable = sum(w * max(b * b - f * f, 0.0) for w, b, f in zip(weights, before, floor, strict=True))
-    removed = sum(
-        w * (b * b - max(o, f) ** 2) for w, b, o, f in zip(weights, before, other, floor, strict=True) if b > f
-    )
+    removable = removed = 0.0
+    for error, left, noise in zip(before, other, floor, strict=True):
+        if error > noise > 0.0:
+            removable += (error**2 - noise**2) / noise**2
+            removed += (error**2 - max(left, noise) ** 2) / noise**2
     return removed / removable if removable > 0.02 * len(floor) else math.nan
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
     sign, sentence = _HEADLINES[diagnosis.verdict]
-    named = [f'<a class="chip" href="#finding-{k}">{escape(term_title(f.term))}</a>'
-             for k, f in enumerate(diagnosis.findings, 1)]  # fmt: skip
-    if diagnosis.unexplained:
-        words = "and something without a name" if named else "nothing in the catalogue explains it"
-        named.append(f'<a class="chip open" href="#remainder">{words}</a>')
-    chips = f'<p class="chips"><span>What was left out:</span> {" ".join(named)}</p>' if named else ""
-    text = diagnosis.summary.removeprefix(sentence).strip()
-    text = text.removeprefix("It cannot be decided whether simulation and reality differ:").strip()
     facts = "".join(
         f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
         for what, value, note in _facts(diagnosis)
@@ -88,50 +81,71 @@ def _verdict(diagnosis: Diagnosis) -> str:
     return (
         f'<section class="verdict {diagnosis.verdict}" aria-labelledby="verdict">'
         f'<span class="sign" aria-hidden="true">{sign}</span>'
-        f'<h1 id="verdict">{sentence}</h1>{chips}'
-        f'<p class="lead">{escape(text)}</p>'
+        f'<h1 id="verdict">{sentence}</h1>{_chips(diagnosis)}'
+        f'<p class="lead">{escape(_lead(diagnosis))}</p>'
         f'<dl class="facts">{facts}</dl></section>'
     )
 
 
+def _chips(diagnosis: Diagnosis) -> str:
+    chips = [
+        f'<a class="chip" href="#finding-{k}">{escape(term_title(finding.term))}</a>'
+        for k, finding in enumerate(diagnosis.findings, 1)
+    ]
+    if diagnosis.unexplained:
+        words = "and something without a name" if chips else "nothing in the catalogue explains it"
+        chips.append(f'<a class="chip open" href="#remainder">{words}</a>')
+    return f'<p class="chips"><span>What was left out:</span> {" ".join(chips)}</p>' if chips else ""
+
+
+def _lead(diagnosis: Diagnosis) -> str:
+    """Return the summary without what the headline says already."""
+    if diagnosis.verdict == "match":
+        return "Within noise, wherever both have been."
+    if diagnosis.verdict == "undecided" and diagnosis.not_judged:
+        return "Nothing is claimed about this pair of recordings."
+    return diagnosis.summary.removeprefix(headline(diagnosis)).strip()
+
+
 def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
-    if diagnosis.verdict == "undecided":
-        yield "Compared", percent(diagnosis.compared_share), "of the real drive lies where the simulation has been"
-        return
-    yield "By chance", chance(diagnosis.p_value), "if nothing but noise and an allowance set them apart"
-    yield "Compared", percent(diagnosis.compared_share), "of the real drive lies where the simulation has been"
+    if diagnosis.p_value is not None:
+        yield "Chance", chance(diagnosis.p_value), "of as much, were simulation and reality alike"
+    yield "Compared", percent(diagnosis.compared_share), "of the real drive, where the simulation has been too"
     if diagnosis.findings:
         largest = max(diagnosis.findings, key=lambda finding: finding.severity)
-        yield "Size", f"{number(largest.severity, 2)} ×", f"sensor noise in 0.05 s ({term_title(largest.term)})"
-    help_ = diagnosis.improvement
-    if help_ is not None and help_.noise_floor is not None and diagnosis.findings:
-        share = improvable_removed(help_.before, help_.physics, help_.noise_floor)
-        if math.isfinite(share):
-            yield "Removed", percent(share), "of the held-out squared error above the noise floor, by the physics"
-        else:
-            yield "Removed", "–", "held-out one-step errors were at the noise floor already"
+        note = f"sensor noise in 0.05 s, by {term_title(largest.term).lower()}"
+        yield "Size", f"{number(largest.severity, 2)} ×", note
+    shown = diagnosis.improvement
+    if shown is not None and shown.noise_floor is not None and diagnosis.findings:
+        share = improvable_removed(shown.before, shown.physics, shown.noise_floor)
+        note = "of held-out squared error above the noise floor, by the named physics"
+        yield (
+            "Removed",
+            percent(share),
+            note if math.isfinite(share) else "one step was at the noise floor already",
+        )
     if diagnosis.remainder is not None:
         yield "Without a name", percent(diagnosis.remainder.share), "of the gap"
 
 
 def _where(diagnosis: Diagnosis) -> str:
     mismatch = diagnosis.verdict == "mismatch"
-    title = "Where" if mismatch else "Where they were compared"
-    intro = _location_words(diagnosis.location) if diagnosis.location is not None else (
-        '<p>Colour tells how often both have been at an operating point; outlined cells were only driven in reality '
-        "and could not be compared. Agreement is claimed for coloured cells only.</p>"
-    )  # fmt: skip
-    figures = [_figure("map", "Over operating points", "Drag to zoom, double-click to reset.")]
-    figures.append(_figure("track", "Along the track", "Hover to see the same moment in every chart."))
+    intro = (
+        _location_words(diagnosis.location)
+        if diagnosis.location is not None
+        else "<p>Colour tells how often both have been at an operating point; outlined cells were driven in "
+        "reality only and could not be compared. Agreement is claimed for coloured cells.</p>"
+    )
+    figures = [_figure("map", "Over operating points", "Drag, or Ctrl and the wheel, to zoom.")]
+    figures.append(_figure("track", "Along the track", "Hovering marks the moment in every chart."))
     if mismatch:
-        figures.append(
-            _figure("strip", "Over the drive", "A zoom here restricts the other two charts.", wide=True)
-        )
-    bar = '<form class="controls" id="controls" aria-label="What the charts show"></form>'
-    return (
-        f'<section id="where" aria-labelledby="where-title"><h2 id="where-title">{title}</h2>{intro}'
-        f'{bar}<div class="figures">{"".join(figures)}</div>'
-        "<noscript><p>The charts of this section need scripts, which are part of this file.</p></noscript></section>"
+        figures.append(_figure("strip", "Over the drive", "A zoom here restricts the maps above.", wide=True))
+    return section(
+        "where",
+        "Where" if mismatch else "Where they were compared",
+        f'{intro}<form class="controls" id="controls" aria-label="What the charts show"></form>'
+        f'<div class="figures">{"".join(figures)}</div>'
+        "<noscript><p>These charts need scripts, which are part of this file.</p></noscript>",
     )
 
 
@@ -144,186 +158,84 @@ def _figure(name: str, title: str, hint: str, *, wide: bool = False) -> str:
 
 
 def _location_words(location: Location) -> str:
-    bars = "".join(
-        _bar_row(FORCES[name], location.forces[name], percent(location.forces[name]), f"force-{k}")
-        for k, name in enumerate(FORCE_IDS)
+    forces = "".join(
+        bar_row(FORCES[name], location.forces[name], percent(location.forces[name])) for name in FORCE_IDS
     )
     scores = [(name, score) for name, score in location.depends_on if score > 0.005][:6]
     depends = "".join(
-        _bar_row(f"{variable(name)[0]} <i>{escape(name)}</i>", score, percent(score)) for name, score in scores
-    ) or "<p>No single variable explains any of it.</p>"  # fmt: skip
-    facts = []
+        bar_row(f"{escape(variable(name)[0])} <i>{escape(name)}</i>", score, percent(score))
+        for name, score in scores
+    )
+    region = _region_words(location)
+    return (
+        f'<div class="columns"><div><h3>In which force</h3><div class="bars">{forces}</div></div>'
+        "<div><h3>What it goes with</h3>"
+        f'<div class="bars">{depends or "<p>No single variable explains any of it.</p>"}</div></div></div>{region}'
+    )
+
+
+def _region_words(location: Location) -> str:
+    stretches = []
     for name, (low, high) in location.region.items():
         words, unit = variable(name)
-        facts.append(f"{words} between {quantity(low, unit)} and {quantity(high, unit)}")
+        stretches.append(f"{words} {number(low)} to {quantity(high, unit)}")
     if location.place is not None:
         place = location.place
         lap = f" of a {number(place.lap_length)} m lap" if place.lap_length else ""
         how = "" if place.reference == "position" else ", by dead reckoning"
-        facts.append(f"s = {number(place.s_start)} to {number(place.s_end)} m{lap}{how}")
+        stretches.append(f"track position {number(place.s_start)} to {number(place.s_end)} m{lap}{how}")
     if location.time is not None:
-        facts.append(f"t = {number(location.time[0])} to {number(location.time[1])} s")
-    region = f"<p>Larger than elsewhere at {escape('; '.join(facts))}.</p>" if facts else ""
-    if (location.place or location.time) and location.share_of_samples < 1.0:
-        region += (
-            f"<p>{percent(location.share_of_gap)} of the gap lies there, "
+        stretches.append(f"time {number(location.time[0])} to {number(location.time[1])} s")
+    words = f"<p>Larger than elsewhere at {escape('; '.join(stretches))}.</p>" if stretches else ""
+    if location.place is not None or location.time is not None:
+        there = "on that stretch" if location.place is not None else "in that time"
+        words += (
+            f"<p>{percent(location.share_of_gap)} of the gap lies {there}, "
             f"in {percent(location.share_of_samples)} of the samples.</p>"
         )
-    return (
-        f'<div class="columns"><div><h3>In which force</h3><div class="bars">{bars}</div></div>'
-        f'<div><h3>What it goes with</h3><div class="bars">{depends}</div></div></div>{region}'
-    )
-
-
-def _bar_row(label: str, share: float, value: str, extra: str = "") -> str:
-    """Return one bar of a bar chart; `label` is HTML already."""
-    width = min(max(share, 0.0), 1.0) * 100.0
-    return (
-        f'<div class="bar {extra}"><span>{label}</span>'
-        f'<span class="track"><span style="width:{width:.1f}%"></span></span><b>{value}</b></div>'
-    )
-
-
-def _what(diagnosis: Diagnosis) -> str:
-    cards = "".join(_finding(k, finding) for k, finding in enumerate(diagnosis.findings, 1))
-    if not diagnosis.findings:
-        cards = '<p class="lead">No term of the catalogue earned its place.</p>'
-    remainder = "" if diagnosis.remainder is None else _remainder(diagnosis.remainder, diagnosis.unexplained)
-    steps = "".join(f"<li>{escape(step)}</li>" for step in diagnosis.history)
-    history = f"<details><summary>Steps of the selection</summary><ol>{steps}</ol></details>" if steps else ""
-    return (
-        f'<section id="what" aria-labelledby="what-title"><h2 id="what-title">What was left out</h2>'
-        f"{cards}{remainder}{history}</section>"
-    )
-
-
-def _finding(order: int, finding: Finding) -> str:
-    rows = "".join(
-        f"<tr><th scope=row>{escape(name)}</th><td>{parameter(p.value, p.interval_95[1] - p.interval_95[0])}</td>"
-        f"<td>{parameter(p.interval_95[0], p.interval_95[1] - p.interval_95[0])} to "
-        f"{parameter(p.interval_95[1], p.interval_95[1] - p.interval_95[0])}</td>"
-        f"<td>{'' if p.unit == '1' else escape(p.unit)}</td></tr>"
-        for name, p in finding.parameters.items()
-    )
-    kind = (
-        "Part of the car; it is in <code>vehicle_corrected.yaml</code>."
-        if finding.exported
-        else "A fault of the measurement, not of the car; it stays out of the vehicle file."
-    )
-    return (
-        f'<article class="card" id="finding-{order}" aria-labelledby="finding-{order}-title">'
-        f'<h3 id="finding-{order}-title">{escape(term_title(finding.term))} '
-        f"<code>{escape(finding.term)}{escape('/' + finding.variant) if finding.variant else ''}</code></h3>"
-        f"<p>{escape(finding.sentence)}</p>"
-        f'<div class="columns"><div><div class="scroll"><table><thead><tr><th scope=col>Parameter<th scope=col>Value'
-        f"<th scope=col>95 % interval<th scope=col>Unit</tr></thead><tbody>{rows}</tbody></table></div></div>"
-        f'<div><div class="bars">{_bar_row("of the gap, when taken out last", finding.gap_explained, percent(finding.gap_explained))}</div>'
-        f"<p>{number(finding.severity, 2)} times sensor noise in a prediction over 0.05 s. {kind}</p></div></div>"
-        f"{_alternatives(finding)}{_rivals(finding)}</article>"
-    )
-
-
-def _alternatives(finding: Finding) -> str:
-    if not finding.alternatives:
-        return ""
-    names = "".join(f'<span class="chip same">{escape(term_title(name))}</span>' for name in finding.alternatives)
-    hints = "".join(f"<li>{escape(hint[:1].upper() + hint[1:])}</li>" for hint in finding.separated_by)
-    apart = f"<p>What would tell them apart:</p><ul>{hints}</ul>" if hints else (
-        "<p>No manoeuvre is known to tell them apart from motion alone; measure one of them directly.</p>"
-    )  # fmt: skip
-    return f'<div class="note"><p>On this data as good, or the same: {names}</p>{apart}</div>'
-
-
-def _rivals(finding: Finding) -> str:
-    best: dict[tuple[str, str], RivalSummary] = {}
-    for rival in sorted(finding.runners_up, key=lambda one: one.excess):
-        best.setdefault((rival.term, rival.variant), rival)
-    if not best:
-        return ""
-    placebo = finding.placebo
-    longest = max(math.log10(10.0 + max(rival.excess, 0.0)) for rival in best.values())
-    own = f"{escape(term_title(finding.term, finding.variant))}"
-    rows = [
-        f'<tr class="own"><th scope=row>{own}</th><td class="long"></td><td>0</td><td></td><td>chosen</td></tr>'
-    ]
-    for rival in best.values():
-        same = rival.term in finding.alternatives
-        is_placebo = placebo is not None and (rival.term, rival.variant) == (placebo.term, placebo.variant)
-        mark = "as good here" if same else "placebo: best wrong term" if is_placebo else "worse"
-        width = 100.0 * (math.log10(10.0 + max(rival.excess, 0.0)) - 1.0) / max(longest - 1.0, 1e-9)
-        rows.append(
-            f"<tr><th scope=row>{escape(term_title(rival.term, rival.variant))}</th>"
-            f'<td class="long"><span class="track"><span class="{"same" if same else ""}" style="width:{width:.1f}%">'
-            f"</span></span></td><td>{number(rival.excess)}</td><td>{number(rival.z, 2)}</td><td>{mark}</td></tr>"
-        )
-    return (
-        '<h4>In its place</h4><div class="scroll"><table class="rivals"><thead><tr><th scope=col>Term'
-        '<th scope=col class="long">Left over beyond the chosen one <i>(log scale)</i><th scope=col>χ²'
-        f"<th scope=col>std errors<th scope=col></tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
-    )
-
-
-def _remainder(remainder: RemainderTest, unexplained: bool) -> str:
-    title = "What remains has structure" if unexplained else "What remains"
-    words = (
-        f"{percent(remainder.share)} of the gap has no name: {number(remainder.severity, 2)} times sensor noise in a "
-        f"prediction over 0.05 s, {chance(remainder.p_value)} for noise alone."
-    )
-    most = max((saved for _, saved in remainder.by_group), default=0.0)
-    bars = "".join(
-        _bar_row(escape(name), saved / most, number(saved)) for name, saved in remainder.by_group if most
-    )
-    groups = (
-        f'<h4>What a flexible fit would still find, by kind [χ²]</h4><div class="bars">{bars}</div>'
-        if bars
-        else ""
-    )
-    lead = f"<h4>A lead</h4><p><code>{escape(remainder.formula)}</code></p>" if remainder.formula else ""
-    return (
-        f'<article class="card {"open" if unexplained else ""}" id="remainder"><h3>{title}</h3><p>{words}</p>'
-        f"{groups}{lead}</article>"
-    )
+    return words
 
 
 def _help(diagnosis: Diagnosis, improvement: Improvement) -> str:
     share = diagnosis.settings.get("holdout_share")
     drives = [one.name for one in diagnosis.inputs if one.role == "holdout"]
-    where = f"on {', '.join(drives)}" if drives else (
-        f"on the last {percent(float(share))} of the real drives" if isinstance(share, float) else "on held-out time"
-    )  # fmt: skip
+    if drives:
+        where = f"on {', '.join(drives)}"
+    elif isinstance(share, float):
+        where = f"on the last {percent(share)} of the real drives"
+    else:
+        where = "on held-out time"
     blocks = improvement.confidence.get("blocks")
-    how = f" Intervals: 95 %, bootstrap over {blocks} blocks." if blocks else ""
+    how = f" Intervals: 95 %, bootstrap over {blocks} blocks of time." if blocks else ""
     rollouts = (
         '<h3>Over longer horizons</h3><div class="figures thirds" id="rollouts"></div>'
+        '<div class="legend" id="rollout-legend"></div>'
         if improvement.rollouts
         else ""
     )
-    return (
-        '<section id="help" aria-labelledby="help-title"><h2 id="help-title">Does it help</h2>'
-        f"<p>One-step errors {escape(where)}, which no fit has seen.{escape(how)} Grey: the error that sensor noise "
-        'alone makes.</p><div class="figures thirds" id="errors"></div>'
-        f"{_error_table(improvement)}{rollouts}</section>"
+    return section(
+        "help",
+        "Does it help",
+        f"<p>One-step errors {escape(where)}, refitted without it.{escape(how)} Grey: what sensor noise makes."
+        f'</p><div class="figures thirds" id="errors"></div>{_error_table(improvement)}{rollouts}',
     )
 
 
 def _error_table(improvement: Improvement) -> str:
     floor = improvement.noise_floor
     rows = []
-    for key, words in _STAGES:
-        values = getattr(improvement, key)
-        intervals = improvement.confidence.get(key) or [None] * 3
+    for stage, words in _STAGES:
+        values = getattr(improvement, stage)
+        intervals = improvement.confidence.get(stage) or [None] * 3
         cells = "".join(_error_cell(v, interval) for v, interval in zip(values, intervals, strict=True))
         removed = improvable_removed(improvement.before, values, floor) if floor is not None else math.nan
-        shown = "" if key in ("before", "persistence") else percent(removed)
+        shown = "" if stage in ("before", "persistence") else percent(removed)
         rows.append(f"<tr><th scope=row>{words}</th>{cells}<td>{shown}</td></tr>")
     if floor is not None:
         cells = "".join(f"<td>{number(v)}</td>" for v in floor)
         rows.append(f'<tr class="floor"><th scope=row>Noise floor</th>{cells}<td></td></tr>')
-    heads = "".join(f"<th scope=col><i>{symbol}</i> [{unit}]" for symbol, _, unit in CHANNELS)
-    return (
-        f'<div class="scroll"><table class="errors"><thead><tr><th scope=col>Rms error{heads}'
-        f"<th scope=col>Improvable error removed</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
-    )
+    heads = [f"<i>{symbol}</i> [{unit}]" for symbol, _, unit in CHANNELS]
+    return table(["Rms error", *heads, "Improvable error removed"], rows, "errors")
 
 
 def _error_cell(value: float, interval: Sequence[float] | None) -> str:
@@ -335,12 +247,10 @@ def _error_cell(value: float, interval: Sequence[float] | None) -> str:
 def _not_judged(diagnosis: Diagnosis) -> str:
     if not diagnosis.not_judged:
         return ""
-    items = "".join(f"<li>{_advice(note)}</li>" for note in diagnosis.not_judged)
-    title = "Why, and what would allow it" if diagnosis.verdict == "undecided" else "What could not be judged"
-    return (
-        f'<section id="not-judged" aria-labelledby="not-judged-title"><h2 id="not-judged-title">{title}</h2>'
-        f'<ul class="advice">{items}</ul></section>'
-    )
+    undecided = diagnosis.verdict == "undecided"
+    items = "".join(f"<li>{escape(note) if undecided else _advice(note)}</li>" for note in diagnosis.not_judged)
+    title = "Why, and what would allow it" if undecided else "What could not be judged"
+    return section("not-judged", title, f'<ul class="advice">{items}</ul>')
 
 
 def _advice(note: str) -> str:
@@ -349,26 +259,26 @@ def _advice(note: str) -> str:
     why, semicolon, manoeuvre = rest.rpartition("; ")
     if not (colon and semicolon):
         return escape(note)
-    first = escape(what[:1].upper() + what[1:])
-    return f"<b>{first}</b><span>{escape(why)}</span><em>{escape(manoeuvre[:1].upper() + manoeuvre[1:])}</em>"
+    what, why, manoeuvre = (part[:1].upper() + part[1:] for part in (what, why, manoeuvre))
+    return f"<b>{escape(what)}</b><span>{escape(why)}.</span><em>{escape(manoeuvre)}.</em>"
 
 
 def _provenance(diagnosis: Diagnosis) -> str:
-    rows = "".join(
+    rows = [
         f"<tr><td>{escape(one.role)}</td><th scope=row>{escape(one.name)}</th>"
         f"<td><code>{escape(one.sha256)}</code></td></tr>"
         for one in diagnosis.inputs
-    )
+    ]
     settings = "".join(
         f"<div><dt>{escape(name.replace('_', ' '))}</dt><dd>{escape(value)}</dd></div>"
         for name, value in diagnosis.settings.items()
     )
-    files = " · ".join(
-        f'<a href="{name}">{name}</a>' for name in ("diagnosis.json", "vehicle_corrected.yaml", "gap.parquet")
-    )
-    return (
-        '<section id="read" aria-labelledby="read-title"><h2 id="read-title">What was read</h2>'
-        f'<div class="scroll"><table><thead><tr><th scope=col>Role<th scope=col>File<th scope=col>SHA-256</tr></thead>'
-        f"<tbody>{rows}</tbody></table></div><details><summary>Settings</summary>"
-        f'<dl class="settings">{settings}</dl></details><p>Beside this page: {files}</p></section>'
+    names = ("diagnosis.json", "vehicle_corrected.yaml", "gap.parquet")
+    links = " · ".join(f'<a href="{name}">{name}</a>' for name in names)
+    return section(
+        "read",
+        "What was read",
+        f"{table(('Role', 'File', 'SHA-256'), rows)}"
+        f'<details><summary>Settings</summary><dl class="settings">{settings}</dl></details>'
+        f"<p>Beside this page: {links}</p>",
     )

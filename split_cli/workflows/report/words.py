@@ -108,6 +108,8 @@ def chance(p_value: float | None) -> str:
         return "–"
     if p_value < 1e-6:
         return "p < 10⁻⁶"
+    if p_value > 0.995:
+        return "p = 1"
     return f"p = {number(p_value, 2)}"
 
 

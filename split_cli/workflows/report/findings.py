@@ -1,0 +1,114 @@
+"""The report's section on what was left out: findings, what else was tried, and what remains."""
+
+from __future__ import annotations
+
+import math
+
+from split_cli.diagnosis.result import Diagnosis, Finding, ParameterEstimate, RemainderTest, RivalSummary
+from split_cli.workflows.report.markup import bar_row, section, table
+from split_cli.workflows.report.words import chance, escape, number, parameter, percent, term_title
+
+__all__ = ["what_section"]
+
+
+def what_section(diagnosis: Diagnosis) -> str:
+    """Return the section: one card a finding, one for the remainder, and the steps of the selection."""
+    cards = "".join(_finding(k, finding) for k, finding in enumerate(diagnosis.findings, 1))
+    if not diagnosis.findings:
+        cards = '<p class="lead">No term of the catalogue earned its place.</p>'
+    remainder = "" if diagnosis.remainder is None else _remainder(diagnosis.remainder, diagnosis.unexplained)
+    steps = "".join(f"<li>{escape(step)}</li>" for step in diagnosis.history)
+    history = f"<details><summary>Steps of the selection</summary><ol>{steps}</ol></details>" if steps else ""
+    return section("what", "What was left out", f"{cards}{remainder}{history}")
+
+
+def _finding(order: int, finding: Finding) -> str:
+    name = finding.term + (f"/{finding.variant}" if finding.variant else "")
+    kind = (
+        "Part of the car; it is in <code>vehicle_corrected.yaml</code>."
+        if finding.exported
+        else "A fault of the measurement, not of the car; it stays out of the vehicle file."
+    )
+    rows = [_parameter(name, estimate) for name, estimate in finding.parameters.items()]
+    explained = bar_row("Of the gap, when taken out last", finding.gap_explained, percent(finding.gap_explained))
+    return (
+        f'<article class="card" id="finding-{order}" aria-labelledby="finding-{order}-title">'
+        f'<h3 id="finding-{order}-title">{escape(term_title(finding.term))} <code>{escape(name)}</code></h3>'
+        f"<p>{escape(finding.sentence)}</p>"
+        f'<div class="columns"><div>{table(("Parameter", "Value", "95 % interval", "Unit"), rows)}</div>'
+        f'<div><div class="bars">{explained}</div>'
+        f"<p>{number(finding.severity, 2)} times sensor noise in a prediction over 0.05 s. {kind}</p></div></div>"
+        f"{_alternatives(finding)}{_rivals(finding)}</article>"
+    )
+
+
+def _parameter(name: str, estimate: ParameterEstimate) -> str:
+    low, high = estimate.interval_95
+    value, low, high = (parameter(v, high - low) for v in (estimate.value, low, high))
+    unit = "" if estimate.unit == "1" else escape(estimate.unit)
+    return f"<tr><th scope=row>{escape(name)}</th><td>{value}</td><td>{low} to {high}</td><td>{unit}</td></tr>"
+
+
+def _alternatives(finding: Finding) -> str:
+    if not finding.alternatives:
+        return ""
+    names = "".join(f'<span class="chip same">{escape(term_title(name))}</span>' for name in finding.alternatives)
+    hints = "".join(f"<li>{escape(hint[:1].upper() + hint[1:])}</li>" for hint in finding.separated_by)
+    apart = (
+        f"<p>What would tell them apart:</p><ul>{hints}</ul>"
+        if hints
+        else "<p>The catalogue names no manoeuvre that would tell them apart. Measure one of them directly, or "
+        "drive over a wider range.</p>"
+    )
+    return f'<div class="note"><p>As good on this data: {names}</p>{apart}</div>'
+
+
+def _rivals(finding: Finding) -> str:
+    best: dict[tuple[str, str], RivalSummary] = {}
+    for rival in sorted(finding.runners_up, key=lambda one: one.excess):
+        best.setdefault((rival.term, rival.variant), rival)
+    if not best:
+        return ""
+    longest = max(_length(rival) for rival in best.values())
+    own = escape(term_title(finding.term, finding.variant))
+    rows = [f'<tr class="own"><th scope=row>{own}</th><td></td><td>0</td><td></td><td>chosen</td></tr>']
+    rows += [_rival(finding, rival, longest) for rival in best.values()]
+    heads = ("Term", "Left over beyond the chosen one <i>(log scale)</i>", "χ²", "Std errors", "")
+    return f"<h4>Other terms in its place</h4>{table(heads, rows, 'rivals')}"
+
+
+def _length(rival: RivalSummary) -> float:
+    return math.log10(1.0 + max(rival.excess, 0.0))
+
+
+def _rival(finding: Finding, rival: RivalSummary, longest: float) -> str:
+    placebo = finding.placebo
+    same = rival.term in finding.alternatives
+    is_placebo = placebo is not None and (rival.term, rival.variant) == (placebo.term, placebo.variant)
+    mark = "as good here" if same else "placebo: best wrong term" if is_placebo else "worse"
+    width = 100.0 * _length(rival) / max(longest, 1e-9)
+    bar = f'<span class="track"><span class="{"same" if same else ""}" style="width:{width:.1f}%"></span></span>'
+    return (
+        f"<tr><th scope=row>{escape(term_title(rival.term, rival.variant))}</th><td>{bar}</td>"
+        f"<td>{number(rival.excess)}</td><td>{number(rival.z, 2)}</td><td>{mark}</td></tr>"
+    )
+
+
+def _remainder(remainder: RemainderTest, unexplained: bool) -> str:
+    title = "What remains has structure" if unexplained else "What remains"
+    words = (
+        f"{percent(remainder.share)} of the gap has no name: {number(remainder.severity, 2)} times sensor noise "
+        f"in a prediction over 0.05 s, {chance(remainder.p_value)} for noise alone."
+    )
+    most = max((saved for _, saved in remainder.by_group), default=0.0)
+    bars = "".join(
+        bar_row(escape(name), saved / most, number(saved)) for name, saved in remainder.by_group if most
+    )
+    groups = (
+        f'<h4>What a flexible fit still finds, by kind [χ²]</h4><div class="bars">{bars}</div>' if bars else ""
+    )
+    lead = f"<h4>A lead</h4><p><code>{escape(remainder.formula)}</code></p>" if remainder.formula else ""
+    return (
+        f'<article class="card{" open" if unexplained else ""}" id="remainder"><h3>{title}</h3><p>{words}</p>'
+        f"{groups}{lead}</article>"
+    )
