@@ -62,8 +62,9 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
 def atomic_directory(target: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary folder beside `target`; its files replace those in `target` when all went well.
 
-    A folder that did not exist appears by one rename. In one that did, files of other names stay; every new
-    file is on the disk and its place checked before the first is moved, each by an atomic rename.
+    A folder that did not exist appears by one rename, if there is anything to put into it. In one that did, files
+    of other names stay; every new file is on the disk and its place checked before the first is moved, each by an
+    atomic rename.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def atomic_directory(target: str | os.PathLike[str]) -> Iterator[Path]:
                 destination = target / path.relative_to(temporary)
                 destination.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(path, destination)
-        else:
+        elif produced:
             os.chmod(temporary, 0o777 & ~_umask())
             os.replace(temporary, target)
     except OSError as error:

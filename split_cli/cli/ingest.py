@@ -30,9 +30,13 @@ def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str
 def _delays(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, float]:
     """Parse CHANNEL=SECONDS options."""
     try:
-        return {channel: float(text) for channel, text in _pairs(context, parameter, values).items()}
+        delays = {channel: float(text) for channel, text in _pairs(context, parameter, values).items()}
     except ValueError as error:
         raise click.BadParameter(f"a delay is a number of seconds ({error})", context, parameter) from error
+    for channel, delay in delays.items():
+        if not abs(delay) < float("inf"):
+            raise click.BadParameter(f"a delay is a number of seconds, {channel}={delay}", context, parameter)
+    return delays
 
 
 @click.command("ingest")

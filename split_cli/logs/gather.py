@@ -135,6 +135,8 @@ def gather(
     time_column = _time_column(infos, signal_map, recording)
     signals = recording.read(list(dict.fromkeys([*wanted, *([time_column] if time_column else [])])), chosen)
     notes = _Notes([], [], [])
+    found, absent = resolver.without_absent_elements(found, signals, needed)
+    skipped += absent
     common, origin, words = _common_time(signals, time_column, signal_map, recording, notes)
     converter = _Converter(recording.name, signal_map, wheel_radius, notes)
     series: dict[str, tuple[Series, ...]] = {}
@@ -215,6 +217,26 @@ class _Resolver:
             )
         return found, skipped
 
+    def without_absent_elements(
+        self, found: Mapping[str, list[list[str]]], signals: Mapping[str, RawSignal], needed: Sequence[str]
+    ) -> tuple[dict[str, list[list[str]]], list[str]]:
+        """Leave out elements past the end of every list, which only reading can tell where lengths vary."""
+        kept, skipped = dict(found), []
+        for channel, groups in found.items():
+            names = [name for group in groups for name in group if name not in self.infos]
+            absent = next((name for name in names if np.isnan(signals[name].values).all()), None)
+            if absent is None:
+                continue
+            if not self.map.channel(channel).optional or channel in needed:
+                raise MapError(
+                    f"no message has an element {absent!r}, mapped to {channel}",
+                    where=self.where,
+                    advice="`split ingest LOG --list` shows the lists.",
+                )
+            del kept[channel]
+            skipped.append(f"{channel}: no message has an element {absent}")
+        return kept, skipped
+
     def _recorded(self, name: str) -> bool:
         """Whether a name is listed; a list of a message whose length varies is listed by its first element."""
         return name in self.infos or re.sub(r"\[\d+\]", "[0]", name) in self.infos
@@ -278,6 +300,13 @@ def _extra_columns(infos: Mapping, found: Mapping, signal_map: SignalMap) -> lis
 
 
 def _time_column(infos: Mapping, signal_map: SignalMap, recording: Recording) -> str | None:
+    if recording.clocks and (signal_map.time.source or signal_map.time.period):
+        key = "source" if signal_map.time.source else "period"
+        raise MapError(
+            f"time: {{{key}: ...}} is for tables, its messages have times of their own",
+            where=recording.name,
+            advice=f"Give time: {{clock: ...}}, one of {', '.join(recording.clocks)}.",
+        )
     if recording.clocks or signal_map.time.period:
         return None
     if signal_map.time.source:

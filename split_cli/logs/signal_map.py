@@ -334,6 +334,8 @@ def _source(entry: Mapping[str, Any], where: str) -> Source:
         _one_of(convert, CONVERSIONS, where, "convert")
     elif len(names) > 1:
         raise MapError("several sources need convert, or a sum", where=where)
+    if _number(entry.get("scale", 1.0), where, "scale") == 0.0:
+        raise MapError("scale is 0, the channel would be constant", where=where)
     unit = entry.get("unit")
     if unit is not None and find_unit(str(unit)) is None:
         raise MapError(f"unknown unit {unit!r}", where=where, advice=nearest_names(str(unit), _unit_symbols()))

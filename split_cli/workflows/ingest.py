@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from split_cli.errors import MapError, SplitError
-from split_cli.files import atomic_directory
+from split_cli.errors import LogError, MapError, SplitError, nearest_names
+from split_cli.files import atomic_directory, refuse_overwriting_inputs
 from split_cli.logs.assemble import Assembled, IngestSettings, assemble_drive
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
+from split_cli.logs.gather import topic_of
 from split_cli.logs.presets import preset_abouts
 from split_cli.logs.quality import QualityReport, render_quality
-from split_cli.logs.raw import RawChannelInfo
+from split_cli.logs.raw import RawChannelInfo, Recording
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import SignalMap, read_map
 from split_cli.signals import REQUIRED_CHANNELS
@@ -148,6 +149,8 @@ def ingest_logs(
     single = len(paths) == 1 and not output.is_dir() and output.suffix.lower() in (".parquet", ".pq")
     if not single:
         _check_folder(output, paths)
+    for path in paths:
+        refuse_overwriting_inputs(output if single else output / f"{path.stem}.parquet", paths)
     signal_map = read_map(maps) if maps else None
     results: list[IngestResult] = []
     failures: list[IngestFailure] = []
@@ -198,6 +201,31 @@ def _assemble(
     message_paths: Sequence[str | Path],
 ) -> Assembled:
     recording = open_recording(path, message_paths=message_paths)
+    try:
+        return _assemble_recording(recording, path, signal_map, vehicle, settings, topics)
+    except SplitError as error:
+        raise _told_of(error, recording) from error
+
+
+def _told_of(error: SplitError, recording: Recording) -> SplitError:
+    """Return the error with the recording's name, and with what reading it had to leave out."""
+    where, advice = error.where or "", error.advice or ""
+    if recording.name not in str(error):
+        where = f"{recording.name}, {where}" if where else recording.name
+    if isinstance(error, LogError) and recording.notes:
+        left_out = "; ".join(f"{note.count} x {note.what}" for note in recording.notes[:3])
+        advice = f"{advice.rstrip('.')}{'. ' if advice else ''}While reading: {left_out}."
+    return type(error)(error.what, where=where, advice=advice or None)
+
+
+def _assemble_recording(
+    recording: Recording,
+    path: Path,
+    signal_map: SignalMap | None,
+    vehicle: Vehicle | None,
+    settings: IngestSettings | None,
+    topics: dict[str, str],
+) -> Assembled:
     if signal_map is None:
         names = {info.name for info in recording.channels()}
         if not set(REQUIRED_CHANNELS) - {"T"} <= names:
@@ -208,8 +236,20 @@ def _assemble(
             )
         signal_map = read_map("canonical")
     if topics:
+        _check_topics(topics, signal_map)
         signal_map = replace(signal_map, topics={**signal_map.topics, **topics})
     return assemble_drive(recording, signal_map, vehicle, settings)
+
+
+def _check_topics(topics: dict[str, str], signal_map: SignalMap) -> None:
+    """Refuse a ``--topic`` whose name no source of the map uses: it would change nothing."""
+    names = [name for entry in signal_map.channels for source in entry.sources for name in source.names]
+    used = {topic_of(name) if name.startswith("/") else name.split(":", 1)[0] for name in names}
+    for name in topics:
+        if name not in used:
+            raise MapError(
+                f"no source of the map is of {name!r}", where="--topic", advice=nearest_names(name, used)
+            )
 
 
 def _expand(logs: Sequence[str | Path]) -> list[Path]:
