@@ -32,7 +32,7 @@ positive = click.FloatRange(0.0, min_open=True)
 @click.option("--measured-ay", is_flag=True, help="Take the channel ay, not v_y' + v_x r: right on a banked road.")
 @click.option(
     "--max-ax",
-    type=float,
+    type=positive,
     default=2.0,
     show_default=True,
     metavar="A",
@@ -40,14 +40,19 @@ positive = click.FloatRange(0.0, min_open=True)
 )
 @click.option(
     "--max-ay",
-    type=float,
+    type=positive,
     default=2.0,
     show_default=True,
     metavar="A",
     help="Limit of |a_y| for resistances [m/s^2].",
 )
 @click.option(
-    "--alpha-max", type=positive, default=0.18, show_default=True, metavar="RAD", help="Largest slip angle."
+    "--alpha-max",
+    type=click.FloatRange(0.0, 1.5, min_open=True),
+    default=0.18,
+    show_default=True,
+    metavar="RAD",
+    help="Largest slip angle.",
 )
 @click.option("--smooth", type=positive, metavar="SECONDS", help="Kernel width; by default from the wheelbase.")
 @click.option("--figure", type=click.Path(path_type=Path), metavar="FILE", help="Draw the curves (png, svg, pdf).")
@@ -75,6 +80,10 @@ def command(files, start, output, parts, training_blocks, offsets, measured_ay, 
         raise click.UsageError("Missing option '--vehicle': mass, geometry and inertia must be known.")
     from split_cli.vehicle.calibration.calibrate import CalibrationSettings
 
+    if figure is not None:
+        from split_cli.plots.calibration import check_figure_path, plot_calibration
+
+        check_figure_path(figure)
     settings = CalibrationSettings(
         parts=tuple(part.strip() for part in parts.split(",") if part.strip()),
         alpha_max=alpha_max,
@@ -87,8 +96,6 @@ def command(files, start, output, parts, training_blocks, offsets, measured_ay, 
         files, start, output, settings, training_blocks=training_blocks, measured_lateral_acceleration=measured_ay
     )
     if figure is not None:
-        from split_cli.plots.calibration import plot_calibration
-
         plot_calibration(calibration, figure)
     _show_calibration(calibration, used, output, as_json)
 

@@ -78,7 +78,11 @@ def verify_folder(folder: str | Path) -> tuple[Finding, ...]:
     folder = Path(folder)
     manifest = read_manifest(folder)
     findings = [_hash(folder / name, expected) for name, expected in sorted(manifest["files"].items())]
-    if not all(finding.passed for finding in findings):
+    others = sorted(path.name for path in folder.iterdir() if path.name not in (MANIFEST, *manifest["files"]))
+    if others:
+        shown = ", ".join(others[:5]) + (f" and {len(others) - 5} more" if len(others) > 5 else "")
+        findings.append(Finding("other files", None, f"not of this export, perhaps of an older one: {shown}"))
+    if any(finding.passed is False for finding in findings):
         # Answers of files that are not those written would prove nothing.
         return tuple(findings)
     checks = {"c": _verify_c, "casadi": _verify_casadi, "npz": _verify_npz, "json": _verify_json}

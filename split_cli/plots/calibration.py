@@ -7,12 +7,32 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from split_cli.files import atomic_path
+from split_cli.errors import SplitError, nearest_names
+from split_cli.files import atomic_path, refuse_what_cannot_be_written
 from split_cli.vehicle.calibration.calibrate import Calibration
 
-__all__ = ["plot_calibration"]
+__all__ = ["check_figure_path", "plot_calibration"]
 
 _SHOWN_SAMPLES = 4000
+_FORMATS = ("png", "svg", "pdf")
+
+
+def check_figure_path(path: str | Path) -> None:
+    """Check where a figure goes before the fit that it shows, so that a wrong name costs nothing.
+
+    Raises
+    ------
+    SplitError
+        If the suffix names no format, or the place cannot be written to.
+    """
+    refuse_what_cannot_be_written(path)
+    suffix = _format_of(path)
+    if suffix not in _FORMATS:
+        raise SplitError(f"no figure format {suffix!r}", where=str(path), advice=nearest_names(suffix, _FORMATS))
+
+
+def _format_of(path: str | Path) -> str:
+    return Path(path).suffix.lstrip(".").lower() or "png"
 
 
 def plot_calibration(calibration: Calibration, path: str | Path) -> None:
@@ -64,6 +84,5 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
         axes[-1].plot(found.speed, found.force, color="C0")
         axes[-1].set(title="resistance", xlabel="speed [m/s]", ylabel="force [N]")
         axes[-1].set_ylim(bottom=0.0)
-    suffix = Path(path).suffix.lstrip(".") or "png"
     with atomic_path(path) as temporary, matplotlib.rc_context({"svg.hashsalt": "split"}):
-        figure.savefig(temporary, format=suffix, dpi=130)
+        figure.savefig(temporary, format=_format_of(path), dpi=130)

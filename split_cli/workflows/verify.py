@@ -74,7 +74,21 @@ def verify(path: str | Path) -> Verification:
         return Verification(str(path), "export", items)
     if not path.exists():
         raise SplitError("no such file or folder", where=str(path))
+    if path.suffix.lower() != ".split" and not _is_arrow(path):
+        raise SplitError(
+            "is neither a trained set nor the folder of an export",
+            where=str(path),
+            advice="`split info` tells what it is.",
+        )
     return Verification(str(path), "trained set", verify_set(read_set(path)))
+
+
+def _is_arrow(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(6) == b"ARROW1"
+    except OSError as error:
+        raise SplitError(f"cannot be read ({error.strerror})", where=str(path)) from error
 
 
 def verify_set(training_set: TrainingSet) -> tuple[VerifiedItem, ...]:

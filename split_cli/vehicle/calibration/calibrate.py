@@ -54,6 +54,8 @@ class CalibrationSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        if not self.parts:
+            raise VehicleError("nothing to fit was named", advice=f"There are: {', '.join(sorted(PARTS))}.")
         for part in self.parts:
             if part not in PARTS:
                 raise VehicleError(f"cannot fit {part!r}", advice=nearest_names(part, PARTS))

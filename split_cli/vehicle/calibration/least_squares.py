@@ -123,7 +123,8 @@ def _descend(residual, parameters, lower, upper, free, weight, width, iterations
         # A parameter at its bound that would leave it rests for this step.
         leaves = ((parameters <= lower) & (gradient > 0)) | ((parameters >= upper) & (gradient < 0))
         active = free[~leaves[free]]
-        if not len(active):
+        # No slope at all: nothing in the samples speaks of these parameters.
+        if not np.any(gradient[active]):
             break
         reduced = jacobian[:, active]
         curvature = (reduced * influence[:, None]).T @ reduced
