@@ -1,0 +1,398 @@
+"""The report: numbers that survive packing, names that cannot act, and a page that works in a browser."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+import re
+import shutil
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.result import (
+    Diagnosis,
+    Finding,
+    GapSeries,
+    Improvement,
+    InputFile,
+    Location,
+    Match,
+    ParameterEstimate,
+    Place,
+    RemainderTest,
+    RivalSummary,
+)
+from split_cli.logs.drive import write_drive
+from split_cli.proof.cases import build_case
+from split_cli.proof.plan import plan_case
+from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows.diagnose import diagnose_files
+from split_cli.workflows.report.page import report_page
+from split_cli.workflows.report.payload import chart_numbers, embedded_json
+from split_cli.workflows.report.sections import improvable_removed
+from split_cli.workflows.report.words import chance, escape, number, parameter, percent, readable
+
+HOSTILE = "</script><script>window.taken = 1</script><img src=x onerror='window.taken = 2'>\u202e\u2028&\".parquet"
+
+
+def gap_along_a_circle(name: str = "lap.parquet", rows: int = 2000) -> GapSeries:
+    """Return two laps of 30 m radius with a hole of 4 s, with a gap of 100 N in front lateral force that physics
+    takes down to 10 N, and the last tenth not compared."""
+    rng = np.random.default_rng(4)
+    t = 0.04 * np.arange(rows) + np.where(np.arange(rows) >= rows // 2, 4.0, 0.0)
+    angle = 4.0 * np.pi * np.arange(rows) / rows
+    noise = rng.normal(0.0, 5.0, (rows, 3))
+    shape = np.stack([0.0 * angle, np.sin(angle), 0.1 * np.cos(angle)], axis=1)
+    point = np.stack([0.1 * np.sin(angle), 0.08 * np.sin(angle + 0.2), np.cos(3 * angle), 15 + angle], axis=1)
+    return GapSeries(
+        name, t, np.mod(30.0 * angle, 60.0 * np.pi), np.arange(rows), 30.0 * np.cos(angle), 30.0 * np.sin(angle),
+        point, np.arange(rows) < 0.9 * rows, 100.0 * shape + noise, 10.0 * shape + noise,
+    )  # fmt: skip
+
+
+def mismatch(name: str = "lap.parquet") -> Diagnosis:
+    """Return a diagnosis in which every part of the report has something to say."""
+    rivals = (RivalSummary("mass", "loaded", 4.0, 0.3), RivalSummary("wind", "", 900.0, 12.0))
+    finding = Finding(
+        "steer_gain", "", {"gain": ParameterEstimate(0.9512, 0.01, "1", (0.9312, 0.9712))}, 0.8, ("mass",),
+        "In reality the wheels turn less.", 0.9, rivals, ("a drive with ballast",),
+    )  # fmt: skip
+    errors = Improvement(
+        (0.5, 0.9, 0.2), (0.5, 0.5, 0.15), (0.5, 0.45, 0.14), (0.5, 0.7, 0.16), (4.0, 3.0, 2.0), (0.4, 0.4, 0.1),
+        {"before": [[0.4, 0.6], [0.8, 1.0], [0.1, 0.3]], "blocks": 12},
+        (Match(0.5, (0.1,) * 3, (0.05,) * 3, (1.0,) * 3), Match(2.0, (0.4,) * 3, (0.2,) * 3, (5.0,) * 3)),
+    )  # fmt: skip
+    shares = {"longitudinal": 0.1, "front_lateral": 0.8, "rear_lateral": 0.1}
+    remainder = RemainderTest(1e-5, 0.2, 0.1, (("memory", 60.0), ("time", 20.0)), "F ~ 3 N sign(r)")
+    place = Place(150.0, 20.0, 188.5, "position", 30.0, 0.0)
+    return Diagnosis(
+        "mismatch", 1e-9, 0.9, ("brake gain: there is no braking; brake hard once",),
+        Location(shares, (("delta", 0.5), ("s", 0.2)), {"delta": (0.01, 0.05)}, place, (10.0, 20.0), 0.6, 0.2),
+        (finding,), True, remainder, errors,
+        (InputFile(name, "ab" * 32, "real"), InputFile("car.yaml", "cd" * 32, "vehicle")), {"holdout_share": 0.25},
+        (gap_along_a_circle(name),), ("added steer_gain, saves 100",),
+        "Simulation and reality differ. In reality the wheels turn less.",
+    )  # fmt: skip
+
+
+MATCH = replace(
+    mismatch(), verdict="match", p_value=0.4, location=None, findings=(), unexplained=False, remainder=None,
+    improvement=None, history=(), summary="Simulation and reality agree within noise wherever both have been.",
+)  # fmt: skip
+UNDECIDED = Diagnosis("undecided", None, 0.02, ("lap.parquet has 3.0 s without a gap; drive for 8 s.",))
+
+
+def unpacked(column: dict) -> np.ndarray:
+    values = np.array([math.nan if v is None else v for v in column["values"]], dtype=float)
+    return column["origin"] + values * 10.0 ** column["exponent"]
+
+
+class TestNumbers:
+    def test_packed_columns_come_back_to_half_a_step(self):
+        gap = gap_along_a_circle()
+        gap = replace(gap, x=np.where(gap.t < 1.0, np.nan, gap.x))
+        (drive,) = chart_numbers(replace(MATCH, gaps=(gap,)))["drives"]
+        for name, values in (("t", gap.t), ("x", gap.x), ("alpha_f", gap.operating_point[:, 0])):
+            # A step is the power of ten at or below a 5000th of the range: no pixel could tell half of one.
+            step = 10.0 ** drive[name]["exponent"]
+            assert step <= np.nanmax(values) - np.nanmin(values) and step * 5000 <= np.nanmax(values) - np.nanmin(
+                values
+            )
+            np.testing.assert_allclose(unpacked(drive[name]), values, atol=0.5001 * step)
+
+    def test_thinning_averages_forces_and_never_across_a_hole(self):
+        gap = gap_along_a_circle(rows=26_000)
+        (drive,) = chart_numbers(replace(MATCH, gaps=(gap,)))["drives"]
+        assert len(drive["t"]["values"]) <= 12_000
+        first, second = drive["run"]
+        assert first == 0
+        # Groups of three rows, started anew behind the hole; each mean against a plain loop.
+        half = 13_000
+        groups = [
+            gap.forces[k : min(k + 3, end), 1]
+            for end, begin in ((half, 0), (26_000, half))
+            for k in range(begin, end, 3)
+        ]
+        assert second == math.ceil(half / 3)
+        step = 10.0 ** drive["before"][1]["exponent"]
+        np.testing.assert_allclose(unpacked(drive["before"][1]), [g.mean() for g in groups], atol=0.5001 * step)
+
+    def test_share_of_improvable_error(self):
+        # By hand: (0.09 - 0.04) of (0.09 - 0.01) in one channel; the second was at the floor and has no say.
+        assert improvable_removed((0.3, 0.1), (0.2, 0.5), (0.1, 0.1)) == pytest.approx(5.0 / 8.0)
+        assert improvable_removed((0.3, 0.1), (0.05, 0.1), (0.1, 0.1)) == 1.0
+        assert improvable_removed((0.3,), (0.4,), (0.1,)) < 0.0
+        assert math.isnan(improvable_removed((0.1005,), (0.1,), (0.1,)))
+
+    @pytest.mark.parametrize(
+        ("said", "expected"),
+        [
+            (number(0.00166), "0.00166"),
+            (number(1234.5), "1,234"),
+            (number(-3.0e-6), "−3.00 × 10−6".replace("10−6", "10⁻⁶")),
+            (number(0.0), "0"),
+            (number(math.nan), "–"),
+            (percent(0.996), "> 99 %"),
+            (percent(1.0), "100 %"),
+            (percent(0.0004), "< 1 %"),
+            (parameter(0.951234, 0.04), "0.951"),
+            (parameter(1234.4, 90.0), "1,234"),
+            (chance(0.0), "p < 10⁻⁶"),
+            (chance(None), "–"),
+        ],
+    )
+    def test_numbers_in_words(self, said, expected):
+        assert said == expected
+
+
+class Reader(HTMLParser):
+    """Collects elements, attributes, the embedded scripts and whether every element is closed."""
+
+    VOID = frozenset({"meta", "link", "img", "input", "br", "hr"})
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.found: list[tuple[str, dict]] = []
+        self.scripts: list[tuple[dict, str]] = []
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.found.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "script":
+            self.scripts.append((self.found[-1][1], data))
+
+
+@pytest.mark.parametrize(
+    "diagnosis", [mismatch(HOSTILE), MATCH, UNDECIDED], ids=["mismatch", "match", "undecided"]
+)
+class TestPage:
+    def test_is_well_formed_and_ids_are_unique(self, diagnosis):
+        page = Reader(report_page(diagnosis))
+        assert page.open == []
+        ids = [attributes["id"] for _, attributes in page.found if "id" in attributes]
+        assert len(ids) == len(set(ids))
+        targets = [a["href"][1:] for tag, a in page.found if tag == "a" and a["href"].startswith("#")]
+        targets += [a["aria-labelledby"] for _, a in page.found if "aria-labelledby" in a]
+        assert set(targets) <= set(ids)
+
+    def test_loads_nothing(self, diagnosis):
+        page = report_page(diagnosis)
+        assert set(re.findall(r"https?://[^\"' ]+", page)) <= {"http://www.w3.org/2000/svg"}
+        loading = [a for tag, a in Reader(page).found if tag in ("img", "iframe", "object", "embed") or "src" in a]
+        assert loading == []
+        assert "@import" not in page and "url(" not in page.replace("url(#${clip})", "")
+
+    def test_only_its_own_script_may_run(self, diagnosis):
+        page = Reader(report_page(diagnosis))
+        (policy,) = [a["content"] for _, a in page.found if a.get("http-equiv") == "Content-Security-Policy"]
+        (numbers, program) = page.scripts
+        digest = base64.b64encode(hashlib.sha256(program[1].encode()).digest()).decode()
+        assert f"script-src 'sha256-{digest}'" in policy and policy.startswith("default-src 'none'")
+        assert json.loads(numbers[1])["verdict"] == diagnosis.verdict
+
+
+def test_a_name_stays_text():
+    page = report_page(mismatch(HOSTILE))
+    assert "<script>window.taken" not in page and "<img" not in page and "\u202e" not in page
+    assert json.loads(embedded_json([HOSTILE])) == [HOSTILE]
+    assert not set("<>&\u2028") & set(embedded_json([HOSTILE]))
+    assert escape("a\u202eb\udcff\n") == "a\\u202eb\\udcff\\n"
+    # What people do call their files is left alone.
+    assert readable("Würzburg – 東京 è.parquet") == "Würzburg – 東京 è.parquet"
+
+
+def test_what_a_verdict_may_not_show():
+    assert "What could not be judged" in report_page(MATCH) and "Brake hard once." in report_page(MATCH)
+    assert "What was left out" not in report_page(MATCH) and 'id="plot-strip"' not in report_page(MATCH)
+    undecided = report_page(UNDECIDED)
+    assert "drive for 8 s." in undecided and 'id="where"' not in undecided and 'id="help"' not in undecided
+    exact = report_page(replace(mismatch(), findings=(), remainder=None, improvement=None))
+    assert "No term of the catalogue earned its place." in exact
+
+
+def browser_tools():
+    try:
+        from selenium import webdriver
+    except ImportError:
+        pytest.skip("selenium is not installed: pip install 'split-cli[test]'")
+    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not chromium or not chromedriver:
+        pytest.skip("no chromium with chromedriver on the path: apt-get install chromium chromium-driver")
+    return webdriver, chromium, chromedriver
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    webdriver, chromium, chromedriver = browser_tools()
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for flag in (
+        "headless", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "disable-background-networking",
+        "disable-component-update", "disable-sync", f"user-data-dir={tmp_path_factory.mktemp('profile')}",
+    ):  # fmt: skip
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver))
+    yield driver
+    driver.quit()
+
+
+def opened(browser, page: str | Path, folder: Path, width: int = 1180) -> None:
+    """Open a page, given as text or by its path, in a window of some width; the console must stay empty."""
+    path = page if isinstance(page, Path) else folder / "report.html"
+    if not isinstance(page, Path):
+        path.write_text(page, encoding="utf-8")
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get(path.as_uri())
+    assert browser.get_log("browser") == []
+
+
+def one(browser, selector: str):
+    return browser.find_element("css selector", selector)
+
+
+def label_of(browser, chart: str) -> str:
+    return one(browser, f"#plot-{chart} svg[role=img]").get_attribute("aria-label")
+
+
+def ticks_across(browser, chart: str) -> list[float]:
+    """Return the numbers along a chart's x axis: its texts in the lowest row but the title."""
+    texts = browser.execute_script(
+        "return [...document.querySelectorAll(`#plot-${arguments[0]} .canvas > svg text[text-anchor=middle]`)]"
+        ".filter((t) => !t.classList.contains('axis-title')).map((t) => t.textContent)",
+        chart,
+    )
+    return [float(text.replace("\u2212", "-").replace("\u2009", "")) for text in texts]
+
+
+class TestInABrowser:
+    def test_verdict_channel_and_names(self, browser, tmp_path):
+        opened(browser, report_page(mismatch(HOSTILE)), tmp_path)
+        assert one(browser, "#verdict").text == "Simulation and reality differ."
+        assert browser.execute_script("return window.taken") is None
+        assert "<img src=x" in one(browser, "header").text
+        # The gap is in front lateral force, so that is what the charts begin with.
+        assert "front lateral" in label_of(browser, "track")
+        before = one(browser, "#plot-strip svg").get_attribute("innerHTML")
+        one(browser, "input[name=channel][value='2']").find_element("xpath", "..").click()
+        assert "rear lateral" in label_of(browser, "track") and "Rear lateral" in label_of(browser, "strip")
+        assert one(browser, "#plot-strip svg").get_attribute("innerHTML") != before
+        one(browser, "input[name=stage][value='compared']").find_element("xpath", "..").click()
+        assert "samples compared" in label_of(browser, "map")
+        assert browser.get_log("browser") == []
+
+    def test_zoom_hover_and_reset(self, browser, tmp_path):
+        from selenium.webdriver import ActionChains
+
+        opened(browser, report_page(mismatch()), tmp_path)
+        strip = one(browser, "#plot-strip svg")
+        browser.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", strip)
+        everything = ticks_across(browser, "strip")
+        cells = len(browser.find_elements("css selector", "#plot-map svg g rect"))
+        drag = ActionChains(browser).move_to_element_with_offset(strip, -300, -20)
+        drag.click_and_hold().move_by_offset(120, 10).release().perform()
+        part = ticks_across(browser, "strip")
+        assert part[-1] - part[0] < 0.3 * (everything[-1] - everything[0])
+        assert everything[0] <= part[0] and part[-1] <= everything[-1]
+        # The operating points of those seconds are fewer than those of the whole drive.
+        assert len(browser.find_elements("css selector", "#plot-map svg g rect")) < cells
+        ActionChains(browser).move_to_element_with_offset(strip, 5, 0).perform()
+        told = one(browser, "#plot-strip .tip").text
+        moment = float(re.search(r"t ([\d.]+) s", told).group(1))
+        assert part[0] - 2.0 < moment < part[-1] + 2.0 and "with the physics" in told
+        one(browser, "#plot-strip button[aria-label='Show all']").click()
+        assert ticks_across(browser, "strip") == everything
+        strip.send_keys("+")
+        assert len(ticks_across(browser, "strip")) and ticks_across(browser, "strip") != everything
+        assert browser.get_log("browser") == []
+
+    def test_the_hover_says_the_gap_that_is_there(self, browser, tmp_path):
+        from selenium.webdriver import ActionChains
+
+        opened(browser, report_page(mismatch()), tmp_path)
+        track = one(browser, "#plot-track svg")
+        browser.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", track)
+        # The circle's top, where the gap is 100 N; averaging over 1 s and noise of 5 N leave 95 to 105.
+        box = track.rect
+        x, y = browser.execute_script(
+            "const t = [...document.querySelectorAll('#plot-track path')].map((p) => p.getBBox());"
+            "const top = Math.min(...t.map((b) => b.y));"
+            "const left = Math.min(...t.map((b) => b.x)), right = Math.max(...t.map((b) => b.x + b.width));"
+            "return [(left + right) / 2, top]"
+        )
+        ActionChains(browser).move_to_element_with_offset(
+            track, round(x - box["width"] / 2), round(y - box["height"] / 2) + 2
+        ).perform()
+        told = one(browser, "#plot-track .tip").text
+        gap, left = (float(v) for v in re.findall(r"(?:gap|physics): ([\d.]+) N", told))
+        assert 85.0 < gap < 115.0 and 0.0 < left < 25.0
+
+    @pytest.mark.parametrize(
+        "diagnosis", [mismatch("x" * 180), MATCH, UNDECIDED], ids=["mismatch", "match", "undecided"]
+    )
+    def test_a_narrow_window_needs_no_sideways_scrolling(self, browser, tmp_path, diagnosis):
+        opened(browser, report_page(diagnosis), tmp_path, width=360)
+        wide, window = browser.execute_script("return [document.documentElement.scrollWidth, window.innerWidth]")
+        assert wide <= window
+
+    def test_without_position_the_gap_is_drawn_over_distance(self, browser, tmp_path):
+        gap = gap_along_a_circle()
+        nowhere = np.full_like(gap.x, np.nan)
+        opened(browser, report_page(replace(mismatch(), gaps=(replace(gap, x=nowhere, y=nowhere),))), tmp_path)
+        titles = [t.text for t in browser.find_elements("css selector", "#plot-track .axis-title")]
+        assert titles == ["track position s [m]", "gap force [N]"]
+
+    def test_prints(self, browser, tmp_path):
+        opened(browser, report_page(mismatch()), tmp_path)
+        printed = browser.execute_cdp_cmd("Page.printToPDF", {"printBackground": True, "preferCSSPageSize": True})
+        content = base64.b64decode(printed["data"])
+        # A4 upright; a page that did not reflow would have been scaled or cut into a second column of sheets.
+        assert content.startswith(b"%PDF") and 2 <= len(re.findall(rb"/Type\s*/Page\b", content)) <= 6
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory) -> Path:
+    """Return what `split diagnose` wrote about a car whose torque arrives by a fifth too small."""
+    folder = tmp_path_factory.mktemp("diagnosed")
+    case = build_case(plan_case(seed=77, number=0))
+    write_drive(case.real, folder / "real.parquet")
+    write_drive(case.sim, folder / "sim.parquet")
+    write_vehicle(case.vehicle, folder / "car.yaml")
+    diagnose_files(
+        [folder / "real.parquet"], folder / "car.yaml", folder / "out", simulated=[folder / "sim.parquet"]
+    )
+    return folder / "out"
+
+
+def test_a_diagnosis_leaves_a_report_that_says_what_its_json_says(written):
+    said = json.loads((written / "diagnosis.json").read_text(encoding="utf-8"))
+    page = (written / "report.html").read_text(encoding="utf-8")
+    # At nine tenths of the sensors' noise in every step, this is no borderline case.
+    assert said["verdict"] == "mismatch" and '<h1 id="verdict">Simulation and reality differ.</h1>' in page
+    for finding in said["findings"]:
+        assert f"<code>{finding['term']}" in page
+    for file in said["inputs"]:
+        assert file["sha256"] in page
+
+
+def test_that_report_opens(written, browser, tmp_path):
+    opened(browser, written / "report.html", tmp_path)
+    assert one(browser, "#verdict").text == "Simulation and reality differ."
+    assert len(browser.find_elements("css selector", "#plot-map svg g rect")) > 20
+    assert "longitudinal" in label_of(browser, "track")
