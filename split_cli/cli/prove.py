@@ -129,9 +129,10 @@ def multibody(seed, car, output, as_json) -> None:
     if result.improvement:
         done = result.improvement
         rows = [
-            ["before", *done.holdout_rmse_before],
-            ["physics", *done.holdout_rmse_physics],
-            ["physics + learned", *done.holdout_rmse_after],
+            ["simulation", *done.before],
+            ["with the terms", *done.physics],
+            ["with SPLIT alone", *done.split_only],
+            ["with both", *done.after],
             ["persistence", *done.persistence],
         ]
         print_table(["held-out rmse", "v_x m/s^2", "v_y m/s^2", "r rad/s^2"], rows)

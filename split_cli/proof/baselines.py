@@ -6,6 +6,7 @@ given, have its errors as a cubic in the operating point taken off first. Neithe
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,7 +105,10 @@ def stlsq(regression: Regression) -> Statement:
         weights = sequentially_thresholded(matrix, regression.target, _STLSQ_THRESHOLD, 0.05)
     else:
         optimizer = STLSQ(threshold=_STLSQ_THRESHOLD, alpha=0.05)
-        optimizer.fit(matrix, regression.target[:, None])
+        with warnings.catch_warnings():
+            # It warns where nothing is left, which is an answer here.
+            warnings.simplefilter("ignore", UserWarning)
+            optimizer.fit(matrix, regression.target[:, None])
         weights = np.ravel(optimizer.coef_)
     return _statement([regression.library.terms[i] for i in np.flatnonzero(weights)])
 

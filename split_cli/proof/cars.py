@@ -207,7 +207,13 @@ def _polished(
         delay = [SteerDelay({"delay": 1e-3 * (values[8] - 1.0)})]
         return np.concatenate([(window_errors(run, changed(values), delay) / noise).ravel() for run in runs])
 
-    values = least_squares(misfit, np.ones(9), diff_step=1e-4, max_nfev=8).x
+    # A curve with C of 2 or more would change its sign at large slip; the rest may move by a half.
+    most = np.full(9, 1.5)
+    most[[1, 4]] = 1.95 / np.array([vehicle.front_tire.C, vehicle.rear_tire.C])
+    most[8] = 11.0
+    least = np.where(np.arange(9) == 8, -9.0, 0.5)
+    start = np.minimum(np.ones(9), 0.99 * most)
+    values = least_squares(misfit, start, bounds=(least, most), diff_step=1e-4, max_nfev=8).x
     return changed(values), Alignment(alignment.torque, alignment.steer + 1e-3 * float(values[8] - 1.0))
 
 

@@ -38,6 +38,8 @@ __all__ = ["Answer", "Case", "Effect", "build_case"]
 _LAP_LENGTH = {"road_car": 1050.0, "f1tenth_car": 55.0, "formula_car": 620.0}
 _CARS_OF_A_SEED = 12
 _SEARCH_SECONDS = 45.0
+# What the true terms with their best parameters may leave of an effect: below the hard tier, or this share of it.
+_LEFT = (0.12, 0.15)
 # A bare nominal model whose own error without the effect is larger than this is not offered as the simulation.
 _BARE_ENOUGH = 0.08
 
@@ -97,6 +99,8 @@ class Answer:
     lap_length, lap_driven, s_origin : float
         Of the track's centreline and of the real drive's first lap [m], and where on the track that drive begins
         [m]: places of an answer are on the centreline, those a diagnosis finds along the drive.
+    draws : int
+        How many drawings of surroundings and drivers it took until the case met its conditions.
     """
 
     number: int
@@ -112,6 +116,7 @@ class Answer:
     lap_length: float = 0.0
     lap_driven: float = 0.0
     s_origin: float = 0.0
+    draws: int = 1
 
 
 @dataclass(frozen=True)
@@ -152,14 +157,14 @@ def build_case(plan: CasePlan) -> Case:
     Raises
     ------
     SplitError
-        If sixteen drawings of surroundings and drivers did not give one that can be driven at that severity.
+        If twenty-four drawings of surroundings and drivers did not give one that can be driven at that severity.
     """
-    for attempt in range(16):
+    for attempt in range(24):
         rng = plan.rng(2, attempt)
         try:
-            if plan.kind == "strange":
-                return _build(replace(plan, terms=(plan.terms[attempt // 2 % len(plan.terms)],)), rng)
-            return _build(plan, rng)
+            terms = (plan.terms[attempt // 2 % len(plan.terms)],) if plan.kind == "strange" else plan.terms
+            case = _build(replace(plan, terms=terms), rng)
+            return replace(case, answer=replace(case.answer, draws=attempt + 1))
         except Unreachable as error:
             reason = error
         except SplitError as error:
@@ -208,6 +213,12 @@ def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
         lap = drive(without, trips[1], sample_period=1e-2)
         sim = record(lap, source.alignment, "sim", None, without.sensor)
     told, heldout, removed = _told(effects, world, without, trips, source, plan)
+    if plan.kind in ("single", "pair"):
+        # Else the effect would in truth be one that the catalogue lacks, or more than one that it has.
+        there = severity(heldout.error, source.noise)
+        left = there * float(np.sqrt(max(1.0 - removed, 0.0)))
+        if left > max(_LEFT[0], _LEFT[1] * there):
+            raise Unreachable(f"the true terms leave a severity of {left:.3g} of {there:.3g}")
     answer = Answer(
         number=plan.number, kind=plan.kind, tier=plan.tier, effects=told, car=name, base=base,
         simulation=simulation, base_severity=base_severity, total_severity=total, removed=removed,

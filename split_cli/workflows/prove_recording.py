@@ -12,7 +12,7 @@ from split_cli.logs.drive import read_drive, write_drive
 from split_cli.proof.injection import InjectedFault, faults_for, inject, split_in_blocks
 from split_cli.proof.outcome import Statement, judge
 from split_cli.proof.scoring import named_from, words_of
-from split_cli.vehicle.parameters import read_vehicle
+from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
 
 __all__ = ["InjectionResult", "prove_recording"]
@@ -72,18 +72,19 @@ def prove_recording(
         Length of the blocks of time that are dealt in turn to reference and fault [s].
     """
     vehicle = read_vehicle(vehicle_path)
+    output.mkdir(parents=True, exist_ok=True)
+    # The vehicle may be one of the library's names; every pair is diagnosed with one file.
+    write_vehicle(vehicle, output / "vehicle.yaml")
     tasks = [(path, fault) for path in drives for fault in faults_for(read_drive(path), vehicle, only)]
     results = []
     for number, (path, fault) in enumerate(tasks):
-        results.append(_one(Path(path), fault, number, Path(vehicle_path), output, block))
+        results.append(_one(Path(path), fault, number, output, block))
         if report:
             report(number + 1, len(tasks))
     return results
 
 
-def _one(
-    path: Path, fault: InjectedFault, number: int, vehicle_path: Path, output: Path, block: float
-) -> InjectionResult:
+def _one(path: Path, fault: InjectedFault, number: int, output: Path, block: float) -> InjectionResult:
     drive = read_drive(path)
     reference, _ = split_in_blocks(drive, block)
     _, faulted = split_in_blocks(inject(drive, fault), block)
@@ -94,15 +95,18 @@ def _one(
     try:
         told = diagnosis_to_mapping(
             diagnose_files(
-                [folder / "real.parquet"], vehicle_path, folder / "diagnosis", simulated=[folder / "sim.parquet"]
+                [folder / "real.parquet"],
+                output / "vehicle.yaml",
+                folder / "diagnosis",
+                simulated=[folder / "sim.parquet"],
             )
         )
         said = Statement(
             told["verdict"], tuple(named_from(f) for f in told["findings"]), bool(told["unexplained"])
         )
+        words = words_of(said)
     except SplitError as error:
-        said = Statement("undecided")
-        (folder / "error.txt").write_text(f"{error}\n")
+        said, words = Statement("undecided"), f"error: {error}"
     truth = [fault.term] if fault.term else []
     found = next((f for f in said.findings if f.term == fault.term), None)
     value, low, high = next(
@@ -115,7 +119,7 @@ def _one(
         term=fault.term,
         value=fault.value if fault.term else None,
         outcome=judge(truth, said),
-        said=words_of(said),
+        said=words,
         found=value,
         interval="" if low is None else f"{low:.4g} to {high:.4g}",
     )
