@@ -40,6 +40,9 @@ from split_cli.workflows.report.words import chance, escape, number, parameter, 
 
 HOSTILE = "</script><script>window.taken = 1</script><img src=x onerror='window.taken = 2'>\u202e\u2028&\".parquet"
 
+# As long as an exact degeneracy gets, and nowhere a space to break a line at.
+CLASS = "mass+yaw_inertia+friction_scale+drive_gain+aero_drag+rolling_resistance"
+
 
 def gap_along_a_circle(name: str = "lap.parquet", rows: int = 2000) -> GapSeries:
     """Return two laps of 30 m radius with a hole of 4 s, with a gap of 100 N in front lateral force that physics
@@ -60,8 +63,9 @@ def mismatch(name: str = "lap.parquet") -> Diagnosis:
     """Return a diagnosis in which every part of the report has something to say."""
     rivals = (RivalSummary("mass", "loaded", 4.0, 0.3), RivalSummary("wind", "", 900.0, 12.0))
     finding = Finding(
-        "steer_gain", "", {"gain": ParameterEstimate(0.9512, 0.01, "1", (0.9312, 0.9712))}, 0.8, ("mass",),
-        "In reality the wheels turn less.", 0.9, rivals, ("a drive with ballast",),
+        "steer_gain", "", {"gain": ParameterEstimate(0.9512, 0.01, "1", (0.9312, 0.9712))}, 0.8, ("mass", CLASS),
+        f"In reality the wheels turn less. On this data it cannot be told from mass, {CLASS}.", 0.9, rivals,
+        ("a drive with ballast",),
     )  # fmt: skip
     errors = Improvement(
         (0.5, 0.9, 0.2), (0.5, 0.5, 0.15), (0.5, 0.45, 0.14), (0.5, 0.7, 0.16), (4.0, 3.0, 2.0), (0.4, 0.4, 0.1),

@@ -92,8 +92,11 @@
   let cells = [];
   function binned(plot) {
     const [xName, yName] = AXES[state.axes];
-    const across = between(Math.round(plot.inner / 17), 8, 34);
-    const up = between(Math.round(plot.tall / 17), 6, 26);
+    // Fewer samples make larger cells, so that most have enough for a mean.
+    const samples = chosenDrives().reduce((sum, drive) => sum + drive.size, 0);
+    const wanted = between(17 * (6000 / samples) ** 0.25, 17, 32);
+    const across = Math.max(6, Math.round(plot.inner / wanted));
+    const up = Math.max(5, Math.round(plot.tall / wanted));
     const [w, h] = [(plot.x[1] - plot.x[0]) / across, (plot.y[1] - plot.y[0]) / up];
     const found = new Map();
     for (const drive of chosenDrives()) {

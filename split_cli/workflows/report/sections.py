@@ -113,7 +113,7 @@ def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
     yield "Compared", percent(diagnosis.compared_share), "of the real drive, where the simulation has been too"
     if diagnosis.findings:
         largest = max(diagnosis.findings, key=lambda finding: finding.severity)
-        note = f"sensor noise in 0.05 s, by {term_title(largest.term).lower()}"
+        note = f"sensor noise in 0.05 s ({term_title(largest.term)})"
         yield "Size", f"{number(largest.severity, 2)} ×", note
     shown = diagnosis.improvement
     if shown is not None and shown.noise_floor is not None and diagnosis.findings:

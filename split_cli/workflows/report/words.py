@@ -60,7 +60,7 @@ def escape(text: object) -> str:
 
 def term_title(term: str, variant: str = "") -> str:
     """Return a term's name in words: ``steer_gain`` is "Steer gain"."""
-    words = " + ".join(part.replace("_", " ").capitalize() for part in term.split("+"))
+    words = " + ".join(part.replace("_", " ").capitalize() for part in term.split("+")).replace("Cg ", "CG ")
     return f"{words} ({variant.replace('_', ' ')})" if variant else words
 
 
