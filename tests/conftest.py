@@ -7,6 +7,10 @@ from pathlib import Path
 
 import pytest
 
+# As the command line does: BLAS threads stall on small matrices when other programs are busy.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+
 ROOT = Path(__file__).resolve().parent.parent
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 import click
@@ -135,8 +136,7 @@ def command(drives, vehicle_path, set_path, output, as_json, **settings) -> None
 
 def _say(text: str) -> None:
     """Tell progress on stderr, where someone watches."""
-    stream = click.get_text_stream("stderr")
-    if stream.isatty():
+    if sys.stderr.isatty():
         click.echo(f"split: {text}", err=True)
 
 
