@@ -234,6 +234,7 @@ def speed_profile(
     count = len(track.x)
     lateral = aggressiveness * grip.lateral
     bend = _smooth_periodic(np.abs(track.curvature), max(1, int(1.0 * car.wheelbase / track.spacing)))
+    bend = np.maximum(bend, 0.0)  # smoothing by Fourier sums leaves -1e-12 on straights
     # v^2 kappa <= a (1 + c v^2), solved for v; where wings outgrow the curve there is no limit.
     denominator = np.maximum(bend - lateral * grip.downforce, 1e-6)
     top = 0.95 * (car.max_power / (0.5 * car.air_density * car.drag_area)) ** (1.0 / 3.0)

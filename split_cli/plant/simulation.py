@@ -199,8 +199,8 @@ def drive_laps(
         raise SplitError(f"aggressiveness must lie above 0 and not above 1, got {aggressiveness:g}")
     if not 0.0 < laps <= 200.0:
         raise SplitError(f"laps must lie above 0 and not above 200, got {laps:g}")
-    if duration is not None and not 0.0 < duration <= 7200.0:
-        raise SplitError(f"the duration must lie above 0 s and not above 7200 s, got {duration:g} s")
+    if duration is not None and not 0.1 <= duration <= 7200.0:
+        raise SplitError(f"the duration must lie between 0.1 s and 7200 s, got {duration:g} s")
     person = varied(style, seed)
     believed = believed or car
     grip = grip_of(believed)

@@ -63,7 +63,7 @@ def hold_out_blocks(
     DriveError
         If the settings leave less than half of the other blocks' rows for training.
     """
-    if blocks < 2 or not 0.0 < holdout < 1.0 or guard < 0.0:
+    if blocks < 2 or not 0.0 < holdout < 1.0 or not 0.0 <= guard < float("inf"):
         raise DriveError(
             f"{blocks} blocks with a share of {holdout:g} held out and a guard of {guard:g} s cannot be made",
             where=drive.name,

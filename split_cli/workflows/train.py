@@ -210,7 +210,7 @@ class _Run:
             self.features, self.region, self.plain = known.features, known.region, known.plain
             self.horizon = known.horizon if settings.horizon is None else settings.horizon
         else:
-            self.features = parse_features(settings.features or "z2")
+            self.features = parse_features("z2" if settings.features is None else settings.features)
             self.region, self.plain = Region.of(vehicle), settings.plain
             self.horizon = DEFAULT_HORIZON if settings.horizon is None else settings.horizon
         self.seen = {source.sha256: source.name for source in known.sources} if known else {}
@@ -348,7 +348,7 @@ def _check_continues(known: TrainingSet, vehicle: Vehicle, settings: TrainSettin
             where=where,
             advice="Leave out --hyperparameters, or train anew with all drives.",
         )
-    asked = parse_features(settings.features).names if settings.features else known.features.names
+    asked = parse_features(settings.features).names if settings.features is not None else known.features.names
     for what, theirs, ours in (
         ("features", asked, known.features.names),
         ("capacity", settings.capacity, known.capacity),
