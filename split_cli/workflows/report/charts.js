@@ -59,7 +59,7 @@ const Charts = (() => {
        label(): text for readers of screens; height(width): px; x, y: axis titles; zoom: "x" or "xy";
        domain(view): {x, y} shown when view is null, or y for a given x when zoom is "x"; limit: never beyond it;
        equal: one metre is as long in x as in y; rows: names of rows instead of a y axis;
-       draw(layer, plot); hover(x, y, plot): {x, y, lines} or null; zoomed(view). */
+       draw(layer, plot); hover(x, y, plot): {x, y, lines} or null; gone(): the pointer left; zoomed(view). */
     constructor(host, options) {
       Object.assign(this, { host, options, view: null, drag: null, marked: null });
       this.svg = shape("svg", { role: "img", tabindex: "0" });
@@ -233,7 +233,7 @@ const Charts = (() => {
       const inside = pixel && pixel[0] >= this.left && pixel[0] <= this.left + this.inner && pixel[1] >= this.top && pixel[1] <= this.top + this.tall;
       const found = inside ? this.options.hover(this.ix(pixel[0]), this.iy(pixel[1]), this) : null;
       this.tip.hidden = !found;
-      if (!found) return void (this.options.left && this.options.left());
+      if (!found) return void (this.options.gone && this.options.gone());
       this.tip.textContent = found.lines.join("\n");
       const shown = this.svg.clientWidth / this.svg.viewBox.baseVal.width;
       const [px, py] = [this.sx(found.x) * shown, this.sy(found.y) * shown];
@@ -280,5 +280,5 @@ const Charts = (() => {
   window.addEventListener("beforeprint", () => { paperWidth = 690; redrawAll(); });
   window.addEventListener("afterprint", () => { paperWidth = null; redrawAll(); });
 
-  return { Plot, shape, element, path, diverging, fixed, short, between, redrawAll };
+  return { Plot, shape, element, path, diverging, fixed, short, between };
 })();

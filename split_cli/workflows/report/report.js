@@ -226,7 +226,7 @@
           return inWindow(drive, i) ? px * px + py * py : Infinity;
         }, 900, (drive, i) => [trackX(drive)[i], trackY(drive)[i]]);
       },
-      left: () => link(null),
+      gone: () => link(null),
     },
   };
 
@@ -291,7 +291,7 @@
           return across + 0.002 * up; // several laps share an s: the closer line wins
         }, 0.03, (drive, i) => [drive[state.along][i], smoothed(drive, "before")[i]]);
       },
-      left: () => link(null),
+      gone: () => link(null),
     },
   };
 
