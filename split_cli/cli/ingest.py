@@ -84,7 +84,7 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, keep_going,
     from split_cli.workflows.ingest import IngestSettings, ingest_logs
 
     if options["list_maps"]:
-        return _list_maps()
+        return _list_maps(as_json)
     if not logs:
         raise click.UsageError("Missing argument 'LOG...'.")
     if options["list_only"] or options["suggest_map"]:
@@ -129,9 +129,12 @@ def _show(results, failures, as_json: bool) -> None:
         click.echo(result.to_text())
 
 
-def _list_maps() -> int:
+def _list_maps(as_json: bool) -> int:
     from split_cli.workflows.ingest import list_maps
 
+    if as_json:
+        print_json(list_maps())
+        return 0
     for name, about in list_maps().items():
         click.echo(f"{name}: {about}")
     return 0
@@ -140,16 +143,22 @@ def _list_maps() -> int:
 def _look_at(logs, message_paths, suggest: bool, as_json: bool) -> int:
     from split_cli.workflows.ingest import list_channels, suggest_map_for
 
+    described = []
     for log in logs:
         if suggest:
-            click.echo(suggest_map_for(log, message_paths=message_paths))
+            draft = suggest_map_for(log, message_paths=message_paths)
+            described.append({"log": str(log), "map": draft})
+            if not as_json:
+                click.echo(draft)
             continue
         channels, clocks = list_channels(log, message_paths=message_paths)
         if as_json:
-            print_json({"log": str(log), "clocks": list(clocks), "channels": list(channels)})
+            described.append({"log": str(log), "clocks": list(clocks), "channels": list(channels)})
             continue
         click.echo(f"{log}: {len(channels)} channels; clocks: {', '.join(clocks) or 'none, time is a column'}")
         print_table(
             ["channel", "type", "count", "unit"], [[c.name, c.type_name, c.count, c.unit] for c in channels]
         )
+    if as_json:
+        print_json(described if len(described) > 1 else described[0])
     return 0

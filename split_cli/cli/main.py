@@ -118,6 +118,7 @@ def main(arguments: list[str] | None = None) -> None:
     os.environ.setdefault("MKL_NUM_THREADS", "1")
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", NumericalRepairWarning)
+    _open_closed_streams()
     _refuse_undecodable(sys.argv[1:] if arguments is None else arguments)
     try:
         result = group.main(args=arguments, prog_name="split", standalone_mode=False)
@@ -130,9 +131,13 @@ def main(arguments: list[str] | None = None) -> None:
         error.show()
         sys.exit(2)
     except BrokenPipeError:
-        # A reader such as `head` went away: point stdout elsewhere so that the exit is quiet.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _silence_stdout()  # a reader such as `head` went away
         sys.exit(1)
+    except OSError as error:
+        if os.environ.get("SPLIT_TRACEBACK"):
+            raise
+        _silence_stdout()
+        _fail(f"{error.filename or 'reading or writing'}: {error.strerror or error}", 1)
     except MemoryError:
         _fail("not enough memory; try shorter recordings or fewer at once", 1)
     except Exception as error:
@@ -144,6 +149,18 @@ def main(arguments: list[str] | None = None) -> None:
             1,
         )
     sys.exit(result if isinstance(result, int) else 0)
+
+
+def _open_closed_streams() -> None:
+    """Give a run whose stdout or stderr is closed one that goes nowhere."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
+
+
+def _silence_stdout() -> None:
+    """Point stdout elsewhere, so that what is left in its buffer makes no noise at the exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _fail(text: str, code: int) -> None:
