@@ -102,8 +102,6 @@ def _tables(vehicle: Vehicle, duration: float, reach: float) -> dict:
         ("grip_fade", ""): (fade, fade_starts),
         ("grip_fade", "curve"): (fade, fade_starts),
         ("tire_relaxation", ""): ({"length": (0.0, 5.0, 0.02)}, [{"length": v} for v in (0.1, 0.5, 1.5)]),
-        ("load_transfer", ""): ({"cg_height": (-0.5, 1.0, 0.005)}, [{"cg_height": 0.05}]),
-        ("load_transfer", "peak"): ({"cg_height": (-0.5, 1.0, 0.005)}, [{"cg_height": 0.05}]),
         ("tire_stiffness", ""): (
             {"front_scale": (0.3, 3.0, 0.01), "rear_scale": (0.3, 3.0, 0.01)},
             [{"front_scale": 0.97, "rear_scale": 0.97}],
@@ -138,10 +136,11 @@ def _tables(vehicle: Vehicle, duration: float, reach: float) -> dict:
     for variant in ("", "curve"):
         tables["friction_scale", variant] = ({"scale": scale}, [{"scale": 0.97}])
         tables["friction_patch", variant] = (patch, [], "patch", 6.0)
-    for variant in ("", "peak"):
+    for variant in ("", "peak", "degressive"):
+        tables["load_transfer", variant] = ({"cg_height": (-0.5, 1.0, 0.005)}, [{"cg_height": 0.05}])
         limits = (-2.0, 5.0, 0.02)
         tables["aero_downforce", variant] = ({"front": limits, "rear": limits}, [{"front": 0.1, "rear": 0.1}])
-    for variant in ("", "loaded"):
+    for variant in ("", "loaded", "degressive"):
         tables["mass", variant] = ({"scale": (0.4, 2.5, 0.01)}, [{"scale": 1.03}])
         tables["cg_shift", variant] = ({"dx": (-0.3, 0.3, 0.002)}, [{"dx": 0.005}])
     for variant in ("", "side", "broadside"):

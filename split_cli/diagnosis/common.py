@@ -7,13 +7,14 @@ simulation; reality is judged with what the simulation leaves uncertain about th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from split_cli.diagnosis.series import Series, extended_model
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 
@@ -76,6 +77,18 @@ class CommonPhysics:
         columns += self._smooth(series)
         columns += self._memory(series)
         return np.stack(columns, axis=2)
+
+    def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
+        """Return what the weights add along a recording, shape (N, 3), where `terms` alter inputs or sensors.
+
+        What the actuators really did, and where the car really was, is what common physics answers to.
+        """
+        _, smooth = series.corrected(terms)
+        flow = series.flow(extended_model(self.vehicle, terms), smooth)
+        actual = replace(
+            series, smooth=smooth, torque=flow.T + 0.0 * series.t, steer_angle=flow.delta + 0.0 * series.t
+        )
+        return self.columns(actual) @ weights
 
     def _tangent(self, series, plain, name, variant, parameter, step) -> np.ndarray:
         kind, car = CATALOGUE[name], self.vehicle

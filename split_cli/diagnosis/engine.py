@@ -14,6 +14,7 @@ from split_cli.diagnosis.evidence import Evidence, gather_evidence
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.improvement import label_errors, measure_improvement
 from split_cli.diagnosis.judge import CommonKnowledge, Judge, build_judge, learn_common
+from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, habits
 from split_cli.diagnosis.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.place import places_of
 from split_cli.diagnosis.result import Diagnosis, Finding, InputFile, RemainderTest, RivalSummary
@@ -21,7 +22,7 @@ from split_cli.diagnosis.screening import judgeable, unfit
 from split_cli.diagnosis.selection import Rival, Rules, Selection, nothing, select_terms, term_size
 from split_cli.diagnosis.sentences import sentence_for, separations, summarise
 from split_cli.diagnosis.series import Series, build_series
-from split_cli.diagnosis.structure import FlexibleFit, Structure, build_structure
+from split_cli.diagnosis.structure import STRUCTURE_FLOOR, FlexibleFit, Structure, build_structure
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
@@ -110,7 +111,7 @@ def diagnose(
         ]
         return _undecided(reasons, share, inputs, described)
     progress("comparing")
-    judge = build_judge(case.real, case.knowledge, case.keep)
+    judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
     structure = build_structure(judge, case.common)
     base = nothing(judge)
     gap = structure.fit(base.entries, settings.inflation)
@@ -140,6 +141,7 @@ class _Case:
     common: CommonPhysics
     knowledge: CommonKnowledge | None
     keep: tuple[np.ndarray, ...]
+    kinematics: tuple[Kinematics, ...]
 
     def common_rates(self, evidence: Evidence) -> np.ndarray:
         """Return what the simulation knows beyond the nominal model along a recording, shape (N, 3)."""
@@ -157,7 +159,9 @@ def _gather(vehicle: Vehicle, series: Sequence[Series], settings: Settings) -> _
     holdout = [gather_evidence(vehicle, one, common, least) for one in by_role["holdout"]]
     knowledge = learn_common(simulated, settings.inflation) if simulated else None
     keep = [_comparable(one, simulated, common, settings) for one in real]
-    return _Case(vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep))
+    habit = habits(by_role["sim"])
+    kinematics = [one for one in (build_kinematics(series, habit) for series in by_role["real"]) if one]
+    return _Case(vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep), tuple(kinematics))
 
 
 def _comparable(
@@ -213,7 +217,8 @@ def _mismatch(
 def _remainder(structure: Structure, gap: FlexibleFit, selection: Selection, settings: Settings) -> RemainderTest:
     left = structure.fit(selection.chosen.entries, settings.inflation)
     named = selection.base.cost - selection.chosen.cost
-    nameless = max(left.saved - settings.inflation * left.freedom, 0.0)
+    chance = settings.inflation * left.freedom + STRUCTURE_FLOOR * structure.judge.shared_cost
+    nameless = max(left.saved - chance, 0.0)
     return RemainderTest(left.p_value, nameless / max(nameless + named, 1e-9), left.severity, left.group_saved)
 
 
@@ -226,7 +231,7 @@ def _findings(judge: Judge, case: _Case, selection: Selection, settings: Setting
         term, variant = part.candidate.term, part.candidate.variant
         others = chosen.parts[:k] + chosen.parts[k + 1 :]
         without = fit_parts(judge, others).cost if others else selection.base.cost
-        alternatives = _alternatives(term, rivals, chosen)
+        alternatives = _alternatives(term, rivals, chosen, without - chosen.cost)
         values = {name: estimate.value for name, estimate in estimates[k].items()}
         out.append(
             Finding(
@@ -245,13 +250,14 @@ def _findings(judge: Judge, case: _Case, selection: Selection, settings: Setting
     return tuple(sorted(out, key=lambda finding: -finding.gap_explained))
 
 
-def _alternatives(term: str, rivals: Sequence[Rival], chosen: Fit) -> tuple[str, ...]:
+def _alternatives(term: str, rivals: Sequence[Rival], chosen: Fit, saved: float) -> tuple[str, ...]:
     """Return terms that fit as well here, and those that always would: exact degeneracies."""
     rules = Rules()
     names = [
         rival.fit.parts[-1].candidate.term
         for rival in rivals
-        if rival.z < rules.same_within or rival.excess < rules.same_excess
+        if rival.excess < rules.same_excess
+        or (rival.z < rules.same_within and rival.excess < rules.same_share * saved)
     ]
     names += [mimic.terms for mimic in CATALOGUE[term].mimics if mimic.exact and mimic.terms != term]
     taken = {part.candidate.term for part in chosen.parts}
@@ -270,7 +276,11 @@ def _improvement(case: _Case, chosen: Fit, settings: Settings):
     else:
         masks = [one.series.t > (1.0 - settings.holdout_share) * one.series.t[-1] for one in case.real]
     keep = [mask & ~held[one.at] for one, mask, held in zip(case.real, case.keep, masks, strict=True)]
-    terms = fit_parts(build_judge(case.real, case.knowledge, keep), chosen.parts).terms if chosen.parts else ()
+    terms = (
+        fit_parts(build_judge(case.real, case.knowledge, case.common, keep, case.kinematics), chosen.parts).terms
+        if chosen.parts
+        else ()
+    )
     parts = [
         label_errors(one, terms, case.common_rates(one), held) for one, held in zip(case.real, masks, strict=True)
     ]

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.candidates import Candidate
-from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.judge import Judge, alters_inputs
 from split_cli.vehicle.effects import Term
 
 __all__ = ["Fit", "Part", "fit_parts", "linear_cost", "scan_places"]
 
 _ITERATIONS = 12
+_REFRESHES = 1
 
 
 @dataclass(frozen=True)
@@ -65,14 +66,22 @@ class Fit:
         return sum(part.candidate.complexity for part in self.parts)
 
 
-def fit_parts(judge: Judge, parts: Sequence[Part], iterations: int = _ITERATIONS) -> Fit:
-    """Refit all parameters of all parts together from where they are.
+def fit_parts(judge: Judge, parts: Sequence[Part]) -> Fit:
+    """Refit all parameters of all parts together, common physics following what they do to the inputs."""
+    fit = _fit(judge, tuple(parts), judge.shift([part.term for part in parts]), _ITERATIONS)
+    if any(alters_inputs(term) for term in fit.terms):
+        for _ in range(_REFRESHES):
+            fit = _fit(judge, fit.parts, judge.shift(fit.terms), _ITERATIONS)
+    return fit
+
+
+def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: int) -> Fit:
+    """Refit all parameters from where they are, the common physics' shift held.
 
     Notes
     -----
     Levenberg-Marquardt with forward differences; parameters at a bound stay there while the gradient pushes out.
     """
-    parts = tuple(parts)
     names = [(k, name) for k, part in enumerate(parts) for name in part.values]
     limits = [parts[k].candidate.ranges[name] for k, name in names]
     steps = np.array([limit.step for limit in limits])
@@ -81,7 +90,7 @@ def fit_parts(judge: Judge, parts: Sequence[Part], iterations: int = _ITERATIONS
     x = np.clip(np.array([parts[k].values[name] for k, name in names]) / steps, lower, upper)
 
     def entries_at(x: np.ndarray) -> np.ndarray:
-        return judge.whiten(judge.residual([part.term for part in _with(parts, names, x * steps)]))
+        return judge.whiten(judge.residual([part.term for part in _with(parts, names, x * steps)]) - shift)
 
     entries = entries_at(x)
     cost = float(entries @ entries)
@@ -167,9 +176,10 @@ def scan_places(judge: Judge, fixed: Sequence[Term], base: np.ndarray, candidate
     amount, step = ("scale", 0.97) if candidate.located == "patch" else ("angle", 0.005)
     everywhere = {"s_start": 0.0, "s_end": 1e12}
     neutral = 1.0 if amount == "scale" else 0.0
-    s = np.concatenate([
-        np.repeat(one.series.s[one.at][keep], 3) for one, keep in zip(judge.evidence, judge.keep, strict=True)
-    ])  # fmt: skip
+    # Kinematic rows have no place; what acts on the road does not move them.
+    s = np.zeros(len(base))
+    own = [np.repeat(one.series.s[one.at][keep], 3) for one, keep in zip(judge.evidence, judge.keep, strict=True)]
+    s[: sum(map(len, own))] = np.concatenate(own)
     reach = max(
         limit.upper for name, limit in candidate.ranges.items() if name in ("s_start", "s_end", "wavelength")
     )

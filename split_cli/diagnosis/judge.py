@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from split_cli.diagnosis.evidence import Evidence
+from split_cli.diagnosis.common import CommonPhysics
+from split_cli.diagnosis.evidence import Evidence, integrated
+from split_cli.diagnosis.kinematics import Kinematics
 from split_cli.vehicle.effects import Term
 
 __all__ = ["CommonKnowledge", "Judge", "build_judge", "learn_common"]
@@ -40,6 +42,11 @@ def learn_common(simulations: Sequence[Evidence], inflation: float = 1.0) -> Com
     return CommonKnowledge(np.linalg.solve(precision, score), precision)
 
 
+def alters_inputs(term: Term) -> bool:
+    """Return whether a term changes what arrives of the commands, or what is measured."""
+    return not term.exported or type(term).actuate is not Term.actuate
+
+
 @dataclass(frozen=True)
 class Judge:
     """Costs of explanations on a choice of rows of the real recordings.
@@ -52,6 +59,7 @@ class Judge:
     evidence : tuple of Evidence
     knowledge : CommonKnowledge or None
         None where the nominal model is the simulation: nothing is common.
+    common : CommonPhysics
     keep : tuple of ndarray of bool
         Rows used, of every recording.
     offset : ndarray, shape (R,)
@@ -64,26 +72,51 @@ class Judge:
         Root of each entry's robust weight.
     root : ndarray, shape (C, C)
         M with (I - V M V^T)^2 = I - V V^T.
+    kinematics : tuple of Kinematics
+        Recordings against themselves; their rows come last in every stack, and nothing but sensors moves them.
     """
 
     evidence: tuple[Evidence, ...]
     knowledge: CommonKnowledge | None
+    common: CommonPhysics
     keep: tuple[np.ndarray, ...]
     offset: np.ndarray
     basis: np.ndarray
     block: np.ndarray
     weight: np.ndarray
     root: np.ndarray
+    kinematics: tuple[Kinematics, ...] = ()
 
     def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:
         """Return the kept, weighted entries of rows (G, 3, ...) of all recordings, shape (R, ...)."""
         kept = [part[keep] for part, keep in zip(rows, self.keep, strict=True)]
         flat = np.concatenate([part.reshape(-1, *part.shape[2:]) for part in kept])
+        extra = sum(len(one.begin) for one in self.kinematics)
+        flat = np.concatenate([flat, np.zeros((extra, *flat.shape[1:]))])
         return flat * (self.weight if flat.ndim == 1 else self.weight[:, None])
 
     def residual(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what terms and the simulation's common physics leave, shape (R,)."""
-        return self.stack([evidence.rows(terms) for evidence in self.evidence]) - self.offset
+        rows = self.stack([evidence.rows(terms) for evidence in self.evidence]) - self.offset
+        first = len(rows)
+        for one in reversed(self.kinematics):
+            rows[first - len(one.begin) : first] = one.rows(terms)
+            first -= len(one.begin)
+        return rows
+
+    def shift(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return how the common physics' rows change where terms alter inputs or sensors, shape (R,).
+
+        Zero unless one of them does; it is costly and taken as constant while parameters move a little.
+        """
+        if self.knowledge is None or not any(alters_inputs(term) for term in terms):
+            return np.zeros(len(self.weight))
+        rows = []
+        for one in self.evidence:
+            change = self.common.rates(one.series, self.knowledge.weights, terms)
+            change -= self.common.rates(one.series, self.knowledge.weights)
+            rows.append(one.whitener(integrated(one.series, change)))
+        return self.stack(rows)
 
     def whiten(self, rows: np.ndarray) -> np.ndarray:
         """Return entries from which the still free part of the common physics is taken out, shape as given.
@@ -98,6 +131,12 @@ class Judge:
         """Return the cost of an explanation; its units are those of chi squared."""
         return float(np.sum(self.whiten(self.residual(terms)) ** 2))
 
+    @property
+    def shared_cost(self) -> float:
+        """Cost that the common physics, at the simulation's weights, explains of the real recordings."""
+        plain = self.stack([evidence.plain for evidence in self.evidence])
+        return max(float(plain @ plain - np.sum((plain - self.offset) ** 2)), 0.0)
+
     def block_sums(self, entries: np.ndarray) -> np.ndarray:
         """Return sums over blocks of time, shape (B, ...)."""
         total = np.zeros((int(self.block.max()) + 1, *entries.shape[1:]))
@@ -108,7 +147,9 @@ class Judge:
 def build_judge(
     evidence: Sequence[Evidence],
     knowledge: CommonKnowledge | None,
+    common: CommonPhysics,
     keep: Sequence[np.ndarray],
+    kinematics: Sequence[Kinematics] = (),
     block_seconds: float = 2.0,
 ) -> Judge:
     """Set up the costs on the kept rows; blocks are stretches of `block_seconds` of a recording."""
@@ -118,12 +159,25 @@ def build_judge(
         number = first + np.unique(number, return_inverse=True)[1]
         first = int(number.max(initial=first - 1)) + 1
         numbers.append(np.repeat(number[mask], 3))
+    for one in kinematics:
+        number = (one.series.t[one.begin] // block_seconds).astype(np.int64)
+        numbers.append(first + np.unique(number, return_inverse=True)[1])
+        first = int(numbers[-1].max(initial=first - 1)) + 1
     block = np.unique(np.concatenate(numbers), return_inverse=True)[1]
-    weight = np.concatenate([np.repeat(one.weight[mask], 3) for one, mask in zip(evidence, keep, strict=True)])
+    weights = [np.repeat(one.weight[mask], 3) for one, mask in zip(evidence, keep, strict=True)]
+    weight = np.concatenate([*weights, *(np.ones(len(one.begin)) for one in kinematics)])
     judge = Judge(
-        tuple(evidence), knowledge, tuple(keep), np.zeros(len(weight)), np.zeros((len(weight), 0)), block, weight,
-        np.zeros((0, 0)),
-    )  # fmt: skip
+        tuple(evidence),
+        knowledge,
+        common,
+        tuple(keep),
+        offset=np.zeros(len(weight)),
+        basis=np.zeros((len(weight), 0)),
+        block=block,
+        weight=weight,
+        root=np.zeros((0, 0)),
+        kinematics=tuple(kinematics),
+    )
     if knowledge is None:
         return judge
     columns = judge.stack([one.common for one in evidence])

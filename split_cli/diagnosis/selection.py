@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts, linear_cost, scan_places
 from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.structure import minimum_effect_p, severity_of
+from split_cli.diagnosis.structure import TERM_FLOOR, minimum_effect_p, severity_of
 
 __all__ = ["Rival", "Rules", "Selection", "nothing", "select_terms", "term_p", "term_size"]
 
@@ -24,6 +24,7 @@ class Rules:
     full_fits: int = 9
     same_within: float = 2.5  # standard errors of the paired block difference
     same_excess: float = 9.0  # cost above the chosen one, after inflation
+    same_share: float = 0.15  # of what the chosen term saves: beyond it, a rival is worse whatever its error
     least_share: float = 0.03  # of the explained cost, for a further term
     level: float = 0.01  # of the minimum-effect test, after counting the terms that were tried
 
@@ -144,7 +145,8 @@ def term_size(judge: Judge, fit: Fit, k: int) -> float:
 
 def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> float:
     """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
-    return minimum_effect_p(saved, fit.parts[k].candidate.complexity, term_size(judge, fit, k), inflation)
+    floor = TERM_FLOOR * judge.shared_cost
+    return minimum_effect_p(saved, fit.parts[k].candidate.complexity, term_size(judge, fit, k), inflation, floor)
 
 
 def _prune(judge: Judge, fit: Fit, inflation: float, rules: Rules) -> tuple[Fit, list[str]]:

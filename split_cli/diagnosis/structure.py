@@ -28,6 +28,10 @@ _RIDGE_SHARE = 2e-3
 # Differences smaller than this share of the one-step noise are not called differences: below it, what any nominal
 # model misses in one way of driving and not in another counts as common.
 ALLOWANCE = 0.05
+# And smaller than these shares of what common physics explains: no dictionary fits it exactly. A flexible fit finds
+# more of what is left than a single term can.
+STRUCTURE_FLOOR = 1e-3
+TERM_FLOOR = 5e-5
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,8 @@ class Structure:
         )
         # The size is overestimated by what the fit makes of noise.
         size *= np.sqrt(max(1.0 - inflation * freedom / max(saved, 1e-9), 0.0))
-        p = minimum_effect_p(saved, freedom, size, inflation)
+        floor = STRUCTURE_FLOOR * self.judge.shared_cost
+        p = minimum_effect_p(saved, freedom, size, inflation, floor)
         return FlexibleFit(saved, freedom, float(size), p, self._by_group(score))
 
     def _by_group(self, score: np.ndarray) -> tuple[tuple[str, float], ...]:
@@ -139,8 +144,20 @@ def severity_of(evidence: Evidence, terms: tuple[Term, ...], without: tuple[Term
     return severity(evidence.series, of(terms) - of(without))
 
 
-def minimum_effect_p(saved: float, freedom: float, size: float, inflation: float) -> float:
+def minimum_effect_p(saved: float, freedom: float, size: float, inflation: float, floor: float = 0.0) -> float:
     """Return the probability of saving this much when the true effect is just the allowance.
+
+    Parameters
+    ----------
+    saved : float
+        Cost saved.
+    freedom : float
+        Parameters that saved it.
+    size : float
+        Severity of the fitted effect.
+    inflation : float
+    floor : float
+        Saving that is allowed whatever the size.
 
     Notes
     -----
@@ -152,8 +169,8 @@ def minimum_effect_p(saved: float, freedom: float, size: float, inflation: float
     if saved <= 0.0 or size <= 0.0:
         return 1.0
     ratio = saved / inflation
-    allowed = max(ratio - freedom, 0.0) * (ALLOWANCE / size) ** 2
-    return float(np.clip(ncx2.sf(ratio, max(freedom, 1.0), allowed), 0.0, 1.0))
+    allowed = max(ratio - freedom, 0.0) * min(ALLOWANCE / size, 1.0) ** 2
+    return float(np.clip(ncx2.sf(ratio, max(freedom, 1.0), max(allowed, floor / inflation)), 0.0, 1.0))
 
 
 def _columns(one: Evidence, common: CommonPhysics) -> tuple[np.ndarray, tuple[str, ...]]:

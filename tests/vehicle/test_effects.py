@@ -34,6 +34,10 @@ EXAMPLES = {
     ("tire_relaxation", ""): {"length": 0.6},
     ("load_transfer", ""): {"cg_height": 0.55},
     ("load_transfer", "peak"): {"cg_height": 0.55},
+    ("load_transfer", "degressive"): {"cg_height": 0.55},
+    ("aero_downforce", "degressive"): {"front": 0.8, "rear": 1.1},
+    ("mass", "degressive"): {"scale": 1.15},
+    ("cg_shift", "degressive"): {"dx": 0.1},
     ("tire_stiffness", ""): {"front_scale": 0.9, "rear_scale": 1.2},
     ("aero_downforce", ""): {"front": 0.8, "rear": 1.1},
     ("aero_downforce", "peak"): {"front": 0.8, "rear": 1.1},
@@ -258,6 +262,21 @@ def test_body_terms_equal_another_vehicle():
         rear_tire=MagicFormula(12.5, 1.45, 6800.0 * (A - 0.1) / A),
     )  # fmt: skip
     np.testing.assert_allclose(rates(at, term("cg_shift", "loaded", dx=0.1)), rates(at, car=shifted), rtol=1e-12)
+
+
+def test_axles_that_follow_their_load():
+    from dataclasses import replace
+
+    at = driving()
+    # In proportion: a heavier car with D and rolling resistance scaled; degressively: D^0.9, B C D by the root.
+    heavy = {"mass": 1500 * 1.15, "rolling_resistance_front": 90 * 1.15, "rolling_resistance_rear": 80 * 1.15}
+    for variant, peak, slope in (("loaded", 1.0, 1.0), ("degressive", 0.9, 0.5)):
+        tires = [
+            MagicFormula(t.B * 1.15 ** (slope - peak), t.C, t.D * 1.15**peak)
+            for t in (CAR.front_tire, CAR.rear_tire)
+        ]
+        other = replace(CAR, front_tire=tires[0], rear_tire=tires[1], **heavy)
+        np.testing.assert_allclose(rates(at, term("mass", variant, scale=1.15)), rates(at, car=other), rtol=1e-11)
 
 
 def test_actuator_terms_equal_other_inputs():

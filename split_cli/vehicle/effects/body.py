@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from split_cli.vehicle.effects.term import Mimic, Term
+from split_cli.vehicle.effects.tires import scale_load
 from split_cli.vehicle.single_track import Flow
 
 __all__ = ["CgShift", "Mass", "YawInertia"]
@@ -13,14 +14,15 @@ __all__ = ["CgShift", "Mass", "YawInertia"]
 class Mass(Term):
     """A heavier or lighter car: m scale.
 
-    Variants: the axles' capacity D stays (default), or follows the load (``loaded``: D scale, as on dry road).
+    Variants: the axles' capacity D and their rolling resistance stay (default), or follow the load, in proportion
+    (``loaded``) or degressively (``degressive``, see `scale_load`).
     Only forces over m and I_z are seen, so the same motion has another reading, below.
     """
 
     id = "mass"
     units: ClassVar = {"scale": "1"}
     neutral: ClassVar = {"scale": 1.0}
-    variants: ClassVar = ("", "loaded")
+    variants: ClassVar = ("", "loaded", "degressive")
     mimics: ClassVar = (
         Mimic(
             "friction_scale+drive_gain+yaw_inertia+aero_drag+rolling_resistance",
@@ -35,10 +37,16 @@ class Mass(Term):
         flow.mass = flow.mass * self.parameters["scale"]
 
     def tire(self, flow: Flow) -> None:
-        """Let D follow the load where the variant says so."""
-        if self.variant == "loaded":
-            flow.front.D = flow.front.D * self.parameters["scale"]
-            flow.rear.D = flow.rear.D * self.parameters["scale"]
+        """Let the axles follow the load where the variant says so."""
+        if not self.variant:
+            return
+        scale, car = self.parameters["scale"], flow.vehicle
+        for axle, resistance in (
+            (flow.front, car.rolling_resistance_front),
+            (flow.rear, car.rolling_resistance_rear),
+        ):
+            scale_load(axle, scale, self.variant)
+            axle.longitudinal_force = axle.longitudinal_force - (scale - 1.0) * resistance
 
 
 class YawInertia(Term):
@@ -60,13 +68,13 @@ class YawInertia(Term):
 class CgShift(Term):
     """A centre of gravity dx further forward: l_f - dx, l_r + dx; the recording stays at the true one.
 
-    Variants: D stays (default), or follows the static loads (``loaded``).
+    Variants: D stays (default), or follows the static loads, in proportion (``loaded``) or degressively.
     """
 
     id = "cg_shift"
     units: ClassVar = {"dx": "m"}
     neutral: ClassVar = {"dx": 0.0}
-    variants: ClassVar = ("", "loaded")
+    variants: ClassVar = ("", "loaded", "degressive")
     mimics: ClassVar = (
         Mimic(
             "sensor_lever_arm+tire_stiffness+yaw_moment_differential",
@@ -82,8 +90,8 @@ class CgShift(Term):
         flow.l_r = flow.l_r + self.parameters["dx"]
 
     def tire(self, flow: Flow) -> None:
-        """Let D follow the static loads where the variant says so."""
-        if self.variant == "loaded":
+        """Let the axles follow the static loads where the variant says so."""
+        if self.variant:
             car, dx = flow.vehicle, self.parameters["dx"]
-            flow.front.D = flow.front.D * (1.0 + dx / car.cg_to_rear_axle)
-            flow.rear.D = flow.rear.D * (1.0 - dx / car.cg_to_front_axle)
+            scale_load(flow.front, 1.0 + dx / car.cg_to_rear_axle, self.variant)
+            scale_load(flow.rear, 1.0 - dx / car.cg_to_front_axle, self.variant)

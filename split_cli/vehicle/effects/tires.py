@@ -9,6 +9,7 @@ from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.single_track import AxleFlow, Flow
 from split_cli.vehicle.tire import lateral_force
 
+# What the catalogue is made of: every name here is a term.
 __all__ = [
     "AeroDownforce",
     "CombinedSlip",
@@ -22,6 +23,21 @@ __all__ = [
 
 # Below this share of its capacity an axle that brakes at its limit keeps lateral force; it keeps roots smooth.
 _LEAST_CAPACITY = 1e-3
+
+
+def scale_load(axle: AxleFlow, ratio: Any, variant: str) -> None:
+    """Let an axle's curve follow its load, which is `ratio` of the nominal.
+
+    Peak and stiffness in proportion by default, degressively (peak by the power 0.9, stiffness by 0.5, as tyres
+    near their rated load do: Pacejka, 2012, section 4.3) for ``degressive``, the peak alone for ``peak``.
+    """
+    if variant == "peak":
+        _scale_grip(axle, ratio, False)
+    elif variant == "degressive":
+        axle.D = axle.D * ratio**0.9
+        axle.B = axle.B * ratio**-0.4
+    else:
+        axle.D = axle.D * ratio
 
 
 def _scale_grip(axle: AxleFlow, scale: Any, whole_curve: bool) -> None:
@@ -161,7 +177,7 @@ class LoadTransfer(Term):
     id = "load_transfer"
     units: ClassVar = {"cg_height": "m"}
     neutral: ClassVar = {"cg_height": 0.0}
-    variants: ClassVar = ("", "peak")
+    variants: ClassVar = ("", "peak", "degressive")
     mimics: ClassVar = (
         Mimic("combined_slip", "braking in turns only", "driving and braking in turns: the two differ in sign"),
     )
@@ -181,7 +197,7 @@ class LoadTransfer(Term):
             (front, -moved / car.static_load_front),
             (rear, moved / car.static_load_rear),
         ):
-            _scale_grip(axle, ops.maximum(1.0 + change, _LEAST_CAPACITY), self.variant != "peak")
+            scale_load(axle, ops.maximum(1.0 + change, _LEAST_CAPACITY), self.variant)
 
 
 class TireStiffness(Term):
@@ -206,13 +222,13 @@ class TireStiffness(Term):
 class AeroDownforce(Term):
     """Axle load that grows with speed: D (1 + c v_x^2/F_z,static), c `front` and `rear`.
 
-    Source: Milliken and Milliken (1995), chapter 15; D proportional to load. Variant ``peak`` keeps the stiffness.
+    Source: Milliken and Milliken (1995), chapter 15. Variants: see `scale_load`.
     """
 
     id = "aero_downforce"
     units: ClassVar = {"front": "N/(m/s)^2", "rear": "N/(m/s)^2"}
     neutral: ClassVar = {"front": 0.0, "rear": 0.0}
-    variants: ClassVar = ("", "peak")
+    variants: ClassVar = ("", "peak", "degressive")
     mimics: ClassVar = (
         Mimic("tire_stiffness", "one speed in every turn", "the same turn at two speeds"),
         Mimic("friction_scale", "one speed in every turn", "the same turn at two speeds"),
@@ -226,4 +242,4 @@ class AeroDownforce(Term):
             (flow.rear, "rear", car.static_load_rear),
         ):
             gain = flow.ops.maximum(1.0 + self.parameters[name] * speed2 / load, _LEAST_CAPACITY)
-            _scale_grip(axle, gain, self.variant != "peak")
+            scale_load(axle, gain, self.variant)
