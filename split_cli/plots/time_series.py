@@ -68,11 +68,16 @@ def _with_breaks(trace: Trace, state: int) -> tuple[np.ndarray, np.ndarray, np.n
     """Return time, mean and half width of the interval, with NaN between stretches so that no line spans a gap."""
     tested = trace.tested
     variance = trace.prediction.variance[:, state] + trace.noise_variance[state]
-    apart = np.diff(tested.row) > 2 * tested.window
-    apart |= np.diff(tested.segment) != 0
-    at = np.flatnonzero(apart) + 1
+    at = _stretch_starts(trace)[1:]
     columns = (tested.t, trace.prediction.mean[:, state], _TWO_SIDED_95 * np.sqrt(variance))
     return tuple(np.insert(column, at, np.nan) for column in columns)
+
+
+def _stretch_starts(trace: Trace) -> np.ndarray:
+    """Return the index of each test sample that does not follow the one before it, the first included."""
+    tested = trace.tested
+    apart = (np.diff(tested.row) > 2 * tested.window) | (np.diff(tested.segment) != 0)
+    return np.concatenate([[0], np.flatnonzero(apart) + 1])
 
 
 def _limits(values: np.ndarray) -> tuple[float, float]:
@@ -83,11 +88,15 @@ def _limits(values: np.ndarray) -> tuple[float, float]:
 
 
 def _liveliest(trace: Trace) -> tuple[float, float]:
-    """Return the tested window of 12 s in which labels vary most, relative to each state's own size."""
+    """Return the tested window of up to 12 s without a break in which labels are largest, in each state's size."""
     t, y = trace.tested.t, trace.tested.y
     energy = np.square(y / np.maximum(np.sqrt(np.mean(np.square(y), axis=0)), 1e-12)).sum(axis=1)
     total = np.concatenate([[0.0], np.cumsum(energy)])
-    last = np.searchsorted(t, t + _CLOSE_UP, side="right")
+    ends = np.append(_stretch_starts(trace)[1:], len(t))
+    last = np.minimum(
+        np.searchsorted(t, t + _CLOSE_UP, side="right"),
+        ends[np.searchsorted(ends, np.arange(len(t)), side="right")],
+    )
     begin = int(np.argmax(total[last] - total[:-1]))
     return float(t[begin]), float(t[last[begin] - 1])
 

@@ -14,11 +14,14 @@ from split_cli.scoring.persistence import phi_at
 from split_cli.vehicle.integration import integrate_recorded, substep_count
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["NoiseFloor", "noise_floor"]
+__all__ = ["NoiseFloor", "fast_motion", "noise_floor"]
 
 _VELOCITIES = ("vx", "vy", "r")
 _INPUTS = ("T", "delta")
+_LABELS = (("v_x", "v_y", "r"), ("m/s^2", "m/s^2", "rad/s^2"))
 _MOST_WINDOWS = 400
+_FAR_ABOVE = 5.0
+_LARGE_SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,38 @@ def noise_floor(model: SingleTrack, drive: Drive, labels: Labels) -> NoiseFloor:
     rms = np.sqrt(np.mean(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
     left_out = [f"{name} ({estimates[name].reason})" for name in _INPUTS if estimates[name].sigma is None]
     return NoiseFloor(rms, f"a lower bound: without the noise of {' and '.join(left_out)}" if left_out else "")
+
+
+def fast_motion(labels: Labels, floor: NoiseFloor) -> str:
+    """Say where labels jump from one to the next by far more than sensor noise explains; empty where they do not.
+
+    Then the car (or what drives it) moves faster than labels are taken, and features that change more slowly
+    cannot predict it: the floor is right, and out of reach.
+
+    Notes
+    -----
+    Second differences of labels that follow one another remove what is a line over three of them; of white noise
+    their mean square is 6 sigma^2. Told from five times the floor and a quarter of the labels' own size on.
+    """
+    if floor.rms is None or len(labels) < 3:
+        return ""
+    follow = (labels.row[2:] - labels.row[:-2] == 2 * labels.window) & (labels.segment[2:] == labels.segment[:-2])
+    second = np.diff(labels.y, n=2, axis=0)[follow]
+    if not len(second):
+        return ""
+    jump = np.sqrt(np.nanmean(np.square(second), axis=0) / 6.0)
+    least = np.maximum(_FAR_ABOVE * floor.rms, _LARGE_SHARE * np.sqrt(np.nanmean(np.square(labels.y), axis=0)))
+    found = [
+        f"{name} by {size:.2g} {unit}, {size / level:.0f} times"
+        for name, unit, size, level, enough in zip(*_LABELS, jump, floor.rms, least, strict=True)
+        if size > enough
+    ]
+    if not found:
+        return ""
+    return (
+        f"labels jump from one to the next ({'; '.join(found)} what sensor noise explains): something moves "
+        f"faster than they are taken, every {labels.horizon:g} s, and slower features cannot predict it"
+    )
 
 
 def _noise_of(drive: Drive, name: str) -> NoiseEstimate:

@@ -29,6 +29,7 @@ from split_cli.scoring.evaluation import (
     score,
 )
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, first_lap, informative_sets
+from split_cli.scoring.noise import fast_motion
 from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
 from split_cli.scoring.rollouts import RolloutSums
 from split_cli.scoring.run import EvaluationRun, Trace
@@ -314,6 +315,9 @@ def _facts(held: HeldOut, model: SingleTrack, trained: TrainingSet | None) -> Dr
     torque = str(drive.metadata.kinds.get("T", ""))
     if torque.startswith("derived") and "accel" in torque:
         notes.append("torque is derived from acceleration: the longitudinal label says nothing of the car")
+    floor = pooled_noise_floor(model, [held])
+    fast = fast_motion(tested, floor)
+    notes += [fast] if fast else []
     return DriveFacts(
         name=drive.name,
         sha256=drive.sha256,
@@ -323,7 +327,7 @@ def _facts(held: HeldOut, model: SingleTrack, trained: TrainingSet | None) -> Dr
         tested_valid=int(tested.accepted.sum()),
         in_sample=in_sample,
         held_out=held.split.intervals,
-        noise_floor=pooled_noise_floor(model, [held]),
+        noise_floor=floor,
         notes=tuple(notes),
     )
 

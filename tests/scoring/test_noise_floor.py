@@ -11,10 +11,10 @@ from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate
 from split_cli.scoring.evaluation import HeldOut, pooled_noise_floor
-from split_cli.scoring.noise import noise_floor
+from split_cli.scoring.noise import NoiseFloor, fast_motion, noise_floor
 from split_cli.scoring.splits import whole_drive
 from split_cli.vehicle.single_track import SingleTrack
-from tests.factories import make_drive, road_car
+from tests.factories import make_drive, make_labels, road_car
 
 CAR = road_car()
 SIGMA = {"vx": 0.02, "vy": 0.015, "r": 0.004, "T": 40.0, "delta": 0.002}
@@ -117,3 +117,23 @@ def test_floors_of_drives_are_pooled_by_squares_and_samples(clean):
     counts = np.array([len(part.tested) for part in parts])
     expected = np.sqrt(sum(n * f.rms**2 for n, f in zip(counts, alone, strict=True)) / counts.sum())
     np.testing.assert_allclose(pooled_noise_floor(model, parts).rms, expected, rtol=1e-12)
+
+
+def test_motion_between_labels_is_told_from_noise():
+    """Labels every 50 ms see an oscillation of 8 Hz as a jump, but neither noise at the floor nor a slow swing."""
+    rng = np.random.default_rng(3)
+    t = np.arange(4000) * 0.05
+    noise = rng.normal(size=(len(t), 3)) * [0.2, 0.02, 0.05]
+    floor = NoiseFloor(np.array([0.2, 0.02, 0.05]))
+    slow = 2.0 * np.sin(2 * np.pi * 0.3 * t)[:, None] * [1.0, 0.2, 0.5]
+    assert fast_motion(make_labels(np.zeros((len(t), 3)), slow + noise), floor) == ""
+    shaken = slow + noise
+    shaken[:, 1] += 0.3 * np.sin(2 * np.pi * 8.0 * t)
+    told = fast_motion(make_labels(np.zeros((len(t), 3)), shaken), floor)
+    # |second difference| of the sine: 0.3 (2 sin(pi 0.4))^2 = 1.085, its rms over sqrt(6): 0.313.
+    assert "v_y by 0.31 m/s^2, 16 times" in told
+    assert "v_x" not in told
+    assert "r by" not in told
+    assert fast_motion(make_labels(np.zeros((len(t), 3)), shaken), NoiseFloor(None, "unknown")) == ""
+    # Without any noise, what little a slow swing jumps is no finding either.
+    assert fast_motion(make_labels(np.zeros((len(t), 3)), slow), NoiseFloor(np.full(3, 1e-9))) == ""
