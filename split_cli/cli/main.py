@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
+import threading
 import warnings
 
 import click
@@ -44,6 +46,9 @@ _COREUTILS_OPTIONS = (
     "--lines",
     "--number",
 )
+
+
+_STOPPED = "stopped; what was being written is left as it was before"
 
 
 class LazyGroup(click.Group):
@@ -119,6 +124,7 @@ def main(arguments: list[str] | None = None) -> None:
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", NumericalRepairWarning)
     _open_closed_streams()
+    stopped = _stop_cleanly()
     _refuse_undecodable(sys.argv[1:] if arguments is None else arguments)
     try:
         result = group.main(args=arguments, prog_name="split", standalone_mode=False)
@@ -126,7 +132,7 @@ def main(arguments: list[str] | None = None) -> None:
     except SplitError as error:
         _fail(str(error), 1)
     except click.exceptions.Abort:
-        _fail("stopped; what was being written is left as it was before", 130)
+        _fail(_STOPPED, 130)
     except click.ClickException as error:
         error.show()
         sys.exit(2)
@@ -141,6 +147,8 @@ def main(arguments: list[str] | None = None) -> None:
     except MemoryError:
         _fail("not enough memory; try shorter recordings or fewer at once", 1)
     except Exception as error:
+        if stopped:  # a library that was loading turned the interrupt into an error of its own
+            _fail(_STOPPED, 130)
         if os.environ.get("SPLIT_TRACEBACK"):
             raise
         _fail(
@@ -149,6 +157,24 @@ def main(arguments: list[str] | None = None) -> None:
             1,
         )
     sys.exit(result if isinstance(result, int) else 0)
+
+
+def _stop_cleanly() -> list[int]:
+    """Let Ctrl-C and `kill` unwind, so that unfinished files are removed; the list holds what signal came."""
+    came: list[int] = []
+    here = os.getpid()
+
+    def stop(number: int, frame: object) -> None:
+        if os.getpid() != here:  # a worker process has nothing to tidy: its parent does
+            os._exit(128 + number)
+        came.append(number)
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, stop)
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where a shell ignores it
+            signal.signal(signal.SIGINT, stop)
+    return came
 
 
 def _open_closed_streams() -> None:
