@@ -15,9 +15,10 @@ from split_cli.learning.region import Grid, Region, z2_grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects.term import Term
+from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.vehicle.single_track import Flow, SingleTrack
+from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from split_cli.logs.drive import Drive
 from split_cli.logs.noise import difference_noise
 from split_cli.vehicle.effects import Recording, Term, build_terms
+from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.vehicle.single_track import Flow, SingleTrack
+from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = ["Series", "build_series", "extended_model"]
 

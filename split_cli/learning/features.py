@@ -10,7 +10,8 @@ import numpy as np
 from split_cli.errors import DriveError, nearest_names
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects.recording import Recording
-from split_cli.vehicle.single_track import Flow, SingleTrack
+from split_cli.vehicle.flow import Flow
+from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = ["Z1", "Z2", "FeatureSet", "flow_along", "parse_features", "recording_of"]
 

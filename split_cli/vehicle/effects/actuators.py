@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from split_cli.vehicle.effects.term import Mimic, Term
-from split_cli.vehicle.single_track import Flow
+from split_cli.vehicle.flow import Flow
 
 __all__ = [
     "DriveDelay",

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.tires import scale_load
-from split_cli.vehicle.single_track import Flow
+from split_cli.vehicle.flow import Flow
 
 __all__ = ["CgShift", "Mass", "YawInertia"]
 

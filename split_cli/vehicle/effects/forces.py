@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from split_cli.vehicle.effects.term import Mimic, Term
-from split_cli.vehicle.single_track import Flow
+from split_cli.vehicle.flow import Flow
 
 __all__ = ["AeroDrag", "RollingResistance", "Wind", "YawMomentDifferential"]
 

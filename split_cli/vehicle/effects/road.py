@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.vehicle.effects.place import inside_stretch
 from split_cli.vehicle.effects.term import Mimic, Term
-from split_cli.vehicle.single_track import Flow
+from split_cli.vehicle.flow import Flow
 
 __all__ = ["RoadBank", "RoadGrade"]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.vehicle.effects.recording import Recording, shifted
 from split_cli.vehicle.effects.term import Mimic, Term
-from split_cli.vehicle.single_track import Flow
+from split_cli.vehicle.flow import Flow
 
 __all__ = ["SensorDelay", "SensorLeverArm", "SensorMisalignment"]
 

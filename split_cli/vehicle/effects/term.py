@@ -14,7 +14,7 @@ from split_cli.vehicle.effects.recording import (
     play_response,
     shifted,
 )
-from split_cli.vehicle.single_track import Flow
+from split_cli.vehicle.flow import Flow
 
 __all__ = ["Mimic", "Term"]
 

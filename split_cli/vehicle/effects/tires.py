@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from split_cli.vehicle.effects.place import inside_stretch
 from split_cli.vehicle.effects.term import Mimic, Term
-from split_cli.vehicle.single_track import AxleFlow, Flow
+from split_cli.vehicle.flow import AxleFlow, Flow
 from split_cli.vehicle.tire import lateral_force
 
 # What the catalogue is made of: every name here is a term.
