@@ -29,6 +29,7 @@ _LOOK_AHEAD = 0.6
 _NOISE = {"X": 0.01, "Y": 0.01, "yaw": 0.0012, "vx": 0.008, "vy": 0.008, "r": 0.0015, "ax": 0.03, "ay": 0.03}
 # Indices of the multi-body state.
 _X, _Y, _DELTA, _VX, _YAW, _R, _VY = 0, 1, 2, 3, 4, 5, 10
+_SPINS = slice(23, 27)
 
 
 @dataclass(frozen=True)
@@ -143,6 +144,8 @@ def _run(car: MultiBody, inputs, speed: float, seconds: float, pose: tuple[float
         k3 = np.array(car.derivative(list(x + 0.5 * _STEP * k2), [rate, acceleration], p))
         k4 = np.array(car.derivative(list(x + _STEP * k3), [rate, acceleration], p))
         x = x + _STEP / 6.0 * (now + 2.0 * k2 + 2.0 * k3 + k4)
+        # The package forbids wheels to turn backwards by altering the list it is given, which is a copy here.
+        x[_SPINS] = np.maximum(x[_SPINS], 0.0)
     table = np.array(rows).T
     names = ("t", "X", "Y", "yaw", "vx", "vy", "r", "T", "delta", "ax", "ay")
     columns = dict(zip(names, table, strict=True))

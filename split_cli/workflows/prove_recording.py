@@ -107,6 +107,9 @@ def _one(path: Path, fault: InjectedFault, number: int, output: Path, block: flo
         words = words_of(said)
     except SplitError as error:
         said, words = Statement("undecided"), f"error: {error}"
+    except Exception as error:
+        # A fault of the diagnosis is a result too; the other faults are still tried.
+        said, words = Statement("undecided"), f"failed: {type(error).__name__}: {error}"
     truth = [fault.term] if fault.term else []
     found = next((f for f in said.findings if f.term == fault.term), None)
     value, low, high = next(
