@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from split_cli.learning.region import valid_cells
 from split_cli.learning.training_set import TrainingSet
@@ -84,7 +85,7 @@ def draw_coverage(trained: TrainingSet) -> Figure:
         axis.set_title(f"{_slice_name(points)}\n{filled} points, {total} valid cells", fontsize="medium")
     bar = figure.colorbar(mesh, ax=axes, label="points held", pad=0.01, spacing="uniform")
     bar.set_ticks(_COUNTS, labels=[str(count) for count in _COUNTS[:-1]] + [f"{_COUNTS[-1]}+"])
-    _label_axes(axes)
+    _label_axes(axes, trained, (*held, *valid))
     valid_numbers = valid_cells(trained.vehicle, trained.region, trained.grid)
     known = int(np.isin(valid_numbers, trained.cell_numbers).sum())
     outside = trained.cell_count - known
@@ -151,7 +152,7 @@ def draw_labels(trained: TrainingSet, drives: Sequence[HeldOut], output: int) ->
         axes[1, column].set_title(f"learned mean at {below.low:.2f}", fontsize="medium")
     for axis in axes.flat:
         axis.set_facecolor("0.93")
-    _label_axes(axes)
+    _label_axes(axes, trained, (*labels, *learned))
     figure.colorbar(
         mesh, ax=axes, label=f"rate of {STATES[output]} left out [{LABEL_UNITS[output]}]", extend="both", pad=0.01
     )
@@ -160,9 +161,10 @@ def draw_labels(trained: TrainingSet, drives: Sequence[HeldOut], output: int) ->
 
 
 def _finding(labels: list[CellMap], output: int) -> str:
-    low = min(float(np.nanmin(part.values)) for part in labels if np.isfinite(part.values).any())
-    high = max(float(np.nanmax(part.values)) for part in labels if np.isfinite(part.values).any())
-    unit = LABEL_UNITS[output]
+    known = np.concatenate([part.values[np.isfinite(part.values)] for part in labels])
+    if not len(known):
+        return f"No label of {STATES[output]} lies in the valid region"
+    low, high, unit = known.min(), known.max(), LABEL_UNITS[output]
     return (
         f"What the nominal model leaves out of {STATES[output]}: {low:.2g} to {high:.2g} {unit} "
         "from cell to cell\n(grey: no label above, nothing known below)"
@@ -195,11 +197,19 @@ def _slice_name(part: CellMap) -> str:
     return f"$T/T_{{max}}$ {part.low:.1f} to {part.high:.1f}"
 
 
-def _label_axes(axes: np.ndarray) -> None:
+def _label_axes(axes: np.ndarray, trained: TrainingSet, maps: Sequence[CellMap]) -> None:
+    """Name the axes, and cut them to the cells that hold anything, one cell around."""
     grid = np.atleast_2d(axes)
+    used = np.any([np.isfinite(part.values) & (part.values != 0.0) for part in maps], axis=0)
+    for feature, cut in ((0, grid[0, 0].set_xlim), (1, grid[0, 0].set_ylim)):
+        at = np.flatnonzero(used.any(axis=1 - feature))
+        if len(at):
+            edge, first = trained.grid.edges[feature], trained.grid.first[feature]
+            cut((first + at[0] - 1) * edge, (first + at[-1] + 2) * edge)
     for axis in grid[-1]:
         axis.set_xlabel(r"$\alpha_f$ [rad]")
     for axis in grid[:, 0]:
         axis.set_ylabel(r"$\alpha_r$ [rad]")
     for axis in grid.flat:
         axis.set_aspect("equal")
+        axis.xaxis.set_major_locator(MaxNLocator(4))

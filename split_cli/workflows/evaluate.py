@@ -36,6 +36,7 @@ from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.workflows.label import drive_notes
 
 __all__ = ["evaluate", "evaluate_files", "train_in_memory"]
 
@@ -311,13 +312,10 @@ def _concatenate(parts: Sequence[Labels]) -> Labels:
 def _facts(held: HeldOut, model: SingleTrack, trained: TrainingSet | None) -> DriveFacts:
     drive, tested = held.drive, held.labels.take(held.tested)
     in_sample = bool(trained and drive.sha256 and any(s.sha256 == drive.sha256 for s in trained.sources))
-    notes = []
-    torque = str(drive.metadata.kinds.get("T", ""))
-    if torque.startswith("derived") and "accel" in torque:
-        notes.append("torque is derived from acceleration: the longitudinal label says nothing of the car")
+    notes = list(drive_notes(drive))
     floor = pooled_noise_floor(model, [held])
     fast = fast_motion(tested, floor)
-    notes += [fast] if fast else []
+    notes += [f"{drive.name}: {fast}"] if fast else []
     return DriveFacts(
         name=drive.name,
         sha256=drive.sha256,
@@ -335,7 +333,7 @@ def _facts(held: HeldOut, model: SingleTrack, trained: TrainingSet | None) -> Dr
 def _notes(
     facts: Sequence[DriveFacts], drives: Sequence[HeldOut], settings: EvaluationSettings, rollouts: Sequence
 ) -> list[str]:
-    notes = [f"{fact.name}: {note}" for fact in facts for note in fact.notes]
+    notes = [note for fact in facts for note in fact.notes]
     for fact in facts:
         if fact.in_sample:
             notes.append(f"IN SAMPLE: the set was trained on {fact.name}; its scores say nothing of other drives")

@@ -93,6 +93,6 @@ def label_drive(
 def drive_notes(drive: Drive) -> tuple[str, ...]:
     """Return what a reader of labels should know of a drive's channels, in words."""
     kind = str(drive.metadata.kinds.get("T", ""))
-    if kind.startswith("derived") and "a_x" in kind:
+    if kind.startswith("derived") and ("a_x" in kind or "dv_x/dt" in kind):
         return (f"{drive.name}: T is {kind}; the longitudinal label then says nothing",)
     return ()

@@ -150,11 +150,11 @@ def test_fitc_is_said_to_know_the_future(garage, tmp_path):
 
 
 def test_a_torque_derived_from_acceleration_is_noted(garage, tmp_path):
-    kinds = {"T": "derived: torque from measured a_x by the nominal model, acceleration"}
+    kinds = {"T": "derived: torque from dv_x/dt - v_y r of smoothed v_x by the nominal model of test car"}
     drive = replace(read_drive(garage / "d1.parquet"), metadata=DriveMetadata(kinds=kinds))
     write_drive(drive, tmp_path / "derived.parquet")
     outcome = run("evaluate", tmp_path / "derived.parquet", "--set", garage / "a.split", "--rollout", "")
-    assert "the longitudinal label says nothing" in outcome.stderr
+    assert "the longitudinal label then says nothing" in outcome.stderr
 
 
 def test_drives_of_another_label_interval_have_no_common_rollouts(garage, tmp_path):
