@@ -173,10 +173,24 @@ def build_case(plan: CasePlan) -> Case:
     raise SplitError(f"case {plan.number} of seed {plan.seed} cannot be built: {reason}")
 
 
-def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
+@dataclass(frozen=True)
+class _Setting:
+    """Where and in what a case takes place: the calibrated car, its world without the effects, and three trips."""
+
+    source: CarOfProof
+    base: str
+    simulation: str
+    without: World
+    concealed: tuple[Concealed, ...]
+    trips: tuple[Trip, Trip, Trip]
+    base_severity: float
+
+
+def _setting(plan: CasePlan, rng: np.random.Generator) -> _Setting:
     base = "bare" if rng.random() < 0.6 else "rich"
     simulation = "nominal" if base == "bare" and plan.kind != "null" and rng.random() < 0.6 else "plant"
     if "yaw_moment_differential" in plan.terms:
+        # A bare car is too narrow for its wheels to hold it back.
         base, simulation = "rich", "plant"
     source = _car(plan.seed, int(rng.integers(_CARS_OF_A_SEED)), base)
     name = source.car.name
@@ -184,47 +198,54 @@ def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
     believed = replace(source.car, steer_rate=CARS[name].steer_rate, torque_rate=CARS[name].torque_rate)
     track = random_track(rng, length, length / 2400, 4.0 * source.car.wheelbase / 2.7)
     without = World(source.car, track, believed)
-    concealed = [_draw(plan, term, rng, without) for term in plan.terms]
+    concealed = tuple(_draw(plan, term, rng, without) for term in plan.terms)
     for effect in concealed:
         without = effect.neutral(without)
     if without.car != source.car:
         # The car without the effect is another one now; its file must be its own.
         source = build_car(without.car, plan.seed % 10_000 + plan.number)
-    pace = (source.car.wheelbase / 2.7) ** 0.5
-    seconds = 70.0 + 60.0 * rng.random() if pace > 0.6 else 60.0 + 30.0 * rng.random()
-    trips = [_trip(rng, seconds) for _ in range(3)]
+    seconds = 60.0 + 30.0 * rng.random() if name == "f1tenth_car" else 70.0 + 60.0 * rng.random()
+    trips = (_trip(rng, seconds), _trip(rng, seconds), _trip(rng, seconds))
     base_severity = _base_severity(without, trips[0], source)
-    if simulation == "nominal" and base_severity > _BARE_ENOUGH:
+    if base_severity > _BARE_ENOUGH:
         simulation = "plant"
+    return _Setting(source, base, simulation, without, concealed, trips, base_severity)
 
+
+def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
+    setting = _setting(plan, rng)
+    source, without, trips = setting.source, setting.without, setting.trips
     effects, world = [], without
-    for effect in concealed:
+    for effect in setting.concealed:
         found = _sized(effect, without, trips[0], plan, rng, source)
         effects.append((effect, found))
         world = effect.apply(world, found[0])
     run = drive(world, trips[0])
-    error = effect_error(run, world, without)
-    total = severity(error, source.noise) if concealed else 0.0
+    total = severity(effect_error(run, world, without), source.noise) if effects else 0.0
     if plan.kind == "single" and not plan.low <= total <= plan.high:
         raise Unreachable(f"severity {total:.3g} over the whole drive is not within {plan.low:g} to {plan.high:g}")
     real = record(run, source.alignment, "real", rng, world.sensor)
     sim = None
-    if simulation == "plant":
+    if setting.simulation == "plant":
         lap = drive(without, trips[1], sample_period=1e-2)
         sim = record(lap, source.alignment, "sim", None, without.sensor)
     told, heldout, removed = _told(effects, world, without, trips, source, plan)
     if plan.kind in ("single", "pair"):
-        # Else the effect would in truth be one that the catalogue lacks, or more than one that it has.
-        there = severity(heldout.error, source.noise)
-        left = there * float(np.sqrt(max(1.0 - removed, 0.0)))
-        if left > max(_LEFT[0], _LEFT[1] * there):
-            raise Unreachable(f"the true terms leave a severity of {left:.3g} of {there:.3g}")
+        _require_named(heldout, removed, source)
     answer = Answer(
-        number=plan.number, kind=plan.kind, tier=plan.tier, effects=told, car=name, base=base,
-        simulation=simulation, base_severity=base_severity, total_severity=total, removed=removed,
+        number=plan.number, kind=plan.kind, tier=plan.tier, effects=told, car=source.car.name, base=setting.base,
+        simulation=setting.simulation, base_severity=setting.base_severity, total_severity=total, removed=removed,
         **_places(run),
     )  # fmt: skip
     return Case(real, sim, source.vehicle, answer, heldout, source.noise)
+
+
+def _require_named(heldout: ExactDrive, removed: float, source: CarOfProof) -> None:
+    """Refuse a case whose true terms leave much: it would conceal more than its name."""
+    there = severity(heldout.error, source.noise)
+    left = there * float(np.sqrt(max(1.0 - removed, 0.0)))
+    if left > max(_LEFT[0], _LEFT[1] * there):
+        raise Unreachable(f"the true terms leave a severity of {left:.3g} of {there:.3g}")
 
 
 def _draw(plan: CasePlan, term: str, rng: np.random.Generator, world: World) -> Concealed:
