@@ -12,7 +12,8 @@ import click
 
 __all__ = ["existing_file", "json_option", "output_option", "print_json", "print_table", "vehicle_option"]
 
-existing_file = click.Path(path_type=Path)
+# Not checked here: a file that cannot be read is an input at fault (one line, exit code 1), not wrong usage.
+existing_file = click.Path(path_type=Path, readable=False)
 
 
 def vehicle_option(required: bool = True) -> Callable:

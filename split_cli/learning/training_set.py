@@ -219,6 +219,8 @@ class SetFile:
             self._reader = pa.ipc.open_file(self._source)
             self._described = json.loads((self._reader.schema.metadata or {})[b"split"])
             found = self._described["format"]
+        except PermissionError as error:
+            raise SetError("cannot be read (Permission denied)", where=str(path)) from error
         except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
             reason = "truncated, damaged or of another kind"
             raise SetError(f"is not a whole trained set ({reason})", where=str(path), advice=_RETRAIN) from error

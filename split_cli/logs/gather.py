@@ -262,6 +262,9 @@ class _Resolver:
 
     def _resolve(self, name: str) -> str:
         """Return the address with its type or topic replaced as the map's `topics` says, or by the only one."""
+        topic = topic_of(name)
+        if name.startswith("/") and topic in self.map.topics:
+            return self.map.topics[topic] + name[len(topic) :]
         if name in self.infos:
             return name
         if not name.startswith("/") and ":" in name:
@@ -276,9 +279,6 @@ class _Resolver:
                     advice=f"Say which: `--topic {type_name}={topics[0]}`.",
                 )
             return f"{topics[0]}/{field_path}" if topics else name
-        topic = topic_of(name)
-        if topic in self.map.topics:
-            return self.map.topics[topic] + name[len(topic) :]
         return name
 
 
@@ -427,7 +427,13 @@ class _Converter:
                 where=self.where,
                 advice="Give `unit:` in the map.",
             )
-        if found.si == "rad/s" and expected == "m/s" and channel.startswith("wheel_speed") and self.wheel_radius:
+        if found.si == "rad/s" and expected == "m/s" and channel.startswith("wheel_speed"):
+            if not self.wheel_radius:
+                raise MapError(
+                    f"{channel} is in {unit}, its speed takes the wheel radius",
+                    where=self.where,
+                    advice="Give --vehicle.",
+                )
             self.notes.conversions.append(f"{channel}: {unit} times the wheel radius {self.wheel_radius:g} m")
             return convert_to_si(values, unit) * self.wheel_radius
         if expected is not None and found.si != expected:

@@ -1,0 +1,527 @@
+"""Hostile use of every command: one line that says what, exit code 1, and what was there before untouched."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+
+from split_cli.cli.main import main
+from split_cli.learning.training_set import read_set
+from split_cli.logs.drive import read_drive, write_drive
+from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows.simulate import SimulateSettings, simulate_log
+from tests.factories import MissingForce, make_drive, road_car
+
+COLUMNS = ("t", "vx", "vy", "r", "T", "delta")
+
+
+@pytest.fixture(scope="module")
+def depot(tmp_path_factory) -> Path:
+    """A folder with a vehicle, two drives, a trained set, a table and a log with messages."""
+    folder = tmp_path_factory.mktemp("depot")
+    car = road_car()
+    write_vehicle(car, folder / "car.yaml")
+    write_vehicle(road_car(mass=1700.0), folder / "other.yaml")
+    for number in range(2):
+        drive = make_drive(
+            number,
+            segments=20,
+            seconds=3.0,
+            vehicle=car,
+            terms=[MissingForce({"front_lateral": 150.0})],
+            name=f"d{number}.parquet",
+        )
+        write_drive(drive, folder / drive.name)
+    assert tool("train", folder / "d0.parquet", "--vehicle", folder / "car.yaml", "-o", folder / "a.split")[0] == 0
+    settings = SimulateSettings(track="small", duration=8.0, seed=1)
+    simulate_log(settings, folder / "lap.csv")
+    simulate_log(settings, folder / "lap.parquet")
+    simulate_log(settings, folder / "lap.mcap")
+    return folder
+
+
+@pytest.fixture
+def here(depot, tmp_path, monkeypatch) -> Path:
+    """The working directory: a fresh copy of the depot, under a name that quoting has to survive."""
+    folder = tmp_path / "my cars ü"
+    shutil.copytree(depot, folder)
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def tool(*arguments: object) -> tuple[int, str, str]:
+    """Run the command line as its entry point does; returns exit code, stdout, stderr."""
+    import io
+
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    out, err = io.StringIO(), io.StringIO()
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    return left.value.code, out.getvalue(), err.getvalue()
+
+
+def refused(*arguments: object, says: tuple[str, ...], output: str | None = None) -> str:
+    """Run; demand exit code 1, nothing on stdout, one line with every word of `says`, and the old output whole."""
+    before = state(output)
+    code, out, err = tool(*arguments)
+    lines = err.strip().splitlines()
+    assert code == 1, (code, err)
+    assert out == ""
+    assert len(lines) == 1 and lines[0].startswith("split: "), err
+    assert "an error of this program" not in err
+    for word in says:
+        assert word in lines[0], (word, lines[0])
+    assert state(output) == before
+    assert not [name for name in os.listdir(".") if name.endswith(".part")]
+    return lines[0]
+
+
+def state(path: str | None) -> dict[str, str] | None:
+    """Return the digests of what is at a path; None when nothing is."""
+    if path is None or not Path(path).exists():
+        return None
+    files = sorted(p for p in Path(path).rglob("*") if p.is_file()) if Path(path).is_dir() else [Path(path)]
+    return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+
+
+def plain_drive(**changes: np.ndarray) -> dict[str, np.ndarray]:
+    drive = read_drive("d0.parquet")
+    count = int(np.count_nonzero(drive.segment == drive.segment[0]))
+    columns = {name: drive[name][:count].copy() for name in COLUMNS}
+    return {**columns, **changes}
+
+
+def save(columns: dict[str, np.ndarray], name: str = "p.parquet") -> str:
+    pa.parquet.write_table(pa.table(columns), name)
+    return name
+
+
+def spoiled(channel: str, row: int, value: float) -> str:
+    columns = plain_drive()
+    columns[channel][row] = value
+    return save(columns)
+
+
+# Outputs that are inputs
+
+
+@pytest.mark.parametrize(
+    ("command", "lost"),
+    [
+        (("ingest", "lap.parquet", "-o", "lap.parquet"), "lap.parquet"),
+        (("ingest", "lap.parquet", "-o", "."), "lap.parquet"),
+        (("ingest", "lap.csv", "lap.parquet", "-o", "."), "lap.parquet"),
+        (("label", "d0.parquet", "--vehicle", "car.yaml", "-o", "d0.parquet"), "d0.parquet"),
+        (("label", "d0.parquet", "--vehicle", "car.yaml", "-o", "car.yaml"), "car.yaml"),
+        (("train", "d1.parquet", "d0.parquet", "--vehicle", "car.yaml", "-o", "./d0.parquet"), "d0.parquet"),
+        (("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "link.split"), "d0.parquet"),
+        (("calibrate", "d0.parquet", "--vehicle", "car.yaml", "-o", "d0.parquet"), "d0.parquet"),
+    ],
+)
+def test_an_input_is_never_overwritten(here, command, lost):
+    (here / "link.split").symlink_to(here / "d0.parquet")
+    said = refused(*command, says=(), output=lost)
+    assert "overwritten" in said or "two recordings" in said
+
+
+def test_a_log_is_not_its_own_truth_and_both_places_are_checked_before_driving(here):
+    common = ("simulate", "--track", "small", "--duration", 3)
+    refused(*common, "--truth", "z.parquet", "-o", "z.parquet", says=("--truth", "log itself"), output="z.parquet")
+    refused(
+        *common, "--truth", "no/t.parquet", "-o", "z.mcap", says=("no/t.parquet", "Create no"), output="z.mcap"
+    )
+    assert not (here / "z.mcap").exists()
+
+
+# Numbers that are no measurements
+
+
+@pytest.mark.parametrize(
+    ("channel", "value", "says"),
+    [
+        ("vx", np.nan, ("non-finite", "vx", "row 7")),
+        ("T", np.inf, ("non-finite", "T", "row 7")),
+        ("vx", 1e300, ("vx is 1e+300 in row 7",)),
+        # Stiff enough to take 1e8 substeps: refused, not waited for.
+        ("r", 1e10, ("r is 1e+10 in row 7",)),
+        ("T", -1e300, ("T is -1e+300 in row 7",)),
+        ("t", np.nan, ("time does not increase at row 7",)),
+    ],
+)
+@pytest.mark.parametrize("command", ["label", "train", "calibrate", "evaluate"])
+def test_a_drive_with_an_impossible_number_is_refused(here, command, channel, value, says):
+    drive = spoiled(channel, 7, value)
+    output = () if command == "evaluate" else ("-o", "out.file")
+    Path("out.file").write_text("old")
+    said = refused(command, drive, "--vehicle", "car.yaml", *output, says=("p.parquet", *says), output="out.file")
+    assert "np.float64" not in said
+
+
+def test_ingest_counts_impossible_numbers_and_keeps_the_rest(here):
+    rows = Path("lap.csv").read_text().splitlines()
+    names = rows[0].split(",")
+    place = next(i for i, name in enumerate(names) if name.startswith("vx"))
+    clean = read_ingested("lap.csv")
+    for row in (100, 101, 300):
+        cells = rows[row].split(",")
+        cells[place] = "1e308"
+        rows[row] = ",".join(cells)
+    Path("hit.csv").write_text("\n".join(rows) + "\n")
+    code, out, err = tool("ingest", "hit.csv", "-o", "hit.parquet")
+    assert code == 0 and err == ""
+    assert "3 beyond 100000, no measurement in vx" in out
+    made = read_drive("hit.parquet")
+    # Bridged by a cubic over 30 ms of a car's motion with noise of some cm/s.
+    np.testing.assert_allclose(made["vx"], clean["vx"], atol=0.2)
+    for row in range(1, len(rows)):
+        cells = rows[row].split(",")
+        cells[place] = "-1e308"
+        rows[row] = ",".join(cells)
+    Path("hit.csv").write_text("\n".join(rows) + "\n")
+    refused(
+        "ingest", "hit.csv", "-o", "hit.parquet", says=("hit.csv", "vx", "no measurement"), output="hit.parquet"
+    )
+
+
+def read_ingested(log: str):
+    assert tool("ingest", log, "-o", "clean.parquet")[0] == 0
+    return read_drive("clean.parquet")
+
+
+def test_a_flipped_bit_in_a_drive_is_no_velocity(here):
+    content = bytearray(Path("d0.parquet").read_bytes())
+    said = []
+    # The columns come first, the footer with the schema last: every place here lies in a column's pages.
+    for place in np.linspace(200, 0.9 * len(content), 25).astype(int):
+        hit = content.copy()
+        hit[place] ^= 16
+        Path("hit.parquet").write_bytes(hit)
+        code, _, err = tool("info", "hit.parquet")
+        if code == 0:
+            code, _, err = tool("label", "hit.parquet", "--vehicle", "car.yaml", "-o", "l.parquet")
+        assert "an error of this program" not in err
+        said.append(code)
+    assert said == [1] * 25
+
+
+# Drives, vehicles and sets that do not fit
+
+
+def test_a_plain_drive_says_what_it_lacks_or_has_twice(here):
+    columns = plain_drive()
+    label = ("--vehicle", "car.yaml", "-o", "l.parquet")
+    refused("label", save({n: v for n, v in columns.items() if n != "vy"}), *label, says=("lacks vy", "p.parquet"))
+    refused("label", save({**columns, "vx(km/h)": columns["vx"]}), *label, says=("two columns are vx",))
+    refused("label", save({n: v[:1] for n, v in columns.items()}), *label, says=("holds 1 samples",))
+    refused("label", save({n: v[:2] for n, v in columns.items()}), *label, says=("too short for a label",))
+    refused("label", ".", *label, says=("is a folder",))
+    refused("label", "a.split", *label, says=("cannot be read as a drive",))
+    for stop in (0, 100, -100):
+        Path("cut.parquet").write_bytes(Path("d0.parquet").read_bytes()[:stop])
+        refused(
+            "train",
+            "cut.parquet",
+            "--vehicle",
+            "car.yaml",
+            "-o",
+            "a.split",
+            says=("cut.parquet",),
+            output="a.split",
+        )
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"period": 0.0}, ("metadata is damaged",)),
+        ({"period": float("nan")}, ("metadata is damaged",)),
+        ({"period": 0.5}, ("clock is not uniform",)),
+        ({"noise": 5}, ("metadata is damaged",)),
+        ({"format": "split-drive/99"}, ("split-drive/99", "Ingest the recording again")),
+    ],
+)
+def test_damaged_metadata_of_a_drive_is_told(here, change, says):
+    table = pa.parquet.read_table("d0.parquet")
+    stored = {**json.loads(table.schema.metadata[b"split"]), **change}
+    pa.parquet.write_table(table.replace_schema_metadata({"split": json.dumps(stored)}), "p.parquet")
+    refused(
+        "train", "p.parquet", "--vehicle", "car.yaml", "-o", "a.split", says=("p.parquet", *says), output="a.split"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--vehicle", "other.yaml"), ("a.split", "vehicle")),
+        (("--vehicle", "car.yaml", "--features", "z1"), ("features", "alpha_f", "asked for: vx")),
+        (("--vehicle", "car.yaml", "--capacity", 5), ("capacity: 10", "asked for: 5")),
+        (("--vehicle", "car.yaml", "--hyperparameters", "fit"), ("hyperparameters",)),
+        (("--vehicle", "a.split"), ("a.split",)),
+        (("--vehicle", "."), ("is a folder", "Is a directory")),
+        (("--vehicle", "lap.mcap"), ("lap.mcap", "no text")),
+    ],
+)
+def test_appending_what_does_not_fit_leaves_the_set_alone(here, arguments, says):
+    said = refused("train", "d1.parquet", *arguments, "-o", "a.split", "--append", says=(), output="a.split")
+    assert any(word in said for word in says)
+
+
+def test_a_set_cut_or_hit_anywhere_is_refused_by_every_command(here):
+    content = bytearray(Path("a.split").read_bytes())
+    commands = [
+        ("info", "hit.split"),
+        ("verify", "hit.split"),
+        ("evaluate", "d1.parquet", "--set", "hit.split"),
+        ("export", "hit.split", "--target", "npz", "-o", "out"),
+        ("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "hit.split", "--append"),
+    ]
+    values = read_set("a.split").y[:, 1]
+    hits = [content[: len(content) // 3], content[:-20], bytearray(), bytearray(b"ARROW1")]
+    for value in values[[0, len(values) // 2, -1]]:
+        hit = content.copy()
+        hit[hit.find(np.float64(value).tobytes())] ^= 1
+        hits.append(hit)
+    # The schema with its metadata stands at both ends of an Arrow file; readers take that of the end.
+    hits.append(content.replace(b'"capacity": 10', b'"capacity": 11'))
+    hits.append(content.replace(b'"threshold": 0.001', b'"threshold": 0.002'))
+    assert all(hit != content for hit in hits)
+    for hit in hits:
+        Path("hit.split").write_bytes(hit)
+        for command in commands:
+            refused(*command, says=("hit.split",), output="hit.split")
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "holds no keys"),
+        ("mass: [1", "is not YAML"),
+        ("[" * 1000, "nested too deeply"),
+        ("mass: 1\nmass: 2\n", "stands twice"),
+        ("masss: 5\n", "Did you mean mass"),
+        ("\0", "is not YAML"),
+    ],
+)
+def test_a_vehicle_file_that_is_none_is_told_in_a_line(here, text, says):
+    Path("v.yaml").write_text(text)
+    refused(
+        "label", "d0.parquet", "--vehicle", "v.yaml", "-o", "l.parquet", says=("v.yaml", says), output="l.parquet"
+    )
+
+
+def test_numbers_in_yaml_may_be_written_as_in_c(here):
+    text = Path("car.yaml").read_text()
+    Path("v.yaml").write_text(text + "effects: [{term: aero_drag, parameters: {drag: 1e-3}}]\n")
+    assert tool("label", "d0.parquet", "--vehicle", "v.yaml", "-o", "l.parquet")[0] == 0
+
+
+# Signal maps
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("preset: split_sim\nchannels: {w: {source: '/wheels/velocity[7]'}}", ("'/wheels/velocity[7]'", "to w")),
+        ("preset: split_sim\nchannels: {vx: {source: /odometry/twist.twist.linear.x, scale: 0}}", ("scale is 0",)),
+        (
+            "preset: split_sim\nchannels: {vx: {source: /odometry/twist.x}}",
+            ("'/odometry/twist.x'", "Did you mean"),
+        ),
+        ("preset: split_sim\ntime: {source: stamp}", ("for tables", "header, publish, log")),
+        ("preset: nope", ("no preset 'nope'",)),
+    ],
+)
+def test_a_map_that_cannot_be_right_is_refused(here, text, says):
+    Path("m.yaml").write_text(text)
+    Path("o.parquet").write_text("old")
+    refused(
+        "ingest",
+        "lap.mcap",
+        "--vehicle",
+        "car.yaml",
+        "--map",
+        "m.yaml",
+        "-o",
+        "o.parquet",
+        says=says,
+        output="o.parquet",
+    )
+
+
+def test_an_optional_element_past_the_end_of_every_list_is_said_not_to_be_recorded(here):
+    Path("m.yaml").write_text("preset: split_sim\nchannels: {w: {source: '/wheels/velocity[7]', optional: true}}")
+    code, out, _ = tool(
+        "ingest", "lap.mcap", "--vehicle", "car.yaml", "--map", "m.yaml", "-o", "o.parquet", "--json"
+    )
+    assert code == 0
+    assert json.loads(out)[0]["quality"]["skipped"] == ["w: no message has an element /wheels/velocity[7]"]
+    assert "w" not in read_drive("o.parquet")
+
+
+def test_a_topic_option_that_changes_nothing_is_refused(here):
+    common = ("ingest", "lap.mcap", "--vehicle", "car.yaml", "--map", "split_sim", "-o", "o.parquet")
+    refused(*common, "--topic", "odometry=/odom", says=("--topic", "'odometry'", "/odometry"))
+    refused(*common, "--topic", "/odometry=/odom", says=("lap.mcap", "/odom/"))
+    assert not Path("o.parquet").exists()
+
+
+def test_the_log_at_fault_and_its_damage_are_named(here):
+    content = bytearray(Path("lap.mcap").read_bytes())
+    content[len(content) // 3] ^= 255
+    Path("hit.mcap").write_bytes(content)
+    code, out, err = tool(
+        "ingest", "lap.mcap", "hit.mcap", "--vehicle", "car.yaml", "--map", "split_sim", "-o", "drives"
+    )
+    if code:
+        assert "hit.mcap" in err and len(err.splitlines()) == 1
+        assert not Path("drives").exists()
+    else:
+        assert "chunk left out" in out
+    save({name: values[:3] for name, values in plain_drive().items()}, "three.parquet")
+    common = ("--gap", 0.3, "-o", "others")
+    refused("ingest", "lap.parquet", "three.parquet", *common, says=("three.parquet", "3 usable"))
+    code, _, err = tool("ingest", "three.parquet", *common, "--keep-going")
+    assert code == 1 and len(err.splitlines()) == 1
+    assert not Path("others").exists()
+
+
+# Options
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("label", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--stride", 0),
+        ("label", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--horizon", "nan"),
+        ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--features", ""),
+        ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--features", "alpha_f,alpha_f"),
+        ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--capacity", 0),
+        ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--guard", "nan"),
+        ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--rollout", "nan"),
+        ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--sizes", "-5"),
+        ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--features", ","),
+        ("calibrate", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--fit", ","),
+        ("calibrate", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--figure", "f.xyz"),
+        ("calibrate", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--figure", "no/f.png"),
+        ("simulate", "--track", "small", "--duration", "1e-9", "-o", "x.csv"),
+        ("simulate", "--track", "small", "--laps", "nan", "-o", "x.csv"),
+        ("ingest", "lap.csv", "-o", "o.parquet", "--gap", "nan"),
+        ("ingest", "lap.csv", "-o", "o.parquet", "--rate", "1e9"),
+        ("verify", "d0.parquet"),
+        ("verify", "car.yaml"),
+        ("info", "bad\udcff.csv"),
+    ],
+)
+def test_options_that_make_no_sense_write_nothing(here, options):
+    refused(*options, says=())
+    assert not Path("x.out").exists() and not Path("x.csv").exists() and not Path("o.parquet").exists()
+
+
+def test_a_car_that_only_goes_straight_keeps_its_tyres(here):
+    count = 4000
+    t = np.arange(count) * 0.01
+    vx = 15.0 + 3.0 * np.sin(0.2 * t)
+    zero = np.zeros(count)
+    drive = {"t": t, "vx": vx, "vy": zero, "r": zero, "T": 800.0 * np.cos(0.2 * t), "delta": zero}
+    code, _, err = tool("calibrate", save(drive), "--vehicle", "car.yaml", "-o", "c.yaml")
+    assert code == 0 and "the start's tyres are kept on both axles" in err
+
+
+def test_verify_tells_files_of_an_export_that_it_did_not_check(here):
+    for target in ("json", "npz"):
+        assert tool("export", "a.split", "--target", target, "--queries", 200, "-o", "out")[0] == 0
+    code, out, _ = tool("verify", "out")
+    assert code == 0
+    assert next(line for line in out.splitlines() if line.startswith("other files")).endswith(
+        "a.json, split-export.schema.json"
+    )
+
+
+def test_json_is_json(here):
+    for command in (
+        ("ingest", "--list-maps"),
+        ("ingest", "lap.csv", "--list"),
+        ("ingest", "lap.csv", "lap.mcap", "--list"),
+        ("ingest", "lap.csv", "--suggest-map"),
+        ("info", "a.split", "car.yaml", "d0.parquet", "lap.mcap"),
+        ("verify", "a.split"),
+    ):
+        code, out, err = tool(*command, "--json")
+        assert code == 0 and err == ""
+        assert json.loads(out)
+
+
+# The machine
+
+
+def spawn(*arguments: object, **options) -> subprocess.Popen:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    return subprocess.Popen([sys.executable, "-m", "split_cli", *map(str, arguments)], text=True, **pipes)
+
+
+def no_room() -> None:
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+
+def test_a_full_disk_leaves_the_old_output(here):
+    for output, command in (
+        ("d0.parquet", ("ingest", "lap.csv", "-o", "d0.parquet")),
+        ("z.mcap", ("simulate", "--track", "small", "--duration", 3, "-o", "z.mcap")),
+        ("out", ("export", "a.split", "--target", "npz", "--queries", 200, "-o", "out")),
+    ):
+        before = state(output)
+        run = spawn(*command, preexec_fn=no_room)
+        err = run.communicate(timeout=120)[1].splitlines()
+        assert run.returncode == 1
+        assert "cannot be written" in err[-1] and "Traceback" not in "".join(err)
+        assert state(output) == before
+
+
+def test_a_stdout_that_is_full_or_closed_is_no_error_of_this_program(here):
+    with open("/dev/full", "w") as full:
+        run = spawn("info", "a.split", stdout=full)
+    assert run.communicate(timeout=60)[1] == "split: reading or writing: No space left on device\n"
+    assert run.returncode == 1
+    run = spawn("info", "a.split", stdout=None, preexec_fn=lambda: os.close(1))
+    assert run.communicate(timeout=60)[1] == ""
+    assert run.returncode == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_run_that_is_stopped_leaves_the_old_set_or_the_new_one(here, number):
+    old = state("a.split")
+    shutil.copy("a.split", "whole.split")
+    assert tool("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "whole.split", "--append")[0] == 0
+    new = list(state("whole.split").values())
+    for wait in (0.25, 0.5, 0.8):
+        shutil.copy("whole.split", "scratch.split")
+        shutil.copy("a.split", "b.split")
+        run = spawn("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "b.split", "--append")
+        time.sleep(wait)
+        run.send_signal(number)
+        err = run.communicate(timeout=60)[1]
+        assert list(state("b.split").values()) in (list(old.values()), new)
+        if number != signal.SIGKILL:
+            assert "Traceback" not in err and "an error of this program" not in err
+            assert run.returncode in (0, 130, -number)
+            assert not [name for name in os.listdir(".") if name.endswith(".part")]
