@@ -11,7 +11,7 @@ __all__ = ["command_reference"]
 
 def command_reference() -> str:
     """Return docs/commands.md: the help of every command, in the order in which one uses them."""
-    context = click.Context(group, info_name="split")
+    context = click.Context(group, info_name="split", **group.context_settings)
     names = group.list_commands(context)
     parts = [
         "# Commands",
