@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from split_cli.errors import VehicleError
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
 ]
 
 _TAYLOR_TERMS = 13
+_MOST_SUBSTEPS = 1_000
 
 
 def substep_count(jacobian: np.ndarray, period: float) -> int:
@@ -78,6 +80,11 @@ def integrate_recorded(
     -------
     ndarray
         State after K samples, same shape as `state`.
+
+    Raises
+    ------
+    VehicleError
+        If a term is so fast that following it would take more than 1,000 substeps a sample.
     """
     with_pose = state.shape[1] == 6
     rows = [np.ascontiguousarray(column) for column in state.T]
@@ -93,6 +100,12 @@ def integrate_recorded(
             term_states = np.stack([steady[name] + 0.0 * vx for name in model.state_names], axis=1)
         rows += [np.ascontiguousarray(column) for column in term_states.T]
         fastest = max(term.fastest_rate(float(np.max(rows[2], initial=0.0))) for term in model.terms)
+        if not fastest * period <= _MOST_SUBSTEPS:
+            raise VehicleError(
+                f"its effects react within {1.0 / fastest:.2g} s, too fast to follow at a period of {period:g} s",
+                where=f"vehicle {model.vehicle.name}, effects",
+                advice="Leave out a lag or a relaxation that is this short.",
+            )
         substeps = max(substeps, int(np.ceil(fastest * period)))
     step = period / substeps
     total = torque.shape[1] - 1
