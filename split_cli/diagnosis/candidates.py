@@ -83,6 +83,9 @@ def build_candidates(vehicle: Vehicle, series: Series) -> list[Candidate]:
 def _tables(vehicle: Vehicle, duration: float, reach: float) -> dict:
     """Limits are (lower, upper, step) in natural units; see `natural_unit`."""
     scale = (0.3, 2.0, 0.01)
+    least_drag = vehicle.drag_coefficient / natural_unit(vehicle, "aero_drag", "drag")
+    rolling = vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear
+    least_force = rolling / natural_unit(vehicle, "rolling_resistance", "force")
     place = (0.0, reach, 0.002 * reach)
     patch = {"scale": (0.25, 2.0, 0.01), "s_start": place, "s_end": place}
     fade = {"final_loss": (-0.9, 0.9, 0.01), "tau": (0.02 * duration, 10.0 * duration, 0.02 * duration)}
@@ -98,7 +101,7 @@ def _tables(vehicle: Vehicle, duration: float, reach: float) -> dict:
     lag = {"tau": (0.0, 0.8, 0.002)}
     lag_starts = [{"tau": value} for value in (0.01, 0.04, 0.15)]
     tables = {
-        ("combined_slip", ""): ({"strength": (-1.0, 4.0, 0.02)}, [{"strength": 0.3}]),
+        ("combined_slip", ""): ({"strength": (0.0, 4.0, 0.02)}, [{"strength": 0.3}]),
         ("grip_fade", ""): (fade, fade_starts),
         ("grip_fade", "curve"): (fade, fade_starts),
         ("tire_relaxation", ""): ({"length": (0.0, 5.0, 0.02)}, [{"length": v} for v in (0.1, 0.5, 1.5)]),
@@ -106,9 +109,10 @@ def _tables(vehicle: Vehicle, duration: float, reach: float) -> dict:
             {"front_scale": (0.3, 3.0, 0.01), "rear_scale": (0.3, 3.0, 0.01)},
             [{"front_scale": 0.97, "rear_scale": 0.97}],
         ),
-        ("aero_drag", ""): ({"drag": (-3.0, 10.0, 0.01)}, [{"drag": 0.1}]),
-        ("rolling_resistance", ""): ({"force": (-0.1, 0.3, 0.001)}, [{"force": 0.005}]),
-        ("yaw_moment_differential", ""): ({"yaw_damping": (-2.0, 5.0, 0.01)}, [{"yaw_damping": 0.05}]),
+        # No car pushes itself: what is taken off is at most what the nominal has.
+        ("aero_drag", ""): ({"drag": (-least_drag, 10.0, 0.01)}, [{"drag": 0.1}]),
+        ("rolling_resistance", ""): ({"force": (-least_force, 0.3, 0.001)}, [{"force": 0.005}]),
+        ("yaw_moment_differential", ""): ({"yaw_damping": (0.0, 5.0, 0.01)}, [{"yaw_damping": 0.05}]),
         ("road_grade", "wave"): (wave, [], "wave", 6.0),
         ("road_grade", "stretch"): (stretch, [], "stretch", 6.0),
         ("road_bank", ""): ({"angle": (-0.4, 0.4, 0.001)}, [{"angle": 0.005}]),
@@ -137,7 +141,7 @@ def _tables(vehicle: Vehicle, duration: float, reach: float) -> dict:
         tables["friction_scale", variant] = ({"scale": scale}, [{"scale": 0.97}])
         tables["friction_patch", variant] = (patch, [], "patch", 6.0)
     for variant in ("", "peak", "degressive"):
-        tables["load_transfer", variant] = ({"cg_height": (-0.5, 1.0, 0.005)}, [{"cg_height": 0.05}])
+        tables["load_transfer", variant] = ({"cg_height": (0.0, 1.0, 0.005)}, [{"cg_height": 0.05}])
         limits = (-2.0, 5.0, 0.02)
         tables["aero_downforce", variant] = ({"front": limits, "rear": limits}, [{"front": 0.1, "rear": 0.1}])
     for variant in ("", "loaded", "degressive"):

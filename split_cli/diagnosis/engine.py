@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from split_cli.diagnosis.candidates import build_candidates
 from split_cli.diagnosis.common import CommonPhysics, build_common_physics, features
+from split_cli.diagnosis.constancy import Drift, parameter_drifts
 from split_cli.diagnosis.estimates import parameter_estimates
 from split_cli.diagnosis.evidence import Evidence, gather_evidence
 from split_cli.diagnosis.fitting import Fit, fit_parts
+from split_cli.diagnosis.formula import sparse_formula
 from split_cli.diagnosis.improvement import label_errors, measure_improvement
 from split_cli.diagnosis.judge import CommonKnowledge, Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, habits
@@ -22,7 +24,7 @@ from split_cli.diagnosis.screening import judgeable, unfit
 from split_cli.diagnosis.selection import Rival, Rules, Selection, nothing, select_terms, term_size
 from split_cli.diagnosis.sentences import sentence_for, separations, summarise
 from split_cli.diagnosis.series import Series, build_series
-from split_cli.diagnosis.structure import STRUCTURE_FLOOR, FlexibleFit, Structure, build_structure
+from split_cli.diagnosis.structure import FlexibleFit, Structure, build_structure
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
@@ -53,7 +55,7 @@ class Settings:
     level: float = 0.01
     inflation: float = 1.5
     holdout_share: float = 0.25
-    nameless_share: float = 0.15
+    nameless_share: float = 0.08
     reach: float = 0.35
     least_rows: int = 250
 
@@ -196,7 +198,8 @@ def _mismatch(
     settings: Settings,
 ) -> Diagnosis:
     chosen = selection.chosen
-    remainder = _remainder(structure, gap, selection, settings)
+    drifts = parameter_drifts(judge, chosen)
+    remainder = _remainder(structure, gap, selection, drifts, settings)
     findings = _findings(judge, case, selection, settings)
     unexplained = not findings or (
         remainder.p_value < settings.level and remainder.share > settings.nameless_share
@@ -204,6 +207,8 @@ def _mismatch(
     forces = [gap_forces(one, (), case.common_rates(one)) for one in case.real]
     after = [gap_forces(one, chosen.terms, case.common_rates(one)) for one in case.real]
     left = np.concatenate([f[one.at][mask] for f, one, mask in zip(after, case.real, case.keep, strict=True)])
+    if unexplained:
+        remainder = replace(remainder, formula=sparse_formula(case.real, after, case.keep))
     location = locate(case.real, forces, case.keep, np.mean(left**2, axis=0))
     improvement = _improvement(case, chosen, settings)
     gaps = tuple(map(gap_series, case.real, case.keep, forces, after))
@@ -214,10 +219,12 @@ def _mismatch(
     )  # fmt: skip
 
 
-def _remainder(structure: Structure, gap: FlexibleFit, selection: Selection, settings: Settings) -> RemainderTest:
+def _remainder(
+    structure: Structure, gap: FlexibleFit, selection: Selection, drifts: tuple[Drift, ...], settings: Settings
+) -> RemainderTest:
     left = structure.fit(selection.chosen.entries, settings.inflation)
     named = selection.base.cost - selection.chosen.cost
-    chance = settings.inflation * left.freedom + STRUCTURE_FLOOR * structure.judge.shared_cost
+    chance = settings.inflation * left.freedom + structure.allowed(left.freedom)
     nameless = max(left.saved - chance, 0.0)
     return RemainderTest(left.p_value, nameless / max(nameless + named, 1e-9), left.severity, left.group_saved)
 

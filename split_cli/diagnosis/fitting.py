@@ -11,7 +11,7 @@ from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.judge import Judge, alters_inputs
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Fit", "Part", "fit_parts", "linear_cost", "scan_places"]
+__all__ = ["Fit", "Part", "fit_parts", "linear_cost", "raw_slopes", "scan_places"]
 
 _ITERATIONS = 12
 _REFRESHES = 1
@@ -66,12 +66,23 @@ class Fit:
         return sum(part.candidate.complexity for part in self.parts)
 
 
-def fit_parts(judge: Judge, parts: Sequence[Part]) -> Fit:
-    """Refit all parameters of all parts together, common physics following what they do to the inputs."""
-    fit = _fit(judge, tuple(parts), judge.shift([part.term for part in parts]), _ITERATIONS)
-    if any(alters_inputs(term) for term in fit.terms):
-        for _ in range(_REFRESHES):
-            fit = _fit(judge, fit.parts, judge.shift(fit.terms), _ITERATIONS)
+def fit_parts(judge: Judge, parts: Sequence[Part], *, refreshes: int = _REFRESHES) -> Fit:
+    """Refit all parameters of all parts together from where they are.
+
+    Parameters
+    ----------
+    judge : Judge
+    parts : sequence of Part
+    refreshes : int
+        How often the common physics follows what the terms do to the inputs; 0 to leave it where the recording
+        puts it, for a first look at many candidates.
+    """
+    parts = tuple(parts)
+    if not refreshes or not any(alters_inputs(part.term) for part in parts):
+        return _fit(judge, parts, np.zeros(len(judge.weight)), _ITERATIONS)
+    fit = _fit(judge, parts, judge.shift([part.term for part in parts]), _ITERATIONS)
+    for _ in range(refreshes):
+        fit = _fit(judge, fit.parts, judge.shift(fit.terms), _ITERATIONS)
     return fit
 
 
@@ -96,7 +107,7 @@ def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: i
     cost = float(entries @ entries)
     damping = 1e-3
     for _ in range(iterations):
-        jacobian = _slopes(judge, parts, names, steps, x, upper)
+        jacobian = judge.whiten(_slopes(judge, parts, names, steps, x, upper))
         curvature, slope = jacobian.T @ jacobian, jacobian.T @ entries
         improved = 0.0
         for _ in range(5):
@@ -119,8 +130,19 @@ def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: i
     return Fit(_with(parts, names, x * steps), cost, entries, jacobian / steps)
 
 
+def raw_slopes(judge: Judge, parts: Sequence[Part]) -> np.ndarray:
+    """Return derivatives of the entries by each parameter's step, common physics still in, shape (R, P)."""
+    parts = tuple(parts)
+    names = [(k, name) for k, part in enumerate(parts) for name in part.values]
+    limits = [parts[k].candidate.ranges[name] for k, name in names]
+    steps = np.array([limit.step for limit in limits])
+    upper = np.array([limit.upper for limit in limits]) / steps
+    x = np.array([parts[k].values[name] for k, name in names]) / steps
+    return _slopes(judge, parts, names, steps, x, upper)
+
+
 def _slopes(judge: Judge, parts, names, steps, x, upper) -> np.ndarray:
-    """Return derivatives of the whitened entries by x, shape (R, P), by differences of one step."""
+    """Return derivatives of the entries by x, shape (R, P), by differences of one step."""
     here = judge.residual([part.term for part in _with(parts, names, x * steps)])
     columns = []
     for p in range(len(x)):
@@ -130,7 +152,7 @@ def _slopes(judge: Judge, parts, names, steps, x, upper) -> np.ndarray:
         moved[p] += direction
         there = judge.residual([part.term for part in _with(parts, names, moved * steps)])
         columns.append((there - here) * direction)
-    return judge.whiten(np.stack(columns, axis=1))
+    return np.stack(columns, axis=1)
 
 
 def linear_cost(judge: Judge, fixed: Sequence[Part], part: Part) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -12,6 +12,8 @@ from split_cli.diagnosis.common import CommonPhysics
 from split_cli.diagnosis.evidence import Evidence, integrated
 from split_cli.diagnosis.kinematics import Kinematics
 from split_cli.vehicle.effects import Term
+
+_LEAST_TOLD = 2e-3
 
 __all__ = ["CommonKnowledge", "Judge", "build_judge", "learn_common"]
 
@@ -70,10 +72,12 @@ class Judge:
         Block of time each entry lies in.
     weight : ndarray, shape (R,)
         Root of each entry's robust weight.
-    root : ndarray, shape (C, C)
-        M with (I - V M V^T)^2 = I - V V^T.
+    root : ndarray, shape (C,)
+        M, diagonal in the directions of V, with (I - V M V^T)^2 = I - V V^T.
     kinematics : tuple of Kinematics
         Recordings against themselves; their rows come last in every stack, and nothing but sensors moves them.
+    memo : dict
+        Shifts of the common physics computed before.
     """
 
     evidence: tuple[Evidence, ...]
@@ -86,6 +90,7 @@ class Judge:
     weight: np.ndarray
     root: np.ndarray
     kinematics: tuple[Kinematics, ...] = ()
+    memo: dict = field(default_factory=dict, repr=False, compare=False)
 
     def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:
         """Return the kept, weighted entries of rows (G, 3, ...) of all recordings, shape (R, ...)."""
@@ -109,13 +114,19 @@ class Judge:
 
         Zero unless one of them does; it is costly and taken as constant while parameters move a little.
         """
-        if self.knowledge is None or not any(alters_inputs(term) for term in terms):
+        altering = [term for term in terms if alters_inputs(term)]
+        if self.knowledge is None or not altering:
             return np.zeros(len(self.weight))
+        key = tuple((term.id, *sorted(term.parameters.items())) for term in altering)
+        if key not in self.memo:
+            self.memo[key] = self._common_rows(altering) - self.offset
+        return self.memo[key]
+
+    def _common_rows(self, terms: Sequence[Term]) -> np.ndarray:
         rows = []
         for one in self.evidence:
-            change = self.common.rates(one.series, self.knowledge.weights, terms)
-            change -= self.common.rates(one.series, self.knowledge.weights)
-            rows.append(one.whitener(integrated(one.series, change)))
+            rates = self.common.rates(one.series, self.knowledge.weights, terms)
+            rows.append(one.whitener(integrated(one.series, rates)))
         return self.stack(rows)
 
     def whiten(self, rows: np.ndarray) -> np.ndarray:
@@ -125,7 +136,8 @@ class Judge:
         """
         if not self.basis.shape[1]:
             return rows
-        return rows - self.basis @ (self.root @ (self.basis.T @ rows))
+        told = self.basis.T @ rows
+        return rows - self.basis @ ((self.root * told.T).T)
 
     def cost(self, terms: Sequence[Term]) -> float:
         """Return the cost of an explanation; its units are those of chi squared."""
@@ -136,6 +148,11 @@ class Judge:
         """Cost that the common physics, at the simulation's weights, explains of the real recordings."""
         plain = self.stack([evidence.plain for evidence in self.evidence])
         return max(float(plain @ plain - np.sum((plain - self.offset) ** 2)), 0.0)
+
+    def channel_sums(self, entries: np.ndarray) -> np.ndarray:
+        """Return sums over the rows of v_x, v_y and r, and over kinematic rows, shape (4,)."""
+        rows = len(entries) - sum(len(one.begin) for one in self.kinematics)
+        return np.append(entries[:rows].reshape(-1, 3).sum(axis=0), entries[rows:].sum())
 
     def block_sums(self, entries: np.ndarray) -> np.ndarray:
         """Return sums over blocks of time, shape (B, ...)."""
@@ -175,7 +192,7 @@ def build_judge(
         basis=np.zeros((len(weight), 0)),
         block=block,
         weight=weight,
-        root=np.zeros((0, 0)),
+        root=np.zeros(0),
         kinematics=tuple(kinematics),
     )
     if knowledge is None:
@@ -183,7 +200,10 @@ def build_judge(
     columns = judge.stack([one.common for one in evidence])
     lower = np.linalg.cholesky(knowledge.precision + columns.T @ columns)
     basis = solve_triangular(lower, columns.T, lower=True).T
-    # With V^T V = U diag(d) U^T the root is U diag((1 - sqrt(1 - d))/d) U^T = U diag(1/(1 + sqrt(1 - d))) U^T.
+    # With V^T V = U diag(d) U^T the root is U diag(1/(1 + sqrt(1 - d))) U^T; directions that reality says next to
+    # nothing about change no cost and are left out.
     d, U = np.linalg.eigh(basis.T @ basis)
-    root = (U / (1.0 + np.sqrt(np.clip(1.0 - d, 0.0, 1.0)))) @ U.T
+    told = d > _LEAST_TOLD
+    root = 1.0 / (1.0 + np.sqrt(np.clip(1.0 - d[told], 0.0, 1.0)))
+    basis = np.ascontiguousarray(basis @ U[:, told])
     return replace(judge, offset=columns @ knowledge.weights, basis=basis, root=root)

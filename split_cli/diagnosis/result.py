@@ -156,6 +156,9 @@ class RemainderTest:
         What kinds of dependence explain of it, strongest first, in units of chi squared.
     formula : str
         The best sparse formula as a lead; empty when the remainder is noise.
+    drifts : tuple of (str, float)
+        What the findings' parameters drift with, strongest first, and the share of what they explain that a drift
+        would explain further.
     """
 
     p_value: float
@@ -163,6 +166,7 @@ class RemainderTest:
     severity: float
     by_group: tuple[tuple[str, float], ...]
     formula: str = ""
+    drifts: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)

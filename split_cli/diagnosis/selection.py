@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts, linear_cost, scan_places
-from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.judge import Judge, alters_inputs
 from split_cli.diagnosis.structure import TERM_FLOOR, minimum_effect_p, severity_of
 
 __all__ = ["Rival", "Rules", "Selection", "nothing", "select_terms", "term_p", "term_size"]
@@ -22,10 +22,12 @@ class Rules:
     price: float = 8.0  # cost a searched parameter has to save, before inflation
     most_terms: int = 3
     full_fits: int = 9
+    followed: int = 5  # of the best, in which the common physics follows the inputs they change
     same_within: float = 2.5  # standard errors of the paired block difference
     same_excess: float = 9.0  # cost above the chosen one, after inflation
     same_share: float = 0.15  # of what the chosen term saves: beyond it, a rival is worse whatever its error
-    least_share: float = 0.03  # of the explained cost, for a further term
+    least_share: float = 0.005  # of the explained cost, for a further term
+    misfit: float = 0.10  # of what the chosen terms explain in the same channels
     level: float = 0.01  # of the minimum-effect test, after counting the terms that were tried
 
 
@@ -102,9 +104,20 @@ def explore(
         if seen.get(key, 0) >= 2 or (key not in seen and len(seen) >= rules.full_fits):
             continue
         seen[key] = seen.get(key, 0) + 1
-        fits.append(fit_parts(judge, (*current.parts, part)))
+        settled = any(alters_inputs(one.term) for one in current.parts)
+        fits.append(fit_parts(judge, (*current.parts, part), refreshes=int(settled)))
     fits.sort(key=lambda fit: price(fit, inflation, rules))
-    return fits
+    best, done = [], set()
+    for fit in fits:
+        key = (fit.parts[-1].candidate.term, fit.parts[-1].candidate.variant)
+        if key in done:
+            continue
+        done.add(key)
+        # Only what may win is worth following with the common physics.
+        again = len(done) <= rules.followed and any(alters_inputs(term) for term in fit.terms)
+        best.append(fit_parts(judge, fit.parts) if again else fit)
+    best.sort(key=lambda fit: price(fit, inflation, rules))
+    return best
 
 
 def select_terms(
@@ -124,6 +137,11 @@ def select_terms(
         share = (chosen.cost - best.cost) / max(base.cost - best.cost, 1e-12)
         if saved <= 0.0 or (chosen.parts and share < rules.least_share):
             break
+        if chosen.parts and _is_misfit(judge, base, chosen, best, rules):
+            history.append(
+                f"{best.parts[-1].candidate.label} would save {saved:.0f}, no more than the others misfit"
+            )
+            break
         p_value = term_p(judge, best, len(best.parts) - 1, chosen.cost - best.cost, inflation) * len(candidates)
         first_p = first_p if chosen.parts else min(p_value, 1.0)
         if p_value >= rules.level:
@@ -135,6 +153,17 @@ def select_terms(
         history += dropped
     rivals = tuple(_rivals(judge, chosen, k, candidates, inflation, rules) for k in range(len(chosen.parts)))
     return Selection(base, chosen, rivals, tuple(history), first_p)
+
+
+def _is_misfit(judge: Judge, base: Fit, chosen: Fit, further: Fit, rules: Rules) -> bool:
+    """Return whether a further term saves no more than single-track terms leave of a real car's effect.
+
+    Counted in the channels in which the further term saves: what one term leaves is of its own kind.
+    """
+    before, now, then = (judge.channel_sums(fit.entries**2) for fit in (base, chosen, further))
+    gained, explained = np.maximum(now - then, 0.0), np.maximum(before - now, 0.0)
+    weight = gained / max(float(gained.sum()), 1e-12)
+    return float(gained.sum()) < rules.misfit * float(weight @ explained)
 
 
 def term_size(judge: Judge, fit: Fit, k: int) -> float:

@@ -94,5 +94,6 @@ def summarise(
     if unexplained and remainder is not None:
         share = f"{remainder.share:.0%} of the gap" if findings else "The gap"
         lead = f"; it depends on {remainder.by_group[0][0]}" if remainder.by_group else ""
-        parts.append(f"{share} has no name in the catalogue{lead}.")
+        formula = f" A formula as a lead: {remainder.formula}." if remainder.formula else ""
+        parts.append(f"{share} has no name in the catalogue{lead}.{formula}")
     return " ".join(parts)

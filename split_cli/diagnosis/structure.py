@@ -29,9 +29,10 @@ _RIDGE_SHARE = 2e-3
 # model misses in one way of driving and not in another counts as common.
 ALLOWANCE = 0.05
 # And smaller than these shares of what common physics explains: no dictionary fits it exactly. A flexible fit finds
-# more of what is left than a single term can.
-STRUCTURE_FLOOR = 1e-3
-TERM_FLOOR = 5e-5
+# more of what is left than a single term can, by so much a parameter.
+STRUCTURE_FLOOR = 1e-4
+TERM_FLOOR = 1e-5
+MISFIT_A_PARAMETER = 1.8
 
 
 @dataclass(frozen=True)
@@ -93,9 +94,15 @@ class Structure:
         )
         # The size is overestimated by what the fit makes of noise.
         size *= np.sqrt(max(1.0 - inflation * freedom / max(saved, 1e-9), 0.0))
-        floor = STRUCTURE_FLOOR * self.judge.shared_cost
+        floor = self.allowed(freedom)
         p = minimum_effect_p(saved, freedom, size, inflation, floor)
         return FlexibleFit(saved, freedom, float(size), p, self._by_group(score))
+
+    def allowed(self, freedom: float) -> float:
+        """Return the saving that a dictionary's misfit may bring with so many parameters."""
+        if self.judge.knowledge is None:
+            return 0.0
+        return MISFIT_A_PARAMETER * freedom + STRUCTURE_FLOOR * self.judge.shared_cost
 
     def _by_group(self, score: np.ndarray) -> tuple[tuple[str, float], ...]:
         out = []

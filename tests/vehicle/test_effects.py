@@ -214,7 +214,12 @@ def test_axle_terms_scale_what_they_name():
     check(at, change(at, *stiff), term("tire_stiffness", front_scale=0.9, rear_scale=1.2))
     load_f, load_r = 1500.0 * G * B / 2.7, 1500.0 * G * A / 2.7
     down = f["fyf"] * 0.8 * at["vx"] ** 2 / load_f, f["fyr"] * 1.1 * at["vx"] ** 2 / load_r
-    check(at, change(at, *down), term("aero_downforce", front=0.8, rear=1.1))
+    expected = change(at, *down)
+    # Load also rolls: 90 N and 80 N grow alike; at the steered axle that force has a part across.
+    front, rear = -90.0 * 0.8 * at["vx"] ** 2 / load_f, -80.0 * 1.1 * at["vx"] ** 2 / load_r
+    across = front * np.sin(at["delta"])
+    expected += np.stack([(rear + front * np.cos(at["delta"])) / 1500.0, across / 1500.0, A * across / 2600.0])
+    check(at, expected, term("aero_downforce", front=0.8, rear=1.1))
 
 
 def test_forces_at_the_centre_of_gravity():

@@ -220,7 +220,7 @@ class TireStiffness(Term):
 
 
 class AeroDownforce(Term):
-    """Axle load that grows with speed: D (1 + c v_x^2/F_z,static), c `front` and `rear`.
+    """Axle load that grows with speed: D (1 + c v_x^2/F_z,static), c `front` and `rear`; rolling resistance too.
 
     Source: Milliken and Milliken (1995), chapter 15. Variants: see `scale_load`.
     """
@@ -237,9 +237,10 @@ class AeroDownforce(Term):
     def tire(self, flow: Flow) -> None:
         """Raise D with speed."""
         car, speed2 = flow.vehicle, flow.vx * flow.vx
-        for axle, name, load in (
-            (flow.front, "front", car.static_load_front),
-            (flow.rear, "rear", car.static_load_rear),
+        for axle, name, load, resistance in (
+            (flow.front, "front", car.static_load_front, car.rolling_resistance_front),
+            (flow.rear, "rear", car.static_load_rear, car.rolling_resistance_rear),
         ):
             gain = flow.ops.maximum(1.0 + self.parameters[name] * speed2 / load, _LEAST_CAPACITY)
             scale_load(axle, gain, self.variant)
+            axle.longitudinal_force = axle.longitudinal_force - (gain - 1.0) * resistance
