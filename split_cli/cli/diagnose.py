@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 
 import click
@@ -33,9 +34,11 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, as_json) 
     from split_cli.diagnosis.document import diagnosis_to_text
     from split_cli.workflows.diagnose import diagnose_files
 
+    begin, watched = time.monotonic(), is_watched()
+
     def progress(step: str) -> None:
-        if sys.stderr.isatty():
-            click.echo(f"{step} ...", err=True)
+        if watched:
+            click.echo(f"{time.monotonic() - begin:5.1f} s  {step}", err=True)
 
     result = diagnose_files(real, vehicle_path, output, simulated=simulated, holdout=holdout, progress=progress)
     if as_json:
@@ -55,3 +58,8 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, as_json) 
             click.echo(f"not judged: {note}", err=True)
     if exit_code and result.verdict == "mismatch":
         sys.exit(3)
+
+
+def is_watched() -> bool:
+    """Return whether someone watches stderr; progress is for them alone."""
+    return sys.stderr.isatty()

@@ -23,6 +23,7 @@ __all__ = [
     "EffectSpec",
     "Vehicle",
     "read_vehicle",
+    "vehicle_file",
     "vehicle_from_mapping",
     "vehicle_to_mapping",
     "write_vehicle",
@@ -172,12 +173,16 @@ def read_vehicle(path: str | Path) -> Vehicle:
         If the file is missing, not YAML, has unknown keys (the nearest known is named), lacks keys, or holds
         physically impossible values.
     """
-    path = Path(path)
-    if not path.exists():
-        path = library_path(str(path)) or path
+    path = vehicle_file(path)
     advice = f"{nearest_names(str(path), library_names())} A vehicle is a YAML file or one of the library."
     content = read_yaml_mapping(path, VehicleError, advice=advice)
     return vehicle_from_mapping(content, where=str(path))
+
+
+def vehicle_file(path: str | Path) -> Path:
+    """Return the file that `read_vehicle` reads: the path itself, or the library's file of that name."""
+    path = Path(path)
+    return path if path.exists() else library_path(str(path)) or path
 
 
 def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") -> Vehicle:

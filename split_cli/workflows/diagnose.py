@@ -12,7 +12,7 @@ from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.result import Diagnosis, InputFile
 from split_cli.files import atomic_directory, sha256_of_file
 from split_cli.logs.drive import read_drive
-from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, write_vehicle
+from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_file, write_vehicle
 from split_cli.workflows.report.page import report_page
 
 __all__ = ["corrected_vehicle", "diagnose_files", "write_diagnosis"]
@@ -33,15 +33,19 @@ def diagnose_files(
     ----------
     real, simulated, holdout : sequence of path
         Drives; without simulated ones the nominal model is the simulation.
-    vehicle_path, output : path
+    vehicle_path : path or str
+        A vehicle file, or the name of one of the library.
+    output : path
+        Folder to write into.
     progress : callable
         Called with the name of each step.
     """
+    vehicle_path = vehicle_file(vehicle_path)
     vehicle = read_vehicle(vehicle_path)
     groups = {"real": real, "sim": simulated, "holdout": holdout}
     drives = {role: [read_drive(path) for path in paths] for role, paths in groups.items()}
     inputs = [InputFile(one.name, one.sha256, role) for role, several in drives.items() for one in several]
-    inputs.append(InputFile(Path(vehicle_path).name, sha256_of_file(vehicle_path), "vehicle"))
+    inputs.append(InputFile(vehicle_path.name, sha256_of_file(vehicle_path), "vehicle"))
     diagnosis = diagnose(
         drives["real"], vehicle, drives["sim"], drives["holdout"], inputs=inputs, progress=progress
     )

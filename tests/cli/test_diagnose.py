@@ -1,0 +1,94 @@
+"""`split diagnose`: what goes to stdout and stderr, exit codes, and vehicles of the library."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from split_cli.cli.diagnose import command
+from split_cli.diagnosis.document import diagnosis_to_text
+from split_cli.diagnosis.result import Diagnosis
+from split_cli.errors import VehicleError
+from split_cli.files import sha256_of_file
+from split_cli.logs.drive import Drive, write_drive
+from split_cli.vehicle.library import library_path
+from split_cli.vehicle.parameters import read_vehicle, vehicle_file
+from split_cli.workflows import diagnose as workflow
+
+VERDICTS = {
+    "match": Diagnosis("match", 0.4, 0.9, ("brake gain: there is no braking; brake hard once",), summary="Alike."),
+    "mismatch": Diagnosis("mismatch", 1e-9, 0.9, summary="They differ."),
+    "undecided": Diagnosis("undecided", None, 0.1, ("too short",), summary="Too short."),
+}
+ARGUMENTS = ["--real", "lap.parquet", "--vehicle", "car.yaml", "--out", "out"]
+
+
+def run(monkeypatch, verdict: str, *options: str, watched: bool = False):
+    """Run the command with a diagnosis that is known beforehand: what is tested is what it tells."""
+
+    def known(*_, progress, **__):
+        progress("smoothing")
+        progress("naming")
+        return VERDICTS[verdict]
+
+    monkeypatch.setattr(workflow, "diagnose_files", known)
+    monkeypatch.setattr("split_cli.cli.diagnose.is_watched", lambda: watched)
+    return CliRunner().invoke(command, [*ARGUMENTS, *options])
+
+
+@pytest.mark.parametrize(
+    ("verdict", "options", "expected"),
+    [
+        ("mismatch", ("--exit-code",), 3),
+        ("match", ("--exit-code",), 0),
+        ("undecided", ("--exit-code",), 0),
+        ("mismatch", (), 0),
+    ],
+)
+def test_exit_codes(monkeypatch, verdict, options, expected):
+    assert run(monkeypatch, verdict, *options).exit_code == expected
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+@pytest.mark.parametrize("watched", [False, True])
+def test_json_alone_is_on_stdout(monkeypatch, verdict, watched):
+    told = run(monkeypatch, verdict, "--json", watched=watched)
+    assert told.stdout == diagnosis_to_text(VERDICTS[verdict])
+    assert json.loads(told.stdout)["verdict"] == verdict
+
+
+def test_progress_is_a_line_a_step_where_someone_watches_and_nothing_in_a_pipe(monkeypatch):
+    watched = run(monkeypatch, "match", "--json", watched=True).stderr
+    assert [line.split()[-1] for line in watched.splitlines()] == ["smoothing", "naming"]
+    assert "\r" not in watched and "\x1b" not in watched
+    assert run(monkeypatch, "match", "--json").stderr == ""
+
+
+def test_what_was_not_judged_is_a_note_not_a_result(monkeypatch):
+    told = run(monkeypatch, "match")
+    assert "brake hard once" in told.stderr and "brake hard once" not in told.stdout
+    assert told.stdout.splitlines()[1] == "Alike."
+
+
+def test_a_vehicle_of_the_library_is_named_and_hashed_by_its_file(tmp_path):
+    # Too short to judge, so that nothing but the reading of files takes time.
+    t = 0.01 * np.arange(200)
+    columns = {name: np.zeros_like(t) for name in ("vy", "r", "T", "delta")} | {"t": t, "vx": 5.0 + 0.0 * t}
+    write_drive(Drive("short", columns, np.zeros(len(t), dtype=np.int32), 0.01), tmp_path / "short.parquet")
+    said = workflow.diagnose_files([tmp_path / "short.parquet"], "tum_sim", tmp_path / "out")
+    assert said.verdict == "undecided"
+    (vehicle,) = [one for one in said.inputs if one.role == "vehicle"]
+    assert (vehicle.name, vehicle.sha256) == ("tum_sim.yaml", sha256_of_file(library_path("tum_sim")))
+    corrected = read_vehicle(tmp_path / "out" / "vehicle_corrected.yaml")
+    assert corrected.mass == read_vehicle("tum_sim").mass
+
+
+def test_a_file_wins_over_the_library_and_an_unknown_name_is_told(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tum_sim").write_text(library_path("tum_sim").read_text())
+    assert vehicle_file("tum_sim").resolve() == tmp_path / "tum_sim"
+    with pytest.raises(VehicleError, match="tum_sym"):
+        workflow.diagnose_files([], "tum_sym", tmp_path / "out")
