@@ -206,10 +206,9 @@ def _mismatch(
     )
     forces = [gap_forces(one, (), case.common_rates(one)) for one in case.real]
     after = [gap_forces(one, chosen.terms, case.common_rates(one)) for one in case.real]
-    left = np.concatenate([f[one.at][mask] for f, one, mask in zip(after, case.real, case.keep, strict=True)])
     if unexplained:
         remainder = replace(remainder, formula=sparse_formula(case.real, after, case.keep))
-    location = locate(case.real, forces, case.keep, np.mean(left**2, axis=0))
+    location = locate(case.real, forces, after, case.keep)
     improvement = _improvement(case, chosen, settings)
     gaps = tuple(map(gap_series, case.real, case.keep, forces, after))
     return Diagnosis(

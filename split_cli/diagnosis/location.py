@@ -12,10 +12,15 @@ from split_cli.diagnosis.result import GapSeries, Location, Place
 from split_cli.diagnosis.series import extended_model
 from split_cli.vehicle.effects import Term
 
-__all__ = ["gap_forces", "gap_series", "locate"]
+__all__ = ["dependence", "force_noise", "gap_forces", "gap_series", "locate", "variables"]
 
 _AVERAGE_SECONDS = 0.2
-_BINS = 12
+_ALIKE = 5.0  # rows of 0.04 s that say the same, since each is an average over 0.2 s
+_BINS = 14
+_FOLDS = 5
+_LEAST_SCORE = 0.05
+_CLEARLY_MORE = 0.1
+_EVERYWHERE = 0.8  # an interval with more of the samples tells nobody where to look
 FORCES = ("longitudinal", "front_lateral", "rear_lateral")
 
 
@@ -66,56 +71,138 @@ def variables(evidence: Evidence) -> dict[str, np.ndarray]:
 def locate(
     evidence: Sequence[Evidence],
     before: Sequence[np.ndarray],
+    after: Sequence[np.ndarray],
     keep: Sequence[np.ndarray],
-    noise: np.ndarray,
 ) -> Location:
     """Describe the gap.
 
     Parameters
     ----------
     evidence : sequence of Evidence
-    before : sequence of ndarray, shape (N, 3)
-        Gap forces of each recording [N].
+    before, after : sequence of ndarray, shape (N, 3)
+        Gap forces of each recording [N], and what the findings leave of them.
     keep : sequence of ndarray of bool, shape (G,)
         Rows that are compared.
-    noise : ndarray, shape (3,)
-        Variance of the gap forces that sensor noise makes [N^2].
     """
     rows = [one.at[mask] for one, mask in zip(evidence, keep, strict=True)]
     gap = np.concatenate([force[at] for force, at in zip(before, rows, strict=True)])
-    names = list(variables(evidence[0]))
+    block = np.concatenate([_blocks(one, at, k) for k, (one, at) in enumerate(zip(evidence, rows, strict=True))])
+    variance = [force_noise(one, at) for one, at in zip(evidence, rows, strict=True)]
+    noise = np.average(variance, axis=0, weights=[len(at) for at in rows])
+    # A gap without a pattern in the common physics passes for a disturbance; what the findings leave bounds it.
+    left = np.concatenate([force[at] for force, at in zip(after, rows, strict=True)])
+    noise = np.minimum(noise, np.mean(left**2, axis=0))
     table = [variables(one) for one in evidence]
     values = {
         name: np.concatenate([columns[name][at] for columns, at in zip(table, rows, strict=True)])
-        for name in names
+        for name in table[0]
     }
-    excess = np.maximum(np.mean(gap**2, axis=0) - noise, 1e-6 * np.mean(gap**2, axis=0) + 1e-12)
+    mean_square = np.mean(gap**2, axis=0)
+    excess = np.maximum(mean_square - noise, 1e-6 * mean_square + 1e-12)
     shares = excess / excess.sum()
-    scores = sorted(((name, _dependence(values[name], gap, excess)) for name in names), key=lambda pair: -pair[1])
-    size = np.sum(gap**2 / np.maximum(noise, 1e-12), axis=1)
+    scores = {name: dependence(x, gap, noise, block) for name, x in values.items()}
+    ranked = tuple(sorted(scores.items(), key=lambda pair: -pair[1]))
+    size = np.sum(gap**2 / noise - 1.0, axis=1)
+    size += max(_least_above(len(size)) - float(np.mean(size)), 0.0)
     region = {}
-    for name, score in scores[:3]:
-        if score > 0.05 and name not in ("t", "s"):
-            region[name] = _interval(values[name], size)[:2]
+    for name, score in ranked[:3]:
+        if score > _LEAST_SCORE and name not in ("t", "s"):
+            low, high, of_gap, of_samples = _interval(values[name], size)
+            if of_samples < _EVERYWHERE and of_gap > of_samples:
+                region[name] = (low, high)
     place, s_share = _place(evidence, values["s"], size)
-    when, t_share = _interval_if_local(values["t"], size)
+    when, t_share = _local(_interval(values["t"], size))
+    if s_share and t_share and s_share[0] - s_share[1] > t_share[0] - t_share[1] + _CLEARLY_MORE:
+        when = None  # one of several passes of the place
     share = s_share or t_share or (1.0, 1.0)
-    return Location(dict(zip(FORCES, shares.tolist(), strict=True)), tuple(scores), region, place, when, *share)
+    return Location(dict(zip(FORCES, shares.tolist(), strict=True)), ranked, region, place, when, *share)
 
 
-def _dependence(x: np.ndarray, gap: np.ndarray, excess: np.ndarray) -> float:
-    """Return the share of the gap a step function of one variable explains, less what it would of noise."""
-    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
-    bins = np.searchsorted(edges, x)
-    count = np.maximum(np.bincount(bins, minlength=len(edges) + 1), 1)
-    total = 0.0
-    for channel in range(3):
-        mean = np.bincount(bins, gap[:, channel], minlength=len(edges) + 1) / count
-        explained = np.sum(count * mean**2) / len(x)
-        # Averages over 0.2 s leave about five rows that say the same.
-        chance = 5.0 * len(count) * np.var(gap[:, channel]) / len(x)
-        total += max(explained - chance, 0.0) / excess[channel] / 3.0
-    return float(np.clip(total, 0.0, 1.0))
+def force_noise(evidence: Evidence, at: np.ndarray) -> np.ndarray:
+    """Return the variance of gap forces [N^2], shape (3,), that sensor noise and nameless disturbances make.
+
+    Notes
+    -----
+    Over W transitions of period p the mean of the defects' rates is (n_W - n_0)/(W p) less the mean of A n, with
+    n the noise of a sample and A the velocity Jacobian: the two ends count by (I/(W p) -+ A/(2 W)), the samples
+    between by A/W. Disturbances of variance q a second add q/(W p). Averaged over the rows `at`.
+    """
+    period = evidence.series.period
+    width = max(1, int(round(_AVERAGE_SECONDS / period)))
+    A = evidence.jacobian[at] / width
+    end = np.eye(3) / (width * period)
+    to_force = np.linalg.inv(evidence.vehicle.force_matrix())
+    gains = ((1.0, to_force @ (end - 0.5 * A)), (1.0, to_force @ (end + 0.5 * A)), (width - 1.0, to_force @ A))
+    squared = sum(times * np.mean(gain**2, axis=0) for times, gain in gains)
+    return squared @ evidence.series.noise**2 + to_force**2 @ evidence.disturbance / (width * period)
+
+
+def dependence(x: np.ndarray, gap: np.ndarray, noise: np.ndarray, block: np.ndarray) -> float:
+    """Return the share of a gap's variance above noise that a step function of one variable explains.
+
+    Parameters
+    ----------
+    x : ndarray, shape (G,)
+        The variable.
+    gap : ndarray, shape (G, 3)
+        Gap forces [N]; channels are weighed by their noise.
+    noise : ndarray, shape (3,)
+        Variance of the gap forces that is noise [N^2].
+    block : ndarray of int, shape (G,)
+        Block of time of each row.
+
+    Returns
+    -------
+    float
+        0 for a gap that is the same everywhere: it depends on nothing.
+
+    Notes
+    -----
+    Means over bins of equal counts are learned on four fifths of the blocks of time and judged on the others. The
+    error of those means is known and added back, so that a gap which is weak against noise, but goes with x alone,
+    is not said to depend on x in part.
+    """
+    scaled = gap / np.sqrt(noise)
+    fold = np.unique(block, return_inverse=True)[1] % _FOLDS
+    gained = 0.0
+    for k in range(_FOLDS):
+        learned, judged = fold != k, fold == k
+        if not (learned.any() and judged.any()):
+            continue
+        edges = np.unique(np.quantile(x[learned], np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
+        bins = np.searchsorted(edges, x, side="right")
+        mean, error = _bin_means(scaled[learned], bins[learned], len(edges) + 1)
+        level = scaled[learned].mean(axis=0)
+        left = (scaled[judged] - mean[bins[judged]]) ** 2 - error[bins[judged]]
+        gained += float(np.sum((scaled[judged] - level) ** 2 - left))
+    above = float(np.sum(np.var(scaled, axis=0) - 1.0))
+    return float(np.clip(gained / len(x) / max(above, _least_above(len(x))), 0.0, 1.0))
+
+
+def _least_above(rows: int) -> float:
+    """Return two standard errors of the variance's own estimate: less than that above noise has no shares."""
+    return 2.0 * float(np.sqrt(2.0 * len(FORCES) * _ALIKE / rows))
+
+
+def _bin_means(scaled: np.ndarray, bins: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return means (bins, 3) and the variance of each mean; a bin without rows has the mean of all."""
+    rows = np.bincount(bins, minlength=count)[:, None]
+
+    def mean_of(values: np.ndarray) -> np.ndarray:
+        sums = np.stack([np.bincount(bins, column, minlength=count) for column in values.T], axis=1)
+        return np.where(rows > 0, sums / np.maximum(rows, 1), values.mean(axis=0))
+
+    mean = mean_of(scaled)
+    within = mean_of((scaled - mean[bins]) ** 2)
+    alike = np.minimum(_ALIKE / np.maximum(rows, 1), 1.0)
+    return mean, within * alike / (1.0 - 0.999 * alike)
+
+
+def _blocks(evidence: Evidence, at: np.ndarray, number: int) -> np.ndarray:
+    """Number a recording's blocks of time, short enough that every bin of time is learned from several."""
+    t = evidence.series.t
+    seconds = float(np.clip(t[-1] / (5.0 * _BINS), 3.0 * _AVERAGE_SECONDS, 2.0))
+    return 1_000_000 * number + (t[at] // seconds).astype(np.int64)
 
 
 def _interval(x: np.ndarray, size: np.ndarray) -> tuple[float, float, float, float]:
@@ -125,25 +212,34 @@ def _interval(x: np.ndarray, size: np.ndarray) -> tuple[float, float, float, flo
     low = np.minimum.accumulate(np.concatenate([[0.0], surplus]))
     end = int(np.argmax(surplus - low[:-1]))
     begin = int(np.argmin(np.concatenate([[0.0], surplus])[: end + 1]))
-    share = float(size[order][begin : end + 1].sum() / size.sum())
+    share = min(float(size[order][begin : end + 1].sum() / size.sum()), 1.0)
     return float(x[order][begin]), float(x[order][end]), share, (end + 1 - begin) / len(x)
 
 
-def _interval_if_local(x: np.ndarray, size: np.ndarray):
-    low, high, gap, samples = _interval(x, size)
+def _local(found: tuple[float, float, float, float]):
+    """Return an interval and its shares, or two None where the gap is not much larger there than elsewhere."""
+    low, high, gap, samples = found
     if gap > 2.0 * samples and samples < 0.4 and gap > 0.3:
         return (low, high), (gap, samples)
     return None, None
 
 
 def _place(evidence: Sequence[Evidence], s: np.ndarray, size: np.ndarray):
-    interval, share = _interval_if_local(s, size)
+    series = evidence[0].series
+    found, lap = _interval(s, size), series.lap_length
+    if lap:
+        # A stretch may lie across the start: with the lap cut half way round it is whole.
+        turned = _interval(np.mod(s + 0.5 * lap, lap), size)
+        if turned[2] - turned[3] > found[2] - found[3]:
+            found = (*np.mod(np.array(turned[:2]) - 0.5 * lap, lap).tolist(), *turned[2:])
+    interval, share = _local(found)
     if interval is None:
         return None, None
-    series = evidence[0].series
-    middle = 0.5 * (interval[0] + interval[1])
+    length = interval[1] - interval[0]
+    middle = interval[0] + 0.5 * (np.mod(length, lap) if lap else length)
     x = y = None
     if "X" in series.drive:
-        nearest = int(np.argmin(np.abs(series.s - middle)))
+        away = series.s - (np.mod(middle, lap) if lap else middle)
+        nearest = int(np.argmin(np.abs(away)))
         x, y = float(series.drive["X"][nearest]), float(series.drive["Y"][nearest])
-    return Place(*interval, series.lap_length, series.place_reference, x, y), share
+    return Place(*interval, lap, series.place_reference, x, y), share
