@@ -15,8 +15,8 @@ from split_cli.vehicle.effects import Term
 __all__ = ["dependence", "force_noise", "gap_forces", "gap_series", "locate", "variables"]
 
 _AVERAGE_SECONDS = 0.2
-_ALIKE = 5.0  # rows of 0.04 s that say the same, since each is an average over 0.2 s
-_BINS = 14
+_ALIKE = 5  # rows of 0.04 s that say the same, since each is an average over 0.2 s
+_STEPS = (8, 16, 40)
 _FOLDS = 5
 _LEAST_SCORE = 0.05
 _CLEARLY_MORE = 0.1
@@ -158,25 +158,34 @@ def dependence(x: np.ndarray, gap: np.ndarray, noise: np.ndarray, block: np.ndar
 
     Notes
     -----
-    Means over bins of equal counts are learned on four fifths of the blocks of time and judged on the others. The
-    error of those means is known and added back, so that a gap which is weak against noise, but goes with x alone,
-    is not said to depend on x in part.
+    Means over bins of equal counts are learned on four fifths of the blocks of time and judged on the others, with
+    few or many bins, whichever says more. The error of those means is known and added back, so that a gap which is
+    weak against noise, but goes with x alone, is not said to depend on x in part.
     """
     scaled = gap / np.sqrt(noise)
     fold = np.unique(block, return_inverse=True)[1] % _FOLDS
-    gained = 0.0
-    for k in range(_FOLDS):
-        learned, judged = fold != k, fold == k
-        if not (learned.any() and judged.any()):
-            continue
-        edges = np.unique(np.quantile(x[learned], np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
-        bins = np.searchsorted(edges, x, side="right")
-        mean, error = _bin_means(scaled[learned], bins[learned], len(edges) + 1)
-        level = scaled[learned].mean(axis=0)
-        left = (scaled[judged] - mean[bins[judged]]) ** 2 - error[bins[judged]]
-        gained += float(np.sum((scaled[judged] - level) ** 2 - left))
+    gained = max(_gained(x, scaled, fold, steps) for steps in _STEPS)
     above = float(np.sum(np.var(scaled, axis=0) - 1.0))
-    return float(np.clip(gained / len(x) / max(above, _least_above(len(x))), 0.0, 1.0))
+    return float(np.clip(gained / max(above, _least_above(len(x))), 0.0, 1.0))
+
+
+def _gained(x: np.ndarray, scaled: np.ndarray, fold: np.ndarray, steps: int) -> float:
+    """Return what a function of so many steps takes off a held-out row's squared gap, in units of noise."""
+    gained, judged_rows = 0.0, 0
+    for k in range(_FOLDS):
+        learned = fold != k
+        # Rows next to learned ones share part of their average with them.
+        judged = ~np.convolve(learned, np.ones(2 * _ALIKE - 1), "same").astype(bool)
+        if not (judged.any() and learned.any()):
+            continue
+        edges = np.unique(np.quantile(x[learned], np.linspace(0.0, 1.0, steps + 1)[1:-1]))
+        bins = np.searchsorted(edges, x, side="right")
+        mean, error = _bin_means(scaled, bins, learned, len(edges) + 1)
+        level, at = scaled[learned].mean(axis=0), bins[judged]
+        left = (scaled[judged] - mean[at]) ** 2 - error[at]
+        gained += float(np.sum((scaled[judged] - level) ** 2 - left))
+        judged_rows += int(judged.sum())
+    return gained / max(judged_rows, 1)
 
 
 def _least_above(rows: int) -> float:
@@ -184,24 +193,31 @@ def _least_above(rows: int) -> float:
     return 2.0 * float(np.sqrt(2.0 * len(FORCES) * _ALIKE / rows))
 
 
-def _bin_means(scaled: np.ndarray, bins: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return means (bins, 3) and the variance of each mean; a bin without rows has the mean of all."""
-    rows = np.bincount(bins, minlength=count)[:, None]
+def _bin_means(scaled: np.ndarray, bins: np.ndarray, learned: np.ndarray, count: int):
+    """Return means (B, 3) over learned rows and the variance of each; a bin without rows has the mean of all.
+
+    Rows up to five apart share part of their average: those of them in one bin say less than as many others.
+    """
+    rows = np.bincount(bins[learned], minlength=count)[:, None]
 
     def mean_of(values: np.ndarray) -> np.ndarray:
-        sums = np.stack([np.bincount(bins, column, minlength=count) for column in values.T], axis=1)
+        sums = np.stack([np.bincount(bins[learned], column, minlength=count) for column in values.T], axis=1)
         return np.where(rows > 0, sums / np.maximum(rows, 1), values.mean(axis=0))
 
-    mean = mean_of(scaled)
-    within = mean_of((scaled - mean[bins]) ** 2)
-    alike = np.minimum(_ALIKE / np.maximum(rows, 1), 1.0)
-    return mean, within * alike / (1.0 - 0.999 * alike)
+    mean = mean_of(scaled[learned])
+    within = mean_of((scaled - mean[bins])[learned] ** 2)
+    alike = rows.astype(float)
+    for lag in range(1, _ALIKE):
+        pairs = (bins[lag:] == bins[:-lag]) & learned[lag:] & learned[:-lag]
+        alike += 2.0 * (1.0 - lag / _ALIKE) * np.bincount(bins[lag:][pairs], minlength=count)[:, None]
+    share = np.minimum(alike / np.maximum(rows, 1) ** 2, 0.999)
+    return mean, within * share / (1.0 - share)
 
 
 def _blocks(evidence: Evidence, at: np.ndarray, number: int) -> np.ndarray:
     """Number a recording's blocks of time, short enough that every bin of time is learned from several."""
     t = evidence.series.t
-    seconds = float(np.clip(t[-1] / (5.0 * _BINS), 3.0 * _AVERAGE_SECONDS, 2.0))
+    seconds = float(np.clip(t[-1] / (5.0 * _STEPS[1]), 3.0 * _AVERAGE_SECONDS, 2.0))
     return 1_000_000 * number + (t[at] // seconds).astype(np.int64)
 
 

@@ -41,7 +41,7 @@ def scores(gap: np.ndarray, *columns: np.ndarray) -> list[float]:
 class TestDependence:
     # Sampling error: the variance of what says something new once a second is known, over these 240 s, to about
     # sqrt(2/240) = 9 %; scores are ratios of such numbers, so 0.1 is the tolerance where nothing else is said.
-    # 14 steps of a smooth function miss a few per cent of it.
+    # Steps in place of a smooth function miss a few per cent of it.
 
     @pytest.mark.parametrize("size", [0.3, 1.0, 5.0])
     def test_a_gap_of_one_variable_is_its_and_nothing_elses(self, size):
@@ -67,7 +67,8 @@ class TestDependence:
         assert max(scores(gap, walk(11), walk(12))) < 0.15
 
     def test_noise_alone_depends_on_nothing(self):
-        assert max(scores(noise_of(13), walk(14), np.arange(ROWS) / ROWS)) < 0.15
+        # Shares are of two standard errors of noise at least, and the best of three numbers of steps is taken.
+        assert max(scores(noise_of(13), walk(14), np.arange(ROWS) / ROWS)) < 0.35
 
     def test_a_drift_goes_with_time_and_channels_are_weighed_by_noise(self):
         t = np.arange(ROWS) / ROWS
@@ -144,5 +145,5 @@ def test_a_patch_is_placed_also_across_the_start_of_the_lap(plain, begin, end):
     assert found.place.s_start == pytest.approx(begin, abs=5.0)
     assert found.place.s_end == pytest.approx(end, abs=5.0)
     assert found.share_of_samples == pytest.approx(0.06, abs=0.01) and found.share_of_gap > 0.9
-    # Steps of 70 m cannot follow a stretch of 60 m exactly; the two passes are one place, not two times.
+    # Steps of 50 m cannot follow a stretch of 60 m exactly; the two passes are one place, not two times.
     assert dict(found.depends_on)["s"] > 0.25 and found.time is None
