@@ -37,6 +37,7 @@ __all__ = ["Answer", "Case", "Effect", "build_case"]
 
 _LAP_LENGTH = {"road_car": 1050.0, "f1tenth_car": 55.0, "formula_car": 620.0}
 _CARS_OF_A_SEED = 12
+_DRAWS = 24  # of surroundings and drivers, for the same terms
 _SEARCH_SECONDS = 45.0
 # What the true terms with their best parameters may leave of an effect: below the hard tier, or this share of it.
 _LEFT = (0.12, 0.15)
@@ -157,12 +158,16 @@ def build_case(plan: CasePlan) -> Case:
     Raises
     ------
     SplitError
-        If twenty-four drawings of surroundings and drivers did not give one that can be driven at that severity.
+        If twenty-four drawings of surroundings and drivers did not give one that can be driven at that severity,
+        nor any for the terms to take instead.
     """
-    for attempt in range(24):
+    choices = (plan.terms, *plan.instead)
+    for attempt in range(_DRAWS * len(choices)):
         rng = plan.rng(2, attempt)
         try:
-            terms = (plan.terms[attempt // 2 % len(plan.terms)],) if plan.kind == "strange" else plan.terms
+            terms = choices[attempt // _DRAWS]
+            if plan.kind == "strange":
+                terms = (terms[attempt // 2 % len(terms)],)
             case = _build(replace(plan, terms=terms), rng)
             return replace(case, answer=replace(case.answer, draws=attempt + 1))
         except Unreachable as error:

@@ -25,6 +25,7 @@ _PATTERN = "sn snsxnps nsnxs nspxns n".replace(" ", "")[:20]
 _LETTERS = {"n": "null", "s": "single", "p": "pair", "x": "strange"}
 _TIER_PATTERN = ("realistic", "hard", "realistic", "easy", "hard", "realistic", "hard")
 _PAIR_RANGE = (0.5, 1.5)
+_SUBSTITUTES = 3
 # Of what the two best terms of the catalogue leave of an effect outside it.
 _STRANGE_RANGE = (0.35, 1.0)
 
@@ -45,6 +46,8 @@ class CasePlan:
     low, high : float
         Between which the severity of each effect lies; of an effect outside the catalogue, the severity of what
         the two best terms leave of it.
+    instead : tuple of tuple of str
+        Terms to take in turn where no car, track and driver can be drawn that shows the first ones.
     """
 
     seed: int
@@ -54,6 +57,7 @@ class CasePlan:
     tier: str
     low: float
     high: float
+    instead: tuple[tuple[str, ...], ...] = ()
 
     def rng(self, *stream: int) -> np.random.Generator:
         """Return the case's own random stream."""
@@ -89,9 +93,11 @@ def plan_case(seed: int, number: int, kinds: tuple[str, ...] = KINDS) -> CasePla
     if kind == "single":
         # The tier moves on by one each time round the terms.
         tier = _TIER_PATTERN[(turn + turn // len(singles)) % len(_TIER_PATTERN)]
-        return CasePlan(seed, number, kind, (str(singles[turn % len(singles)]),), tier, *TIERS[tier])
+        first, *others = ((str(singles[(turn + i) % len(singles)]),) for i in range(1 + _SUBSTITUTES))
+        return CasePlan(seed, number, kind, first, tier, *TIERS[tier], instead=tuple(others))
     if kind == "pair":
-        return CasePlan(seed, number, kind, _draw_pair(rng), "", *_PAIR_RANGE)
+        first, *others = (_draw_pair(rng) for _ in range(1 + _SUBSTITUTES))
+        return CasePlan(seed, number, kind, first, "", *_PAIR_RANGE, instead=tuple(others))
     # Some are all but a term of the catalogue in some cars; then the next kind takes the place.
     following = tuple(str(strange[(turn + i) % len(strange)]) for i in range(len(strange)))
     return CasePlan(seed, number, kind, following, "", *_STRANGE_RANGE)
