@@ -73,10 +73,11 @@ class CommonPhysics:
     def columns(self, series: Series) -> np.ndarray:
         """Return the rates each entry adds along a recording, shape (N, 3, C) [m/s^2], [m/s^2], [rad/s^2]."""
         plain = series.rates(extended_model(self.vehicle))
-        columns = [self._tangent(series, plain, *entry) for entry in _TANGENTS]
-        columns += self._smooth(series)
-        columns += self._memory(series)
-        return np.stack(columns, axis=2)
+        out = [self._tangent(series, plain, *entry) for entry in _TANGENTS]
+        directions = self._directions()
+        for axis, functions in self._functions(series):
+            out += [f[:, None] * directions[:, axis] for f in functions]
+        return np.stack(out, axis=2)
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return what the weights add along a recording, shape (N, 3), where `terms` alter inputs or sensors.
@@ -88,7 +89,26 @@ class CommonPhysics:
         actual = replace(
             series, smooth=smooth, torque=flow.T + 0.0 * series.t, steer_angle=flow.delta + 0.0 * series.t
         )
-        return self.columns(actual) @ weights
+        plain = actual.rates(extended_model(self.vehicle))
+        out = np.zeros_like(plain)
+        for entry, weight in zip(_TANGENTS, weights, strict=False):
+            out += weight * self._tangent(actual, plain, *entry)
+        directions, first = self._directions(), len(_TANGENTS)
+        for axis, functions in self._functions(actual):
+            total = np.zeros(len(actual))
+            for weight, f in zip(weights[first:], functions, strict=False):
+                total += weight * f
+            out += total[:, None] * directions[:, axis]
+            first += len(functions)
+        return out
+
+    def _directions(self) -> np.ndarray:
+        return self.vehicle.force_matrix() * self._peak * _SMOOTH_DEVIATION
+
+    def _functions(self, series: Series) -> list[tuple[int, list[np.ndarray]]]:
+        """Return smooth functions, (N,) each, with the force they act as: 0 longitudinal, 1 front, 2 rear."""
+        z = _squash(features(series, self.vehicle), self.center, self.width)
+        return [*self._smooth(z), *self._memory(z, series)]
 
     def _tangent(self, series, plain, name, variant, parameter, step) -> np.ndarray:
         kind, car = CATALOGUE[name], self.vehicle
@@ -97,36 +117,33 @@ class CommonPhysics:
         term = kind({**neutral, parameter: kind.neutral[parameter] + scaled}, variant)
         return series.rates(extended_model(car, (term,))) - plain
 
-    def _smooth(self, series: Series) -> list[np.ndarray]:
-        a, b, c, v = _squash(features(series, self.vehicle), self.center, self.width).T
-        direction = self.vehicle.force_matrix() * self._peak * _SMOOTH_DEVIATION
+    def _smooth(self, z: np.ndarray) -> list[tuple[int, list[np.ndarray]]]:
+        a, b, c, v = z.T
+        powers = [_powers(x, 4) for x in (a, b, c, v)]
         even, odd = [], []
-        for i, j, k, m in product(range(5), range(5), range(5), range(5)):
-            if i + j + k + m > 4:
-                continue
-            function = a**i * b**j * c**k * v**m
-            (odd if (i + j) % 2 else even).append(function)
-        even.append(np.abs(c))
-        odd += [a * np.abs(c), b * np.abs(c), np.abs(a) * a, np.abs(b) * b]
-        out = [f[:, None] * direction[:, 0] for f in even]
-        out += [f[:, None] * direction[:, 1] for f in odd]
-        out += [f[:, None] * direction[:, 2] for f in odd]
-        return out
+        for i, j in product(range(5), range(5)):
+            slips = powers[0][i] * powers[1][j]
+            for k, m in product(range(5 - min(i + j, 4)), range(5)):
+                if i + j + k + m <= 4:
+                    (odd if (i + j) % 2 else even).append(slips * (powers[2][k] * powers[3][m]))
+        size = np.abs(c)
+        even.append(size)
+        odd += [a * size, b * size, np.abs(a) * a, np.abs(b) * b]
+        return [(0, even), (1, odd), (2, odd)]
 
-    def _memory(self, series: Series) -> list[np.ndarray]:
+    def _memory(self, z: np.ndarray, series: Series) -> list[tuple[int, list[np.ndarray]]]:
         """Slow parts of steering, torque and slip: suspension, actuators and tyres answer late in any real car."""
-        a, b, c, v = _squash(features(series, self.vehicle), self.center, self.width).T
+        a, b, c, v = z.T
         delta = series.steer_angle / max(float(np.quantile(np.abs(series.steer_angle), 0.99)), 1e-6)
-        clock = series.recording
         scale = np.sqrt(self.vehicle.wheelbase / 2.7)
         along, side = [], []
         for tau in _MEMORY_SECONDS:
-            late = [first_order_response(x, 1.0 / (tau * scale), clock) - x for x in (a, b, c, delta, a * a)]
+            late = [
+                first_order_response(x, 1.0 / (tau * scale), series.recording) - x for x in (a, b, c, delta, a * a)
+            ]
             along += [late[2], late[4]]
             side += [late[0], late[1], late[3], late[2] * a, late[2] * b, late[0] * v]
-        direction = self.vehicle.force_matrix() * _SMOOTH_DEVIATION * self._peak
-        out = [f[:, None] * direction[:, 0] for f in along]
-        return out + [f[:, None] * direction[:, axle] for axle in (1, 2) for f in side]
+        return [(0, along), (1, side), (2, side)]
 
 
 def build_common_physics(vehicle: Vehicle, series: Series) -> CommonPhysics:
@@ -172,3 +189,11 @@ def _squash(z: np.ndarray, center: np.ndarray, width: np.ndarray) -> np.ndarray:
     """Scale to about [-1, 1] inside and level off outside, so that nothing is extrapolated."""
     x = (z - center) / width
     return np.where(np.abs(x) <= 1.0, x, np.sign(x) * (1.0 + np.tanh(np.abs(x) - 1.0)))
+
+
+def _powers(x: np.ndarray, most: int) -> list[np.ndarray]:
+    """Return x^0 to x^most."""
+    out = [np.ones_like(x)]
+    for _ in range(most):
+        out.append(out[-1] * x)
+    return out

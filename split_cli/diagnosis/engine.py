@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.diagnosis.candidates import build_candidates
 from split_cli.diagnosis.common import CommonPhysics, build_common_physics, features
-from split_cli.diagnosis.constancy import Drift, parameter_drifts
+from split_cli.diagnosis.constancy import parameter_drifts
 from split_cli.diagnosis.estimates import parameter_estimates
 from split_cli.diagnosis.evidence import Evidence, gather_evidence
 from split_cli.diagnosis.fitting import Fit, fit_parts
@@ -46,6 +46,10 @@ class Settings:
         Share of the real drives' time kept out, at the end, when no drive is given for it.
     nameless_share : float
         Share of the gap without a name from which on it is said to be unexplained.
+    nameless_severity : float
+        Severity below which a share without a name is not called so.
+    nameless_size : float
+        Severity of the remainder, over that of the gap, from which on it is unexplained whatever its share.
     reach : float
         How far, in scaled features, a real sample may be from the nearest simulated one.
     least_rows : int
@@ -56,6 +60,8 @@ class Settings:
     inflation: float = 1.5
     holdout_share: float = 0.25
     nameless_share: float = 0.08
+    nameless_severity: float = 0.12
+    nameless_size: float = 0.12
     reach: float = 0.35
     least_rows: int = 250
 
@@ -197,13 +203,16 @@ def _mismatch(
     described: dict,
     settings: Settings,
 ) -> Diagnosis:
+    remainder = _remainder(structure, selection, settings)
+    findings = _findings(judge, selection)
+    unexplained = not findings or _is_unexplained(remainder, gap, settings)
+    if unexplained and findings:
+        trusted = _without_imitations(judge, selection, findings, remainder)
+        if trusted is not selection:
+            selection = trusted
+            remainder = _remainder(structure, selection, settings)
+            findings = _findings(judge, selection)
     chosen = selection.chosen
-    drifts = parameter_drifts(judge, chosen)
-    remainder = _remainder(structure, gap, selection, drifts, settings)
-    findings = _findings(judge, case, selection, settings)
-    unexplained = not findings or (
-        remainder.p_value < settings.level and remainder.share > settings.nameless_share
-    )
     forces = [gap_forces(one, (), case.common_rates(one)) for one in case.real]
     after = [gap_forces(one, chosen.terms, case.common_rates(one)) for one in case.real]
     if unexplained:
@@ -218,17 +227,38 @@ def _mismatch(
     )  # fmt: skip
 
 
-def _remainder(
-    structure: Structure, gap: FlexibleFit, selection: Selection, drifts: tuple[Drift, ...], settings: Settings
-) -> RemainderTest:
+def _remainder(structure: Structure, selection: Selection, settings: Settings) -> RemainderTest:
     left = structure.fit(selection.chosen.entries, settings.inflation)
     named = selection.base.cost - selection.chosen.cost
     chance = settings.inflation * left.freedom + structure.allowed(left.freedom)
     nameless = max(left.saved - chance, 0.0)
-    return RemainderTest(left.p_value, nameless / max(nameless + named, 1e-9), left.severity, left.group_saved)
+    drifts = tuple((one.variable, one.saved) for one in parameter_drifts(structure.judge, selection.chosen)[:3])
+    share = nameless / max(nameless + named, 1e-9)
+    return RemainderTest(left.p_value, share, left.severity, left.group_saved, drifts=drifts)
 
 
-def _findings(judge: Judge, case: _Case, selection: Selection, settings: Settings) -> tuple[Finding, ...]:
+def _is_unexplained(remainder: RemainderTest, gap: FlexibleFit, settings: Settings) -> bool:
+    if remainder.p_value >= settings.level or remainder.severity < settings.nameless_severity:
+        return False
+    large = max(2.0 * settings.nameless_severity, settings.nameless_size * gap.severity)
+    return remainder.severity > large or remainder.share > settings.nameless_share
+
+
+def _without_imitations(
+    judge: Judge, selection: Selection, findings: Sequence[Finding], remainder: RemainderTest
+) -> Selection:
+    """Return the explanation without terms that explain less than what is left: they imitate what has no name."""
+    named = 1.0 - remainder.share
+    trusted = {one.term for one in findings if one.gap_explained * named > remainder.share}
+    keep = [k for k, part in enumerate(selection.chosen.parts) if part.candidate.term in trusted]
+    if len(keep) == len(selection.chosen.parts):
+        return selection
+    parts = tuple(selection.chosen.parts[k] for k in keep)
+    chosen = fit_parts(judge, parts) if parts else selection.base
+    return replace(selection, chosen=chosen, rivals=tuple(selection.rivals[k] for k in keep))
+
+
+def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
     chosen = selection.chosen
     estimates = parameter_estimates(judge, chosen)
     total = max(selection.base.cost - chosen.cost, 1e-9)

@@ -77,7 +77,7 @@ class Judge:
     kinematics : tuple of Kinematics
         Recordings against themselves; their rows come last in every stack, and nothing but sensors moves them.
     memo : dict
-        Shifts of the common physics computed before.
+        What was computed before: shifts of the common physics, kinematic rows without a fault of the sensors.
     """
 
     evidence: tuple[Evidence, ...]
@@ -105,9 +105,17 @@ class Judge:
         rows = self.stack([evidence.rows(terms) for evidence in self.evidence]) - self.offset
         first = len(rows)
         for one in reversed(self.kinematics):
-            rows[first - len(one.begin) : first] = one.rows(terms)
+            rows[first - len(one.begin) : first] = self._kinematic_rows(one, terms)
             first -= len(one.begin)
         return rows
+
+    def _kinematic_rows(self, one: Kinematics, terms: Sequence[Term]) -> np.ndarray:
+        if any(not term.exported for term in terms):
+            return one.rows(terms)
+        key = ("kinematics", id(one))
+        if key not in self.memo:
+            self.memo[key] = one.rows(())
+        return self.memo[key]
 
     def shift(self, terms: Sequence[Term]) -> np.ndarray:
         """Return how the common physics' rows change where terms alter inputs or sensors, shape (R,).

@@ -157,8 +157,7 @@ class RemainderTest:
     formula : str
         The best sparse formula as a lead; empty when the remainder is noise.
     drifts : tuple of (str, float)
-        What the findings' parameters drift with, strongest first, and the share of what they explain that a drift
-        would explain further.
+        What the findings' parameters drift with, strongest first, and the cost a drift would save.
     """
 
     p_value: float

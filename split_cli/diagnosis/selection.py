@@ -28,6 +28,8 @@ class Rules:
     same_share: float = 0.15  # of what the chosen term saves: beyond it, a rival is worse whatever its error
     least_share: float = 0.005  # of the explained cost, for a further term
     misfit: float = 0.10  # of what the chosen terms explain in the same channels
+    spread: float = 1.5  # standard errors, from differences block by block, that a further term has to save
+    swaps: int = 2
     level: float = 0.01  # of the minimum-effect test, after counting the terms that were tried
 
 
@@ -142,6 +144,9 @@ def select_terms(
                 f"{best.parts[-1].candidate.label} would save {saved:.0f}, no more than the others misfit"
             )
             break
+        if chosen.parts and block_z(judge, best, chosen) < rules.spread:
+            history.append(f"{best.parts[-1].candidate.label} would save {saved:.0f}, all in one moment")
+            break
         p_value = term_p(judge, best, len(best.parts) - 1, chosen.cost - best.cost, inflation) * len(candidates)
         first_p = first_p if chosen.parts else min(p_value, 1.0)
         if p_value >= rules.level:
@@ -151,8 +156,20 @@ def select_terms(
         chosen = best
         chosen, dropped = _prune(judge, chosen, inflation, rules)
         history += dropped
-    rivals = tuple(_rivals(judge, chosen, k, candidates, inflation, rules) for k in range(len(chosen.parts)))
+    for _ in range(1 + rules.swaps):
+        rivals = tuple(_rivals(judge, chosen, k, candidates, inflation, rules) for k in range(len(chosen.parts)))
+        better = min((several[0] for several in rivals if several), key=lambda one: one.excess, default=None)
+        if len(chosen.parts) < 2 or better is None or better.excess >= 0.0:
+            break
+        history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
+        chosen = better.fit
     return Selection(base, chosen, rivals, tuple(history), first_p)
+
+
+def block_z(judge: Judge, fit: Fit, other: Fit) -> float:
+    """Return what a fit saves against another in standard errors, from differences block by block."""
+    difference = judge.block_sums(other.entries**2) - judge.block_sums(fit.entries**2)
+    return float(difference.sum()) / (float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9)
 
 
 def _is_misfit(judge: Judge, base: Fit, chosen: Fit, further: Fit, rules: Rules) -> bool:

@@ -61,7 +61,10 @@ def score_case(
         for parameter in effect.scored if finding else ():
             if parameter in finding.parameters:
                 _, low, high = finding.parameters[parameter]
-                covered.append((f"{effect.term}.{parameter}", low <= effect.parameters[parameter] <= high))
+                true = effect.parameters[parameter]
+                # A wave of negative amplitude is one of positive amplitude, half a wave on.
+                held = low <= true <= high or (parameter == "amplitude" and low <= -true <= high)
+                covered.append((f"{effect.term}.{parameter}", held))
     removed = None
     if heldout is not None and answer.kind in ("single", "pair") and answer.removed > 0.05:
         removed = found_terms_removed(answer, said, heldout, noise, vehicle) / answer.removed
