@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from split_cli.diagnosis.calibration import SelfTest, autocorrelation, comparable, self_test
 from split_cli.diagnosis.candidates import build_candidates
 from split_cli.diagnosis.common import CommonPhysics, build_common_physics, features
 from split_cli.diagnosis.constancy import parameter_drifts
@@ -119,12 +120,21 @@ def diagnose(
         ]
         return _undecided(reasons, share, inputs, described)
     progress("comparing")
+    candidates = build_candidates(vehicle, case.real[0].series)
     judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
+    known = SelfTest()
+    if case.simulated:
+        known = self_test(
+            case.simulated, case.real, case.common, candidates,
+            inflation=settings.inflation, reach=settings.reach,
+        )  # fmt: skip
+    judge = known.allow(judge)
     structure = build_structure(judge, case.common)
     base = nothing(judge)
+    wider = max(settings.inflation, known.ratio, autocorrelation(structure, base.entries))
+    settings = replace(settings, inflation=wider)
     gap = structure.fit(base.entries, settings.inflation)
     progress("naming")
-    candidates = build_candidates(vehicle, case.real[0].series)
     selection = select_terms(judge, candidates, settings.inflation)
     p_value = min(1.0, 2.0 * min(gap.p_value, selection.first_p))
     if p_value >= settings.level:
@@ -150,6 +160,7 @@ class _Case:
     knowledge: CommonKnowledge | None
     keep: tuple[np.ndarray, ...]
     kinematics: tuple[Kinematics, ...]
+    simulated: tuple[Evidence, ...] = ()
 
     def common_rates(self, evidence: Evidence) -> np.ndarray:
         """Return what the simulation knows beyond the nominal model along a recording, shape (N, 3)."""
@@ -166,28 +177,10 @@ def _gather(vehicle: Vehicle, series: Sequence[Series], settings: Settings) -> _
     real = [gather_evidence(vehicle, one, common, least) for one in by_role["real"]]
     holdout = [gather_evidence(vehicle, one, common, least) for one in by_role["holdout"]]
     knowledge = learn_common(simulated, settings.inflation) if simulated else None
-    keep = [_comparable(one, simulated, common, settings) for one in real]
+    keep = [comparable(one, simulated, common, settings.reach) for one in real]
     habit = habits(by_role["sim"])
     kinematics = [one for one in (build_kinematics(series, habit) for series in by_role["real"]) if one]
-    return _Case(vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep), tuple(kinematics))
-
-
-def _comparable(
-    one: Evidence, simulated: Sequence[Evidence], common: CommonPhysics, settings: Settings
-) -> np.ndarray:
-    """Return the rows of a real recording that are fast enough and near where a simulation has been."""
-    fast = one.series.smooth[one.at, 0] >= 0.6 * one.vehicle.minimum_speed
-    usable = fast & (one.weight > 0.0)
-    if not simulated:
-        return usable
-    from scipy.spatial import cKDTree
-
-    def scaled(evidence: Evidence) -> np.ndarray:
-        return (features(evidence.series, evidence.vehicle)[evidence.at] - common.center) / common.width
-
-    tree = cKDTree(np.concatenate([scaled(evidence) for evidence in simulated]))
-    distance, _ = tree.query(scaled(one), k=1, distance_upper_bound=settings.reach)
-    return usable & np.isfinite(distance)
+    return _Case(vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep), tuple(kinematics), tuple(simulated))
 
 
 def _mismatch(

@@ -76,6 +76,9 @@ class Judge:
         M, diagonal in the directions of V, with (I - V M V^T)^2 = I - V V^T.
     kinematics : tuple of Kinematics
         Recordings against themselves; their rows come last in every stack, and nothing but sensors moves them.
+    nameless_floor, term_floor, place_floor : float
+        Cost that a flexible fit, a term, and a term with a place may save without a difference: what simulation
+        shows against itself, see `calibration`.
     memo : dict
         What was computed before: shifts of the common physics, kinematic rows without a fault of the sensors.
     """
@@ -90,6 +93,9 @@ class Judge:
     weight: np.ndarray
     root: np.ndarray
     kinematics: tuple[Kinematics, ...] = ()
+    nameless_floor: float = 0.0
+    term_floor: float = 0.0
+    place_floor: float = 0.0
     memo: dict = field(default_factory=dict, repr=False, compare=False)
 
     def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:

@@ -191,8 +191,9 @@ def term_size(judge: Judge, fit: Fit, k: int) -> float:
 
 def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> float:
     """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
-    floor = TERM_FLOOR * judge.shared_cost
-    return minimum_effect_p(saved, fit.parts[k].candidate.complexity, term_size(judge, fit, k), inflation, floor)
+    candidate = fit.parts[k].candidate
+    floor = max(TERM_FLOOR * judge.shared_cost, judge.place_floor if candidate.located else judge.term_floor)
+    return minimum_effect_p(saved, candidate.complexity, term_size(judge, fit, k), inflation, floor)
 
 
 def _prune(judge: Judge, fit: Fit, inflation: float, rules: Rules) -> tuple[Fit, list[str]]:

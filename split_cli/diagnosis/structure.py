@@ -102,7 +102,8 @@ class Structure:
         """Return the saving that a dictionary's misfit may bring with so many parameters."""
         if self.judge.knowledge is None:
             return 0.0
-        return MISFIT_A_PARAMETER * freedom + STRUCTURE_FLOOR * self.judge.shared_cost
+        misfit = MISFIT_A_PARAMETER * freedom + STRUCTURE_FLOOR * self.judge.shared_cost
+        return max(misfit, self.judge.nameless_floor)
 
     def _by_group(self, score: np.ndarray) -> tuple[tuple[str, float], ...]:
         out = []

@@ -1,0 +1,297 @@
+"""What simulation shows against itself: thresholds calibrated on the data at hand.
+
+The common physics is learned on one half of the simulation and judges the other half with reality's noise, just as
+it judges reality. Nothing that this finds is a difference between the two; reality has to show clearly more. Where
+the simulation is clean, next to nothing is found and nothing changes. Where it is a recording itself, or where no
+dictionary holds its physics, it shows how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.diagnosis.candidates import Candidate
+from split_cli.diagnosis.common import CommonPhysics, features
+from split_cli.diagnosis.evidence import Evidence, defects, integrated
+from split_cli.diagnosis.judge import Judge, build_judge, learn_common
+from split_cli.diagnosis.series import extended_model
+from split_cli.diagnosis.structure import Structure, build_structure
+from split_cli.diagnosis.whitening import build_whitener
+from split_cli.vehicle.effects import CATALOGUE, Term
+
+__all__ = ["SelfTest", "autocorrelation", "comparable", "self_test"]
+
+_LEAST_ROWS = 150
+# Reality may cover other ground than the simulation's second half did, by chance: it has to show this much more.
+_NAMELESS_MARGIN = 1.5
+_TERM_MARGIN = 2.0
+_MOST_SCALE = 4.0
+_LAG_ROWS = 25
+_BINS = 40
+_WAVES = 12
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """What one half of a simulation shows beyond what the other half taught.
+
+    Attributes
+    ----------
+    rows : int
+        Rows that were judged; 0 where the halves have not been in the same places, and nothing is known.
+    ratio : float
+        Cost that a flexible fit saves, noise included, over its freedom; about 1 when nothing is there.
+    nameless, term, place : float
+        Cost that a flexible fit, the best single term, and the best term with a place save.
+    """
+
+    rows: int = 0
+    ratio: float = 1.0
+    nameless: float = 0.0
+    term: float = 0.0
+    place: float = 0.0
+
+    def allow(self, judge: Judge) -> Judge:
+        """Return a judge that forgives as much, in proportion to its rows, with a margin."""
+        if not self.rows:
+            return judge
+        rows = sum(int(mask.sum()) for mask in judge.keep)
+        scale = float(np.clip(rows / self.rows, 1.0, _MOST_SCALE))
+        return replace(
+            judge,
+            nameless_floor=_NAMELESS_MARGIN * scale * self.nameless,
+            term_floor=_TERM_MARGIN * scale * self.term,
+            place_floor=_TERM_MARGIN * scale * max(self.place, self.term),
+        )
+
+
+def self_test(
+    simulated: Sequence[Evidence],
+    real: Sequence[Evidence],
+    common: CommonPhysics,
+    candidates: Sequence[Candidate],
+    *,
+    inflation: float,
+    reach: float,
+) -> SelfTest:
+    """Judge each half of a simulation by the other.
+
+    Parameters
+    ----------
+    simulated, real : sequence of Evidence
+        Of the recordings, nothing but their noise and disturbance is taken.
+    common : CommonPhysics
+    candidates : sequence of Candidate
+        Terms that reality will be searched for.
+    inflation, reach : float
+        As for reality.
+
+    Notes
+    -----
+    Noise is not drawn: rows are whitened as noisy ones are, and what noise of unit variance adds to a saving, one
+    for each parameter, is added.
+    """
+    noise = np.median([one.series.noise for one in real], axis=0)
+    disturbance = np.max([one.disturbance for one in real], axis=0)
+    graded = [_graded(one, noise, disturbance, common) for one in simulated]
+    first = _first_half(simulated)
+    every = build_judge(graded, None, common, [np.ones(len(one.at), dtype=bool) for one in graded])
+    offers = _offers(every, candidates)
+    tests = [
+        _judge_half(simulated, graded, common, [mask ^ turned for mask in first], offers, inflation, reach)
+        for turned in (False, True)
+    ]
+    tests = [test for test in tests if test is not None]
+    if not tests:
+        return SelfTest()
+    most = max(test.rows for test in tests)
+
+    def worst(pick) -> float:
+        return max(pick(test) * most / test.rows for test in tests)
+
+    return SelfTest(
+        most,
+        max(test.ratio for test in tests),
+        worst(lambda test: test.nameless),
+        worst(lambda test: test.term),
+        worst(lambda test: test.place),
+    )
+
+
+def comparable(one: Evidence, simulated: Sequence[Evidence], common: CommonPhysics, reach: float) -> np.ndarray:
+    """Return the rows of a recording that are fast enough and near where a simulation has been, shape (G,).
+
+    Parameters
+    ----------
+    one : Evidence
+    simulated : sequence of Evidence
+        None, if the nominal model is the simulation; only rows of positive weight count.
+    common : CommonPhysics
+    reach : float
+        How far a row may be from the nearest simulated one, in scaled features.
+    """
+    fast = one.series.smooth[one.at, 0] >= 0.6 * one.vehicle.minimum_speed
+    usable = fast & (one.weight > 0.0)
+    if not simulated:
+        return usable
+    from scipy.spatial import cKDTree
+
+    def scaled(evidence: Evidence) -> np.ndarray:
+        return (features(evidence.series, evidence.vehicle)[evidence.at] - common.center) / common.width
+
+    tree = cKDTree(np.concatenate([scaled(evidence)[evidence.weight > 0.0] for evidence in simulated]))
+    distance, _ = tree.query(scaled(one), k=1, distance_upper_bound=reach)
+    return usable & np.isfinite(distance)
+
+
+def autocorrelation(structure: Structure, entries: np.ndarray) -> float:
+    """Return by how much rows that no flexible fit explains still vary together over a second, at least 1.
+
+    Notes
+    -----
+    The long-run variance over the plain one (Newey and West, 1987), worst of the channels. A flexible fit takes
+    slow parts with it, so that white rows give less than 1.
+    """
+    left = entries - structure.columns @ np.linalg.solve(
+        structure.factor, np.linalg.solve(structure.factor.T, structure.columns.T @ entries)
+    )
+    rows = sum(int(mask.sum()) for mask in structure.judge.keep)
+    left = left[: 3 * rows].reshape(rows, 3)
+    lags = min(_LAG_ROWS, rows // 4)
+    plain = np.mean(left**2, axis=0) + 1e-300
+    total = np.ones(3)
+    for lag in range(1, lags):
+        total += 2.0 * (1.0 - lag / lags) * np.sum(left[lag:] * left[:-lag], axis=0) / rows / plain
+    return float(max(1.0, total.max()))
+
+
+def _graded(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common: CommonPhysics) -> Evidence:
+    """Whiten a simulation as if it had reality's noise."""
+    series = replace(one.series, noise=np.maximum(one.series.noise, noise))
+    whitener = build_whitener(
+        one.jacobian,
+        series.period,
+        series.noise,
+        np.maximum(one.disturbance, disturbance),
+        series.transitions_begin(),
+        one.whitener.group,
+    )
+    rates = series.rates(extended_model(one.vehicle))
+    plain = defects(series, rates, one.jacobian, series.measured, series.smooth)
+    columns = whitener(integrated(series, common.columns(series)))
+    return replace(one, series=series, whitener=whitener, plain=whitener(plain), common=columns)
+
+
+def _first_half(simulated: Sequence[Evidence]) -> list[np.ndarray]:
+    total, before, halves = sum(len(one.at) for one in simulated), 0, []
+    for one in simulated:
+        halves.append(before + np.arange(len(one.at)) < total / 2)
+        before += len(one.at)
+    return halves
+
+
+@dataclass(frozen=True)
+class _Offer:
+    """Directions, shape (R, P) over all rows of the simulation, that one term offers to explain with."""
+
+    columns: np.ndarray
+    located: str
+
+
+def _offers(judge: Judge, candidates: Sequence[Candidate]) -> list[_Offer]:
+    """Linearise every candidate about its starts; one with a place about its being everywhere."""
+    base = judge.residual(())
+    offers = []
+    for candidate in candidates:
+        kind, variant = CATALOGUE[candidate.term], candidate.variant
+        if candidate.located:
+            whole = _everywhere(kind, variant)
+            offers.append(_Offer((judge.residual((whole,)) - base)[:, None], candidate.located))
+            continue
+        neutral = {name: kind.neutral.get(name) for name in candidate.ranges}
+        for start in candidate.starts:
+            shape = {name: value for name, value in start.items() if neutral[name] is None}
+            sizes = [name for name in start if neutral[name] is not None]
+            columns = [
+                judge.residual((candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),))
+                - base
+                for name in sizes
+            ]
+            offers.append(_Offer(np.stack(columns, axis=1), ""))
+    return offers
+
+
+def _everywhere(kind: type[Term], variant: str) -> Term:
+    if "scale" in kind.units:
+        return kind({"scale": 0.97, "s_start": 0.0, "s_end": 1e12}, variant)
+    return kind({"angle": 0.005}, "")
+
+
+def _judge_half(
+    simulated: Sequence[Evidence],
+    graded: Sequence[Evidence],
+    common: CommonPhysics,
+    teaching: Sequence[np.ndarray],
+    offers: Sequence[_Offer],
+    inflation: float,
+    reach: float,
+) -> SelfTest | None:
+    taught = [replace(one, weight=one.weight * mask) for one, mask in zip(simulated, teaching, strict=True)]
+    if not any((one.weight > 0.0).any() for one in taught):
+        return None
+    keep = [comparable(one, taught, common, reach) & ~mask for one, mask in zip(graded, teaching, strict=True)]
+    rows = sum(int(mask.sum()) for mask in keep)
+    if rows < _LEAST_ROWS:
+        return None
+    judge = build_judge(graded, learn_common(taught, inflation), common, keep)
+    entries = judge.whiten(judge.residual(()))
+    structure = build_structure(judge, common)
+    fit = structure.fit(entries, inflation)
+    chosen = np.repeat(np.concatenate(keep), 3)
+    s = np.concatenate([np.repeat(one.series.s[one.at][mask], 3) for one, mask in zip(graded, keep, strict=True)])
+    lap = graded[0].series.lap_length
+    term = place = 0.0
+    for offer in offers:
+        columns = judge.whiten(offer.columns[chosen])
+        if offer.located:
+            place = max(place, _best_place(columns[:, 0], entries, s, offer.located, lap))
+        else:
+            term = max(term, _saving(columns, entries))
+    # What the simulation lacks of reality's noise would have added its share.
+    quiet = max(0.0, 1.0 - (float(entries @ entries) - fit.saved) / max(len(entries) - fit.freedom, 1.0))
+    return SelfTest(rows, fit.saved / fit.freedom + quiet, fit.saved, term, place)
+
+
+def _saving(columns: np.ndarray, entries: np.ndarray) -> float:
+    scale = np.sqrt(np.sum(columns**2, axis=0))
+    if not scale.max(initial=0.0):
+        return 0.0
+    unit = columns[:, scale > 0.0] / scale[scale > 0.0]
+    score = unit.T @ entries
+    return float(score @ np.linalg.solve(unit.T @ unit + 1e-9 * np.eye(len(score)), score))
+
+
+def _best_place(column: np.ndarray, entries: np.ndarray, s: np.ndarray, kind: str, lap: float | None) -> float:
+    """Return what a column saves on the best stretch, or as the best wave, of the track."""
+    reach = lap or max(float(s.max()), 1e-9)
+    if kind == "wave":
+        angles = 2.0 * np.pi * s[:, None] / reach * np.arange(1, _WAVES + 1)
+        return max(
+            _saving(column[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1), entries)
+            for angle in angles.T
+        )
+    place = np.minimum((s / reach * _BINS).astype(int), _BINS - 1)
+    score = np.bincount(place, column * entries, minlength=_BINS)
+    information = np.bincount(place, column**2, minlength=_BINS)
+    best = 0.0
+    for length in range(1, _BINS):
+        window = np.arange(_BINS)[:, None] + np.arange(length)
+        if lap is None:
+            window = window[: _BINS - length + 1]
+        known = information[window % _BINS].sum(axis=1)
+        gained = score[window % _BINS].sum(axis=1) ** 2 / np.maximum(known, 1e-300)
+        best = max(best, float(gained[known > 0.0].max(initial=0.0)))
+    return best
