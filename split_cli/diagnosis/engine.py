@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.diagnosis.calibration import SelfTest, autocorrelation, comparable, self_test
 from split_cli.diagnosis.candidates import build_candidates
-from split_cli.diagnosis.common import CommonPhysics, build_common_physics, features
+from split_cli.diagnosis.common import CommonPhysics, build_common_physics
 from split_cli.diagnosis.constancy import parameter_drifts
 from split_cli.diagnosis.estimates import parameter_estimates
 from split_cli.diagnosis.evidence import Evidence, gather_evidence
@@ -180,7 +180,9 @@ def _gather(vehicle: Vehicle, series: Sequence[Series], settings: Settings) -> _
     keep = [comparable(one, simulated, common, settings.reach) for one in real]
     habit = habits(by_role["sim"])
     kinematics = [one for one in (build_kinematics(series, habit) for series in by_role["real"]) if one]
-    return _Case(vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep), tuple(kinematics), tuple(simulated))
+    return _Case(
+        vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep), tuple(kinematics), tuple(simulated)
+    )
 
 
 def _mismatch(

@@ -1,0 +1,153 @@
+"""Thresholds from the simulation against itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.calibration import SelfTest, autocorrelation, comparable, self_test
+from split_cli.diagnosis.candidates import build_candidates
+from split_cli.diagnosis.common import build_common_physics
+from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.evidence import gather_evidence
+from split_cli.diagnosis.place import places_of
+from split_cli.diagnosis.series import build_series
+from split_cli.diagnosis.structure import Structure
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects import CATALOGUE
+from tests.factories import make_drive, road_car
+
+NOISE = {"vx": 0.01, "vy": 0.01, "r": 0.002}
+
+
+def wandering(length: int, seconds: float, period: float, rng: np.random.Generator) -> np.ndarray:
+    """Return an Ornstein-Uhlenbeck path of unit variance, sampled exactly."""
+    keep = np.exp(-period / seconds)
+    steps = rng.standard_normal(length) * np.sqrt(1.0 - keep**2)
+    out = np.empty(length)
+    out[0] = rng.standard_normal()
+    for k in range(1, length):
+        out[k] = keep * out[k - 1] + steps[k]
+    return out
+
+
+def recorded(drive: Drive, seed: int, *, restless: float = 0.0) -> Drive:
+    """Return a drive with sensor noise and, as in real ones, a lateral velocity that wanders [m/s]."""
+    rng = np.random.default_rng(seed)
+    columns = {**drive.columns}
+    for name, sigma in NOISE.items():
+        columns[name] = columns[name] + sigma * rng.standard_normal(len(drive))
+    columns["vy"] = columns["vy"] + restless * wandering(len(drive), 0.5, drive.period, rng)
+    return replace(drive, columns=columns)
+
+
+def drive(seed: int, terms=()) -> Drive:
+    return make_drive(seed, 8, 10.0, 0.02, terms=terms, name=f"{seed}.parquet")
+
+
+def against_itself(simulation: Drive, reality: Drive) -> SelfTest:
+    car = road_car()
+    drives = [reality, simulation]
+    places, _ = places_of(drives, car.wheelbase)
+    real, sim = (
+        build_series(one, role, s) for one, role, (s, _) in zip(drives, ("real", "sim"), places, strict=True)
+    )
+    common = build_common_physics(car, sim)
+    return self_test(
+        [gather_evidence(car, sim, common)],
+        [gather_evidence(car, real, common)],
+        common,
+        build_candidates(car, real),
+        inflation=1.5,
+        reach=0.35,
+    )
+
+
+@pytest.fixture(scope="module")
+def clean() -> SelfTest:
+    return against_itself(drive(1), recorded(drive(2), 2))
+
+
+@pytest.fixture(scope="module")
+def restless() -> SelfTest:
+    return against_itself(recorded(drive(1), 1, restless=0.1), recorded(drive(2), 2, restless=0.1))
+
+
+def test_a_clean_simulation_shows_nothing_against_itself(clean):
+    # The nominal model is exact here: what is left is its integration over a sample, far below noise.
+    assert clean.rows > 300
+    assert clean.ratio == pytest.approx(1.0, abs=0.02)
+    # Noise alone would save one for each of some 150 parameters.
+    assert max(clean.nameless, clean.term, clean.place) < 3.0
+
+
+def test_a_restless_recording_shows_what_is_to_be_forgiven(clean, restless):
+    # Wandering of 0.1 m/s over 0.5 s is ten times the noise of a sample and slower than the rows.
+    assert restless.ratio > 3.0
+    # The best of some fifty directions in white noise saves about 9.
+    assert restless.term > 15.0
+    assert restless.nameless > 100.0 * clean.nameless
+
+
+def test_physics_that_changes_half_way_is_forgiven_as_a_term():
+    grip = CATALOGUE["friction_scale"]({"scale": 0.8})
+    plain, slippery = drive(1), drive(1, (grip,))
+    late = plain.segment >= 4
+    columns = {name: np.where(late, slippery[name], plain[name]) for name in plain.columns}
+    changed = against_itself(replace(plain, columns=columns), recorded(drive(2), 2))
+    # A fifth of the grip for half of the time is far beyond noise, and one term holds most of it.
+    assert changed.term > 1000.0
+    assert changed.term <= changed.nameless * 1.05
+
+
+def test_two_recordings_of_one_restless_car_match_and_a_fault_is_still_named():
+    simulation = recorded(drive(1), 1, restless=0.1)
+    same = diagnose([recorded(drive(2), 2, restless=0.1)], road_car(), [simulation])
+    assert same.verdict == "match"
+    assert not same.findings
+    faulty = drive(2, (CATALOGUE["steer_gain"]({"gain": 0.85}),))
+    other = diagnose([recorded(faulty, 2, restless=0.1)], road_car(), [simulation])
+    assert other.verdict == "mismatch"
+    assert other.findings[0].term == "steer_gain"
+
+
+def test_forgiveness_goes_with_the_rows(restless):
+    def judge(rows: int):
+        car, one = road_car(), SimpleNamespace()
+        from split_cli.diagnosis.judge import Judge
+
+        empty = np.zeros(0)
+        return Judge((one,), None, car, (np.ones(rows, dtype=bool),), empty, empty, empty, empty, empty)
+
+    once, twice = (restless.allow(judge(k * restless.rows)).term_floor for k in (1, 2))
+    assert twice == pytest.approx(2.0 * once)
+    assert SelfTest().allow(judge(10)).term_floor == 0.0
+
+
+def test_autocorrelation_is_the_long_run_variance_of_a_first_order_process():
+    rng = np.random.default_rng(4)
+    rows, rho = 40_000, 0.8
+    path = np.stack([wandering(rows, 0.04 / -np.log(rho), 0.04, rng) for _ in range(3)], axis=1)
+    judge = SimpleNamespace(keep=(np.ones(rows, dtype=bool),))
+    structure = Structure(judge, np.zeros((3 * rows, 1)), (), ("none",), np.eye(1))
+    k = np.arange(1, 25)
+    expected = 1.0 + 2.0 * np.sum((1.0 - k / 25) * rho**k)
+    # Relative error of a Bartlett estimate: sqrt(4/3 * 25 / rows), 3 %; the worst of three is taken.
+    assert autocorrelation(structure, path.ravel()) == pytest.approx(expected, rel=0.1)
+    white = rng.standard_normal(3 * rows)
+    assert autocorrelation(structure, white) == pytest.approx(1.0, abs=0.1)
+
+
+def test_rows_are_compared_only_where_rows_of_weight_have_been():
+    car = road_car()
+    series = build_series(drive(1), "sim", np.zeros(len(drive(1))))
+    common = build_common_physics(car, series)
+    one = gather_evidence(car, series, common)
+    assert comparable(one, [one], common, 0.35)[one.series.smooth[one.at, 0] > 4.0].all()
+    first = np.arange(len(one.at)) < 100
+    near = comparable(one, [replace(one, weight=one.weight * first)], common, 0.35)
+    assert near[:100].mean() > 0.9
+    assert 0.0 < near.mean() < 0.9
