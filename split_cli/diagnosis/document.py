@@ -92,8 +92,19 @@ def _improvement(improvement: Improvement | None) -> dict[str, Any] | None:
         "holdout_rmse_after": list(improvement.after),
         "persistence": list(improvement.persistence),
         "noise_floor": None if improvement.noise_floor is None else list(improvement.noise_floor),
-        "confidence": _plain(improvement.confidence),
+        "confidence": _plain({**improvement.confidence, **_removed(improvement)}),
     }
+
+
+def _removed(improvement: Improvement) -> dict[str, Any]:
+    """Return shares of the improvable error that are gone; the schema leaves room for them here."""
+    if not improvement.removed:
+        return {}
+    shares = {
+        stage: None if share is None else {"share": share[0], "interval_95": list(share[1:])}
+        for stage, share in improvement.removed.items()
+    }
+    return {"improvable_removed": shares}
 
 
 def _plain(value: Any) -> Any:

@@ -15,7 +15,7 @@ from split_cli.diagnosis.estimates import parameter_estimates
 from split_cli.diagnosis.evidence import Evidence, gather_evidence
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.formula import sparse_formula
-from split_cli.diagnosis.improvement import label_errors, measure_improvement
+from split_cli.diagnosis.improvement import measure_improvement
 from split_cli.diagnosis.judge import CommonKnowledge, Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, habits
 from split_cli.diagnosis.location import gap_forces, gap_series, locate
@@ -312,14 +312,9 @@ def _improvement(case: _Case, chosen: Fit, settings: Settings):
         if chosen.parts
         else ()
     )
-    parts = [
-        label_errors(one, terms, case.common_rates(one), held) for one, held in zip(case.real, masks, strict=True)
-    ]
-    parts += [
-        label_errors(one, terms, case.common_rates(one), np.ones(len(one.series), dtype=bool))
-        for one in case.holdout
-    ]
-    return measure_improvement(parts, case.vehicle)
+    everything = [np.ones(len(one.series), dtype=bool) for one in case.holdout]
+    recordings = [*zip(case.real, masks, strict=True), *zip(case.holdout, everything, strict=True)]
+    return measure_improvement(recordings, terms, case.common, case.knowledge)
 
 
 def _gaps(case: _Case, terms):

@@ -1,14 +1,26 @@
-"""Does the named physics help: held-out errors of one label, before and after."""
+"""Does the named physics help: held-out errors of one label and of rollouts, before and after."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from split_cli.diagnosis.common import CommonPhysics
 from split_cli.diagnosis.evidence import Evidence
-from split_cli.diagnosis.result import Improvement
+from split_cli.diagnosis.judge import CommonKnowledge
+from split_cli.diagnosis.result import HorizonErrors, Improvement
+from split_cli.diagnosis.rollouts import (
+    HORIZONS,
+    RolloutErrors,
+    SharedRates,
+    Stage,
+    rest_of,
+    roll_out_stages,
+    shared_rates,
+)
 from split_cli.diagnosis.series import extended_model
 from split_cli.learning.cells import learn
 from split_cli.learning.features import Z2
@@ -18,11 +30,14 @@ from split_cli.learning.region import z2_grid
 from split_cli.prediction import make_predictor
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import integrate_recorded, phi_matrix, recorded_inputs, substep_count
+from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["LabelErrors", "label_errors", "measure_improvement"]
+__all__ = ["LabelErrors", "improvable_removed", "label_errors", "measure_improvement"]
 
 _BOOTSTRAPS = 400
 _BLOCK_SECONDS = 2.0
+_FEWEST_TO_LEARN = 100
+_MOSTLY = 0.9  # of the draws must leave something to improve, else a share has no interval
 
 
 @dataclass(frozen=True)
@@ -35,8 +50,8 @@ class LabelErrors:
         Of the simulation as learned: nominal less common physics.
     before, physics, persistence : ndarray, shape (L, 3)
     held : ndarray of bool, shape (L,)
-    floor : ndarray, shape (3,)
-        Root mean square that sensor noise alone makes.
+    floor : ndarray, shape (L, 3)
+        Variance that sensor noise alone makes.
     """
 
     labels: Labels
@@ -48,7 +63,11 @@ class LabelErrors:
 
 
 def label_errors(
-    evidence: Evidence, terms: Sequence[Term], common_rates: np.ndarray, held_rows: np.ndarray
+    evidence: Evidence,
+    terms: Sequence[Term],
+    shared: SharedRates | None,
+    shared_named: SharedRates | None,
+    held_rows: np.ndarray,
 ) -> LabelErrors:
     """Compute label errors before and with the terms.
 
@@ -56,8 +75,8 @@ def label_errors(
     ----------
     evidence : Evidence
     terms : sequence of Term
-    common_rates : ndarray, shape (N, 3)
-        What the simulation knows beyond the nominal model, along this recording.
+    shared, shared_named : SharedRates or None
+        What the simulation knows beyond the nominal model along this recording, as it is and with the terms.
     held_rows : ndarray of bool, shape (N,)
     """
     series, vehicle = evidence.series, evidence.vehicle
@@ -65,7 +84,6 @@ def label_errors(
     labels = labels.take(np.isfinite(labels.y).all(axis=1))
     window, rows = labels.window, labels.row
     span = rows[:, None] + np.arange(window + 1)
-    shared = common_rates[span].mean(axis=1)
     A = evidence.jacobian[rows]
     phi = phi_matrix(A, labels.horizon)
     change = np.zeros_like(labels.y)
@@ -78,11 +96,14 @@ def label_errors(
     moved = series.measured[rows + window] - series.measured[rows]
     persistence = np.linalg.solve(phi, moved[:, :, None])[:, :, 0] / labels.horizon
     held = held_rows[rows] & held_rows[rows + window]
-    before = labels.y - shared
+    before, physics = labels.y, labels.y + change
+    if shared is not None:
+        before = before - shared.base[span].mean(axis=1)
+        physics = physics - shared_named.base[span].mean(axis=1)
     inverse = np.linalg.inv(phi) / labels.horizon
     onward = inverse @ (np.eye(3) + labels.horizon * A @ phi)
-    floor = np.sqrt(((inverse**2 + onward**2) @ series.noise**2).mean(axis=0))
-    return LabelErrors(labels, before, before + change, persistence, held, floor)
+    floor = (inverse**2 + onward**2) @ series.noise**2
+    return LabelErrors(labels, before, physics, persistence, held, floor)
 
 
 def _predict(evidence: Evidence, terms, measured, smooth, rows, window) -> np.ndarray:
@@ -103,30 +124,81 @@ def _predict(evidence: Evidence, terms, measured, smooth, rows, window) -> np.nd
     )
 
 
-def measure_improvement(parts: Sequence[LabelErrors], vehicle) -> Improvement:
-    """Pool the recordings' held-out label errors, with SPLIT learned on what the training windows leave."""
-    held = [part.held for part in parts]
-    stacked = {
-        "before": [part.before[h] for part, h in zip(parts, held, strict=True)],
-        "physics": [part.physics[h] for part, h in zip(parts, held, strict=True)],
-        "persistence": [part.persistence[h] for part, h in zip(parts, held, strict=True)],
-        "after": _with_split(parts, [part.physics for part in parts], vehicle),
-        "split_only": _with_split(parts, [part.before for part in parts], vehicle),
+def measure_improvement(
+    recordings: Sequence[tuple[Evidence, np.ndarray]],
+    terms: Sequence[Term],
+    common: CommonPhysics,
+    knowledge: CommonKnowledge | None,
+) -> Improvement:
+    """Compare simulation, named physics and SPLIT on held-out time.
+
+    Parameters
+    ----------
+    recordings : sequence of (Evidence, ndarray of bool of shape (N,))
+        Real recordings and which of their rows are held out; SPLIT learns what the others leave.
+    terms : sequence of Term
+        Fitted without the held-out rows.
+    common : CommonPhysics
+    knowledge : CommonKnowledge or None
+        What the simulation taught.
+    """
+    terms = tuple(terms)
+    plain = [shared_rates(one.series, common, knowledge) for one, _ in recordings]
+    named = [shared_rates(one.series, common, knowledge, terms) for one, _ in recordings] if terms else plain
+    parts = [
+        label_errors(one, terms, *both, held) for (one, held), *both in zip(recordings, plain, named, strict=True)
+    ]
+    vehicle = recordings[0][0].vehicle
+    split_only = _learn_rest(parts, [part.before for part in parts], vehicle)
+    both = _learn_rest(parts, [part.physics for part in parts], vehicle)
+    errors = {
+        name: np.concatenate([values[part.held] for values, part in zip(several, parts, strict=True)])
+        for name, several in {
+            "before": [part.before for part in parts],
+            "physics": [part.physics for part in parts],
+            "split_only": [_without(part, part.before, split_only) for part in parts],
+            "after": [_without(part, part.physics, both) for part in parts],
+            "persistence": [part.persistence for part in parts],
+        }.items()
     }
-    errors = {name: np.concatenate(blocks) for name, blocks in stacked.items()}
-    block = np.concatenate([
-        1000 * k + (part.labels.t[h] // _BLOCK_SECONDS).astype(np.int64)
-        for k, (part, h) in enumerate(zip(parts, held, strict=True))
-    ])  # fmt: skip
+    block = np.concatenate([_blocks(part.labels.t[part.held], k) for k, part in enumerate(parts)])
+    floor = np.concatenate([part.floor[part.held] for part in parts])
     rms = {name: tuple(np.sqrt(np.mean(e**2, axis=0)).tolist()) for name, e in errors.items()}
-    floor = tuple(np.sqrt(np.mean([part.floor**2 for part in parts], axis=0)).tolist())
+    intervals, removed = _bootstrap({name: e**2 for name, e in errors.items()}, floor, block)
+    rollouts = [
+        roll_out_stages(
+            one,
+            {
+                "before": Stage((), shared),
+                "physics": Stage(terms, shared_named),
+                "split_only": Stage((), shared, *split_only),
+                "after": Stage(terms, shared_named, *both),
+            },
+            held,
+        )
+        for (one, held), shared, shared_named in zip(recordings, plain, named, strict=True)
+    ]
     return Improvement(
-        rms["before"], rms["physics"], rms["after"], rms["split_only"], rms["persistence"], floor,
-        _intervals(errors, block),
+        rms["before"], rms["physics"], rms["after"], rms["split_only"], rms["persistence"],
+        tuple(np.sqrt(floor.mean(axis=0)).tolist()), intervals, _pooled([one for one in rollouts if one]), removed,
     )  # fmt: skip
 
 
-def _with_split(parts: Sequence[LabelErrors], errors: list[np.ndarray], vehicle) -> list[np.ndarray]:
+def improvable_removed(before: Sequence[float], other: Sequence[float], floor: Sequence[float]) -> float:
+    """Return the share of squared error above the noise floor that is gone, channels weighed by their noise.
+
+    NaN when the squared error before is, on average, within 2 % of the floor's: noise over noise is no share.
+    """
+    removable = removed = 0.0
+    for error, left, noise in zip(before, other, floor, strict=True):
+        if error > noise > 0.0:
+            removable += (error**2 - noise**2) / noise**2
+            removed += (error**2 - max(left, noise) ** 2) / noise**2
+    return float(removed / removable) if removable > 0.02 * len(floor) else math.nan
+
+
+def _learn_rest(parts: Sequence[LabelErrors], errors: list[np.ndarray], vehicle: Vehicle):
+    """Learn what is left on the training windows; return a predictor and its grid, two None for too few."""
     training = []
     for part, error in zip(parts, errors, strict=True):
         labels = replace(part.labels, y=error)
@@ -134,33 +206,77 @@ def _with_split(parts: Sequence[LabelErrors], errors: list[np.ndarray], vehicle)
     grid = z2_grid(vehicle, training[0].region)
     training = [labels.inside(grid) for labels in training]
     accepted = np.concatenate([labels.y[labels.accepted] for labels in training])
-    if len(accepted) < 100:
-        return [error[part.held] for part, error in zip(parts, errors, strict=True)]
+    if len(accepted) < _FEWEST_TO_LEARN:
+        return None, None
     noise = np.mean([scatter_variance(labels) for labels in training], axis=0)
     trained = learn(training, vehicle=vehicle, grid=grid, kernel=default_kernel(grid, accepted, noise))
-    predictor = make_predictor("bcm", trained)
-    out = []
-    for part, error in zip(parts, errors, strict=True):
-        held = part.labels.take(part.held).inside(grid)
-        left = error[part.held].copy()
-        if held.accepted.any():
-            left[held.accepted] -= predictor.mean(held.z[held.accepted])
-        out.append(left)
-    return out
+    return make_predictor("bcm", trained), grid
 
 
-def _intervals(errors: Mapping[str, np.ndarray], block: np.ndarray) -> dict[str, object]:
-    """Return 95 % intervals of the rms, and of the share of the squared error removed, by block bootstrap."""
+def _without(part: LabelErrors, error: np.ndarray, split) -> np.ndarray:
+    """Return errors less what SPLIT predicts, where it claims to be valid."""
+    predictor, grid = split
+    left = error.copy()
+    use = part.held & part.labels.accepted
+    left[use] -= rest_of(predictor, grid, part.labels.z[use])
+    return left
+
+
+def _blocks(t: np.ndarray, number: int, seconds: float = _BLOCK_SECONDS) -> np.ndarray:
+    return 1_000_000 * number + (t // seconds).astype(np.int64)
+
+
+def _bootstrap(squared: Mapping[str, np.ndarray], floor: np.ndarray, block: np.ndarray):
+    """Return 95 % intervals of each rms, and of the share of the improvable error removed, by block bootstrap."""
     rng = np.random.default_rng(20240501)
     _, number = np.unique(block, return_inverse=True)
     count = np.bincount(number).astype(float)
-    sums = {
-        name: np.stack([np.bincount(number, e[:, c] ** 2) for c in range(3)], axis=1) for name, e in errors.items()
-    }
+
+    def sums(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(number, column) for column in values.T], axis=1)
+
     draws = rng.integers(0, len(count), (_BOOTSTRAPS, len(count)))
-    out: dict[str, object] = {}
-    for name, total in sums.items():
-        rms = np.sqrt(total[draws].sum(axis=1) / count[draws].sum(axis=1)[:, None])
-        out[name] = np.quantile(rms, [0.025, 0.975], axis=0).T.tolist()
-    out["blocks"] = len(count)
-    return out
+    rows = count[draws].sum(axis=1)[:, None]
+    rms = {name: np.sqrt(sums(e)[draws].sum(axis=1) / rows) for name, e in squared.items()}
+    noise = np.sqrt(sums(floor)[draws].sum(axis=1) / rows)
+    intervals: dict[str, object] = {
+        name: np.quantile(values, [0.025, 0.975], axis=0).T.tolist() for name, values in rms.items()
+    }
+    intervals["blocks"] = len(count)
+    level = np.sqrt(floor.mean(axis=0))
+    whole = {name: np.sqrt(e.mean(axis=0)) for name, e in squared.items()}
+    removed = {}
+    for name in ("physics", "split_only", "after"):
+        share = improvable_removed(whole["before"], whole[name], level)
+        drawn = np.array([
+            improvable_removed(*row) for row in zip(rms["before"], rms[name], noise, strict=True)
+        ])  # fmt: skip
+        drawn = drawn[np.isfinite(drawn)]
+        if math.isfinite(share) and len(drawn) > _MOSTLY * _BOOTSTRAPS:
+            removed[name] = (share, *np.quantile(drawn, [0.025, 0.975]).tolist())
+        else:
+            removed[name] = None
+    return intervals, removed
+
+
+def _pooled(recordings: Sequence[RolloutErrors]) -> tuple[HorizonErrors, ...]:
+    """Pool the recordings' rollouts, horizon by horizon."""
+    out = []
+    for k, horizon in enumerate(HORIZONS):
+        having = [one for one in recordings if len(one.horizons) > k and len(one.t)]
+        if not having:
+            break
+        squared = {name: np.concatenate([one.squared[name][:, k] for one in having]) for name in having[0].squared}
+        floor = np.concatenate([one.floor[:, k] for one in having])
+        block = np.concatenate([
+            _blocks(one.t, number, max(_BLOCK_SECONDS, horizon)) for number, one in enumerate(having)
+        ])  # fmt: skip
+        intervals, _ = _bootstrap(squared, floor, block)
+        rms = {name: tuple(np.sqrt(values.mean(axis=0)).tolist()) for name, values in squared.items()}
+        out.append(
+            HorizonErrors(
+                horizon, rms["before"], rms["physics"], rms["split_only"], rms["after"], rms["persistence"],
+                tuple(np.sqrt(floor.mean(axis=0)).tolist()), intervals, len(block),
+            )
+        )  # fmt: skip
+    return tuple(out)

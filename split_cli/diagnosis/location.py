@@ -38,8 +38,9 @@ def gap_forces(evidence: Evidence, terms: Sequence[Term], common_rates: np.ndarr
     left = np.concatenate([left, left[-1:]])
     width = max(1, int(round(_AVERAGE_SECONDS / series.period)))
     total = np.cumsum(np.concatenate([np.zeros((1, 3)), left]), axis=0)
-    low = np.clip(np.arange(len(left)) - width // 2, 0, None)
-    high = np.clip(low + width, None, len(left))
+    # Windows at the ends are as long as all others: shorter ones would be noisier.
+    low = np.clip(np.arange(len(left)) - width // 2, 0, max(len(left) - width, 0))
+    high = np.minimum(low + width, len(left))
     mean = (total[high] - total[low]) / (high - low)[:, None]
     return mean @ np.linalg.inv(evidence.vehicle.force_matrix()).T
 

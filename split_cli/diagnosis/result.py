@@ -11,10 +11,10 @@ import numpy as np
 __all__ = [
     "Diagnosis",
     "Finding",
+    "HorizonErrors",
     "Improvement",
     "InputFile",
     "Location",
-    "Match",
     "ParameterEstimate",
     "Place",
     "RemainderTest",
@@ -169,13 +169,31 @@ class RemainderTest:
 
 
 @dataclass(frozen=True)
-class Match:
-    """Held-out error of a rollout of some length, before and with physics: v_x, v_y [m/s], r [rad/s]."""
+class HorizonErrors:
+    """Held-out rms errors of open-loop rollouts of one length: v_x, v_y [m/s], r [rad/s].
+
+    Attributes
+    ----------
+    horizon : float
+        [s]
+    before, physics, split_only, after, persistence : tuple of three floats
+        As in `Improvement`.
+    noise_floor : tuple of three floats
+        What sensor noise at the start and at the end makes.
+    confidence : mapping of str to list
+        95 % intervals by block bootstrap, channel by channel, and the number of ``blocks``.
+    starts : int
+    """
 
     horizon: float
-    before: tuple[float, float, float]
-    physics: tuple[float, float, float]
-    persistence: tuple[float, float, float]
+    before: tuple[float, ...]
+    physics: tuple[float, ...]
+    split_only: tuple[float, ...]
+    after: tuple[float, ...]
+    persistence: tuple[float, ...]
+    noise_floor: tuple[float, ...]
+    confidence: Mapping[str, object]
+    starts: int
 
 
 @dataclass(frozen=True)
@@ -189,7 +207,11 @@ class Improvement:
     noise_floor : tuple of three floats or None
     confidence : mapping of str to list
         95 % intervals by block bootstrap, channel by channel.
-    rollouts : tuple of Match
+    rollouts : tuple of HorizonErrors
+        Shortest first; none where no horizon fits into the held-out time.
+    removed : mapping of str to (float, float, float) or None
+        For ``physics``, ``split_only`` and ``after``: the share of the squared error above the noise floor that is
+        gone, channels weighed by their noise, and its 95 % interval; None where nothing was left to improve.
     """
 
     before: tuple[float, ...]
@@ -199,7 +221,8 @@ class Improvement:
     persistence: tuple[float, ...]
     noise_floor: tuple[float, ...] | None
     confidence: Mapping[str, object]
-    rollouts: tuple[Match, ...] = ()
+    rollouts: tuple[HorizonErrors, ...] = ()
+    removed: Mapping[str, tuple[float, float, float] | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,11 @@ def inputs_along(model: SingleTrack, drive: Drive) -> RecordedInputs:
     if not model.terms:
         return RecordedInputs(drive["T"], drive["delta"], np.empty((len(drive), 0)))
     velocity = np.stack([drive[name] for name in ("vx", "vy", "r")], axis=1)
-    situation = {"time": drive["t"], "yaw": drive.columns.get("yaw", 0.0)}
+    situation = {
+        "time": drive["t"],
+        "yaw": drive.columns.get("yaw", 0.0),
+        "track_position": drive.columns.get("s", 0.0),
+    }
     return recorded_inputs(model, velocity, drive["T"], drive["delta"], recording_of(drive), **situation)
 
 

@@ -113,7 +113,8 @@ def roll_out(
     Notes
     -----
     Each step x+ = f_h(x) + h B_d Phi(x) g(z(x)), everything at the model's own state; inputs as recorded. Terms
-    with memory (lags, tyre relaxation) begin each step with the memory that the recording gives them.
+    with memory (lags, tyre relaxation) begin each step with the memory that the recording gives them; terms of
+    place take the track position from the channel ``s`` [m], 0 without one.
     """
     names = ("X", "Y", "yaw", *_VELOCITIES) if drive.has_position else _VELOCITIES
     state = np.stack([drive[name][starts] for name in names], axis=1)
@@ -141,12 +142,18 @@ def _one_step(
     velocity = state[:, -3:]
     yaw = state[:, 2] if state.shape[1] == 6 else (drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows)))
     time = drive["t"][rows]
-    situation = {"t": time, "yaw": yaw, "states": dict(zip(model.state_names, memory.T, strict=True)) or None}
+    place = drive["s"][rows] if "s" in drive else np.zeros(len(rows))
+    situation = {
+        "t": time,
+        "yaw": yaw,
+        "s": place,
+        "states": dict(zip(model.state_names, memory.T, strict=True)) or None,
+    }
     jacobian = model.velocity_jacobian(*velocity.T, torque[:, 0], steer[:, 0], **situation)
     finite = np.isfinite(jacobian).all(axis=(1, 2))
     substeps = substep_count(jacobian[finite], drive.period)
     substeps = min(substeps, _MOST_SUBSTEPS)
-    situation = {"time": time, "yaw": yaw, "term_states": memory}
+    situation = {"time": time, "yaw": yaw, "track_position": place, "term_states": memory}
     after = integrate_recorded(model, state, torque, steer, drive.period, substeps, **situation)
     if correction is not None:
         at = features_at(correction.features, model, drive, rows, velocity, correction.z)

@@ -7,13 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.common import build_common_physics
-from split_cli.diagnosis.evidence import Evidence, gather_evidence
+from split_cli.diagnosis.evidence import Evidence
 from split_cli.diagnosis.location import dependence, force_noise, gap_forces, locate
-from split_cli.diagnosis.series import build_series
-from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.factories import make_drive, road_car
+from tests.diagnosis.recordings import recorded
 
 ROWS = 6000
 BLOCK = np.arange(ROWS) // 40  # blocks of 1.6 s, rows of 0.04 s
@@ -81,23 +78,7 @@ class TestDependence:
         assert heavy == pytest.approx(scores(gap, t)[0], abs=1e-9)
 
 
-SIGMA = np.array([0.02, 0.02, 0.004])
 DRAG = CATALOGUE["aero_drag"]({"drag": 1.2})
-
-
-def recorded(seed: int, terms: tuple = ()) -> Evidence:
-    """Return evidence of 80 s, in runs of 4 s with white sensor noise, against the nominal car."""
-    car, sigma = road_car(), SIGMA
-    drive = make_drive(seed, segments=20, seconds=4.0, period=0.01, vehicle=car, terms=terms)
-    rng = np.random.default_rng(seed + 100)
-    noisy = {
-        name: drive[name] + rng.normal(0.0, level, len(drive))
-        for name, level in zip(("vx", "vy", "r"), sigma, strict=True)
-    }
-    drive = Drive(drive.name, {**drive.columns, **noisy}, drive.segment, drive.period)
-    s = np.concatenate([[0.0], np.cumsum(0.01 * drive["vx"][1:])])
-    series = build_series(drive, "real", s)
-    return gather_evidence(car, series, build_common_physics(car, series))
 
 
 @pytest.fixture(scope="module")

@@ -19,10 +19,10 @@ from split_cli.diagnosis.result import (
     Diagnosis,
     Finding,
     GapSeries,
+    HorizonErrors,
     Improvement,
     InputFile,
     Location,
-    Match,
     ParameterEstimate,
     Place,
     RemainderTest,
@@ -35,7 +35,6 @@ from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
 from split_cli.workflows.report.page import report_page
 from split_cli.workflows.report.payload import chart_numbers, embedded_json
-from split_cli.workflows.report.sections import improvable_removed
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, readable
 
 HOSTILE = "</script><script>window.taken = 1</script><img src=x onerror='window.taken = 2'>\u202e\u2028&\".parquet"
@@ -59,6 +58,14 @@ def gap_along_a_circle(name: str = "lap.parquet", rows: int = 2000) -> GapSeries
     )  # fmt: skip
 
 
+def rollout(horizon: float, before: float) -> HorizonErrors:
+    """Return rollout errors of which physics halves those before."""
+    sizes = (before, 0.5 * before, 0.7 * before, 0.45 * before, 10.0 * before, 0.4 * before)
+    names = ("before", "physics", "split_only", "after", "persistence")
+    intervals = {n: [[0.8 * v, 1.2 * v]] * 3 for n, v in zip(names, sizes[:5], strict=True)} | {"blocks": 9}
+    return HorizonErrors(horizon, *((size,) * 3 for size in sizes), intervals, 120)
+
+
 def mismatch(name: str = "lap.parquet") -> Diagnosis:
     """Return a diagnosis in which every part of the report has something to say."""
     rivals = (RivalSummary("mass", "loaded", 4.0, 0.3), RivalSummary("wind", "", 900.0, 12.0))
@@ -70,7 +77,8 @@ def mismatch(name: str = "lap.parquet") -> Diagnosis:
     errors = Improvement(
         (0.5, 0.9, 0.2), (0.5, 0.5, 0.15), (0.5, 0.45, 0.14), (0.5, 0.7, 0.16), (4.0, 3.0, 2.0), (0.4, 0.4, 0.1),
         {"before": [[0.4, 0.6], [0.8, 1.0], [0.1, 0.3]], "blocks": 12},
-        (Match(0.5, (0.1,) * 3, (0.05,) * 3, (1.0,) * 3), Match(2.0, (0.4,) * 3, (0.2,) * 3, (5.0,) * 3)),
+        (rollout(0.5, 0.1), rollout(1.0, 0.2), rollout(2.0, 0.4)),
+        {"physics": (0.6, 0.4, 0.7), "split_only": None, "after": (0.65, 0.5, 0.8)},
     )  # fmt: skip
     shares = {"longitudinal": 0.1, "front_lateral": 0.8, "rear_lateral": 0.1}
     remainder = RemainderTest(1e-5, 0.2, 0.1, (("memory", 60.0), ("time", 20.0)), "F ~ 3 N sign(r)")
@@ -126,13 +134,6 @@ class TestNumbers:
         assert second == math.ceil(half / 3)
         step = 10.0 ** drive["before"][1]["exponent"]
         np.testing.assert_allclose(unpacked(drive["before"][1]), [g.mean() for g in groups], atol=0.5001 * step)
-
-    def test_share_of_improvable_error(self):
-        # By hand: (0.09 - 0.04) of (0.09 - 0.01) in one channel; the second was at the floor and has no say.
-        assert improvable_removed((0.3, 0.1), (0.2, 0.5), (0.1, 0.1)) == pytest.approx(5.0 / 8.0)
-        assert improvable_removed((0.3, 0.1), (0.05, 0.1), (0.1, 0.1)) == 1.0
-        assert improvable_removed((0.3,), (0.4,), (0.1,)) < 0.0
-        assert math.isnan(improvable_removed((0.1005,), (0.1,), (0.1,)))
 
     @pytest.mark.parametrize(
         ("said", "expected"),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from split_cli.diagnosis.result import Diagnosis, GapSeries, Improvement, Location
+from split_cli.diagnosis.result import Diagnosis, GapSeries, HorizonErrors, Improvement, Location
 from split_cli.workflows.report.words import CHANNELS, FORCE_IDS, FORCES, readable
 
 __all__ = ["chart_numbers", "embedded_json"]
@@ -92,23 +92,24 @@ def _packed(values: np.ndarray) -> dict[str, Any]:
 def _improvement(improvement: Improvement | None) -> dict[str, Any] | None:
     if improvement is None:
         return None
-    errors = {}
-    for stage in _STAGES:
-        interval = improvement.confidence.get(stage)
-        errors[stage] = {
-            "rms": [float(v) for v in getattr(improvement, stage)],
-            "interval": [[float(low), float(high)] for low, high in interval] if interval else None,
-        }
     floor = improvement.noise_floor
     return {
         "channels": [{"symbol": symbol, "name": name, "unit": unit} for symbol, name, unit in CHANNELS],
-        "errors": errors,
+        "errors": _stages(improvement),
         "floor": None if floor is None else [float(v) for v in floor],
         "rollouts": [
-            {
-                "horizon": one.horizon,
-                **{name: [float(v) for v in getattr(one, name)] for name in ("before", "physics", "persistence")},
-            }
+            {"horizon": one.horizon, "errors": _stages(one), "floor": [float(v) for v in one.noise_floor]}
             for one in improvement.rollouts
         ],
     }
+
+
+def _stages(errors: Improvement | HorizonErrors) -> dict[str, Any]:
+    out = {}
+    for stage in _STAGES:
+        interval = errors.confidence.get(stage)
+        out[stage] = {
+            "rms": [float(v) for v in getattr(errors, stage)],
+            "interval": [[float(low), float(high)] for low, high in interval] if interval else None,
+        }
+    return out

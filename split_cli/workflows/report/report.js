@@ -393,6 +393,8 @@
     ["before", "before", BEFORE], ["physics", "physics", AFTER], ["split_only", "SPLIT only", "#5a6271"], ["after", "both", "#007a59"], ["persistence", "persistence", "#8b929e"],
   ];
 
+  const LINES = ROWS.map(([stage, text, color]) => [stage, { physics: "with the named physics", after: "with physics and SPLIT" }[stage] || text, color]);
+
   function figure(host, title) {
     const canvas = element("div", { class: "canvas" });
     host.append(element("figure", { class: "plot" }, element("figcaption", {}, element("b", {}, title)), canvas));
@@ -444,26 +446,40 @@
   function rolloutChart(host, help, channel) {
     const { symbol, name } = help.channels[channel];
     const label = channel === 2 ? "rad/s" : "m/s";
-    const lines = [["before", BEFORE], ["physics", AFTER], ["persistence", "#8b929e"]];
+    const value = (one, stage) => one.errors[stage].rms[channel];
+    const interval = (one, stage) => (one.errors[stage].interval || [])[channel];
     const ends = help.rollouts.map((one) => one.horizon);
-    const top = Math.max(...help.rollouts.flatMap((one) => [one.before[channel], one.physics[channel]]));
+    const near = LINES.filter(([stage]) => stage !== "persistence").flatMap(([stage]) => help.rollouts.map((one) => (interval(one, stage) || [0, value(one, stage)])[1]));
+    const top = Math.max(...near);
     const plot = new Plot(figure(host, `${name} (${symbol})`), {
       zoom: "xy",
-      height: () => 210,
+      height: () => 230,
       x: () => "horizon [s]",
       y: () => `rms error [${label}]`,
-      label: () => `${name} rollout error over the horizon, before and with the named physics.`,
-      domain: (view) => view || { x: [0, Math.max(...ends) * 1.06], y: [0, top * 1.15] },
+      label: () => `${name} rollout error over the horizon: ${LINES.map(([stage, text]) => `${text} ${short(value(help.rollouts[help.rollouts.length - 1], stage))}`).join(", ")} ${label} at the end.`,
+      domain: (view) => view || { x: [0, Math.max(...ends) * 1.06], y: [0, top * 1.1] },
       draw(layer) {
-        for (const [stage, color] of lines) {
-          const points = help.rollouts.map((one) => [plot.sx(one.horizon), plot.sy(one[stage][channel])]);
-          layer.append(shape("path", { d: path(points), fill: "none", stroke: color, "stroke-width": 2, "stroke-dasharray": stage === "persistence" ? "4 3" : "none" }));
-          for (const [x, y] of points) layer.append(shape("circle", { cx: x, cy: y, r: 4, fill: color, stroke: "#fff" }));
-        }
+        const floor = help.rollouts.map((one) => [plot.sx(one.horizon), plot.sy(one.floor[channel])]);
+        const ground = plot.top + plot.tall;
+        layer.append(shape("path", { d: `${path([[plot.left, floor[0][1]], ...floor, [plot.left + plot.inner, floor[floor.length - 1][1]], [plot.left + plot.inner, ground], [plot.left, ground]])}Z`, fill: "#e3e5ea" }));
+        LINES.forEach(([stage, , color], k) => {
+          const shift = (k - 1.5) * 3; // so that intervals at one horizon stand side by side
+          const points = help.rollouts.map((one) => [plot.sx(one.horizon) + (stage === "persistence" ? 0 : shift), plot.sy(value(one, stage))]);
+          layer.append(shape("path", { d: path(points), fill: "none", stroke: color, "stroke-width": 1.8, "stroke-dasharray": stage === "persistence" ? "4 3" : "none" }));
+          help.rollouts.forEach((one, i) => {
+            const ends = interval(one, stage);
+            if (stage !== "persistence" && ends) layer.append(shape("line", { x1: points[i][0], x2: points[i][0], y1: plot.sy(ends[0]), y2: plot.sy(ends[1]), stroke: color, "stroke-width": 1.4 }));
+            layer.append(shape("circle", { cx: points[i][0], cy: points[i][1], r: 3.6, fill: color, stroke: "#fff" }));
+          });
+        });
       },
       hover(x) {
         const one = help.rollouts.reduce((best, other) => (Math.abs(other.horizon - x) < Math.abs(best.horizon - x) ? other : best));
-        return { x: one.horizon, y: between(one.physics[channel], ...plot.y), lines: [`${short(one.horizon)} s ahead`, ...lines.map(([stage]) => `${stage}: ${short(one[stage][channel])} ${label}`)] };
+        const told = LINES.map(([stage, text]) => {
+          const ends = interval(one, stage);
+          return `${text}: ${short(value(one, stage))} ${label}${ends ? ` (${short(ends[0])} to ${short(ends[1])})` : ""}`;
+        });
+        return { x: one.horizon, y: between(value(one, "physics"), ...plot.y), lines: [`${short(one.horizon)} s ahead`, ...told, `noise floor: ${short(one.floor[channel])} ${label}`] };
       },
     });
     plot.redraw();
@@ -474,7 +490,7 @@
     const rollouts = document.getElementById("rollouts");
     numbers.help.channels.forEach((_, channel) => errorChart(errors, numbers.help, channel));
     if (rollouts) {
-      const names = [key(BEFORE, "before"), key(AFTER, "with the named physics"), key("#8b929e", "persistence", true)];
+      const names = [...LINES.map(([stage, text, color]) => key(color, text, stage === "persistence")), element("span", {}, "grey: what sensor noise makes; bars: 95 % intervals; zoom out for persistence")];
       document.getElementById("rollout-legend").replaceChildren(...names);
       numbers.help.channels.forEach((_, channel) => rolloutChart(rollouts, numbers.help, channel));
     }

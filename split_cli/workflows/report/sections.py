@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 
-from split_cli.diagnosis.result import Diagnosis, Improvement, Location
+from split_cli.diagnosis.result import Diagnosis, HorizonErrors, Improvement, Location
 from split_cli.workflows.report.findings import what_section
 from split_cli.workflows.report.markup import bar_row, section, table
 from split_cli.workflows.report.words import (
@@ -17,11 +16,12 @@ from split_cli.workflows.report.words import (
     number,
     percent,
     quantity,
+    span,
     term_title,
     variable,
 )
 
-__all__ = ["all_sections", "headline", "improvable_removed"]
+__all__ = ["all_sections", "headline"]
 
 _HEADLINES = {
     "match": ("=", "Simulation and reality agree."),
@@ -57,19 +57,6 @@ def all_sections(diagnosis: Diagnosis) -> str:
         parts.append(_not_judged(diagnosis))
     parts.append(_provenance(diagnosis))
     return "\n".join(parts)
-
-
-def improvable_removed(before: Sequence[float], other: Sequence[float], floor: Sequence[float]) -> float:
-    """Return the share of squared error above the noise floor that is gone, channels weighed by their noise.
-
-    NaN when the squared error before is, on average, within 2 % of the floor's: noise over noise is no share.
-    """
-    removable = removed = 0.0
-    for error, left, noise in zip(before, other, floor, strict=True):
-        if error > noise > 0.0:
-            removable += (error**2 - noise**2) / noise**2
-            removed += (error**2 - max(left, noise) ** 2) / noise**2
-    return removed / removable if removable > 0.02 * len(floor) else math.nan
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
@@ -116,14 +103,17 @@ def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
         note = f"sensor noise in 0.05 s ({term_title(largest.term)})"
         yield "Size", f"{number(largest.severity, 2)} ×", note
     shown = diagnosis.improvement
-    if shown is not None and shown.noise_floor is not None and diagnosis.findings:
-        share = improvable_removed(shown.before, shown.physics, shown.noise_floor)
-        note = "of held-out squared error above the noise floor, by the named physics"
-        yield (
-            "Removed",
-            percent(share),
-            note if math.isfinite(share) else "one step was at the noise floor already",
-        )
+    if shown is not None and diagnosis.findings:
+        removed = shown.removed.get("physics")
+        if removed is not None:
+            note = "of held-out squared error above the noise floor, by the named physics"
+            yield "Removed", percent(removed[0]), f"{note} ({span(removed)})"
+        if shown.rollouts:
+            last = shown.rollouts[-1]
+            k = max(range(3), key=lambda k: last.before[k] / max(last.noise_floor[k], 1e-12))
+            symbol, _, _ = CHANNELS[k]
+            note = f"error of {symbol} after {number(last.horizon, 2)} s, with the named physics"
+            yield "Rollout", f"{number(last.before[k], 2)} → {number(last.physics[k], 2)}", note
     if diagnosis.remainder is not None:
         yield "Without a name", percent(diagnosis.remainder.share), "of the gap"
 
@@ -207,35 +197,54 @@ def _help(diagnosis: Diagnosis, improvement: Improvement) -> str:
         where = "on held-out time"
     blocks = improvement.confidence.get("blocks")
     how = f" Intervals: 95 %, bootstrap over {blocks} blocks of time." if blocks else ""
-    rollouts = (
-        '<h3>Over longer horizons</h3><div class="figures thirds" id="rollouts"></div>'
-        '<div class="legend" id="rollout-legend"></div>'
-        if improvement.rollouts
-        else ""
-    )
     return section(
         "help",
         "Does it help",
         f"<p>One-step errors {escape(where)}, refitted without it.{escape(how)} Grey: what sensor noise makes."
-        f'</p><div class="figures thirds" id="errors"></div>{_error_table(improvement)}{rollouts}',
+        f'</p><div class="figures thirds" id="errors"></div>{_error_table(improvement)}{_rollouts(improvement)}',
     )
 
 
 def _error_table(improvement: Improvement) -> str:
-    floor = improvement.noise_floor
     rows = []
     for stage, words in _STAGES:
-        values = getattr(improvement, stage)
-        intervals = improvement.confidence.get(stage) or [None] * 3
-        cells = "".join(_error_cell(v, interval) for v, interval in zip(values, intervals, strict=True))
-        removed = improvable_removed(improvement.before, values, floor) if floor is not None else math.nan
-        shown = "" if stage in ("before", "persistence") else percent(removed)
-        rows.append(f"<tr><th scope=row>{words}</th>{cells}<td>{shown}</td></tr>")
-    if floor is not None:
-        cells = "".join(f"<td>{number(v)}</td>" for v in floor)
-        rows.append(f'<tr class="floor"><th scope=row>Noise floor</th>{cells}<td></td></tr>')
+        removed = improvement.removed.get(stage)
+        shown = "" if removed is None else f"{percent(removed[0])} <small>{span(removed)}</small>"
+        rows.append(_error_row(words, stage, improvement, f"<td>{shown}</td>"))
+    if improvement.noise_floor is not None:
+        rows.append(_floor_row(improvement.noise_floor, "<td></td>"))
     heads = [f"<i>{symbol}</i> [{unit}]" for symbol, _, unit in CHANNELS]
-    return table(["Rms error", *heads, "Improvable error removed"], rows, "errors")
+    return table(["Rms error of one step", *heads, "Improvable error removed"], rows, "errors")
+
+
+def _rollouts(improvement: Improvement) -> str:
+    """Return the section on longer horizons: charts, and a table for the longest."""
+    if not improvement.rollouts:
+        return "<p>No longer horizon fits into the held-out time.</p>"
+    last = improvement.rollouts[-1]
+    rows = [_error_row(words, stage, last) for stage, words in _STAGES]
+    rows.append(_floor_row(last.noise_floor))
+    units = [unit.replace("/s²", "/s") for _, _, unit in CHANNELS]
+    heads = [f"<i>{symbol}</i> [{unit}]" for (symbol, _, _), unit in zip(CHANNELS, units, strict=True)]
+    blocks = last.confidence.get("blocks", 0)
+    return (
+        "<h3>Over longer horizons</h3>"
+        f"<p>The model runs on by itself over the recorded inputs, from {last.starts} starts in {blocks} blocks of "
+        "held-out time.</p>"
+        '<div class="figures thirds" id="rollouts"></div><div class="legend" id="rollout-legend"></div>'
+        f"{table([f'Rms error after {number(last.horizon, 2)} s', *heads], rows, 'errors')}"
+    )
+
+
+def _error_row(words: str, stage: str, errors: Improvement | HorizonErrors, more: str = "") -> str:
+    intervals = errors.confidence.get(stage) or [None] * 3
+    cells = "".join(_error_cell(v, i) for v, i in zip(getattr(errors, stage), intervals, strict=True))
+    return f"<tr><th scope=row>{words}</th>{cells}{more}</tr>"
+
+
+def _floor_row(floor: Sequence[float], more: str = "") -> str:
+    cells = "".join(f"<td>{number(v)}</td>" for v in floor)
+    return f'<tr class="floor"><th scope=row>Noise floor</th>{cells}{more}</tr>'
 
 
 def _error_cell(value: float, interval: Sequence[float] | None) -> str:

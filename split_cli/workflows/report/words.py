@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import math
 import unicodedata
+from collections.abc import Sequence
 
 __all__ = [
     "CHANNELS",
@@ -17,6 +18,7 @@ __all__ = [
     "percent",
     "quantity",
     "readable",
+    "span",
     "term_title",
     "variable",
 ]
@@ -100,6 +102,12 @@ def percent(share: float) -> str:
     if 99.0 < scaled < 100.0:
         return "> 99 %"
     return _minus(f"{scaled:.0f} %")
+
+
+def span(share: Sequence[float]) -> str:
+    """Return the interval of a share given as (value, low, high), in per cent: ``81 to 97 %``."""
+    low, high = (f"{100.0 * v:.0f}" for v in share[1:])
+    return _minus(f"{low} to {high} %")
 
 
 def chance(p_value: float | None) -> str:

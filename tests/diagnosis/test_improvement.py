@@ -1,0 +1,165 @@
+"""Does it help: rollouts and shares against closed forms, planted terms and the noise that was put in."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.common import build_common_physics
+from split_cli.diagnosis.improvement import improvable_removed, measure_improvement
+from split_cli.diagnosis.judge import learn_common
+from split_cli.diagnosis.rollouts import Stage, roll_out_stages, shared_rates
+from split_cli.logs.drive import Drive
+from split_cli.scoring.rollouts import roll_out
+from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.integration import integrate_recorded
+from split_cli.vehicle.single_track import SingleTrack
+from tests.diagnosis.recordings import SIGMA, recorded
+from tests.factories import road_car
+
+RESISTANCE = CATALOGUE["rolling_resistance"]({"force": 450.0})
+
+
+@pytest.fixture(scope="module")
+def resisted():
+    return recorded(11, (RESISTANCE,))
+
+
+def held_last_quarter(evidence) -> np.ndarray:
+    return evidence.series.t > 0.75 * evidence.series.t[-1]
+
+
+@pytest.fixture(scope="module")
+def measured(resisted):
+    common = build_common_physics(resisted.vehicle, resisted.series)
+    return measure_improvement([(resisted, held_last_quarter(resisted))], (RESISTANCE,), common, None)
+
+
+class TestPlantedResistance:
+    """450 N on 1,500 kg: 0.3 m/s^2 that the simulation does not have, nothing else."""
+
+    def test_before_grows_as_the_force_over_the_mass(self, measured):
+        # Drag, the only feedback from speed, changes the loss by 2 c v t/m, some 2 % over 2 s; noise adds in squares.
+        for one in measured.rollouts:
+            expected = math.hypot(0.3 * one.horizon, one.noise_floor[0])
+            assert one.before[0] == pytest.approx(expected, rel=0.05)
+        assert [one.horizon for one in measured.rollouts] == [0.5, 1.0, 2.0]
+
+    def test_the_true_physics_reaches_the_noise_floor_in_every_channel(self, measured):
+        # Rollouts overlap and share the noise of some 20 s: 10 % is two standard errors of an rms, steps of a
+        # channel that hardly varies the more.
+        for one in measured.rollouts:
+            np.testing.assert_allclose(one.physics, one.noise_floor, rtol=0.2)
+            for value, (low, high) in zip(one.physics, one.confidence["physics"], strict=True):
+                assert low <= value <= high
+        np.testing.assert_allclose(measured.physics, measured.noise_floor, rtol=0.12)
+
+    def test_all_that_could_be_improved_is(self, measured):
+        # One step of 0.3 m/s^2 is half its noise: the squares of 400 held-out labels are known to 7 %, which is a
+        # quarter of what could be improved.
+        share, low, high = measured.removed["physics"]
+        assert share > 0.6 and low <= share <= high and 0.9 < high <= 1.0
+        assert measured.before[0] == pytest.approx(math.hypot(0.3, measured.noise_floor[0]), rel=0.1)
+
+    def test_split_alone_helps_and_beside_the_physics_adds_nothing(self, measured):
+        last = measured.rollouts[-1]
+        assert last.physics[0] < last.split_only[0] < 0.6 * last.before[0]
+        assert last.after[0] < 2.0 * last.noise_floor[0]
+
+    def test_persistence_is_the_velocity_held(self, resisted, measured):
+        series, held = resisted.series, held_last_quarter(resisted)
+        errors = roll_out_stages(resisted, {"before": Stage((), None)}, held)
+        rows = np.searchsorted(series.t, errors.t)
+        by_hand = np.square(series.measured[rows + 200] - series.measured[rows])
+        np.testing.assert_allclose(errors.squared["persistence"][:, 2], by_hand, rtol=1e-12)
+
+
+def test_no_horizon_fits_into_too_little_held_out_time(resisted):
+    held = resisted.series.t > resisted.series.t[-1] - 0.3
+    assert roll_out_stages(resisted, {"before": Stage((), None)}, held) is None
+    held = resisted.series.t > resisted.series.t[-1] - 1.6
+    errors = roll_out_stages(resisted, {"before": Stage((), None)}, held)
+    assert errors.horizons == (0.5, 1.0)
+
+
+def test_noise_floor_of_a_right_model_is_its_error(resisted):
+    """The nominal car by itself, all runs: the floor counts noise at both ends as the recording has it."""
+    plain = recorded(12)
+    errors = roll_out_stages(plain, {"before": Stage((), None)}, np.ones(len(plain.series), dtype=bool))
+    told, true = np.sqrt(errors.floor.mean(axis=0)), np.sqrt(errors.squared["before"].mean(axis=0))
+    # 120 starts, noise estimated from the samples: 7 % of an rms in one standard error.
+    np.testing.assert_allclose(told, true, rtol=0.2)
+    assert told[0, 0] > SIGMA[0] and np.all(told >= 0.95 * SIGMA)
+
+
+def test_what_the_simulation_knows_follows_the_model_away_from_the_recording(resisted):
+    """Shared rates at another state: their slope against the dictionary evaluated there."""
+    common = build_common_physics(resisted.vehicle, resisted.series)
+    knowledge = learn_common([resisted])
+    shared = shared_rates(resisted.series, common, knowledge)
+    aside = np.array([0.05, 0.01, 0.002])
+    moved = replace(resisted.series, smooth=resisted.series.smooth + aside)
+    there = common.rates(moved, knowledge.weights)
+    rows = np.arange(len(aside), len(moved), 97)
+    told = shared.at(rows, resisted.series.smooth[rows] + aside)
+    change = np.abs(there[rows] - shared.base[rows]).mean(axis=0)
+    # Linear in a small step: what is left is of second order.
+    assert np.all(np.abs(told - there[rows]).mean(axis=0) < 0.1 * change)
+    # And never more than the recording itself has shown.
+    far = shared.at(rows, resisted.series.smooth[rows] + 1e3)
+    assert np.all(np.abs(far - shared.base[rows]) <= np.abs(shared.base).max(axis=0) + 1e-12)
+
+
+def test_knowing_the_resistance_already_leaves_nothing_to_improve():
+    """What simulation and reality share is no gap: rollouts with it are at the floor without any term."""
+    real, simulated = recorded(13, (RESISTANCE,)), recorded(14, (RESISTANCE,))
+    common = build_common_physics(simulated.vehicle, simulated.series)
+    knowledge = learn_common([simulated])
+    shared = shared_rates(real.series, common, knowledge)
+    held = np.ones(len(real.series), dtype=bool)
+    errors = roll_out_stages(real, {"blind": Stage((), None), "taught": Stage((), shared)}, held)
+    blind, taught = (np.sqrt(errors.squared[name][:, 2, 0].mean()) for name in ("blind", "taught"))
+    # 0.3 m/s^2 over 2 s; the dictionary is learned from 80 s of noisy data.
+    assert blind > 0.55 and taught < 0.15 * blind
+
+
+def test_a_stretch_of_road_acts_where_it_lies():
+    """A climb on 30 to 50 m, integrated in one piece, against rollouts that take the place from the recording."""
+    climb = CATALOGUE["road_grade"]({"angle": 0.05, "s_start": 30.0, "s_end": 50.0}, "stretch")
+    model, count, period = SingleTrack(road_car(), (climb,)), 401, 0.01
+    zeros = np.zeros((1, 2))
+    state, s, states, places = np.array([[20.0, 0.0, 0.0]]), 0.0, [[20.0, 0.0, 0.0]], [0.0]
+    for _ in range(count - 1):
+        after = integrate_recorded(model, state, zeros, zeros, period, 8, track_position=s)
+        s += 0.5 * period * float(state[0, 0] + after[0, 0])
+        state = after
+        states.append(state[0])
+        places.append(s)
+    velocity = np.array(states)
+    columns = {
+        "t": period * np.arange(count),
+        "s": np.array(places),
+        "T": np.zeros(count),
+        "delta": np.zeros(count),
+    }
+    columns |= dict(zip(("vx", "vy", "r"), velocity.T, strict=True))
+    drive = Drive("climb", columns, np.zeros(count, dtype=np.int32), period)
+    starts = np.array([0, 60, 200])
+    path = roll_out(model, drive, starts, 40, 5)[:, -1, 0]
+    flat = roll_out(SingleTrack(road_car()), drive, starts, 40, 5)[:, -1, 0]
+    # Past the stretch (s = 50 m after 2.5 s at 20 m/s) both agree; over it g sin(0.05) acts for a second.
+    np.testing.assert_allclose(path, velocity[starts + 200, 0], atol=0.005)
+    assert flat[0] - velocity[200, 0] == pytest.approx(9.80665 * 0.05 * 0.5, rel=0.1)
+
+
+def test_share_of_improvable_error():
+    # By hand: (0.09 - 0.04) of (0.09 - 0.01) in one channel; the second was at the floor and has no say.
+    assert improvable_removed((0.3, 0.1), (0.2, 0.5), (0.1, 0.1)) == pytest.approx(5.0 / 8.0)
+    assert improvable_removed((0.3, 0.1), (0.05, 0.1), (0.1, 0.1)) == 1.0
+    assert improvable_removed((0.3,), (0.4,), (0.1,)) < 0.0
+    assert math.isnan(improvable_removed((0.1005,), (0.1,), (0.1,)))
+    # Weighed by noise: metres and radians count alike once each is told in its own noise.
+    assert improvable_removed((3.0, 0.03), (1.0, 0.03), (1.0, 0.01)) == pytest.approx(0.5)
