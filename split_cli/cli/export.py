@@ -39,8 +39,14 @@ __all__ = ["command"]
     metavar="N",
     help="Queries on which the export is compared with Python.",
 )
+@click.option(
+    "--step",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="S",
+    help="Controller's interval, used where effects delay commands [default: label interval].",
+)
 @json_option
-def command(set_path, targets, output, predictor, name, real, queries, as_json) -> None:
+def command(set_path, targets, output, predictor, name, real, queries, step, as_json) -> None:
     """Write a trained set as C, CasADi, npz or json.
 
     Every target is compared with Python on random and border queries first; if one differs, nothing is written.
@@ -60,6 +66,7 @@ def command(set_path, targets, output, predictor, name, real, queries, as_json) 
         name=name,
         real=real,
         queries=queries,
+        step=step,
         say=lambda line: click.echo(f"{line} ...", err=True),
     )
     if as_json:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -10,12 +11,13 @@ from importlib.resources import files
 import numpy as np
 
 from split_cli.errors import ExportError
+from split_cli.export.memory import Memory
 from split_cli.export.provenance import Provenance
 from split_cli.export.straight_line import number, straight_line
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables
 
-__all__ = ["CSource", "c_identifier", "c_source", "template"]
+__all__ = ["CSource", "c_identifier", "c_source", "fill", "memory_parts", "template"]
 
 _KEYWORDS = frozenset(
     (
@@ -43,6 +45,8 @@ class CSource:
         D.
     place_time : bool
         Whether the step takes time and track position.
+    memory : Memory or None
+        States of the step beyond the first eight.
     table_bytes : int
         Size of the constant tables on the target.
     """
@@ -54,6 +58,7 @@ class CSource:
     with_step: bool
     dimension: int
     place_time: bool
+    memory: Memory | None
     table_bytes: int
 
 
@@ -71,10 +76,23 @@ def template(name: str) -> str:
     return (files("split_cli.export") / "templates" / name).read_text(encoding="utf-8")
 
 
-def fill(text: str, values: dict[str, str]) -> str:
-    """Replace every ``@KEY@``; a placeholder without a value is a programming error."""
-    filled = re.sub(r"@([A-Z0-9_]+)@", lambda match: values[match[1]], text)
-    return filled
+def fill(text: str, values: dict[str, str], kept: Collection[str] = ()) -> str:
+    """Replace every ``@KEY@``; a placeholder without a value is a programming error.
+
+    Lines between ``%if word`` and ``%else`` or ``%end`` stay when `kept` holds the word, those after ``%else``
+    when it does not.
+    """
+    lines, open_ = [], [True]
+    for line in text.splitlines(keepends=True):
+        if line.startswith("%if "):
+            open_.append(line.split()[1] in kept)
+        elif line.startswith("%else"):
+            open_[-1] = not open_[-1]
+        elif line.startswith("%end"):
+            open_.pop()
+        elif all(open_):
+            lines.append(line)
+    return re.sub(r"@([A-Z0-9_]+)@", lambda match: values[match[1]], "".join(lines))
 
 
 def c_source(
@@ -131,15 +149,28 @@ def c_source(
             else "    static const real place_time[2] = {ZERO, ZERO};"
         ),
     }
+    memory = graph.memory if with_step else None
+    values |= _memory_values(graph, memory, name, real)
     step_header = step_body = ""
     if with_step:
         values["NOMINAL"] = _nominal(graph, real)
-        step_header, step_body = fill(template("step.h.in"), values), fill(template("step.c.in"), values)
+        values["LINEAR"] = fill(template("linear.c.in"), values)
+        kind, kept = "memory_step" if memory else "step", memory_parts(memory)
+        step_header = fill(template(f"{kind}.h.in"), values, kept)
+        step_body = fill(template(f"{kind}.c.in"), values, kept)
     header = fill(template("model.h.in"), {**values, "STEP_DECLARATIONS": step_header})
     # Values are put in once; text that was put in is not searched again for placeholders.
     source = fill(template("model.c.in"), {**values, "STEP": step_body})
     return CSource(
-        name, real, header, source, with_step, tables.feature_count, graph.needs_place_and_time, table_bytes
+        name,
+        real,
+        header,
+        source,
+        with_step,
+        tables.feature_count,
+        graph.needs_place_and_time,
+        memory,
+        table_bytes,
     )
 
 
@@ -150,7 +181,94 @@ def _nominal(graph: NominalGraph, real: str) -> str:
     features = straight_line(
         graph.features, "nominal_features", real, "Features of state and input, and their Jacobian."
     )
-    return rates + "\n" + features
+    parts = [rates, features]
+    if graph.start is not None:
+        parts.append(straight_line(graph.start, "nominal_start", real, "Where the terms' states settle."))
+    if graph.jumps is not None:
+        parts.append(
+            straight_line(graph.jumps, "nominal_jumps", real, "Where commands drag the plays, and its Jacobian.")
+        )
+    return "\n".join(parts)
+
+
+def memory_parts(memory: Memory | None) -> tuple[str, ...]:
+    """Return which parts of the templates a memory needs."""
+    if memory is None:
+        return ()
+    parts = {"memory": True, "states": memory.states, "plays": memory.plays, "delays": memory.line}
+    return tuple(name for name, needed in parts.items() if needed)
+
+
+def _memory_values(graph: NominalGraph, memory: Memory | None, name: str, real: str) -> dict[str, str]:
+    """Return what the templates say of states beyond the first eight; nothing where there are none."""
+    if memory is None:
+        return {"STATES": "8", "MEMORY_TEXT": "", "MEMORY_ENUM": "", "MEMORY_MACRO": ""}
+    upper, delayed = name.upper(), memory.line > 0
+    arriving = f", const {name}_real *arrived" if delayed else ""
+    text = "".join(f"\n *   x[{8 + k}]  {label}" for k, label in enumerate(memory.labels))
+    text = f"\n * Further states, steady after {name}_start:{text}"
+    if delayed:
+        late = ", ".join(f"{c} by {d:g} s" for c, d in zip(("T", "delta"), memory.delays, strict=True) if d)
+        text += (
+            f"\n * Commands arrive late: {late}. Past commands lie {memory.step:g} s apart; what arrives is"
+            "\n * linear between two of them. The step takes this interval and no other."
+        )
+    play = [memory.names[k] for k in memory.plays]
+    if play:
+        text += (
+            f"\n * {', '.join(play)}: in the step dragged to where its end has it; in the right-hand side"
+            "\n * and the Runge-Kutta step, as in the labels, drawn to the edge of its play at 200/s."
+        )
+    values = {
+        "STATES": str(memory.whole),
+        "MEMORY_TEXT": text,
+        "MEMORY_ENUM": f", {upper}_CONTINUOUS_STATES = {memory.continuous}",
+        "MEMORY_MACRO": (
+            f"\n/* Interval of the step [s]. */\n#define {upper}_TIME_STEP {number(memory.step, real)}\n"
+            if delayed
+            else ""
+        ),
+        "CONTINUOUS": str(memory.continuous),
+        "WHOLE": str(memory.whole),
+        "LATE_T": str(memory.lengths[0]),
+        "LATE_DELTA": str(memory.lengths[1]),
+        "MEMORY_TABLES": _memory_tables(graph, memory, real),
+        "UNUSED_PLACE_TIME": "    (void)t;\n    (void)s;\n" if graph.needs_place_and_time else "",
+        "ARRIVING": arriving,
+        "ARRIVED": "arrived" if delayed else "x + 6",
+        "ARRIVED_DECLARATION": (
+            f"\n/* What arrives now [T, delta] of the commands so far. */\n"
+            f"void {name}_arrived(const {name}_real *x, {name}_real *arrived);\n"
+            if delayed
+            else ""
+        ),
+        "RATES_TEXT": ": what arrives now, [T, delta], is an argument" if delayed else "",
+        "RATES_INDENT": " " * len(f"void {name}_rates("),
+        "STEP_TEXT": f", or h is not {memory.step:g}" if delayed else "",
+    }  # fmt: skip
+    return values
+
+
+def _memory_tables(graph: NominalGraph, memory: Memory, real: str) -> str:
+    """Return constants of the memory as C."""
+    longest = max(1, *memory.lengths)
+    units = (1.0,) * 8 + graph.units
+    parts = [f"enum {{ LONGEST_LINE = {longest}, PLAYS = {len(memory.plays)} }};"]
+    if memory.line:
+        parts.append(f"#define STEP {number(memory.step, real)}")
+    if memory.plays:
+        parts.append(f"static const int play[PLAYS] = {{{', '.join(str(8 + k) for k in memory.plays)}}};")
+    arrays = {
+        "unit[STATES]": units,
+        "fastest[2]": memory.rates,
+        "share_T[LATE_T + 1]": memory.weights(0),
+        "share_delta[LATE_DELTA + 1]": memory.weights(1),
+    }
+    parts += [
+        f"static const real {label} = {{{', '.join(number(float(v), real) for v in values)}}};"
+        for label, values in arrays.items()
+    ]
+    return "\n".join(parts)
 
 
 def _tables(tables: BcmTables) -> tuple[str, int]:

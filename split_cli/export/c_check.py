@@ -8,15 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import ExportError
-from split_cli.export.c99 import CSource, fill, template
+from split_cli.export.c99 import CSource, fill, memory_parts, template
 from split_cli.export.check import Answer, Oracle, PredictionCheck, check_predictions
 from split_cli.export.compiler import STRICT_FLAGS, Compiler, Driver, run_program, section_bytes
+from split_cli.export.memory_check import Drives
 from split_cli.export.step_check import (
-    RK4_SUBSTEPS,
+    compare_drives,
     compare_features,
     compare_linearisation,
+    compare_memory,
     compare_states,
     make_step_oracle,
+    rk4_substeps,
 )
 from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
@@ -53,17 +56,35 @@ class CCheck:
 
 
 _CASES = """    case 1:
-        @NAME@_step(in, in + 8@PLACE_TIME@, in[10], out);
+        @NAME@_step(in, in + @N@@PLACE_TIME@, in[@N@ + 2], out);
         break;
     case 2:
-        @NAME@_step_rk4(in, in + 8@PLACE_TIME@, in[10], @SUBSTEPS@, out);
+        @NAME@_step_rk4(in, in + @N@@PLACE_TIME@, in[@N@ + 2], @SUBSTEPS@, out);
         break;
     case 3:
-        @NAME@_linearise(in, in + 8@PLACE_TIME@, in[10], out, out + 64);
+        @NAME@_linearise(in, in + @N@@PLACE_TIME@, in[@N@ + 2], out, out + @N@ * @N@);
         break;
     case 4:
-        @NAME@_features(in, in + 8, out);
+        @NAME@_features(in, in + @N@, out);
         break;
+%if memory
+    case 6: {
+        int k;
+        for (k = 0; k < 8; ++k) {
+            out[k] = in[k];
+        }
+        @NAME@_start(out@PLACE_TIME@);
+        break;
+    }
+    case 7:
+        @NAME@_rates(in, in + @N@@ARRIVED@@PLACE_TIME@, out);
+        break;
+%end
+%if delays
+    case 8:
+        @NAME@_arrived(in, out);
+        break;
+%end
 """
 
 
@@ -77,13 +98,20 @@ def build_driver(
     ExportError
         If they do not compile without a warning.
     """
-    place_time = ", in[11], in[12]" if source.place_time else ""
-    cases = (
-        fill(_CASES, {"NAME": source.name, "PLACE_TIME": place_time, "SUBSTEPS": str(RK4_SUBSTEPS)})
-        if source.with_step
-        else ""
-    )
-    values = {"NAME": source.name, "DIMENSION": str(source.dimension), "STEP_CASES": cases.rstrip("\n")}
+    memory = source.memory
+    n = 8 if memory is None else memory.whole
+    values = {
+        "NAME": source.name,
+        "DIMENSION": str(source.dimension),
+        "N": str(n),
+        "PLACE_TIME": f", in[{n} + 3], in[{n} + 4]" if source.place_time else "",
+        "SUBSTEPS": str(rk4_substeps(memory)),
+        "ARRIVED": f", in + {n} + 5" if memory and memory.line else "",
+        "WIDEST_IN": str(max(64, n + 7)),
+        "WIDEST_OUT": str(max(128, n * (n + 2))),
+    }
+    cases = fill(_CASES, values, memory_parts(memory)) if source.with_step else ""
+    values["STEP_CASES"] = cases.rstrip("\n")
     (folder / f"{source.name}.h").write_text(source.header)
     (folder / f"{source.name}.c").write_text(source.source)
     driver = folder / "driver.c"
@@ -114,8 +142,21 @@ def check_c(
     oracle: Oracle,
     compiler: Compiler,
     folder: Path,
+    drives: Drives | None = None,
 ) -> CCheck:
     """Compile, run and compare everything the C offers, its self-test included.
+
+    Parameters
+    ----------
+    source : CSource
+    graph : NominalGraph
+    training_set : TrainingSet
+    oracle : Oracle
+    compiler : Compiler
+    folder : Path
+        For what is compiled.
+    drives : Drives, optional
+        For the self-test.
 
     Raises
     ------
@@ -127,7 +168,7 @@ def check_c(
     predictions = check_predictions(answer, oracle, source.real, "C")
     step_error = _check_step(source, graph, training_set, oracle, driver) if source.with_step else None
     selftest = folder / f"{source.name}_selftest.c"
-    selftest.write_text(selftest_source(source, oracle))
+    selftest.write_text(selftest_source(source, oracle, drives))
     run_selftest(compiler, folder, source.name)
     inside = oracle.z[np.isfinite(oracle.z).all(axis=1) & (np.abs(oracle.z) < 1e4).all(axis=1)]
     sizes = section_bytes(folder / f"{source.name}.o")
@@ -163,8 +204,8 @@ def run_selftest(compiler: Compiler, folder: Path, name: str) -> str:
     return said
 
 
-def selftest_source(source: CSource, oracle: Oracle) -> str:
-    """Return the self-test program: queries with Python's answers, no input needed."""
+def selftest_source(source: CSource, oracle: Oracle, drives: Drives | None = None) -> str:
+    """Return the self-test program: queries with Python's answers, and drives of a model with memory."""
     finite = np.flatnonzero((np.abs(oracle.z) < 1e4).all(axis=1))
     rows = finite[:: max(1, len(finite) // SELFTEST_QUERIES)][:SELFTEST_QUERIES]
 
@@ -174,9 +215,24 @@ def selftest_source(source: CSource, oracle: Oracle) -> str:
 
     queries = array("query", oracle.z[rows])
     queries += array("expected_mean", oracle.mean[rows]) + array("expected_variance", oracle.variance[rows])
+    drive = source.memory is not None and drives is not None
+    if drive:
+        count, n = drives.exact.shape[1:]
+        # All steps of one drive after the other; states at the start and at the end.
+        given = {"drive_u": drives.u, **({"drive_place_time": drives.place_time} if source.place_time else {})}
+        for label, values in given.items():
+            queries += array(label, values.transpose(1, 0, 2).reshape(-1, 2)).replace("COUNT", "DRIVES * STEPS")
+        queries += array("drive_start", drives.exact[0]).replace("COUNT", "DRIVES")
+        queries += array("drive_end", drives.exact[-1]).replace("COUNT", "DRIVES")
+        queries = f"enum {{ DRIVES = {count}, STEPS = {len(drives.u)}, STATES = {n} }};\n" + queries
     return fill(
         template("selftest.c.in"),
         {
+            "PLACE_TIME_AT": ", (@NAME@_real)at[0], (@NAME@_real)at[1]".replace("@NAME@", source.name)
+            if source.place_time
+            else "",
+            "DRIVE_TOLERANCE": "1e-8" if source.real == "double" else "1e-2",
+            "STEP": repr(float(drives.step)) if drive else "",
             "NAME": source.name,
             "COUNT": str(len(rows)),
             "DIMENSION": str(source.dimension),
@@ -185,6 +241,7 @@ def selftest_source(source: CSource, oracle: Oracle) -> str:
             "SIGNAL": ", ".join(repr(float(v)) for v in oracle.reference.deviation**2),
             "QUERIES": queries,
         },
+        ("memory", *(["place_time"] if source.place_time else [])) if drive else (),
     )
 
 
@@ -193,15 +250,27 @@ def _check_step(
 ) -> float:
     """Compare features, both steps and the linearisation with Python; return the states' largest error."""
     steps = make_step_oracle(graph, training_set, oracle.reference, driver.dtype)
-    real = source.real
+    real, n = source.real, steps.size
     features = driver.answers(4, steps.asked, source.dimension)
     compare_features(features, steps, real)
-    linear = driver.answers(3, steps.asked, 80)
-    linear = np.concatenate([linear[:, :64].reshape(-1, 8, 8), linear[:, 64:].reshape(-1, 8, 2)], axis=2)
-    compare_linearisation(linear, steps, real, "C: the linearisation")
-    return max(
-        compare_states(driver.answers(1, steps.asked, 8), steps.exact, steps, real, "C: the step"),
-        compare_states(
-            driver.answers(2, steps.asked, 8), steps.runge_kutta, steps, real, "C: the Runge-Kutta step"
-        ),
-    )
+    linear = driver.answers(3, steps.asked, n * (n + 2))
+    parts = [linear[:, : n * n].reshape(-1, n, n), linear[:, n * n :].reshape(-1, n, 2)]
+    compare_linearisation(np.concatenate(parts, axis=2), steps, real, "C: the linearisation")
+    errors = []
+    if source.memory is not None:
+        for function, name, width in ((6, "start", n), (7, "rates", source.memory.continuous), (8, "arrived", 2)):
+            if name != "arrived" or source.memory.line:
+
+                def answer(asked: np.ndarray, function: int = function, width: int = width) -> np.ndarray:
+                    return driver.answers(function, asked, width)
+
+                errors.append(compare_memory(name, answer, steps, real, "C"))
+    for function, kind, what in ((1, "exact", "the step"), (2, "runge_kutta", "the Runge-Kutta step")):
+
+        def step(asked: np.ndarray, function: int = function) -> np.ndarray:
+            return driver.answers(function, asked, n)
+
+        errors.append(compare_states(step(steps.asked), getattr(steps, kind), steps, real, f"C: {what}"))
+        if steps.drives is not None:
+            errors.append(compare_drives(step, steps, kind, real, f"C: {what} over a drive"))
+    return max(errors)

@@ -10,8 +10,10 @@ import numpy as np
 import scipy.sparse
 
 from split_cli.errors import ExportError
+from split_cli.export.casadi_linear import linear_response
+from split_cli.export.casadi_memory import memory_step
 from split_cli.export.check import Answer, Oracle, PredictionCheck, check_predictions
-from split_cli.export.step_check import StepOracle, compare_states
+from split_cli.export.step_check import StepOracle, Stepper, compare_drives, compare_memory, compare_states
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables
 
@@ -25,8 +27,6 @@ __all__ = [
     "model_step",
 ]
 
-_SUBSTEPS, _TAYLOR_TERMS = 8, 18
-
 
 @dataclass(frozen=True)
 class CasadiFunctions:
@@ -37,11 +37,15 @@ class CasadiFunctions:
     predict : casadi.Function
         z (D) to mean (3), variance (3).
     step : casadi.Function or None
-        (x (8), u (2), h) to x_next (8), with p = [t, s] as fourth argument where a term needs them.
+        (x (n), u (2), h) to x_next (n), with p = [t, s] as fourth argument where a term needs them; n is 8
+        without memory.
+    memory : tuple of casadi.Function
+        Of a model with memory: its start, its right-hand side and, where commands are late, what arrives.
     """
 
     predict: casadi.Function
     step: casadi.Function | None
+    memory: tuple[casadi.Function, ...] = ()
 
 
 def committee(tables: BcmTables, name: str) -> casadi.Function:
@@ -138,14 +142,16 @@ def model_step(
     """
     if graph.features is None:
         return None
+    if graph.memory is not None:
+        return memory_step(predict, graph, name, plain)
     x, u, h = casadi.MX.sym("x", 8), casadi.MX.sym("u", 2), casadi.MX.sym("h")
     p = casadi.MX.sym("p", 2)
     place_time = p if graph.needs_place_and_time else casadi.DM.zeros(2)
     f, A = _whole_model(graph)(x, u, place_time)
     residual = predict(graph.features(x, u)[0])[0]
     velocity_block = A[3:6, 3:6]
-    change = h * residual if plain else _linear_response(velocity_block, residual, h)
-    following = x + _linear_response(A, f, h) + casadi.vertcat(casadi.MX.zeros(3), change, casadi.MX.zeros(2))
+    change = h * residual if plain else linear_response(velocity_block, residual, h)
+    following = x + linear_response(A, f, h) + casadi.vertcat(casadi.MX.zeros(3), change, casadi.MX.zeros(2))
     arguments, names = ([x, u, h, p], ["x", "u", "h", "p"]) if graph.needs_place_and_time else (
         [x, u, h], ["x", "u", "h"])  # fmt: skip
     return casadi.Function(name, arguments, [following], names, ["x_next"])
@@ -165,29 +171,6 @@ def _whole_model(graph: NominalGraph) -> casadi.Function:
     return casadi.Function(
         "whole_model", [x, u, p], [casadi.vertcat(east, north, x[5], rates, u), A], {"cse": True}
     )
-
-
-def _linear_response(A: casadi.MX, f: casadi.MX, h: casadi.MX) -> casadi.MX:
-    """Return y(h) of y' = A y + f from y(0) = 0.
-
-    Every substep calls one function, and every term of its series another. Written out, the derivatives of the
-    series are tens of thousands of lines of C, and compilers take minutes.
-    """
-    size = f.shape[0]
-    matrix, vector, scale = casadi.SX.sym("A", A.sparsity()), casadi.SX.sym("v", size), casadi.SX.sym("scale")
-    following = casadi.Function(f"term_{size}", [matrix, vector, scale], [casadi.mtimes(matrix, vector) * scale])
-    block, force = casadi.MX.sym("A", A.sparsity()), casadi.MX.sym("f", size)
-    start, dt = casadi.MX.sym("y", size), casadi.MX.sym("dt")
-    term = following(block, start, dt) + force * dt
-    end = start + term
-    for k in range(2, _TAYLOR_TERMS + 1):
-        term = following(block, term, dt / k)
-        end = end + term
-    substep = casadi.Function(f"substep_{size}", [start, block, force, dt], [end])
-    y = casadi.MX.zeros(size)
-    for _ in range(_SUBSTEPS):
-        y = substep(y, A, f, h / _SUBSTEPS)
-    return y
 
 
 def casadi_answer(predict: casadi.Function) -> Answer:
@@ -220,29 +203,52 @@ def check_casadi(
     """
     check = check_predictions(casadi_answer(functions.predict), oracle, "double", "CasADi")
     check_hessian(functions.predict, oracle)
-    if functions.step is not None and steps is not None:
-        found = np.array([_step_once(functions.step, row) for row in steps.asked])
-        error = compare_states(found, steps.exact, steps, "double", "CasADi: the step")
-        _check_step_jacobian(functions.step, steps)
-        return check, error
-    return check, None
+    if functions.step is None or steps is None:
+        return check, None
+
+    def step(asked: np.ndarray) -> np.ndarray:
+        return np.array([_step_once(functions.step, row) for row in asked])
+
+    error = compare_states(step(steps.asked), steps.exact, steps, "double", "CasADi: the step")
+    if steps.drives is not None:
+        error = max(error, compare_drives(step, steps, "exact", "double", "CasADi: the step over a drive"))
+        for function in functions.memory:
+            compare_memory(function.name(), _memory_answer(function), steps, "double", "CasADi")
+    _check_step_jacobian(functions.step, steps)
+    return check, error
 
 
 def _step_once(step: casadi.Function, asked: np.ndarray) -> np.ndarray:
-    arguments = [asked[:8], asked[8:10], asked[10], asked[11:13]][: step.n_in()]
+    n = step.size1_in(0)
+    arguments = [asked[:n], asked[n : n + 2], asked[n + 2], asked[n + 3 : n + 5]][: step.n_in()]
     return np.asarray(step(*arguments)).ravel()
+
+
+def _memory_answer(function: casadi.Function) -> Stepper:
+    """Return a function of (x, u, arrived, p), whichever of them it takes, as something that rows can ask."""
+
+    def answer(asked: np.ndarray) -> np.ndarray:
+        n = asked.shape[1] - 7
+        x = asked[:, : function.size1_in(0)]
+        given = {"u": asked[:, n : n + 2], "p": asked[:, n + 3 : n + 5], "arrived": asked[:, n + 5 :]}
+        arguments = [x.T, *(given[function.name_in(k)].T for k in range(1, function.n_in()))]
+        return np.asarray(function.map(len(asked))(*arguments)).T
+
+    return answer
 
 
 def _check_step_jacobian(step: casadi.Function, steps: StepOracle) -> None:
     """Compare the step's own Jacobian by (x, u) with central differences of fourth order of the step."""
+    n = steps.size
     symbols = [casadi.MX.sym(step.name_in(k), step.size1_in(k)) for k in range(step.n_in())]
     jacobian = casadi.Function(
         "step_jacobian", symbols, [casadi.jacobian(step(*symbols), casadi.vertcat(symbols[0], symbols[1]))]
     )
     for asked in steps.asked[:5]:
-        found = np.asarray(jacobian(*[asked[:8], asked[8:10], asked[10], asked[11:13]][: step.n_in()]))
-        for column in range(10):
-            move = np.zeros(13)
+        given = [asked[:n], asked[n : n + 2], asked[n + 2], asked[n + 3 : n + 5]]
+        found = np.asarray(jacobian(*given[: step.n_in()]))
+        for column in range(n + 2):
+            move = np.zeros(n + 5)
             # Wide for torque, whose effect is small, and narrow for angles, on which slip depends.
             move[column] = 1e-5 * (1.0 + np.abs(steps.asked[:, column]).max())
             near = _step_once(step, asked + move) - _step_once(step, asked - move)

@@ -16,7 +16,7 @@ import numpy as np
 
 from split_cli.errors import ExportError
 from split_cli.export.check import Answer
-from split_cli.export.provenance import CONVENTIONS, Provenance
+from split_cli.export.provenance import Provenance
 from split_cli.learning.training_set import TrainingSet
 
 __all__ = [
@@ -78,7 +78,7 @@ def document_of(training_set: TrainingSet, provenance: Provenance) -> Document:
         "set": {"name": provenance.set_name, "sha256": provenance.set_sha256},
         "vehicle": provenance.vehicle,
         "vehicle_digest": provenance.vehicle_digest,
-        "conventions": dict(CONVENTIONS),
+        "conventions": provenance.conventions,
         "features": list(provenance.features),
         "outputs": ["vx", "vy", "r"],
         "horizon": provenance.horizon,
@@ -93,6 +93,8 @@ def document_of(training_set: TrainingSet, provenance: Provenance) -> Document:
             for name in ("p_long", "p_ellipse", "alpha_max", "dalpha_max", "minimum_speed")
         },
     }
+    if provenance.memory is not None:
+        metadata["memory"] = provenance.memory
     return Document({name: np.ascontiguousarray(sources[name]) for name in ARRAYS}, metadata)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.export.c99 import fill, template
 from split_cli.export.check import Answer, Oracle, check_predictions
 from split_cli.export.compiler import Compiler, Driver, section_bytes
-from split_cli.export.step_check import StepOracle, compare_states
+from split_cli.export.step_check import StepOracle, compare_drives, compare_states
 
 __all__ = ["build_generated", "check_generated"]
 
@@ -19,7 +19,9 @@ _FLAGS = ("-std=c99", "-O1")
 _QUERIES = 1000
 
 
-def build_generated(name: str, source: Path, scratch: Path, compiler: Compiler, with_step: bool) -> Driver:
+def build_generated(
+    name: str, source: Path, scratch: Path, compiler: Compiler, with_step: bool, states: int = 8
+) -> Driver:
     """Compile ``NAME_casadi.c`` of folder `source` with a driver in folder `scratch`.
 
     Parameters
@@ -29,10 +31,12 @@ def build_generated(name: str, source: Path, scratch: Path, compiler: Compiler, 
     compiler : Compiler
     with_step : bool
         Whether there is a discrete step.
+    states : int
+        Size of its state.
     """
     driver = scratch / "casadi_driver.c"
     cases = f"    case 1: function = {name}_discrete; break;\n" if with_step else ""
-    driver.write_text(fill(template("casadi_driver.c.in"), {"NAME": name, "STEP": cases}))
+    driver.write_text(fill(template("casadi_driver.c.in"), {"NAME": name, "STEP": cases, "N": str(states)}))
     program = scratch / "casadi_driver"
     flags = [*_FLAGS, f"-I{source}"]
     compiled = compiler.compile(source / f"{name}_casadi.c", scratch, flags)
@@ -56,7 +60,8 @@ def check_generated(
     ExportError
         If it does not compile or differs.
     """
-    driver = build_generated(name, source, scratch, compiler, with_step)
+    states = 8 if steps is None else steps.size
+    driver = build_generated(name, source, scratch, compiler, with_step, states)
     dimension = oracle.z.shape[1]
 
     def predict(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -71,7 +76,12 @@ def check_generated(
     few = replace(oracle, z=oracle.z[some], mean=oracle.mean[some], variance=oracle.variance[some])
     check_predictions(Answer(predict, jacobian), few, "double", "CasADi's C")
     if with_step and steps is not None:
-        found = driver.answers(1, steps.asked, 8)
-        compare_states(found, steps.exact, steps, "double", "CasADi's C: the step")
+
+        def step(asked: np.ndarray) -> np.ndarray:
+            return driver.answers(1, asked, states)
+
+        compare_states(step(steps.asked), steps.exact, steps, "double", "CasADi's C: the step")
+        if steps.drives is not None:
+            compare_drives(step, steps, "exact", "double", "CasADi's C: the step over a drive")
     sizes = section_bytes(scratch / f"{name}_casadi.o")
     return sizes[0] if sizes else None

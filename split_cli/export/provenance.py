@@ -46,6 +46,8 @@ class Provenance:
     predictor : str
     version : str
         Of split.
+    memory : mapping or None
+        States of the step beyond the first eight, as `Memory.told` has it.
     """
 
     set_name: str
@@ -56,6 +58,14 @@ class Provenance:
     horizon: float
     predictor: str
     version: str = __version__
+    memory: dict[str, Any] | None = None
+
+    @property
+    def conventions(self) -> dict[str, str]:
+        """Meaning of every number, of states beyond the first eight too."""
+        if self.memory is None:
+            return dict(CONVENTIONS)
+        return {**CONVENTIONS, "state": CONVENTIONS["state"] + "; x continues with the states named in `memory`"}
 
 
 def provenance_of(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
 
 from split_cli.errors import ExportError
+from split_cli.export.memory import Memory, exported_model
+from split_cli.export.memory_check import Drives, MemoryModel, random_memory, roll_drives
 from split_cli.export.reference import Reference
 from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
@@ -18,11 +21,17 @@ __all__ = [
     "RK4_SUBSTEPS",
     "STEP_TOLERANCE",
     "StepOracle",
+    "Stepper",
+    "compare_drives",
     "compare_features",
     "compare_linearisation",
+    "compare_memory",
     "compare_states",
     "make_step_oracle",
+    "rk4_substeps",
 ]
+
+Stepper = Callable[[np.ndarray], np.ndarray]
 
 STEP_TOLERANCE = {"double": 1e-9, "float": 1e-4}
 """Of the state after a step, relative to 1 + the change of the state (float: + the state): rounding only."""
@@ -41,15 +50,21 @@ class StepOracle:
 
     Attributes
     ----------
-    asked : ndarray, shape (N, 13)
-        x (8), u (2), h, t, s.
-    exact : ndarray, shape (N, 8)
+    asked : ndarray, shape (N, n + 5)
+        x (n), u (2), h, t, s; n is 8 without memory.
+    exact : ndarray, shape (N, n)
         Linearised exact step, A from the traced model, SciPy's matrix exponential.
-    runge_kutta : ndarray, shape (N, 8)
+    runge_kutta : ndarray, shape (N, n)
         The model integrated in NumPy, without any tracing.
-    linear : ndarray, shape (N, 8, 10)
+    linear : ndarray, shape (N, n, n + 2)
         Derivative by (x, u) with A and Phi held.
     features : ndarray, shape (N, D)
+    drives : Drives or None
+        Of a model with memory, as are the following.
+    arrived : ndarray, shape (N, 2), or None
+        What arrives of the commands of `asked`.
+    rates : ndarray, shape (N, 8 + S), or None
+        Right-hand side there.
     """
 
     asked: np.ndarray
@@ -57,6 +72,22 @@ class StepOracle:
     runge_kutta: np.ndarray
     linear: np.ndarray
     features: np.ndarray
+    drives: Drives | None = None
+    arrived: np.ndarray | None = None
+    rates: np.ndarray | None = None
+
+    @property
+    def size(self) -> int:
+        """Size n of the whole state."""
+        return self.exact.shape[1]
+
+
+def rk4_substeps(memory: Memory | None) -> int:
+    """Return the substeps of the Runge-Kutta step that is compared: what states of terms need up to 100 m/s."""
+    if memory is None:
+        return RK4_SUBSTEPS
+    standing, moving = memory.rates
+    return max(RK4_SUBSTEPS, 1 + int(np.ceil((standing + 100.0 * moving) * memory.step)))
 
 
 def make_step_oracle(
@@ -69,8 +100,10 @@ def make_step_oracle(
     ExportError
         If the traced model is not the one NumPy evaluates.
     """
-    model, h = SingleTrack(training_set.vehicle), training_set.horizon
-    asked = _states(training_set, dtype)
+    if graph.memory is not None:
+        return _memory_oracle(graph, training_set, reference, dtype)
+    model, h = exported_model(SingleTrack(training_set.vehicle)), training_set.horizon
+    asked = _states(training_set, h, dtype)
     x, u = asked[:, :8], asked[:, 8:10]
     rates = [np.array(value) for value in graph.rates.map(len(x))(x[:, 2:].T, asked[:, 11:].T)]
     jacobian = rates[1].reshape(3, len(x), 6).transpose(1, 0, 2)
@@ -110,14 +143,71 @@ def compare_states(found: np.ndarray, expected: np.ndarray, oracle: StepOracle, 
     ExportError
         If it exceeds `STEP_TOLERANCE`.
     """
-    x = oracle.asked[:, :8]
+    x = oracle.asked[:, : oracle.size]
     # Single precision keeps seven digits of the state, double precision nearly all of its change.
     size = np.abs(expected - x) + (np.abs(x) if real == "float" else 0.0)
     return _require(found, expected, size, STEP_TOLERANCE[real], what)
 
 
+def compare_drives(step: Stepper, oracle: StepOracle, kind: str, real: str, what: str) -> float:
+    """Let an exported step drive from the start, and return the largest relative error on the way.
+
+    Parameters
+    ----------
+    step : callable
+        Rows (N, n + 5) as `StepOracle.asked` to states (N, n).
+    oracle : StepOracle
+        With drives.
+    kind : {"exact", "runge_kutta"}
+        Which discretisation `step` is.
+    real, what : str
+
+    Raises
+    ------
+    ExportError
+        If it exceeds `STEP_TOLERANCE`, in single precision ten times that: errors of 40 steps add up.
+    """
+    drives, h = oracle.drives, oracle.asked[0, oracle.size + 2]
+    expected = getattr(drives, kind)
+    x, path = expected[0], [expected[0]]
+    for u, place_time in zip(drives.u, drives.place_time, strict=True):
+        x = step(np.column_stack([x, u, np.full(len(x), h), place_time]))
+        path.append(x)
+    tolerance = STEP_TOLERANCE[real] * (10.0 if real == "float" else 1.0)
+    return _require(np.stack(path), expected, np.abs(expected), tolerance, what)
+
+
+def compare_memory(name: str, answer: Stepper, oracle: StepOracle, real: str, what: str) -> float:
+    """Compare start, right-hand side or arriving commands, whichever `name` ends in, with Python.
+
+    Parameters
+    ----------
+    name : str
+        Ends in ``start``, ``rates`` or ``arrived``.
+    answer : callable
+        Rows (N, n + 7), as `StepOracle.asked` with what arrives appended, to answers.
+    oracle : StepOracle
+    real, what : str
+
+    Raises
+    ------
+    ExportError
+        If the error exceeds `STEP_TOLERANCE`.
+    """
+    asked = np.column_stack([oracle.asked, oracle.arrived])
+    if name.endswith("start"):
+        steady = oracle.drives.exact[0]
+        asked = np.zeros((len(steady), asked.shape[1]))
+        asked[:, :8] = steady[:, :8]
+        asked[:, oracle.size + 3 : oracle.size + 5] = oracle.drives.place_time[0]
+        expected = steady
+    else:
+        expected = oracle.rates if name.endswith("rates") else oracle.arrived
+    return _require(answer(asked), expected, np.abs(expected), STEP_TOLERANCE[real], f"{what}: {name}")
+
+
 def compare_linearisation(found: np.ndarray, oracle: StepOracle, real: str, what: str) -> float:
-    """Return the largest relative error of [A, B], shape (N, 8, 10); raise as `compare_states` does."""
+    """Return the largest relative error of [A, B], shape (N, n, n + 2); raise as `compare_states` does."""
     return _require(found, oracle.linear, np.abs(oracle.linear), LINEARISATION_TOLERANCE[real], what)
 
 
@@ -135,7 +225,28 @@ def _require(found: np.ndarray, expected: np.ndarray, size: np.ndarray, toleranc
     return worst
 
 
-def _states(training_set: TrainingSet, dtype: type) -> np.ndarray:
+def _memory_oracle(
+    graph: NominalGraph, training_set: TrainingSet, reference: Reference, dtype: type
+) -> StepOracle:
+    """Step random states with random memories, and drive from steady, in Python."""
+    h = graph.memory.step
+    plain = _states(training_set, h, dtype)
+    place_time, u = plain[:, 11:], plain[:, 8:10]
+    x = random_memory(graph, plain[:, :8], place_time).astype(dtype).astype(float)
+    model = MemoryModel(graph, training_set, reference, rk4_substeps(graph.memory))
+    model.require_slopes(x, place_time)
+    exact, recorded = model.one_step(x, u, place_time)
+    first, _ = model.arrivals(x, u)
+    acting = np.column_stack([x[:, :6], first, x[:, 8 : graph.memory.continuous]])
+    z = model.features(acting, x[:, 6:8], u)[0]
+    asked = np.column_stack([x, plain[:, 8:]])
+    linear = model.derivative(x, u, place_time)
+    rates = model.rates(acting, u, place_time)
+    rates[:, 3:6] += reference.predict(z).mean
+    return StepOracle(asked, exact, recorded, linear, z, roll_drives(model), first, rates)
+
+
+def _states(training_set: TrainingSet, h: float, dtype: type) -> np.ndarray:
     """Return random [x, u, h, t, s] rounded to `dtype`, shape (N, 13)."""
     rng = np.random.default_rng(11)
     car, slowest = training_set.vehicle, training_set.region.minimum_speed
@@ -155,7 +266,7 @@ def _states(training_set: TrainingSet, dtype: type) -> np.ndarray:
         between(-0.15, 0.15),
         car.max_torque * between(-1.0, 1.0),
         between(-0.5, 0.5),
-        np.full(_STATES, training_set.horizon),
+        np.full(_STATES, h),
         between(0.0, 60.0),
         between(0.0, 900.0),
     ]

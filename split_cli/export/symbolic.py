@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,10 +10,12 @@ import casadi
 import numpy as np
 
 from split_cli.errors import ExportError
+from split_cli.export.memory import Memory, exported_model, memory_of
 from split_cli.learning.features import FeatureSet
+from split_cli.learning.labels import DEFAULT_HORIZON
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["STATES", "CasadiOperations", "NominalGraph", "build_nominal", "derivatives"]
+__all__ = ["STATES", "CasadiOperations", "NominalGraph", "build_nominal"]
 
 STATES = ("X", "Y", "yaw", "vx", "vy", "r", "T", "delta")
 
@@ -39,102 +42,246 @@ CASADI = CasadiOperations()
 class NominalGraph:
     """Loop-free functions of the nominal model.
 
+    With S states of terms, the acting variables a are (yaw, v_x, v_y, r, T, delta, states), T and delta as they
+    arrive where there are delays.
+
     Attributes
     ----------
     rates : casadi.Function
-        (yaw, v_x, v_y, r, T, delta; t, s) to (v_x', v_y', r') and their Jacobian, shape (3, 6), exact.
+        (a; t, s) to (v_x', v_y', r', states') and their Jacobian, shape (3 + S, 6 + S), exact.
     features : casadi.Function or None
-        (x, u) to z, shape (D,), and its Jacobian, shape (D, 10); None when a feature is a measured channel that
-        no state or input determines.
+        Without memory (x, u), with memory (w, u), w = (X, Y, a, T, delta) with the commands of this moment last,
+        to z, shape (D,), and its Jacobian; None when a feature is a measured channel that no state or input
+        determines.
     foreign_features : tuple of str
         Those channels.
     needs_place_and_time : bool
         Whether a term reads the time t or the track position s.
+    memory : Memory or None
+        States beyond the first eight.
+    start : casadi.Function or None
+        (first six of a; t, s) to the steady states of the terms, shape (S,); None without states.
+    jumps : casadi.Function or None
+        (a; t, s) to where the plays are dragged, and the Jacobian, shape (P, 6 + S); None without plays.
+    units : tuple of float
+        Size of each of the terms' states that balances the Jacobian, for bounds on series.
+    stiffness : float
+        Norm of the balanced Jacobian, the largest of many states [1/s]; 0 without memory.
     """
 
     rates: casadi.Function
     features: casadi.Function | None
     foreign_features: tuple[str, ...]
     needs_place_and_time: bool
+    memory: Memory | None = None
+    start: casadi.Function | None = None
+    jumps: casadi.Function | None = None
+    units: tuple[float, ...] = ()
+    stiffness: float = 0.0
 
 
-def derivatives(model: SingleTrack, yaw: Any, velocity: Any, T: Any, delta: Any, t: Any, s: Any) -> Any:
-    """Return the symbolic (v_x', v_y', r') of a model, shape (3,)."""
-    rates = model.velocity_derivative(
-        velocity[0], velocity[1], velocity[2], T, delta, yaw=yaw, t=t, s=s, ops=CASADI
-    )
-    return casadi.vertcat(*rates)
+@dataclass(frozen=True)
+class _Trace:
+    """A model evaluated on symbols: acting variables, (t, s), rates of velocities and states, flow."""
+
+    acting: casadi.SX
+    place_time: casadi.SX
+    rates: casadi.SX
+    flow: Any
 
 
-def build_nominal(model: SingleTrack, features: FeatureSet) -> NominalGraph:
-    """Trace a vehicle's model, its named terms included, into CasADi functions.
+def build_nominal(model: SingleTrack, features: FeatureSet, step: float = DEFAULT_HORIZON) -> NominalGraph:
+    """Trace a vehicle's model, its named terms included, into CasADi functions; sensor terms are left out.
+
+    Parameters
+    ----------
+    model : SingleTrack
+    features : FeatureSet
+    step : float
+        Of the discrete step that delays are kept for [s].
 
     Raises
     ------
     ExportError
-        If a term cannot be expressed in the shared operations, or has states of its own.
+        If a term cannot be expressed in the shared operations, or its memory cannot be kept.
     """
-    arguments = casadi.SX.sym("a", 6)
-    place_time = casadi.SX.sym("p", 2)
-    for term in model.terms:
-        if getattr(term, "states", ()):
-            raise ExportError(
-                f"the term {term.id} has states of its own, which an exported step does not carry",
-                where=f"vehicle {model.vehicle.name}, effects",
-                advice="Remove the term from the vehicle file and train the set without it.",
-            )
-    yaw, velocity, T, delta = arguments[0], arguments[1:4], arguments[4], arguments[5]
+    model = exported_model(model)
+    trace = _trace(model)
+    acting, place_time, rates = trace.acting, trace.place_time, trace.rates
+    jacobian = casadi.densify(casadi.jacobian(rates, acting))
+    options = {"cse": True}
+    traced = casadi.Function("rates", [acting, place_time], [casadi.densify(rates), jacobian], options)
+    plays = tuple(k for k, name in enumerate(model.state_names) if name in trace.flow.pulled)
+    memory = memory_of(model, plays, step)
+    start, jumps = _start(model, trace), _jumps(model, trace, plays)
+    sample = _Sample(model)
+    _require_same(model, traced, start, jumps, sample)
+    units, stiffness = _balance(traced, sample) if memory else ((), 0.0)
+    needs = any(casadi.which_depends(rates, place_time, 1, False))
+    return NominalGraph(
+        traced, *_features(model, features, trace, memory), needs, memory, start, jumps, units, stiffness
+    )
+
+
+def _trace(model: SingleTrack) -> _Trace:
+    names = model.state_names
+    a, place_time = casadi.SX.sym("a", 6 + len(names)), casadi.SX.sym("p", 2)
+    states = {name: a[6 + k] for k, name in enumerate(names)} if names else None
+    where = f"vehicle {model.vehicle.name}, effects: {', '.join(term.id for term in model.terms)}"
     try:
-        rates = derivatives(model, yaw, velocity, T, delta, place_time[0], place_time[1])
         flow = model.flow(
-            *(arguments[i] for i in range(1, 6)), yaw=yaw, t=place_time[0], s=place_time[1], ops=CASADI
+            *(a[i] for i in range(1, 6)), yaw=a[0], t=place_time[0], s=place_time[1], ops=CASADI, states=states
         )
+        rates = casadi.vertcat(*model.balance(flow))
     except (TypeError, NotImplementedError, RuntimeError, AttributeError) as error:
         raise ExportError(
             f"a term cannot be traced symbolically ({type(error).__name__}: {str(error).splitlines()[0]})",
-            where=f"vehicle {model.vehicle.name}, effects: {', '.join(term.id for term in model.terms)}",
+            where=where,
             advice="A term may use only the shared operations of split_cli.vehicle.operations.",
         ) from error
-    jacobian = casadi.densify(casadi.jacobian(rates, arguments))
-    options = {"cse": True}
-    traced = casadi.Function("rates", [arguments, place_time], [casadi.densify(rates), jacobian], options)
-    _require_same(model, traced)
-    needs = casadi.which_depends(rates, place_time, 1, False)
-    x, u = casadi.SX.sym("x", 8), casadi.SX.sym("u", 2)
-    known = _feature_expressions(model, flow, arguments, x, u)
-    foreign = tuple(name for name in features.names if name not in known)
-    feature_function = None
-    if not foreign:
-        z = casadi.substitute(casadi.vertcat(*(known[name] for name in features.names)), arguments, x[2:8])
-        feature_function = _feature_function(z, x, u, place_time)
-    return NominalGraph(traced, feature_function, foreign, any(needs))
-
-
-def _require_same(model: SingleTrack, traced: casadi.Function) -> None:
-    """Compare the traced rates with NumPy's: a term may branch on numbers in a way that leaves no trace."""
-    rng = np.random.default_rng(5)
-    car, count = model.vehicle, 64
-    speed = car.minimum_speed * rng.uniform(1.0, 10.0, count)
-    asked = np.stack(
-        [
-            rng.uniform(-3.0, 3.0, count),
-            speed,
-            speed * rng.uniform(-0.1, 0.1, count),
-            speed / car.wheelbase * rng.uniform(-0.1, 0.1, count),
-            rng.uniform(-car.max_brake_torque, car.max_torque, count),
-            rng.uniform(-0.2, 0.2, count),
-        ]
-    )
-    t, s = rng.uniform(0.0, 100.0, count), rng.uniform(0.0, 1000.0, count)
-    expected = np.stack(np.broadcast_arrays(*model.velocity_derivative(*asked[1:], yaw=asked[0], t=t, s=s)))
-    found = np.asarray(traced.map(count)(asked, np.stack([t, s]))[0])
-    # Rounding of the same operations; a sum of forces of 1e4 N keeps 1e-12 of an acceleration.
-    if not np.allclose(found, expected, rtol=1e-9, atol=1e-9):
+    silent = sorted(set(names) - set(flow.rates))
+    if silent:
         raise ExportError(
-            "the traced model is not the one that Python evaluates",
-            where=f"vehicle {car.name}, effects: {', '.join(term.id for term in model.terms)}",
-            advice="A term may use only the shared operations of split_cli.vehicle.operations.",
+            f"the state {silent[0]} is declared, but no term says how it changes",
+            where=where,
+            advice="States go through Term.first_order or Term.play.",
         )
+    rates = casadi.vertcat(rates, *(flow.rates[name] for name in names))
+    return _Trace(a, place_time, rates, flow)
+
+
+def _start(model: SingleTrack, trace: _Trace) -> casadi.Function | None:
+    """Return where the terms' states settle: the flow without states given is steady."""
+    if not model.state_names:
+        return None
+    a, p = trace.acting[:6], trace.place_time
+    settled = model.flow(*(a[i] for i in range(1, 6)), yaw=a[0], t=p[0], s=p[1], ops=CASADI).values
+    states = casadi.vertcat(*(settled[name] for name in model.state_names))
+    return casadi.Function("start", [a, p], [casadi.densify(states)], {"cse": True})
+
+
+def _jumps(model: SingleTrack, trace: _Trace, plays: tuple[int, ...]) -> casadi.Function | None:
+    """Return where commands drag the plays at once."""
+    if not plays:
+        return None
+    pulled = casadi.vertcat(*(trace.flow.pulled[model.state_names[k]] for k in plays))
+    jacobian = casadi.jacobian(pulled, trace.acting)
+    allowed = {4, 5, *(6 + k for k in plays)}
+    if set(jacobian.sparsity().get_col()) - allowed or casadi.depends_on(pulled, trace.place_time):
+        raise ExportError(
+            "a play follows something else than a command",
+            where=f"vehicle {model.vehicle.name}, effects",
+            advice="A step knows only its commands ahead.",
+        )
+    outputs = [casadi.densify(pulled), casadi.densify(jacobian)]
+    return casadi.Function("jumps", [trace.acting, trace.place_time], outputs, {"cse": True})
+
+
+class _Sample:
+    """Situations in which a trace is compared with NumPy: acting variables (6 + S, N), t and s (2, N)."""
+
+    def __init__(self, model: SingleTrack, count: int = 64) -> None:
+        rng = np.random.default_rng(5)
+        car = model.vehicle
+        speed = car.minimum_speed * rng.uniform(1.0, 10.0, count)
+        asked = np.stack(
+            [
+                rng.uniform(-3.0, 3.0, count),
+                speed,
+                speed * rng.uniform(-0.1, 0.1, count),
+                speed / car.wheelbase * rng.uniform(-0.1, 0.1, count),
+                rng.uniform(-car.max_brake_torque, car.max_torque, count),
+                rng.uniform(-0.2, 0.2, count),
+            ]
+        )
+        t, s = rng.uniform(0.0, 100.0, count), rng.uniform(0.0, 1000.0, count)
+        self.place_time = np.stack([t, s])
+        self.steady = model.flow(*asked[1:], yaw=asked[0], t=t, s=s).values
+        # Every state on its way, some by much: lags, and plays on either side and inside.
+        steady = [self.steady[name] * rng.uniform(0.5, 1.5, count) for name in model.state_names]
+        self.acting = np.stack([*asked, *steady])
+
+    @property
+    def situation(self) -> dict[str, np.ndarray]:
+        """Yaw, t and s as the model takes them."""
+        return {"yaw": self.acting[0], "t": self.place_time[0], "s": self.place_time[1]}
+
+
+def _require_same(
+    model: SingleTrack,
+    traced: casadi.Function,
+    start: casadi.Function | None,
+    jumps: casadi.Function | None,
+    sample: _Sample,
+) -> None:
+    """Compare the traced model with NumPy's: a term may branch on numbers in a way that leaves no trace."""
+    asked, names = sample.acting, model.state_names
+    states = dict(zip(names, asked[6:], strict=True)) or None
+    flow = model.flow(*asked[1:6], states=states, **sample.situation)
+    count = asked.shape[1]
+
+    def stack(values: Iterable[Any]) -> np.ndarray:
+        return np.stack([np.broadcast_to(value, count) for value in values])
+
+    pairs = [(traced, asked, stack([*model.balance(flow), *(flow.rates[name] for name in names)]))]
+    if start is not None:
+        pairs.append((start, asked[:6], stack(sample.steady[name] for name in names)))
+    if jumps is not None:
+        pairs.append((jumps, asked, stack(flow.pulled[name] for name in names if name in flow.pulled)))
+    for function, given, expected in pairs:
+        found = function.map(count)(given, sample.place_time)
+        found = np.asarray(found[0] if isinstance(found, tuple | list) else found)
+        # Rounding of the same operations; a sum of forces of 1e4 N keeps 1e-12 of an acceleration.
+        if not np.allclose(found, expected, rtol=1e-9, atol=1e-9):
+            raise ExportError(
+                f"the traced model is not the one that Python evaluates ({function.name()})",
+                where=f"vehicle {model.vehicle.name}, effects: {', '.join(term.id for term in model.terms)}",
+                advice="A term may use only the shared operations of split_cli.vehicle.operations.",
+            )
+
+
+def _balance(traced: casadi.Function, sample: _Sample) -> tuple[tuple[float, ...], float]:
+    """Return a size for each of the terms' states, and the norm of the Jacobian in these units.
+
+    Forces of 1e4 N beside speeds of 1 m/s make row sums say nothing of how fast the whole reacts. A state's size
+    is chosen so that what it does to the others and what they do to it weigh the same; powers of two.
+    """
+    count, states = sample.acting.shape[1], len(sample.acting) - 6
+    size = 3 + states
+    jacobian = np.asarray(traced.map(count)(sample.acting, sample.place_time)[1]).reshape(size, count, 6 + states)
+    columns = [1, 2, 3, *range(6, 6 + states)]
+    A = np.abs(jacobian).max(axis=1)[:, columns]
+    off = A - np.diag(A.diagonal())
+    unit = np.ones(size)
+    for _ in range(4):
+        for k in range(3, size):
+            scaled = off * unit / unit[:, None]
+            row, column = scaled[k].sum(), scaled[:, k].sum()
+            # What acts one way only may be made as small as one likes.
+            ratio = np.sqrt(row / column) if row and column else (row or 1.0 / (column or 1.0))
+            unit[k] *= 2.0 ** np.round(np.log2(ratio))
+    return tuple(unit[3:].tolist()), float((A * unit / unit[:, None]).sum(axis=1).max())
+
+
+def _features(
+    model: SingleTrack, features: FeatureSet, trace: _Trace, memory: Memory | None
+) -> tuple[casadi.Function | None, tuple[str, ...]]:
+    """Return the function of the features and the names of those it cannot hold."""
+    a, u = trace.acting, casadi.SX.sym("u", 2)
+    if memory is None:
+        x = casadi.SX.sym("x", 8)
+        known, given = _feature_expressions(model, trace.flow, a, x, u), x
+    else:
+        place, command = casadi.SX.sym("X", 2), casadi.SX.sym("c", 2)
+        x = casadi.vertcat(place, a[:4], command)
+        known, given = _feature_expressions(model, trace.flow, a, x, u), casadi.vertcat(place, a, command)
+    foreign = tuple(name for name in features.names if name not in known)
+    if foreign:
+        return None, foreign
+    z = casadi.vertcat(*(known[name] for name in features.names))
+    if memory is None:
+        z = casadi.substitute(z, a, x[2:8])
+    return _feature_function(z, given, u, trace.place_time), ()
 
 
 def _feature_expressions(
@@ -144,7 +291,7 @@ def _feature_expressions(
     return {
         "alpha_f": flow.front.slip_angle,
         "alpha_r": flow.rear.slip_angle,
-        "torque_ratio": a[4] / model.vehicle.max_torque,
+        "torque_ratio": x[6] / model.vehicle.max_torque,
         "speed": casadi.sqrt(a[1] * a[1] + a[2] * a[2]),
         "steer_rate": u[1],
         **{name: x[index] for index, name in enumerate(STATES)},

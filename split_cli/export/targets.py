@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
 from split_cli.errors import ExportError, nearest_names
-from split_cli.export.c99 import c_identifier, c_source, fill, template
+from split_cli.export.c99 import c_identifier, c_source, fill, memory_parts, template
 from split_cli.export.c_check import check_c, selftest_source
 from split_cli.export.casadi_function import CasadiFunctions, check_casadi, committee, generate_c, model_step
+from split_cli.export.casadi_memory import memory_functions
 from split_cli.export.check import Oracle, PredictionCheck, check_predictions, make_oracle
 from split_cli.export.compiler import Compiler, find_compiler
 from split_cli.export.documents import (
@@ -28,8 +29,9 @@ from split_cli.export.documents import (
     write_npz,
 )
 from split_cli.export.generated_check import check_generated
-from split_cli.export.provenance import CONVENTIONS, Provenance
-from split_cli.export.step_check import make_step_oracle
+from split_cli.export.memory_check import Drives, MemoryModel, roll_drives
+from split_cli.export.provenance import Provenance
+from split_cli.export.step_check import make_step_oracle, rk4_substeps
 from split_cli.export.symbolic import NominalGraph, build_nominal
 from split_cli.export.tables import BcmTables, build_tables
 from split_cli.files import sha256_of_file
@@ -43,6 +45,7 @@ __all__ = [
     "TARGETS",
     "ExportPlan",
     "TargetResult",
+    "acados_source",
     "plan_export",
     "write_export",
 ]
@@ -68,12 +71,15 @@ class ExportPlan:
         Numbers of the C target.
     queries : int
         Size of the comparison with Python.
+    step : float or None
+        Interval of the discrete step that delays are kept for [s]; None for the set's label interval.
     """
 
     targets: tuple[str, ...]
     name: str
     real: str = "double"
     queries: int = 10_000
+    step: float | None = None
 
 
 @dataclass(frozen=True)
@@ -110,13 +116,15 @@ class TargetResult:
     note: str
 
 
-def plan_export(targets: Sequence[str], name: str, real: str, queries: int, predictor: str) -> ExportPlan:
+def plan_export(
+    targets: Sequence[str], name: str, real: str, queries: int, predictor: str, step: float | None = None
+) -> ExportPlan:
     """Return a plan, or say which word of it is not known.
 
     Raises
     ------
     ExportError
-        For an unknown target, precision or predictor, or too few queries.
+        For an unknown target, precision or predictor, too few queries, or a step that is no interval.
     """
     for target in targets:
         if target not in TARGETS:
@@ -131,7 +139,9 @@ def plan_export(targets: Sequence[str], name: str, real: str, queries: int, pred
         )
     if queries < 100:
         raise ExportError(f"{queries} queries verify nothing", advice="Use at least 100; 10000 is the default.")
-    return ExportPlan(tuple(dict.fromkeys(targets)), c_identifier(name), real, queries)
+    if step is not None and not 0.0 < step < np.inf:
+        raise ExportError(f"a step of {step!r} s", advice="Give the controller's interval in seconds.")
+    return ExportPlan(tuple(dict.fromkeys(targets)), c_identifier(name), real, queries, step)
 
 
 def write_export(
@@ -158,17 +168,21 @@ def write_export(
     ExportError
         If a target differs from Python, does not compile, or the set is empty.
     """
-    graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features)
+    step = training_set.horizon if plan.step is None else plan.step
+    graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features, step)
+    if graph.memory is not None:
+        provenance = replace(provenance, memory=graph.memory.told())
     tables = build_tables(training_set)
     say(f"answering {plan.queries} queries in Python")
     oracle = make_oracle(training_set, plan.queries)
+    drives = _drives(graph, training_set, oracle)
     compiler = find_compiler()
     results = []
     document_check = None
     for target in plan.targets:
         say(f"writing and verifying {target}")
         if target == "c":
-            results.append(_write_c(training_set, plan, provenance, graph, oracle, compiler, folder))
+            results.append(_write_c(training_set, plan, provenance, graph, oracle, drives, compiler, folder))
         elif target == "casadi":
             functions = casadi_functions(tables, graph, plan.name, training_set.plain)
             results.append(_write_casadi(training_set, plan, graph, functions, oracle, compiler, folder))
@@ -177,10 +191,17 @@ def write_export(
             # What reads back bit for bit predicts the same: npz and json share one comparison.
             document_check = result.check
             results.append(result)
-    _write_check_points(oracle, folder / f"{plan.name}_check.json")
+    _write_check_points(oracle, drives, folder / f"{plan.name}_check.json")
     manifest = _manifest(training_set, plan, provenance, tables.digest(), oracle, results, folder)
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return tuple(results)
+
+
+def _drives(graph: NominalGraph, training_set: TrainingSet, oracle: Oracle) -> Drives | None:
+    """Return drives of a step with memory, None where it has none."""
+    if graph.memory is None or graph.features is None:
+        return None
+    return roll_drives(MemoryModel(graph, training_set, oracle.reference, rk4_substeps(graph.memory)))
 
 
 def _write_c(
@@ -189,6 +210,7 @@ def _write_c(
     provenance: Provenance,
     graph: NominalGraph,
     oracle: Oracle,
+    drives: Drives | None,
     compiler: Compiler | None,
     folder: Path,
 ) -> TargetResult:
@@ -198,7 +220,7 @@ def _write_c(
     written = {
         f"{plan.name}.h": source.header,
         f"{plan.name}.c": source.source,
-        f"{plan.name}_selftest.c": selftest_source(source, oracle),
+        f"{plan.name}_selftest.c": selftest_source(source, oracle, drives),
     }
     for name, text in written.items():
         (folder / name).write_text(text, encoding="ascii")
@@ -209,7 +231,7 @@ def _write_c(
         note = f"{missing}not compiled, hence not verified: there is no C compiler here"
         return TargetResult("c", tuple(written), None, None, None, None, source.table_bytes, None, note)
     with tempfile.TemporaryDirectory(prefix="split-export-") as scratch:
-        found = check_c(source, graph, training_set, oracle, compiler, Path(scratch))
+        found = check_c(source, graph, training_set, oracle, compiler, Path(scratch), drives)
     return TargetResult(
         "c", tuple(written), found.predictions, found.step_error, found.seconds_predict, found.seconds_jacobian,
         source.table_bytes, found.code_bytes, f"{missing}{plan.real}, {found.compiler}",
@@ -219,7 +241,21 @@ def _write_c(
 def casadi_functions(tables: BcmTables, graph: NominalGraph, name: str, plain: bool) -> CasadiFunctions:
     """Return the committee and the model step as CasADi functions."""
     predict = committee(tables, name)
-    return CasadiFunctions(predict, model_step(predict, graph, f"{name}_step", plain))
+    step = model_step(predict, graph, f"{name}_step", plain)
+    return CasadiFunctions(predict, step, memory_functions(predict, graph, name))
+
+
+def acados_source(name: str, graph: NominalGraph, horizon: float) -> str:
+    """Return the adapter of the step for acados: its generic external functions."""
+    memory = graph.memory
+    n = 8 if memory is None else memory.whole
+    step = memory.step if memory is not None and memory.line else horizon
+    values = {"NAME": name, "UPPER": name.upper(), "HORIZON": repr(float(step)), "N": str(n), "NV": str(n + 2)}
+    values["MEMORY"] = (
+        "".join(f"\n *   x[{8 + k}]  {label}" for k, label in enumerate(memory.labels)) if memory else ""
+    )
+    kept = [*memory_parts(memory), *(["place_time"] if graph.needs_place_and_time else [])]
+    return fill(template("acados.c.in"), values, kept)
 
 
 def _write_casadi(
@@ -236,13 +272,13 @@ def _write_casadi(
     written = [f"{plan.name}.casadi"]
     functions.predict.save(str(folder / written[0]))
     if functions.step is not None:
-        written.append(f"{plan.name}_step.casadi")
-        functions.step.save(str(folder / written[1]))
+        for function in (functions.step, *functions.memory):
+            written.append(f"{function.name()}.casadi")
+            function.save(str(folder / written[-1]))
     written += [path.name for path in generate_c(functions, plan.name, folder)]
-    if functions.step is not None and not graph.needs_place_and_time:
-        values = {"NAME": plan.name, "UPPER": plan.name.upper(), "HORIZON": repr(float(training_set.horizon))}
+    if functions.step is not None:
         written.append(f"{plan.name}_acados.c")
-        (folder / written[-1]).write_text(fill(template("acados.c.in"), values), encoding="ascii")
+        (folder / written[-1]).write_text(acados_source(plan.name, graph, training_set.horizon), encoding="ascii")
     note = "the generated C was not compiled, hence not verified: there is no C compiler here"
     code = None
     if compiler is not None:
@@ -285,8 +321,11 @@ def _write_document(
     return TargetResult(target, tuple(written), check, None, None, None, path.stat().st_size, None, "numbers only")
 
 
-def _write_check_points(oracle: Oracle, path: Path) -> None:
-    """Write some queries and answers, for `split verify` and for whoever ports the numbers elsewhere."""
+def _write_check_points(oracle: Oracle, drives: Drives | None, path: Path) -> None:
+    """Write some queries and answers, for `split verify` and for whoever ports the numbers elsewhere.
+
+    Where the step has a memory, drives of it as well: input, t and s of every step, and states from the start.
+    """
     usable = np.flatnonzero((np.abs(oracle.z) < 1e4).all(axis=1))
     rows = usable[:: max(1, len(usable) // CHECK_POINTS)][:CHECK_POINTS]
     content = {
@@ -295,6 +334,9 @@ def _write_check_points(oracle: Oracle, path: Path) -> None:
         "variance": oracle.variance[rows].tolist(),
         "signal_variance": (oracle.reference.deviation**2).tolist(),
     }
+    if drives is not None:
+        places = {"u": drives.u, "place_time": drives.place_time, "x": drives.exact}
+        content["drives"] = {"h": drives.step, **{key: values.tolist() for key, values in places.items()}}
     path.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
 
 
@@ -332,7 +374,8 @@ def _manifest(
         "cells": training_set.cell_count,
         "vehicle": provenance.vehicle,
         "vehicle_digest": provenance.vehicle_digest,
-        "conventions": dict(CONVENTIONS),
+        "conventions": provenance.conventions,
+        **({"memory": provenance.memory} if provenance.memory is not None else {}),
         "tables_sha256": tables_digest,
         "predictor_error": oracle.predictor_error,
         "verification": verification,

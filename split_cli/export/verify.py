@@ -6,6 +6,7 @@ import json
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from split_cli.export.casadi_function import casadi_answer
 from split_cli.export.check import TOLERANCE, Answer
 from split_cli.export.compiler import find_compiler
 from split_cli.export.documents import document_answer, read_json, read_npz
+from split_cli.export.step_check import STEP_TOLERANCE
 from split_cli.export.targets import MANIFEST, MANIFEST_FORMAT
 from split_cli.files import sha256_of_file
 
@@ -109,7 +111,8 @@ def _verify_c(folder: Path, name: str) -> Finding:
     with tempfile.TemporaryDirectory(prefix="split-verify-") as scratch:
         for suffix in (".h", ".c", "_selftest.c"):
             (Path(scratch) / f"{name}{suffix}").write_bytes((folder / f"{name}{suffix}").read_bytes())
-        return Finding("c: self-test", True, run_selftest(compiler, Path(scratch), name))
+        said = run_selftest(compiler, Path(scratch), name)
+        return Finding("c: self-test", True, "; ".join(said.splitlines()))
 
 
 def _verify_casadi(folder: Path, name: str) -> Finding:
@@ -119,7 +122,24 @@ def _verify_casadi(folder: Path, name: str) -> Finding:
         predict = casadi.Function.load(str(folder / f"{name}.casadi"))
     except RuntimeError as error:
         raise ExportError(f"cannot be loaded ({str(error).splitlines()[-1]})") from error
-    return _ask(casadi_answer(predict), folder, name, "casadi")
+    asked = _ask(casadi_answer(predict), folder, name, "casadi")
+    stored = json.loads((folder / f"{name}_check.json").read_text()).get("drives")
+    if stored is None or not asked.passed:
+        return asked
+    worst = _drive(casadi.Function.load(str(folder / f"{name}_step.casadi")), stored)
+    allowed = 10.0 * STEP_TOLERANCE["double"]
+    detail = f"{asked.detail}; {worst:.3g} on stored drives, {allowed:g} is allowed"
+    return Finding(asked.check, bool(worst <= allowed), detail)
+
+
+def _drive(step: Any, stored: dict[str, Any]) -> float:
+    """Return the largest relative error of a step over the stored drives."""
+    u, place_time, expected = (np.array(stored[key]) for key in ("u", "place_time", "x"))
+    path = [expected[0]]
+    for at, place in zip(u, place_time, strict=True):
+        given = [path[-1].T, at.T, stored["h"], place.T][: step.n_in()]
+        path.append(np.asarray(step.map(len(at))(*given)).T)
+    return float((np.abs(np.stack(path) - expected) / (1.0 + np.abs(expected))).max())
 
 
 def _verify_npz(folder: Path, name: str) -> Finding:

@@ -49,6 +49,8 @@ class Flow:
         each segment's start.
     rates, values : dict
         What the terms' states change by, each per second, and what they are; filled by the terms.
+    pulled : dict
+        Of states that are a play: where the source of this moment drags them at once, without the closing rate.
     """
 
     ops: Operations
@@ -74,6 +76,7 @@ class Flow:
     recording: Any = None
     rates: dict[str, Any] = field(default_factory=dict)
     values: dict[str, Any] = field(default_factory=dict)
+    pulled: dict[str, Any] = field(default_factory=dict)
 
 
 class Stage(Protocol):

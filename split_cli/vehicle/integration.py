@@ -14,6 +14,7 @@ __all__ = [
     "RecordedInputs",
     "exact_step",
     "integrate_recorded",
+    "integrate_with_memory",
     "phi_matrix",
     "recorded_inputs",
     "substep_count",
@@ -86,6 +87,26 @@ def integrate_recorded(
     VehicleError
         If a term is so fast that following it would take more than 1,000 substeps a sample.
     """
+    return integrate_with_memory(
+        model, state, torque, steer_angle, period, substeps,
+        time=time, track_position=track_position, yaw=yaw, term_states=term_states,
+    )[0]  # fmt: skip
+
+
+def integrate_with_memory(
+    model: SingleTrack,
+    state: np.ndarray,
+    torque: np.ndarray,
+    steer_angle: np.ndarray,
+    period: float,
+    substeps: int = 1,
+    *,
+    time: Any = 0.0,
+    track_position: Any = 0.0,
+    yaw: Any = 0.0,
+    term_states: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Integrate as `integrate_recorded` does, and return the terms' states at the end as well, shape (N, S)."""
     with_pose = state.shape[1] == 6
     rows = [np.ascontiguousarray(column) for column in state.T]
     if not with_pose:
@@ -126,7 +147,8 @@ def integrate_recorded(
             )
     _, psi, vx, vy, r, *position = rows[:count]
     columns = [*position, psi, vx, vy, r] if with_pose else [vx, vy, r]
-    return np.stack(columns, axis=1)
+    memory = np.stack(rows[count:], axis=1) if rows[count:] else np.empty((len(state), 0))
+    return np.stack(columns, axis=1), memory
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,7 @@ def export_set(
     name: str | None = None,
     real: str = "double",
     queries: int = 10_000,
+    step: float | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> ExportResult:
     """Export a trained set into a folder.
@@ -62,6 +63,9 @@ def export_set(
         Numbers of the C target.
     queries : int
         Size of the comparison with Python.
+    step : float, optional
+        Interval of the controller [s], for vehicles whose commands arrive late: past commands are kept at it. By
+        default the set's label interval.
     say : callable
         Told what happens, one line at a time.
 
@@ -71,7 +75,7 @@ def export_set(
         If the set cannot be read, a word is unknown, or an export differs from Python; nothing is written then.
     """
     set_path = Path(set_path)
-    plan = plan_export(targets, name or set_path.stem, real, queries, predictor)
+    plan = plan_export(targets, name or set_path.stem, real, queries, predictor, step)
     training_set = read_set(set_path)
     digest = sha256_of_file(set_path)
     provenance = provenance_of(training_set, predictor, set_path.name, digest)

@@ -232,7 +232,7 @@ def test_terms_of_time_and_place_take_them_as_arguments(small_set, compiler, tmp
 
 @pytest.mark.parametrize(
     ("term", "message"),
-    [(Untraceable, "traced symbolically"), (Branching, "not the one"), (Stateful, "states of its own")],
+    [(Untraceable, "traced symbolically"), (Branching, "not the one"), (Stateful, "no term says how it changes")],
 )
 def test_terms_that_cannot_be_exported_are_refused(small_set, term, message):
     with pytest.raises(ExportError, match=message):

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from split_cli.errors import ExportError
-from split_cli.export.c99 import fill, template
 from split_cli.export.casadi_function import (
     CasadiFunctions,
     check_casadi,
@@ -24,6 +23,7 @@ from split_cli.export.generated_check import check_generated
 from split_cli.export.step_check import make_step_oracle
 from split_cli.export.symbolic import build_nominal
 from split_cli.export.tables import build_tables
+from split_cli.export.targets import acados_source
 from split_cli.vehicle.single_track import SingleTrack
 from tests.export.export_support import take_cells
 
@@ -137,10 +137,9 @@ int main(void)
 
 def test_the_acados_adapter_hands_over_step_and_transposed_jacobian(small_set, compiler, tmp_path):
     # acados and blasfeo are not here: their few types and calls are stood in for, with offsets that are not zero.
-    _, functions = functions_of(small_set)
+    graph, functions = functions_of(small_set)
     generate_c(functions, "car", tmp_path)
-    values = {"NAME": "car", "UPPER": "CAR", "HORIZON": "0.05"}
-    (tmp_path / "car_acados.c").write_text(fill(template("acados.c.in"), values))
+    (tmp_path / "car_acados.c").write_text(acados_source("car", graph, 0.05))
     (tmp_path / "acados" / "utils").mkdir(parents=True)
     (tmp_path / "acados" / "utils" / "external_function_generic.h").write_text("")
     (tmp_path / "blasfeo_d_aux.h").write_text(BLASFEO)

@@ -65,6 +65,7 @@ class DriveLag(Term):
     neutral: ClassVar = {"tau": 0.0}
     order = 3
     states = ("torque",)
+    state_units: ClassVar = {"torque": "N m"}
     mimics: ClassVar = (Mimic("drive_delay", "torque that changes slowly", "a torque step"),)
 
     def fastest_rate(self, speed: float) -> float:
@@ -127,6 +128,7 @@ class SteerBacklash(Term):
     neutral: ClassVar = {"width": 0.0}
     order = 2
     states = ("angle",)
+    state_units: ClassVar = {"angle": "rad"}
     mimics: ClassVar = (
         Mimic("steer_delay", "steering at one rate", "slow and fast steering, and holding still after a turn"),
     )
@@ -148,6 +150,7 @@ class SteerLag(Term):
     neutral: ClassVar = {"tau": 0.0}
     order = 3
     states = ("angle",)
+    state_units: ClassVar = {"angle": "rad"}
     mimics: ClassVar = (
         Mimic("steer_delay", "steering below about 1 Hz", "a steer step, or fast slalom"),
         Mimic("tire_relaxation", "one speed", "the same manoeuvre at two speeds"),

@@ -63,6 +63,8 @@ class Term:
         Place within a stage: lower acts first (steering: delay, gain, backlash, lag, offset).
     states : tuple of str
         States the term appends to the model.
+    state_units : mapping of str to str
+        Their units.
     mimics : tuple of Mimic
     neutral : mapping of str to float
         Values at which the term vanishes; parameters it does not name are free at that point.
@@ -82,6 +84,7 @@ class Term:
     variant_units: ClassVar[Mapping[str, Mapping[str, str]]] = {}
     order: ClassVar[int] = 5
     states: ClassVar[tuple[str, ...]] = ()
+    state_units: ClassVar[Mapping[str, str]] = {}
     mimics: ClassVar[tuple[Mimic, ...]] = ()
     neutral: ClassVar[Mapping[str, float]] = {}
     exported: ClassVar[bool] = True
@@ -161,6 +164,7 @@ class Term:
         else:
             value = flow.states[key]
             pulled = flow.ops.minimum(flow.ops.maximum(value, source - 0.5 * width), source + 0.5 * width)
+            flow.pulled[key] = pulled
             flow.rates[key] = _PLAY_RATE * (pulled - value)
         flow.values[key] = value
         return value

@@ -149,6 +149,7 @@ class TireRelaxation(Term):
     neutral: ClassVar = {"length": 0.0}
     order = 9
     states = ("front", "rear")
+    state_units: ClassVar = {"front": "N", "rear": "N"}
     mimics: ClassVar = (
         Mimic("steer_lag", "one speed", "the same manoeuvre at two speeds; relaxation also acts at the rear"),
         Mimic("yaw_inertia", "gentle transients at one speed", "steer steps at two speeds"),

@@ -1,0 +1,128 @@
+"""The step of a model with memory, its start and its right-hand side, as CasADi functions."""
+
+from __future__ import annotations
+
+import casadi
+import numpy as np
+
+from split_cli.export.casadi_linear import linear_response
+from split_cli.export.memory import Memory
+from split_cli.export.symbolic import NominalGraph
+
+__all__ = ["memory_functions", "memory_step"]
+
+
+def memory_step(predict: casadi.Function, graph: NominalGraph, name: str, plain: bool) -> casadi.Function:
+    """Return (x, u, h[, p]) -> x_next over states of terms and past commands.
+
+    Parameters are those of `casadi_function.model_step`.
+
+    Notes
+    -----
+    As without memory, with the commands that arrive in the place of those given: both ends of a step are known
+    from the past commands, and in between they move evenly. Plays move as evenly to where the end drags them.
+    Where there are delays, any interval but that of the past commands gives not-a-number.
+    """
+    memory: Memory = graph.memory
+    x, u, h, p = (
+        casadi.MX.sym(label, size) for label, size in (("x", memory.whole), ("u", 2), ("h", 1), ("p", 2))
+    )
+    place_time = p if graph.needs_place_and_time else casadi.DM.zeros(2)
+    first, last = _arrivals(memory, x, u, h)
+    acting = casadi.vertcat(x[:6], first, x[8 : memory.continuous])
+    moving = [(last[c] - first[c]) / h if memory.lengths[c] else u[c] for c in (0, 1)]
+    if memory.plays:
+        ended = casadi.vertcat(acting[2:6], last, acting[8:])
+        dragged = graph.jumps(ended, place_time)[0]
+        moving += [(dragged[k] - acting[8 + play]) / h for k, play in enumerate(memory.plays)]
+    f, A = _whole_model(graph)(acting, casadi.vertcat(*moving), place_time)
+    residual = predict(graph.features(casadi.vertcat(acting, x[6:8]), u)[0])[0]
+    substeps = max(8, int(np.ceil(graph.stiffness * memory.step)))
+    change = h * residual if plain else linear_response(A[3:6, 3:6], residual, h, substeps)
+    after = acting + linear_response(A, f, h, substeps)
+    line, begin = [], memory.continuous
+    for c, length in enumerate(memory.lengths):
+        if length:
+            line += [x[6 + c], x[begin : begin + length - 1]]
+        begin += length
+    following = casadi.vertcat(after[:3], after[3:6] + change, x[6:8] + h * u, after[8:], *line)
+    if memory.line:
+        fits = casadi.fabs(h - memory.step) <= 1e-3 * memory.step
+        following = following + casadi.if_else(fits, 0.0, np.nan)
+    return _function(graph, name, {"x": x, "u": u, "h": h, "p": p}, following, "x_next")
+
+
+def memory_functions(predict: casadi.Function, graph: NominalGraph, name: str) -> tuple[casadi.Function, ...]:
+    """Return ``NAME_start``, ``NAME_rates`` and, with delays, ``NAME_arrived``; nothing without memory.
+
+    ``start`` fills what follows the first eight states, steady; ``rates`` is x' of the first 8 + S, the
+    residual's mean included, with what arrives as an argument where commands are late.
+    """
+    memory = graph.memory
+    if memory is None or graph.features is None:
+        return ()
+    x, u, p = casadi.MX.sym("x", 8), casadi.MX.sym("u", 2), casadi.MX.sym("p", 2)
+    place_time = p if graph.needs_place_and_time else casadi.DM.zeros(2)
+    settled = graph.start(x[2:8], place_time) if memory.states else casadi.DM.zeros(0)
+    held = [casadi.repmat(x[6 + c], length, 1) for c, length in enumerate(memory.lengths) if length]
+    started = casadi.vertcat(x, settled, *held)
+    functions = [_function(graph, f"{name}_start", {"x": x, "p": p}, started, "x_start")]
+    x, arrived = casadi.MX.sym("x", memory.continuous), casadi.MX.sym("arrived", 2)
+    given = {"x": x, "u": u, "arrived": arrived, "p": p} if memory.line else {"x": x, "u": u, "p": p}
+    acting = casadi.vertcat(x[:6], arrived if memory.line else x[6:8], x[8:])
+    rates = graph.rates(acting[2:], place_time)[0]
+    residual = predict(graph.features(casadi.vertcat(acting, x[6:8]), u)[0])[0]
+    sine, cosine = casadi.sin(x[2]), casadi.cos(x[2])
+    pose = casadi.vertcat(x[3] * cosine - x[4] * sine, x[3] * sine + x[4] * cosine, x[5])
+    whole = casadi.vertcat(pose, rates[:3] + residual, u, rates[3:])
+    functions.append(_function(graph, f"{name}_rates", given, whole, "rates"))
+    if memory.line:
+        x = casadi.MX.sym("x", memory.whole)
+        now = _arrivals(memory, x, casadi.DM.zeros(2), casadi.DM(0.0))[0]
+        functions.append(casadi.Function(f"{name}_arrived", [x], [now], ["x"], ["arrived"]))
+    return tuple(functions)
+
+
+def _function(
+    graph: NominalGraph, name: str, given: dict[str, casadi.MX], result: casadi.MX, label: str
+) -> casadi.Function:
+    """Return a function that takes p only where time or place matter."""
+    taken = {key: value for key, value in given.items() if key != "p" or graph.needs_place_and_time}
+    return casadi.Function(name, list(taken.values()), [casadi.densify(result)], list(taken), [label])
+
+
+def _arrivals(memory: Memory, x: casadi.MX, u: casadi.MX, h: casadi.MX) -> tuple[casadi.MX, casadi.MX]:
+    """Return what arrives at a step's start and at its end, [T, delta]."""
+    first, last, begin = [], [], memory.continuous
+    for c, length in enumerate(memory.lengths):
+        weights = casadi.DM(memory.weights(c))
+        past = x[begin : begin + length]
+        begin += length
+        first.append(casadi.dot(weights, casadi.vertcat(x[6 + c], past)))
+        later = casadi.vertcat(x[6 + c] + h * u[c], x[6 + c], past)[: length + 1]
+        last.append(casadi.dot(weights, later))
+    return casadi.vertcat(*first), casadi.vertcat(*last)
+
+
+def _whole_model(graph: NominalGraph) -> casadi.Function:
+    """Return (what acts, rates of arriving commands and plays, p) -> f and its Jacobian A, sparse."""
+    memory: Memory = graph.memory
+    size, plays = memory.continuous, memory.plays
+    x, p = casadi.SX.sym("x", size), casadi.SX.sym("p", 2)
+    moving = casadi.SX.sym("m", 2 + len(plays))
+    rates, jacobian = graph.rates(x[2:], p)
+    sine, cosine = casadi.sin(x[2]), casadi.cos(x[2])
+    east, north = x[3] * cosine - x[4] * sine, x[3] * sine + x[4] * cosine
+    f, A = casadi.SX(size, 1), casadi.SX(size, size)
+    f[:3] = casadi.vertcat(east, north, x[5])
+    f[3:6], f[6:8] = rates[:3], moving[:2]
+    A[0, 2:5] = casadi.horzcat(-north, cosine, -sine)
+    A[1, 2:5] = casadi.horzcat(east, sine, cosine)
+    A[2, 5] = 1
+    A[3:6, 2:] = jacobian[:3, :]
+    for k in range(memory.states):
+        if k in plays:
+            f[8 + k] = moving[2 + plays.index(k)]
+        else:
+            f[8 + k], A[8 + k, 2:] = rates[3 + k], jacobian[3 + k, :]
+    return casadi.Function("whole_model", [x, moving, p], [casadi.densify(f), A], {"cse": True})
