@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from split_cli.diagnosis.calibration import SelfTest, autocorrelation, comparable, self_test
-from split_cli.diagnosis.candidates import build_candidates
+from split_cli.diagnosis.candidates import Candidate, build_candidates
 from split_cli.diagnosis.common import CommonPhysics, build_common_physics
 from split_cli.diagnosis.constancy import parameter_drifts
 from split_cli.diagnosis.estimates import parameter_estimates
@@ -24,6 +24,7 @@ from split_cli.diagnosis.result import Diagnosis, Finding, InputFile, RemainderT
 from split_cli.diagnosis.screening import judgeable, unfit
 from split_cli.diagnosis.selection import Rival, Rules, Selection, nothing, select_terms, term_size
 from split_cli.diagnosis.sentences import sentence_for, separations, summarise
+from split_cli.diagnosis.separation import exact_mimics
 from split_cli.diagnosis.series import Series, build_series
 from split_cli.diagnosis.structure import FlexibleFit, Structure, build_structure
 from split_cli.logs.drive import Drive
@@ -31,6 +32,8 @@ from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Settings", "diagnose"]
+
+_SHOWN_RIVALS = 6
 
 
 @dataclass(frozen=True)
@@ -138,7 +141,7 @@ def diagnose(
     selection = select_terms(judge, candidates, settings.inflation)
     p_value = min(1.0, 2.0 * min(gap.p_value, selection.first_p))
     if p_value >= settings.level:
-        summary = summarise("match", (), False, None, None, ())
+        summary = summarise("match")
         return Diagnosis(
             "match", p_value, share, not_judged, inputs=tuple(inputs), settings=described,
             history=selection.history, summary=summary, gaps=_gaps(case, ()),
@@ -218,7 +221,7 @@ def _mismatch(
     return Diagnosis(
         "mismatch", p_value, share, not_judged, location, findings, unexplained, remainder, improvement,
         tuple(inputs), described, gaps, selection.history,
-        summarise("mismatch", findings, unexplained, location, remainder, ()),
+        summarise("mismatch", findings, unexplained, location, remainder, (), improvement, case.vehicle),
     )  # fmt: skip
 
 
@@ -262,8 +265,7 @@ def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
         term, variant = part.candidate.term, part.candidate.variant
         others = chosen.parts[:k] + chosen.parts[k + 1 :]
         without = fit_parts(judge, others).cost if others else selection.base.cost
-        alternatives = _alternatives(term, rivals, chosen, without - chosen.cost)
-        values = {name: estimate.value for name, estimate in estimates[k].items()}
+        alternatives = _alternatives(part.candidate, rivals, chosen, without - chosen.cost)
         out.append(
             Finding(
                 term,
@@ -271,17 +273,17 @@ def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
                 estimates[k],
                 float(np.clip((without - chosen.cost) / total, 0.0, 1.0)),
                 alternatives,
-                sentence_for(term, variant, values, alternatives),
+                sentence_for(term, variant, estimates[k], alternatives, judge.evidence[0].vehicle),
                 term_size(judge, chosen, k),
-                tuple(_summary(rival, chosen) for rival in rivals[:6]),
-                separations(term, alternatives),
+                _runners_up(rivals),
+                separations(term, variant, alternatives),
                 CATALOGUE[term].exported,
             )
         )
     return tuple(sorted(out, key=lambda finding: -finding.gap_explained))
 
 
-def _alternatives(term: str, rivals: Sequence[Rival], chosen: Fit, saved: float) -> tuple[str, ...]:
+def _alternatives(own: Candidate, rivals: Sequence[Rival], chosen: Fit, saved: float) -> tuple[str, ...]:
     """Return terms that fit as well here, and those that always would: exact degeneracies."""
     rules = Rules()
     names = [
@@ -290,14 +292,18 @@ def _alternatives(term: str, rivals: Sequence[Rival], chosen: Fit, saved: float)
         if rival.excess < rules.same_excess
         or (rival.z < rules.same_within and rival.excess < rules.same_share * saved)
     ]
-    names += [mimic.terms for mimic in CATALOGUE[term].mimics if mimic.exact and mimic.terms != term]
+    names += exact_mimics(own.term, own.variant)
     taken = {part.candidate.term for part in chosen.parts}
     return tuple(name for name in dict.fromkeys(names) if name not in taken)
 
 
-def _summary(rival: Rival, chosen: Fit) -> RivalSummary:
-    candidate = rival.fit.parts[-1].candidate
-    return RivalSummary(candidate.term, candidate.variant, rival.excess, rival.z)
+def _runners_up(rivals: Sequence[Rival]) -> tuple[RivalSummary, ...]:
+    """Return the best variant of each of the best other terms."""
+    best: dict[str, RivalSummary] = {}
+    for rival in rivals:
+        one = rival.fit.parts[-1].candidate
+        best.setdefault(one.term, RivalSummary(one.term, one.variant, rival.excess, rival.z))
+    return tuple(best.values())[:_SHOWN_RIVALS]
 
 
 def _improvement(case: _Case, chosen: Fit, settings: Settings):
@@ -325,5 +331,5 @@ def _gaps(case: _Case, terms):
 def _undecided(reasons: Sequence[str], share: float, inputs: Sequence[InputFile], described: dict) -> Diagnosis:
     return Diagnosis(
         "undecided", None, share, tuple(reasons), inputs=tuple(inputs), settings=described,
-        summary=summarise("undecided", (), False, None, None, reasons),
+        summary=summarise("undecided", reasons=reasons),
     )  # fmt: skip

@@ -57,7 +57,7 @@ class SharedRates:
     def at(self, rows: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Return rates where a model is, at `velocity` (M, 3) instead of the recorded one.
 
-        The change by the slope is held to what the rates reach along the recording: beyond that nothing was learned.
+        The change by the slope is held to what the rates reach along the recording: no more was learned.
         """
         most = np.max(np.abs(self.base), axis=0)
         moved = np.einsum("nij,nj->ni", self.slope[rows], velocity - self.around[rows])
@@ -67,7 +67,7 @@ class SharedRates:
 def shared_rates(
     series: Series, common: CommonPhysics, knowledge: CommonKnowledge | None, terms: Sequence[Term] = ()
 ) -> SharedRates | None:
-    """Return what the simulation knows along a recording, where `terms` alter inputs or sensors; None for nothing."""
+    """Return what the simulation knows along a recording, with what `terms` do to inputs and sensors."""
     if knowledge is None:
         return None
     base = common.rates(series, knowledge.weights, terms)

@@ -42,7 +42,7 @@ class TestPlantedResistance:
     """450 N on 1,500 kg: 0.3 m/s^2 that the simulation does not have, nothing else."""
 
     def test_before_grows_as_the_force_over_the_mass(self, measured):
-        # Drag, the only feedback from speed, changes the loss by 2 c v t/m, some 2 % over 2 s; noise adds in squares.
+        # Drag, the only feedback from speed, changes the loss by 2 c v t/m, some 2 % over 2 s; noise adds squared.
         for one in measured.rollouts:
             expected = math.hypot(0.3 * one.horizon, one.noise_floor[0])
             assert one.before[0] == pytest.approx(expected, rel=0.05)

@@ -45,7 +45,13 @@ class RoadGrade(_Incline):
 
     id = "road_grade"
     mimics: ClassVar = (
-        Mimic("rolling_resistance", "a constant grade is the same force", exact=True),
+        Mimic("rolling_resistance", "a constant grade is the same force", exact=True, variants=("",)),
+        Mimic(
+            "rolling_resistance",
+            "the profile averages out over the lap",
+            "a second lap, or the stretch in the other direction",
+            variants=("wave", "stretch"),
+        ),
         Mimic("wind", "one lap at one speed", "another speed, or the other direction"),
     )
 

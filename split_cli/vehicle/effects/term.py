@@ -36,12 +36,19 @@ class Mimic:
         The excitation or the channel that tells them apart; empty when nothing in a drive can.
     exact : bool
         Whether the same right-hand side can be reached with the other's parameters.
+    variants : tuple of str
+        Variants of the term of which this is true; empty for all.
     """
 
     terms: str
     when: str
     separated_by: str = ""
     exact: bool = False
+    variants: tuple[str, ...] = ()
+
+    def holds(self, variant: str) -> bool:
+        """Return whether a variant of the term is mimicked."""
+        return not self.variants or variant in self.variants
 
 
 class Term:

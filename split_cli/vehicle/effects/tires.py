@@ -83,7 +83,12 @@ class FrictionScale(Term):
     neutral: ClassVar = {"scale": 1.0}
     variants: ClassVar = ("", "curve")
     mimics: ClassVar = (
-        Mimic("friction_scale+tire_stiffness", "the curve is the peak with both stiffnesses", exact=True),
+        Mimic(
+            "friction_scale+tire_stiffness",
+            "the curve is the peak with both stiffnesses",
+            exact=True,
+            variants=("curve",),
+        ),
         Mimic("tire_stiffness", "no turn near the limit", "a turn near the limit"),
         Mimic("grip_fade", "short drives", "gentle and hard turns at the start and at the end"),
     )

@@ -53,20 +53,15 @@ def _alternatives(finding: Finding) -> str:
     if not finding.alternatives:
         return ""
     names = "".join(f'<span class="chip same">{escape(term_title(name))}</span>' for name in finding.alternatives)
-    hints = "".join(f"<li>{escape(hint[:1].upper() + hint[1:])}</li>" for hint in finding.separated_by)
-    apart = (
-        f"<p>What would tell them apart:</p><ul>{hints}</ul>"
-        if hints
-        else "<p>The catalogue names no manoeuvre that would tell them apart. Measure one of them directly, or "
-        "drive over a wider range.</p>"
-    )
+    hints = "".join(f"<li>{escape(hint)}</li>" for hint in finding.separated_by)
+    apart = f"<p>What would tell them apart:</p><ul>{hints}</ul>" if hints else ""
     return f'<div class="note"><p>As good on this data: {names}</p>{apart}</div>'
 
 
 def _rivals(finding: Finding) -> str:
-    best: dict[tuple[str, str], RivalSummary] = {}
+    best: dict[str, RivalSummary] = {}
     for rival in sorted(finding.runners_up, key=lambda one: one.excess):
-        best.setdefault((rival.term, rival.variant), rival)
+        best.setdefault(rival.term, rival)
     if not best:
         return ""
     longest = max(_length(rival) for rival in best.values())

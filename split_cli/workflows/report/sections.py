@@ -229,8 +229,8 @@ def _rollouts(improvement: Improvement) -> str:
     blocks = last.confidence.get("blocks", 0)
     return (
         "<h3>Over longer horizons</h3>"
-        f"<p>The model runs on by itself over the recorded inputs, from {last.starts} starts in {blocks} blocks of "
-        "held-out time.</p>"
+        f"<p>The model runs on by itself over the recorded inputs, from {last.starts} starts in {blocks} blocks "
+        "of held-out time.</p>"
         '<div class="figures thirds" id="rollouts"></div><div class="legend" id="rollout-legend"></div>'
         f"{table([f'Rms error after {number(last.horizon, 2)} s', *heads], rows, 'errors')}"
     )

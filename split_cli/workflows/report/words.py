@@ -7,6 +7,8 @@ import math
 import unicodedata
 from collections.abc import Sequence
 
+from split_cli.diagnosis.wording import variable_name
+
 __all__ = [
     "CHANNELS",
     "FORCES",
@@ -30,20 +32,6 @@ FORCES = {
     "rear_lateral": "Rear lateral",
 }
 CHANNELS = (("v_x", "Longitudinal", "m/s²"), ("v_y", "Lateral", "m/s²"), ("r", "Yaw", "rad/s²"))
-_VARIABLES = {
-    "v_x": ("longitudinal velocity", "m/s"),
-    "v_y": ("lateral velocity", "m/s"),
-    "r": ("yaw rate", "rad/s"),
-    "T": ("torque", "N m"),
-    "delta": ("steer angle", "rad"),
-    "alpha_f": ("front slip angle", "rad"),
-    "alpha_r": ("rear slip angle", "rad"),
-    "a_x": ("longitudinal acceleration", "m/s²"),
-    "a_y": ("lateral acceleration", "m/s²"),
-    "steer_rate": ("steer rate", "rad/s"),
-    "t": ("time", "s"),
-    "s": ("track position", "m"),
-}
 _INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp", "Co", "Cn")
 
 
@@ -68,7 +56,8 @@ def term_title(term: str, variant: str = "") -> str:
 
 def variable(name: str) -> tuple[str, str]:
     """Return a variable's name in words and its unit."""
-    return _VARIABLES.get(name, (name.replace("_", " "), ""))
+    words, unit = variable_name(name)
+    return words, unit.replace("^2", "²")
 
 
 def number(value: float, digits: int = 3) -> str:

@@ -1,0 +1,187 @@
+"""Words for findings: every term and variant, both signs, small and large cars, and what would tell terms apart."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from split_cli.diagnosis.result import Finding, HorizonErrors, Improvement, Location, ParameterEstimate, Place
+from split_cli.diagnosis.sentences import sentence_for, separations, summarise
+from split_cli.diagnosis.separation import exact_mimics, separation
+from split_cli.diagnosis.wording import amount, number, percent, term_name
+from split_cli.vehicle.effects import CATALOGUE
+from tests.factories import road_car
+
+VARIANTS = [(term, variant) for term, kind in CATALOGUE.items() for variant in kind.variants]
+#: Words for more than in the simulation, and for less; terms that have no other side are not here.
+SIDES = {
+    "friction_scale": ("higher", "lower"), "friction_patch": ("higher", "lower"), "grip_fade": ("fades", "grows"),
+    "tire_stiffness": ("stiffer", "softer"), "aero_downforce": ("more", "less"), "aero_drag": ("more", "less"),
+    "rolling_resistance": ("more", "less"), "wind": ("along", "against"), "road_grade": ("climbs", "falls"),
+    "road_bank": ("to the left", "to the right"), "drive_gain": ("too strong", "too weak"),
+    "steer_gain": ("more", "less"), "steer_offset": ("to the left", "to the right"),
+    "cg_shift": ("further forward", "further back"), "mass": ("heavier", "lighter"),
+    "yaw_inertia": ("larger", "smaller"), "sensor_lever_arm": ("further forward", "further back"),
+    "sensor_misalignment": ("counter-clockwise", " clockwise"),
+}  # fmt: skip
+
+
+def estimate(value: float, error: float, unit: str = "1") -> ParameterEstimate:
+    return ParameterEstimate(value, error, unit, (value - 2.0 * error, value + 2.0 * error))
+
+
+def planted(term: str, variant: str, size: float, sign: float) -> dict[str, ParameterEstimate]:
+    """Return parameters `size` away from where the term vanishes, known to a tenth of that."""
+    kind = CATALOGUE[term]
+    out = {}
+    for name, unit in kind.parameter_units(variant).items():
+        if name in ("s_start", "s_end", "wavelength", "phase", "tau") and name not in kind.neutral:
+            out[name] = estimate({"s_start": 310.0, "s_end": 420.0, "wavelength": 55.0}.get(name, 30.0), 1.0, unit)
+        else:
+            neutral = kind.neutral.get(name, 0.0)
+            out[name] = estimate(neutral + sign * size, 0.1 * size, unit)
+    return out
+
+
+@pytest.mark.parametrize(("term", "variant"), VARIANTS)
+@pytest.mark.parametrize("size", [0.00302, 0.18, 41.0])
+def test_every_term_reads_right_for_either_sign(term, variant, size):
+    """Sizes as of a model car, of a full-size one, and absurdly large."""
+    told = {sign: sentence_for(term, variant, planted(term, variant, size, sign), ()) for sign in (1.0, -1.0)}
+    for sentence in told.values():
+        assert sentence.endswith(".") and "{" not in sentence and "nan" not in sentence
+        # Never a number that says nothing, never a sign that a word should say.
+        assert not re.search(r"(?<![\d.,])0\.0+(?![\d])", sentence)
+        # Ids have underscores; a reader gets words.
+        assert "_" not in sentence
+        assert "95 %" in sentence or term == "grip_fade"
+    if term in SIDES and variant != "wave":
+        more, less = SIDES[term]
+        assert more in told[1.0] and less in told[-1.0] and told[1.0] != told[-1.0]
+        assert not re.search(r"-\d", told[-1.0])
+    if CATALOGUE[term].exported:
+        assert told[1.0].startswith("In reality ") and "the simulation does not have it" in told[1.0]
+    else:
+        assert told[1.0].startswith("The measurement, not the car: ")
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        (
+            amount(estimate(-0.00302, 0.00045, "m"), more="forward", less="back"),
+            "3.02 mm back (95 %: 2.12 to 3.92 mm)",
+        ),
+        (
+            amount(estimate(0.213, 0.011, "m"), more="forward", less="back"),
+            "0.213 m forward (95 %: 0.191 to 0.235 m)",
+        ),
+        (
+            amount(estimate(0.988, 0.011), neutral=1.0, share=True, more="more", less="less"),
+            "1.20 % less (95 %: 3.40 % less to 1.00 % more)",
+        ),
+        # A narrow interval needs the digits it is told in.
+        (
+            amount(estimate(0.98812, 0.00002), neutral=1.0, share=True, more="more", less="less"),
+            "1.1880 % less (95 %: 1.1840 to 1.1920 %)",
+        ),
+        (amount(estimate(0.0234, 0.02, "s"), one_sided=True), "23.4 ms (95 %: 0 to 63.4 ms)"),
+        (amount(estimate(4210.0, 300.0, "N")), "4,210 N (95 %: 3,610 to 4,810 N)"),
+        (amount(ParameterEstimate(0.5, None, "1", (float("nan"),) * 2)), "0.500"),
+        (number(0.0), "0.00"),
+        (number(0.001234), "0.00123"),
+        (number(12345.0), "12,345"),
+        (percent(0.996), "over 99 %"),
+        (percent(0.004), "less than 1 %"),
+        (percent(1.0), "100 %"),
+        (term_name("cg_shift+steer_gain"), "CG shift with steer gain"),
+    ],
+)
+def test_amounts(said, expected):
+    assert said == expected
+
+
+def test_lost_grip_is_told_in_the_cars_own_forces():
+    # By hand: the front brakes 0.66 of 0.6 of 4,000 N m at 0.31 m, 5,110 N of D = 7,900 N; sqrt(1 - 0.8 0.418).
+    sentence = sentence_for("combined_slip", "", {"strength": estimate(0.8, 0.05)}, (), road_car())
+    assert "the front axle loses 18 % of its lateral force at 60 % of the largest braking torque" in sentence
+
+
+@pytest.mark.parametrize("term", CATALOGUE)
+def test_every_declared_mimic_has_a_hint_or_is_exact(term):
+    for mimic in CATALOGUE[term].mimics:
+        assert mimic.exact != bool(mimic.separated_by), mimic
+        assert mimic.when and set(mimic.terms.split("+")) <= set(CATALOGUE)
+        assert set(mimic.variants) <= set(CATALOGUE[term].variants)
+
+
+@pytest.mark.parametrize(("term", "variant"), VARIANTS)
+def test_any_alternative_comes_with_what_would_tell(term, variant):
+    others = [other for other in CATALOGUE if other != term] + ["cg_shift+tire_stiffness", "mass+drive_gain"]
+    hints = separations(term, variant, others)
+    assert len(hints) == len(others)
+    for other, hint in zip(others, hints, strict=True):
+        name, _, how = hint.partition(": ")
+        assert name.lower() == term_name(other).lower() and len(how) > 8
+        assert ("no drive can tell" in hint) == (other in exact_mimics(term, variant))
+
+
+def test_declared_hints_come_before_those_of_the_kind():
+    assert "torque step" in separation("steer_delay", "", "sensor_delay").hint
+    assert separation("sensor_delay", "", "steer_delay").hint == separation("steer_delay", "", "sensor_delay").hint
+    # Declared by the other alone.
+    assert "position and yaw" in separation("cg_shift", "", "sensor_lever_arm").hint
+    assert separation("mass", "", exact_mimics("mass", "")[0]).exact
+
+
+def test_exactness_depends_on_the_variant():
+    # A constant grade is rolling resistance; a climb on a stretch is not.
+    assert exact_mimics("road_grade", "") == ("rolling_resistance",)
+    assert exact_mimics("road_grade", "stretch") == ()
+    assert "other direction" in separation("road_grade", "stretch", "rolling_resistance").hint
+    assert exact_mimics("friction_scale", "") == () != exact_mimics("friction_scale", "curve")
+
+
+def test_a_sentence_names_alternatives_in_words_with_the_id_once():
+    parameters = {"delay": estimate(0.034, 0.002, "s")}
+    sentence = sentence_for("steer_delay", "", parameters, ("steer_lag", "sensor_delay"))
+    for name in ("steer lag (steer_lag)", "sensor delay (sensor_delay)"):
+        assert sentence.count(name) == 1
+    exact = sentence_for("mass", "", {"scale": estimate(1.1, 0.01)}, exact_mimics("mass", ""))
+    assert "No drive can tell it from friction scale with drive gain" in exact and "only F/m" in exact
+
+
+def improvement() -> Improvement:
+    def row(first: float) -> tuple[float, float, float]:
+        return (first, 0.01, 0.001)
+
+    last = HorizonErrors(2.0, row(0.54), row(0.014), row(0.3), row(0.02), row(1.0), row(0.013), {}, 100)
+    return Improvement(*([row(0.1)] * 5), row(0.05), {}, (last,), {"physics": (0.97, 0.874, 1.0)})
+
+
+def test_the_summary_says_what_where_and_whether_it_helps():
+    finding = Finding(
+        "friction_patch", "", planted("friction_patch", "", 0.22, -1.0), 0.9, ("grip_fade",), "", 1.0
+    )
+    location = Location(
+        {"longitudinal": 0.1, "front_lateral": 0.8, "rear_lateral": 0.1}, (("s", 0.91), ("delta", 0.2)), {},
+        Place(311.0, 421.0, 1200.0, "position", None, None), None, 0.87, 0.09,
+    )  # fmt: skip
+    said = summarise("mismatch", (finding,), False, location, None, (), improvement())
+    for part in (
+        "between s = 310 and 420 m grip is 22.0 % lower",
+        "(or grip fade (grip_fade), which this data does not tell)",
+        "mostly in front lateral force (80 % of it) and goes with track position, which alone explains 91 %",
+        "87 % of it lies between s = 311 and 421 m, in 9 % of the samples",
+        "removes 97 % of a step's squared error beyond sensor noise (95 %: 87 to 100 %)",
+        "takes the error of v_x from 0.54 to 0.014 m/s (sensor noise alone: 0.013)",
+    ):
+        assert part in said
+
+
+def test_place_does_not_stand_for_what_repeats_every_lap():
+    shares = {"longitudinal": 0.2, "front_lateral": 0.5, "rear_lateral": 0.3}
+    location = Location(shares, (("s", 0.9), ("delta", 0.6)), {"delta": (0.05, 0.2)}, None, None, 1.0, 1.0)
+    said = summarise("mismatch", (), True, location)
+    assert "goes with steer angle" in said and "a steer angle of 0.0500 to 0.200 rad" in said
