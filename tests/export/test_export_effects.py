@@ -1,0 +1,540 @@
+"""Exports of vehicles with effects: every term and variant, alone and together, in C and CasADi."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import subprocess
+from dataclasses import replace
+
+import casadi
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from split_cli.cli.export import command as export_command
+from split_cli.cli.train import command as train_command
+from split_cli.errors import ExportError
+from split_cli.export.c_check import check_c
+from split_cli.export.casadi_function import CasadiFunctions, committee, generate_c, model_step
+from split_cli.export.casadi_memory import memory_functions
+from split_cli.export.check import make_oracle
+from split_cli.export.compiler import STRICT_FLAGS
+from split_cli.export.documents import document_of, read_json, require_equal, schema_text, write_json
+from split_cli.export.provenance import provenance_of
+from split_cli.export.step_check import rk4_substeps
+from split_cli.export.symbolic import build_nominal
+from split_cli.export.tables import build_tables
+from split_cli.export.targets import acados_source
+from split_cli.export.verify import verify_folder
+from split_cli.files import sha256_of_file
+from split_cli.learning.training_set import read_set
+from split_cli.logs.drive import Drive, write_drive
+from split_cli.prediction.bcm import BcmPredictor
+from split_cli.scoring.application import inputs_along
+from split_cli.scoring.rollouts import Correction, roll_out
+from split_cli.vehicle.effects import CATALOGUE, Recording, build_terms
+from split_cli.vehicle.integration import integrate_recorded, integrate_with_memory, recorded_inputs
+from split_cli.vehicle.parameters import EffectSpec, write_vehicle
+from split_cli.vehicle.single_track import SingleTrack
+from tests.export.effect_cases import (
+    CASES,
+    REMEMBERING,
+    SINGLES,
+    STEP,
+    Exported,
+    build_library,
+    effect,
+    manoeuvre,
+    silent_set,
+)
+from tests.export.export_support import source_of
+from tests.factories import MissingForce, make_training_set, road_car
+
+ALL = "everything with a memory"
+
+
+@pytest.fixture(scope="session")
+def exported(compiler, tmp_path_factory) -> dict[str, Exported]:
+    """The C of every case in one library: starting the compiler 40 times would take most of the time."""
+    return build_library(compiler, tmp_path_factory.mktemp("cases"), {"plain": (), **CASES})
+
+
+def test_every_exported_term_and_variant_is_among_the_cases():
+    expected = {(name, v) for name, kind in CATALOGUE.items() if kind.exported for v in kind.variants}
+    assert {(effects[0].term, effects[0].variant) for effects in SINGLES.values()} == expected
+    for effects in CASES.values():
+        SingleTrack(road_car(effects=effects))  # raises where a parameter is missing
+
+
+def python_drive(case: Exported, substeps: int) -> np.ndarray:
+    """Return (X, Y, yaw, v_x, v_y, r) at the end of the manoeuvre by the house's own means.
+
+    Delays by `recorded_inputs`, the rest by one call of `integrate_recorded`, memory included: neither knows of
+    whole states, past commands or single steps. Terms of time and place are told both at every step instead.
+    """
+    x, commands, t, s = manoeuvre()
+    velocity = np.tile(x[3:6], (len(t), 1))
+    clock = Recording.single(STEP, len(t))
+    late = recorded_inputs(case.model, velocity, *commands.T, clock, time=t, track_position=s, yaw=x[2])
+    inputs = late.torque[None], late.steer_angle[None]
+    if not case.graph.needs_place_and_time:
+        return integrate_recorded(case.model, x[None, :6], *inputs, STEP, substeps)[0]
+    state, states = x[None, :6], None
+    for k in range(len(t) - 1):
+        now = (series[:, k : k + 2] for series in inputs)
+        situation = {"time": t[k], "track_position": s[k], "term_states": states}
+        state, states = integrate_with_memory(case.model, state, *now, STEP, substeps, **situation)
+    return state[0]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_runge_kutta_drives_as_python_integrates_recordings(exported, name):
+    case = exported[name]
+    substeps = rk4_substeps(case.memory)
+    end = case.drive(*manoeuvre(), rk4=substeps)[-1, :6]
+    # Rounding of 40 steps of the same arithmetic; forces of 1e4 N leave 1e-12 of a velocity a step.
+    assert np.allclose(end, python_drive(case, substeps), rtol=0, atol=1e-10)
+    # And the effect is there: the plain car ends elsewhere.
+    plain = exported["plain"].drive(*manoeuvre(), rk4=substeps)[-1, :6]
+    assert np.abs(end - plain).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_casadi_and_c_drive_alike(exported, name):
+    case = exported[name]
+    x, commands, t, s = manoeuvre()
+    path = case.drive(x, commands, t, s)
+    predict = committee(build_tables(case.training_set), "car")
+    step = model_step(predict, case.graph, "car_step")
+    now = path[0]
+    if case.memory is not None:
+        start = memory_functions(predict, case.graph, "car")[0]
+        now = np.asarray(start(x, *([[t[0], s[0]]] if case.graph.needs_place_and_time else []))).ravel()
+    for k in range(len(commands) - 1):
+        u = (commands[k + 1] - commands[k]) / STEP
+        now = np.asarray(step(*[now, u, STEP, [t[k], s[k]]][: step.n_in()])).ravel()
+        # Two orders of summation of the same series; sizes of states reach 1e4.
+        assert np.allclose(now, path[k + 1], rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", REMEMBERING)
+def test_the_right_hand_side_is_that_of_the_model(exported, name):
+    case = exported[name]
+    x, commands, t, s = manoeuvre()
+    memory = case.memory
+    late = (np.array([333.0, 0.021]),) if memory.line else ()
+    now = case.drive(x, commands, t, s)[17]
+    u, found = np.array([400.0, -0.3]), np.empty(memory.continuous)
+    case.call("rates", now, u, *late, *case.place(t[17], s[17]), found)
+    T, delta = late[0] if memory.line else now[6:8]
+    states = dict(zip(memory.names, now[8:], strict=False)) or None
+    flow = case.model.flow(*now[3:6], T, delta, yaw=now[2], t=t[17], s=s[17], states=states)
+    cosine, sine = np.cos(now[2]), np.sin(now[2])
+    pose = [now[3] * cosine - now[4] * sine, now[3] * sine + now[4] * cosine, now[5]]
+    expected = [*pose, *case.model.balance(flow), *u, *(flow.rates[key] for key in memory.names)]
+    assert np.allclose(found, expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "column", "tau"), [("steer_lag", 7, 0.1), ("drive_lag", 6, 0.15)])
+def test_a_lag_follows_a_ramp_as_its_closed_form_does(exported, name, column, tau):
+    case = exported[name]
+    x, commands, t, s = manoeuvre()
+    slope = (0.0, 0.02)[column == 7] or 300.0
+    commands = np.tile(commands[0], (len(t), 1))
+    commands[:, column - 6] += slope * (t - t[0])
+    path = case.drive(x, commands, t, s)
+    clock = t - t[0]
+    # tau y' = u - y, y(0) = u(0), u = u(0) + a t: y - u(0) = a (t - tau + tau e^(-t/tau)).
+    expected = commands[0, column - 6] + slope * (clock - tau + tau * np.exp(-clock / tau))
+    # The linearised step is exact for what is linear; 1e-12 of the signal.
+    assert np.allclose(path[:, 8], expected, rtol=1e-12, atol=1e-12)
+    # The Runge-Kutta step's error is (substep/tau)^4/120 of the signal, here 2e-5 with 3 substeps.
+    assert np.allclose(case.drive(x, commands, t, s, rk4=3)[:, 8], expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("name", "column", "delay"), [("steer_delay", 7, 0.08), ("drive_delay", 6, 0.12)])
+def test_a_delayed_ramp_arrives_shifted_and_linear_between_samples(exported, name, column, delay):
+    case = exported[name]
+    x, commands, t, s = manoeuvre()
+    ramp = np.tile(commands[0], (len(t), 1))
+    slope = 0.01 if column == 7 else 300.0
+    ramp[:, column - 6] += slope * (t - t[0])
+    path = case.drive(x, ramp, t, s)
+    assert case.size == 8 + int(np.ceil(delay / STEP))
+    arrived = np.empty((len(t), 2))
+    for k, state in enumerate(path):
+        case.call("arrived", np.ascontiguousarray(state), arrived[k])
+    # Held before the start, then the ramp of `delay` ago: the kink at the start lies on a sample.
+    expected = commands[0, column - 6] + slope * np.maximum(t - t[0] - delay, 0.0)
+    assert np.allclose(arrived[:, column - 6], expected, rtol=1e-12)
+    assert np.allclose(arrived[:, 7 - column], commands[0, 7 - column], rtol=1e-12)
+    # The command itself is not late.
+    assert np.allclose(path[:, column], ramp[:, column - 6], rtol=1e-12)
+
+
+def test_a_delay_of_whole_steps_is_the_plain_car_with_shifted_commands(compiler, tmp_path):
+    cases = {"late": (EffectSpec("steer_delay", {"delay": 3 * STEP}), EffectSpec("drive_delay", {"delay": STEP})),
+             "plain": ()}  # fmt: skip
+    built = build_library(compiler, tmp_path, cases)
+    x, commands, t, s = manoeuvre()
+    shifted = np.column_stack([commands[np.maximum(np.arange(len(t)) - k, 0), c] for c, k in ((0, 1), (1, 3))])
+    found = built["late"].drive(x, commands, t, s)
+    expected = built["plain"].drive(x, shifted, t, s)
+    assert np.allclose(found[:, :6], expected[:, :6], rtol=0, atol=1e-12)
+    # A whole number of steps needs just so many past commands, whatever 3 * 0.05 / 0.05 rounds to.
+    assert found.shape[1] == 8 + 4
+
+
+def test_another_interval_than_that_of_the_past_commands_is_refused(exported):
+    case = exported["steer_delay"]
+    x, commands, t, s = manoeuvre()
+    now, following = case.start(x, t[0], s[0]), np.empty(case.size)
+    for interval, finite in ((STEP, True), (STEP * 1.0005, True), (0.04, False), (0.06, False), (np.nan, False)):
+        case.call("step", now, np.zeros(2), float(interval), following)
+        assert np.isfinite(following).all() == finite
+        step = model_step(committee(build_tables(case.training_set), "car"), case.graph, "car_step")
+        assert np.isfinite(np.asarray(step(now, np.zeros(2), interval))).all() == finite
+
+
+def test_a_play_keeps_still_until_it_is_dragged(exported):
+    case = exported["steer_backlash"]
+    x, commands, t, s = manoeuvre()
+    commands = np.tile(commands[0], (len(t), 1))
+    commands[:, 1] = 0.02 - np.abs(0.02 - 0.002 * np.arange(len(t)))[: len(t)]
+    x[7] = commands[0, 1]
+    wheel = case.drive(x, commands, t, s)[:, 8]
+    # Up to 0.02 and down again, total play 0.01: half of it behind on the way up, at rest while the command goes
+    # back through the whole play, half of it ahead on the way down.
+    up, down = np.arange(11), np.arange(11, len(t))
+    assert np.allclose(wheel[up], np.maximum(commands[up, 1] - 0.005, 0.0), atol=1e-15)
+    assert np.allclose(wheel[down], np.minimum(0.015, commands[down, 1] + 0.005), atol=1e-15)
+
+
+def test_the_exact_step_converges_to_the_model_in_second_order(compiler, tmp_path):
+    """A short interval leaves no room for linearisation: both steps must meet, four times closer at half of it."""
+    effects = (effect("steer_lag"), effect("drive_lag"), effect("tire_relaxation"))
+    case = build_library(compiler, tmp_path, {"lags": effects})["lags"]
+    x, *_ = manoeuvre()
+    errors = []
+    for h in (0.02, 0.01, 0.005):
+        exact, fine = case.start(x, 0.0, 0.0), case.start(x, 0.0, 0.0)
+        for k in range(round(0.4 / h)):
+            u = np.array([800.0, 0.2 * np.cos(4.0 * k * h)])
+            case.call("step", exact, u, h, exact)
+            case.call("step_rk4", fine, u, h, 20, fine)
+        errors.append(np.abs(exact - fine)[:6].max())
+    ratios = np.array(errors[:-1]) / np.array(errors[1:])
+    assert errors[-1] < 1e-4
+    assert ((ratios > 3.5) & (ratios < 4.5)).all()
+
+
+CALLER = """
+#include "car.h"
+#include <stdio.h>
+
+/* A controller's predictor: reads the first eight states, then a command a line, and prints every whole state. */
+int main(void)
+{
+    car_real x[CAR_STATES], A[CAR_STATES * CAR_STATES], B[CAR_STATES * CAR_INPUTS];
+    car_real y[CAR_STATES], f[CAR_CONTINUOUS_STATES], a[2];
+    double value, torque, angle, s = 3.0, t = 3.0;
+    for (int i = 0; i < 8; ++i) {
+        if (scanf("%lf", &value) != 1) {
+            return 1;
+        }
+        x[i] = (car_real)value;
+    }
+    car_start(x, (car_real)t, (car_real)s);
+    while (scanf("%lf %lf", &torque, &angle) == 2) {
+        const car_real h = CAR_TIME_STEP;
+        const car_real u[2] = {((car_real)torque - x[6]) / h, ((car_real)angle - x[7]) / h};
+        car_arrived(x, a);
+        car_rates(x, u, a, (car_real)t, (car_real)s, f);
+        car_linearise(x, u, (car_real)t, (car_real)s, h, A, B);
+        car_step_rk4(x, u, (car_real)t, (car_real)s, h, 1, y);
+        car_step(x, u, (car_real)t, (car_real)s, h, x);
+        t += (double)h;
+        s += (double)h * (double)x[3];
+        for (int i = 0; i < CAR_STATES; ++i) {
+            printf("%.17g ", (double)x[i]);
+        }
+    }
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_a_hand_written_caller_runs_clean_under_sanitizers(exported, compiler, tmp_path, real):
+    case = exported[ALL]
+    source = source_of(case.training_set, real)
+    (tmp_path / "car.h").write_text(source.header)
+    (tmp_path / "car.c").write_text(source.source)
+    # One substep is asked for, the play needs ten.
+    (tmp_path / "caller.c").write_text(CALLER)
+    flags = [*STRICT_FLAGS, "-Wshadow", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    try:
+        compiler.build([tmp_path / "car.c", tmp_path / "caller.c"], tmp_path / "caller", flags)
+    except ExportError as error:
+        if "sanitize" in str(error) or "lasan" in str(error) or "lubsan" in str(error):
+            pytest.skip("the compiler has no sanitizers")
+        raise
+    x, commands, t, _ = manoeuvre(20)
+    text = " ".join(map(repr, x.tolist())) + "\n" + "\n".join(f"{a!r} {b!r}" for a, b in commands[1:].tolist())
+    done = subprocess.run([str(tmp_path / "caller")], input=text, capture_output=True, text=True, check=True)
+    found = np.array(done.stdout.split(), dtype=float).reshape(20, case.size)
+    now, place, expected = case.start(x, t[0], 3.0), 3.0, []
+    for k in range(20):
+        u = np.ascontiguousarray((commands[k + 1] - now[6:8]) / STEP)
+        case.call("step", now, u, float(t[0] + k * STEP), float(place), STEP, now)
+        place += STEP * now[3]
+        expected.append(now.copy())
+    tolerance = {"double": 1e-9, "float": 2e-3}[real]
+    assert np.allclose(found, expected, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_verification_covers_memory_residual_and_linearisation(compiler, tmp_path, real):
+    training_set = make_training_set(seed=5, points=150, vehicle=road_car(effects=CASES[ALL]))
+    graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features)
+    oracle = make_oracle(training_set, 300, real)
+    found = check_c(source_of(training_set, real), graph, training_set, oracle, compiler, tmp_path)
+    assert found.step_error < {"double": 1e-11, "float": 1e-3}[real]
+
+
+MUTATIONS = {
+    "the line does not move": ("x_next[i] = k == 0 && LATE_T > 0 ? x[6] : (k == LATE_T ? x[7] : x[i - 1]);",
+                               "x_next[i] = k == 0 && LATE_T > 0 ? x[6] : (k == LATE_T ? x[7] : x[i]);"),
+    "shares the other way round": ("sum += share[1 + k] * line[k];", "sum += share[1 + k] * line[past - 1 - k];"),
+    "a play that is let go": ("f[play[k]] = rates[k];", "f[play[k]] += ZERO * rates[k];"),
+    "memory that starts at rest": ("nominal_start(in, out);\n", "nominal_start(in, out);\n    x[9] = ZERO;\n"),
+    "the residual sees late torque": ("w[STATES] = command[0];", "w[STATES] = state[6] + ZERO * command[0];"),
+    "slopes without the play": ("drive[play[k]] = h != ZERO ?", "drive[play[k]] = h == ZERO ?"),
+    "a right-hand side without residual": ("rates[3 + o] += g[o];", "rates[3 + o] += ZERO * g[o];"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_a_wrong_memory_is_caught_before_anything_is_written(compiler, tmp_path, name):
+    effects = tuple(effect(term) for term in ("steer_delay", "drive_delay", "steer_backlash", "drive_lag"))
+    training_set = make_training_set(seed=5, points=60, vehicle=road_car(effects=effects))
+    source = source_of(training_set)
+    before, after = MUTATIONS[name]
+    assert source.source.count(before) == 1
+    wrong = replace(source, source=source.source.replace(before, after))
+    graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features)
+    with pytest.raises(ExportError, match="nothing was written"):
+        check_c(wrong, graph, training_set, make_oracle(training_set, 100), compiler, tmp_path)
+
+
+def test_sensor_terms_correct_recordings_and_leave_no_trace(compiler, tmp_path):
+    sensors = (EffectSpec("sensor_delay", {"delay": 0.07}), EffectSpec("sensor_lever_arm", {"dx": 0.4}))
+    built = build_library(compiler, tmp_path, {"with": sensors, "without": ()})
+    x, commands, t, s = manoeuvre()
+    with_sensors, without = (built[name].drive(x, commands, t, s) for name in ("with", "without"))
+    assert np.array_equal(with_sensors, without)
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ([EffectSpec("steer_lag", {"tau": 1e-6})], "too fast"),
+        ([EffectSpec("steer_delay", {"delay": 11.0})], "220 past commands"),
+        ([EffectSpec("steer_delay", {"delay": -0.1})], "look ahead"),
+        ([EffectSpec("steer_lag", {"tau": 0.1}), EffectSpec("steer_lag", {"tau": 0.2})], "twice"),
+    ],
+)
+def test_a_memory_that_no_step_can_keep_is_refused(effects, message):
+    training_set = silent_set()
+    with pytest.raises(ExportError, match=message):
+        build_nominal(SingleTrack(road_car(effects=tuple(effects))), training_set.features, STEP)
+
+
+def test_numbers_tell_of_the_memory_and_fit_their_schema(tmp_path):
+    jsonschema = pytest.importorskip("jsonschema")
+    training_set = silent_set(CASES["steer_delay+steer_lag"])
+    graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features, STEP)
+    provenance = replace(provenance_of(training_set, "bcm"), memory=graph.memory.told())
+    document = document_of(training_set, provenance)
+    write_json(document, tmp_path / "car.json")
+    require_equal(document, read_json(tmp_path / "car.json"), "json")
+    content = json.loads((tmp_path / "car.json").read_text())
+    jsonschema.validate(content, json.loads(schema_text()))
+    assert content["memory"]["states"] == [
+        "steer_lag.angle [rad]", "delta of 1 step ago [rad]", "delta of 2 steps ago [rad]",
+    ]  # fmt: skip
+    assert content["memory"]["delays"] == {"T": 0.0, "delta": 0.08} and content["memory"]["step"] == STEP
+
+
+ACADOS_TYPES = """
+#include <stdio.h>
+struct blasfeo_dvec { double pa[64]; };
+struct blasfeo_dmat { double pA[1024]; int rows; };
+struct blasfeo_dvec_args { struct blasfeo_dvec *x; int xi; };
+struct blasfeo_dmat_args { struct blasfeo_dmat *A; int ai; int aj; };
+static void blasfeo_unpack_dvec(int m, struct blasfeo_dvec *s, int i, double *x, int inc)
+{ for (int k = 0; k < m; ++k) { x[k * inc] = s->pa[i + k]; } }
+static void blasfeo_pack_dvec(int m, double *x, int inc, struct blasfeo_dvec *s, int i)
+{ for (int k = 0; k < m; ++k) { s->pa[i + k] = x[k * inc]; } }
+static void blasfeo_pack_dmat(int m, int n, double *a, int lda, struct blasfeo_dmat *s, int i, int j)
+{ for (int q = 0; q < n; ++q) { for (int p = 0; p < m; ++p) {
+    s->pA[(j + q) * s->rows + i + p] = a[p + q * lda]; } } }
+"""
+
+ACADOS_CALLER = """
+#include "car_acados.c"
+int main(void)
+{
+    static struct blasfeo_dvec state, input, next;
+    static struct blasfeo_dmat slopes;
+    struct blasfeo_dvec_args xa = {&state, 0}, ua = {&input, 0}, fa = {&next, 0};
+    struct blasfeo_dmat_args ja = {&slopes, 0, 0};
+    void *in[2] = {&xa, &ua};
+    void *out[2] = {&fa, &ja};
+    double p[2] = {0.0, 0.0};
+    slopes.rows = CAR_NV;
+    for (int k = 0; k < CAR_NX; ++k) { if (scanf("%lf", &state.pa[k]) != 1) { return 2; } }
+    for (int k = 0; k < 2; ++k) { if (scanf("%lf", &input.pa[k]) != 1) { return 2; } }
+    for (int k = 0; k < 2; ++k) { if (scanf("%lf", &p[k]) != 1) { return 2; } }
+    if (car_acados_fun(in, out, p)) { return 3; }
+    for (int k = 0; k < CAR_NX; ++k) { printf("%.17g ", next.pa[k]); }
+    if (car_acados_fun_jac(in, out, p)) { return 4; }
+    for (int k = 0; k < CAR_NV * CAR_NX; ++k) { printf("%.17g ", slopes.pA[k]); }
+    return 0;
+}
+"""
+
+
+def test_acados_gets_the_memory_as_states_and_time_and_place_as_parameters(exported, compiler, tmp_path):
+    case = exported["friction_patch+steer_lag"]
+    predict = committee(build_tables(case.training_set), "car")
+    step = model_step(predict, case.graph, "car_step")
+    generate_c(CasadiFunctions(predict, step), "car", tmp_path)
+    (tmp_path / "car_acados.c").write_text(acados_source("car", case.graph, STEP))
+    (tmp_path / "acados" / "utils").mkdir(parents=True)
+    (tmp_path / "acados" / "utils" / "external_function_generic.h").write_text("")
+    (tmp_path / "blasfeo_d_aux.h").write_text(ACADOS_TYPES)
+    (tmp_path / "caller.c").write_text(ACADOS_CALLER)
+    compiler.build([tmp_path / "caller.c"], tmp_path / "caller", ["-std=gnu11", "-O0", f"-I{tmp_path}"])
+    x, commands, t, s = manoeuvre()
+    now, u = case.drive(x, commands, t, s)[9], np.array([300.0, 0.2])
+    answers = []
+    for place in (20.0, 100.0):  # on the patch and beyond it
+        text = " ".join(map(repr, [*now.tolist(), *u.tolist(), float(t[9]), place]))
+        done = subprocess.run([str(tmp_path / "caller")], input=text, capture_output=True, text=True, check=True)
+        numbers = np.array(done.stdout.split(), dtype=float)
+        expected = np.empty(9)
+        case.call("step", now, u, float(t[9]), place, STEP, expected)
+        assert np.allclose(numbers[:9], expected, rtol=1e-12, atol=1e-12)
+        symbols = [casadi.MX.sym("x", 9), casadi.MX.sym("u", 2)]
+        slopes = casadi.jacobian(step(*symbols, STEP, [t[9], place]), casadi.vertcat(symbols[1], symbols[0]))
+        expected = np.asarray(casadi.Function("slopes", symbols, [casadi.densify(slopes)])(now, u))
+        assert np.allclose(numbers[9:].reshape(9, 11), expected, rtol=1e-10, atol=1e-12)
+        answers.append(numbers[:9])
+    assert np.abs(answers[0] - answers[1]).max() > 1e-4
+
+
+PERIOD, WINDOW = 0.01, 5
+
+
+def lagging_drive(vehicle) -> Drive:
+    """Return 10 runs of 5 s of a car as the vehicle file has it, which loses 15 % of its front grip as well.
+
+    Recorded every 10 ms; commands are linear over steps of 50 ms, as a controller gives them.
+    """
+    model = SingleTrack(vehicle, [*build_terms(vehicle), MissingForce({"front_grip_loss": 0.15})])
+    rng = np.random.default_rng(6)
+    runs, samples = 10, 501
+    speed = rng.uniform(10.0, 25.0, runs)
+    knots = STEP * np.arange(101)
+
+    def command(size: np.ndarray, rate: float) -> np.ndarray:
+        waves = np.sin(np.outer(rng.uniform(0.3, 1.0, runs) * rate, knots) + rng.uniform(0.0, 6.0, (runs, 1)))
+        return np.array([np.interp(PERIOD * np.arange(samples), knots, wave) for wave in size[:, None] * waves])
+
+    steer = command(np.minimum(0.08, 9.0 * vehicle.wheelbase / speed**2), 3.0)
+    torque = command(np.full(runs, 900.0), 2.0)
+    state, memory = np.column_stack([np.zeros((runs, 3)), speed, np.zeros((runs, 2))]), None
+    path = [state]
+    for k in range(samples - 1):
+        inputs = torque[:, k : k + 2], steer[:, k : k + 2]
+        state, memory = integrate_with_memory(model, state, *inputs, PERIOD, 4, term_states=memory)
+        path.append(state)
+    columns = dict(zip(("X", "Y", "yaw", "vx", "vy", "r"), np.stack(path, axis=1).reshape(-1, 6).T, strict=True))
+    number = np.repeat(np.arange(runs), samples)
+    clock = np.tile(PERIOD * np.arange(samples), runs) + 10.0 * number
+    columns |= {"t": clock, "T": torque.ravel(), "delta": steer.ravel()}
+    return Drive("real.parquet", columns, number.astype(np.int32), PERIOD)
+
+
+@pytest.fixture(scope="module")
+def corrected(tmp_path_factory):
+    """A corrected vehicle file, a recording of that car, which has more, and the exported set of both."""
+    folder = tmp_path_factory.mktemp("corrected")
+    vehicle = road_car(effects=(effect("steer_lag"),))
+    write_vehicle(vehicle, folder / "vehicle_corrected.yaml")
+    drive = lagging_drive(vehicle)
+    write_drive(drive, folder / "real.parquet")
+    arguments = [str(folder / "real.parquet"), "--vehicle", str(folder / "vehicle_corrected.yaml")]
+    arguments += ["--hyperparameters", "default", "-o", str(folder / "car.split")]
+    done = CliRunner().invoke(train_command, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    targets = ["--target", "c", "--target", "casadi"]
+    arguments = [str(folder / "car.split"), *targets, "-o", str(folder / "out"), "--queries", "300"]
+    done = CliRunner().invoke(export_command, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return folder, drive
+
+
+def test_a_corrected_vehicle_goes_from_training_to_the_controller(corrected, compiler, tmp_path):
+    """The exported C against the rollouts that `split evaluate` scores, and against the exported CasADi step."""
+    folder, drive = corrected
+    training_set = read_set(folder / "car.split")
+    model = SingleTrack(training_set.vehicle)
+    z = training_set.features.compute(model, drive)
+    correction = Correction(training_set.features, z, BcmPredictor(training_set).mean)
+    starts = 501 * np.arange(0, 10, 2) + 100
+    expected = roll_out(model, drive, starts, 15, WINDOW, correction)
+    assert np.abs(expected - roll_out(model, drive, starts, 15, WINDOW)).max() > 0.01
+    flags = [*STRICT_FLAGS, "-O1", "-shared", "-fPIC"]
+    compiler.build([folder / "out" / "car.c"], tmp_path / "car.so", flags)
+    graph = build_nominal(model, training_set.features)
+    car = Exported(model, graph, training_set, "car", ctypes.CDLL(str(tmp_path / "car.so")))
+    step = casadi.Function.load(str(folder / "out" / "car_step.casadi"))
+    memory = inputs_along(model, drive).term_states
+    commands = np.stack([drive["T"], drive["delta"]], axis=1)
+    for start, path in zip(starts, expected, strict=True):
+        state = np.array([drive[name][start] for name in ("X", "Y", "yaw", "vx", "vy", "r")])
+        for k in range(15):
+            now, end = start + k * WINDOW, start + (k + 1) * WINDOW
+            x, u = np.concatenate([state, commands[now], memory[now]]), (commands[end] - commands[now]) / STEP
+            after, exact = np.empty(9), np.empty(9)
+            # Python takes one substep a sample of 10 ms: five a step.
+            car.call("step_rk4", x, u, STEP, WINDOW, after)
+            # Features along the rollout take the recorded lag at a recorded speed: the same to rounding.
+            assert np.allclose(after[:6], path[k], rtol=0, atol=1e-9)
+            car.call("step", x, u, STEP, exact)
+            assert np.allclose(exact, np.asarray(step(x, u, STEP)).ravel(), rtol=1e-10, atol=1e-10)
+            # The lag's next state is that of the recording, which is solved exactly.
+            assert np.allclose(exact[8], memory[end, 0], rtol=1e-12, atol=1e-14)
+            state = after[:6]
+
+
+def test_an_export_with_memory_verifies_and_a_forged_step_does_not(corrected):
+    folder, _ = corrected
+    out = folder / "out"
+    findings = verify_folder(out)
+    assert all(finding.passed for finding in findings)
+    assert "drives" in next(f.detail for f in findings if f.check == "c: self-test")
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["memory"]["states"] == ["steer_lag.angle [rad]"]
+    assert "steer_lag.angle [rad]" in (out / "car.h").read_text()
+    training_set = read_set(folder / "car.split")
+    slower = replace(training_set.vehicle, effects=(EffectSpec("steer_lag", {"tau": 0.1001}),))
+    graph = build_nominal(SingleTrack(slower), training_set.features)
+    forged = model_step(committee(build_tables(training_set), "car"), graph, "car_step")
+    forged.save(str(out / "car_step.casadi"))
+    manifest["files"]["car_step.casadi"] = sha256_of_file(out / "car_step.casadi")
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    assert {f.check: f.passed for f in verify_folder(out)}["casadi: answers"] is False
