@@ -27,10 +27,10 @@ LAYERS = {
     "diagnosis": 7,
     "control": 7,
     "export": 7,
-    "plots": 7,
     "proof": 7,
-    "workflows": 8,
-    "cli": 9,
+    "plots": 8,
+    "workflows": 9,
+    "cli": 10,
 }
 # diagnosis may see neither the plant that makes test recordings nor the proof that conceals them (one number, so
 # neither may import the other), and the plant nothing but the ground.

@@ -12,6 +12,8 @@ from split_cli.cli.options import existing_file, json_option, print_table, vehic
 
 __all__ = ["command"]
 
+_CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
+
 
 @click.command("diagnose")
 @click.option("--real", "real", type=existing_file, required=True, multiple=True, help="Real drive; repeatable.")
@@ -44,20 +46,37 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, as_json) 
     if as_json:
         click.echo(diagnosis_to_text(result), nl=False)
     else:
-        p_value = "" if result.p_value is None else f", p = {result.p_value:.2g}"
-        click.echo(f"{result.verdict}{p_value}; compared {result.compared_share:.0%} of the real drive")
-        click.echo(result.summary)
-        if result.findings:
-            rows = [
-                [f.term, name, p.value, p.std_error, p.unit, ", ".join(f.alternatives)]
-                for f in result.findings
-                for name, p in f.parameters.items()
-            ]
-            print_table(["term", "parameter", "value", "std error", "unit", "or"], rows)
+        _tell(result)
         for note in result.not_judged:
             click.echo(f"not judged: {note}", err=True)
     if exit_code and result.verdict == "mismatch":
         sys.exit(3)
+
+
+def _tell(result) -> None:
+    """Print a diagnosis: verdict, summary, findings, and whether they help."""
+    p_value = "" if result.p_value is None else f", p = {result.p_value:.2g}"
+    click.echo(f"{result.verdict}{p_value}; compared {result.compared_share:.0%} of the real drive")
+    click.echo(result.summary)
+    if result.findings:
+        rows = [
+            [f.term, name, p.value, p.std_error, p.unit, ", ".join(f.alternatives)]
+            for f in result.findings
+            for name, p in f.parameters.items()
+        ]
+        print_table(["term", "parameter", "value", "std error", "unit", "or"], rows)
+    if result.improvement is not None and result.improvement.rollouts:
+        last = result.improvement.rollouts[-1]
+        click.echo(f"held-out rms error after {last.horizon:g} s of free running, 95 % intervals")
+        stages = ("before", "physics", "split_only", "after", "persistence", "noise_floor")
+        print_table(["", *_CHANNELS], [[stage, *_with_intervals(last, stage)] for stage in stages])
+
+
+def _with_intervals(errors, stage: str) -> list[str]:
+    values, intervals = getattr(errors, stage), errors.confidence.get(stage)
+    if not intervals:
+        return [f"{value:.3g}" for value in values]
+    return [f"{v:.3g} ({low:.3g} to {high:.3g})" for v, (low, high) in zip(values, intervals, strict=True)]
 
 
 def is_watched() -> bool:

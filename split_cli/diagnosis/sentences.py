@@ -208,8 +208,8 @@ def _combined_slip(p: Parameters, vehicle: Vehicle) -> str:
     axle, used = ("front", front) if front >= rear else ("rear", rear)
     lost = 1.0 - math.sqrt(max(1.0 - p["strength"].value * used**2, 0.0))
     return (
-        f": the {axle} axle loses {number(100.0 * lost, 2)} % of its lateral force at {percent(_SOME_BRAKING)} of the "
-        "largest braking torque"
+        f": the {axle} axle loses {number(100.0 * lost, 2)} % of its lateral force at {percent(_SOME_BRAKING)} of "
+        "the largest braking torque"
     )
 
 

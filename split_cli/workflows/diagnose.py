@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -9,13 +10,20 @@ import numpy as np
 
 from split_cli.diagnosis.document import diagnosis_to_text
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.result import Diagnosis, InputFile
-from split_cli.files import atomic_directory, sha256_of_file
+from split_cli.diagnosis.result import Diagnosis, Improvement, InputFile
+from split_cli.files import atomic_directory, refuse_what_cannot_be_written, sha256_of_file
 from split_cli.logs.drive import read_drive
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_file, write_vehicle
 from split_cli.workflows.report.page import report_page
 
-__all__ = ["corrected_vehicle", "diagnose_files", "write_diagnosis"]
+__all__ = ["FIGURES", "STAGES", "corrected_vehicle", "diagnose_files", "write_diagnosis"]
+
+#: What may lie in the folder ``figures``.
+FIGURES = frozenset({"where.png", "what.png", "help.png", "help.csv"})
+#: Models compared on held-out time, as `Improvement` and `HorizonErrors` name them.
+STAGES = ("before", "physics", "split_only", "after", "persistence")
+CHANNELS, LABEL_UNITS, STATE_UNITS = ("v_x", "v_y", "r"), ("m/s^2", "m/s^2", "rad/s^2"), ("m/s", "m/s", "rad/s")
+_ONE_STEP = 0.05
 
 
 def diagnose_files(
@@ -27,7 +35,7 @@ def diagnose_files(
     holdout: Sequence[str | Path] = (),
     progress: Callable[[str], None] = lambda step: None,
 ) -> Diagnosis:
-    """Diagnose recordings and write `diagnosis.json`, `vehicle_corrected.yaml`, `gap.parquet`, `report.html`.
+    """Diagnose recordings and write `diagnosis.json`, `report.html`, figures, the corrected vehicle and the gap.
 
     Parameters
     ----------
@@ -40,6 +48,8 @@ def diagnose_files(
     progress : callable
         Called with the name of each step.
     """
+    if not Path(output).is_dir():
+        refuse_what_cannot_be_written(output)
     vehicle_path = vehicle_file(vehicle_path)
     vehicle = read_vehicle(vehicle_path)
     groups = {"real": real, "sim": simulated, "holdout": holdout}
@@ -49,6 +59,7 @@ def diagnose_files(
     diagnosis = diagnose(
         drives["real"], vehicle, drives["sim"], drives["holdout"], inputs=inputs, progress=progress
     )
+    progress("writing")
     write_diagnosis(diagnosis, vehicle, output)
     return diagnosis
 
@@ -64,13 +75,48 @@ def corrected_vehicle(diagnosis: Diagnosis, vehicle: Vehicle) -> Vehicle:
 
 
 def write_diagnosis(diagnosis: Diagnosis, vehicle: Vehicle, output: str | Path) -> None:
-    """Write a diagnosis into a folder, all files or none."""
+    """Write a diagnosis into a folder, all files or none; figures of an earlier one there are taken away."""
+    from split_cli.plots.diagnosis import diagnosis_figures
+    from split_cli.plots.style import save
+
     comment = diagnosis.summary or "No terms were added."
+    produced = set()
     with atomic_directory(output) as folder:
         (folder / "diagnosis.json").write_text(diagnosis_to_text(diagnosis), encoding="utf-8")
         write_vehicle(corrected_vehicle(diagnosis, vehicle), folder / "vehicle_corrected.yaml", comment=comment)
         _write_gap(diagnosis, folder / "gap.parquet")
         (folder / "report.html").write_text(report_page(diagnosis), encoding="utf-8")
+        (folder / "figures").mkdir()
+        for name, figure in diagnosis_figures(diagnosis):
+            save(figure, folder / "figures" / f"{name}.png")
+            produced.add(f"{name}.png")
+        if diagnosis.improvement is not None:
+            _write_help(diagnosis.improvement, folder / "figures" / "help.csv")
+            produced.add("help.csv")
+        if not produced:
+            (folder / "figures").rmdir()
+    for name in FIGURES - produced:
+        (Path(output) / "figures" / name).unlink(missing_ok=True)
+
+
+def _write_help(improvement: Improvement, path: Path) -> None:
+    """Write held-out errors as a table; the first step has a horizon of 0.05 s and its error in label units."""
+    steps = [(_ONE_STEP, improvement, LABEL_UNITS)]
+    steps += [(one.horizon, one, STATE_UNITS) for one in improvement.rollouts]
+    rows = []
+    for horizon, errors, units in steps:
+        for stage in (*STAGES, "noise_floor"):
+            values = getattr(errors, stage)
+            intervals = errors.confidence.get(stage) or [("", "")] * 3
+            if values is not None:
+                rows += [
+                    (horizon, stage, channel, unit, value, *interval)
+                    for channel, unit, value, interval in zip(CHANNELS, units, values, intervals, strict=True)
+                ]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("horizon_s", "stage", "channel", "unit", "rmse", "low_95", "high_95"))
+        writer.writerows(rows)
 
 
 def _write_gap(diagnosis: Diagnosis, path: Path) -> None:

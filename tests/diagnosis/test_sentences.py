@@ -1,4 +1,4 @@
-"""Words for findings: every term and variant, both signs, small and large cars, and what would tell terms apart."""
+"""Words for findings: every term and variant, both signs, small and large cars, what would tell terms apart."""
 
 from __future__ import annotations
 

@@ -282,7 +282,9 @@ def _provenance(diagnosis: Diagnosis) -> str:
         f"<div><dt>{escape(name.replace('_', ' '))}</dt><dd>{escape(value)}</dd></div>"
         for name, value in diagnosis.settings.items()
     )
-    names = ("diagnosis.json", "vehicle_corrected.yaml", "gap.parquet")
+    names = ["diagnosis.json", "vehicle_corrected.yaml", "gap.parquet"]
+    names += [f"figures/{name}.png" for name in ("where", "what", "help")] if diagnosis.improvement else []
+    names += ["figures/help.csv"] if diagnosis.improvement else []
     links = " · ".join(f'<a href="{name}">{name}</a>' for name in names)
     return section(
         "read",
