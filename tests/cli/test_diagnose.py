@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from split_cli.cli.diagnose import command
+from split_cli.cli.main import group
 from split_cli.diagnosis.document import diagnosis_to_text
 from split_cli.diagnosis.result import Diagnosis
 from split_cli.errors import VehicleError
@@ -36,7 +36,7 @@ def run(monkeypatch, verdict: str, *options: str, watched: bool = False):
 
     monkeypatch.setattr(workflow, "diagnose_files", known)
     monkeypatch.setattr("split_cli.cli.diagnose.is_watched", lambda: watched)
-    return CliRunner().invoke(command, [*ARGUMENTS, *options])
+    return CliRunner().invoke(group, ["diagnose", *ARGUMENTS, *options])
 
 
 @pytest.mark.parametrize(
