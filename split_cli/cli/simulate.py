@@ -37,10 +37,18 @@ __all__ = ["command"]
 )
 @click.option("--workshop-units", is_flag=True, help="A CSV in km/h, deg, deg/s and g instead of SI.")
 @click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="NAME:P=VALUE,...",
+    help="Something the driver does not know of, for split diagnose to find; repeatable. A wrong name lists "
+    "those there are.",
+)
+@click.option(
     "--truth",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Write the noise-free states as a drive too.",
+    help="Write the noise-free states, and the effects, as a drive too.",
 )
 @output_option("Log to write.")
 @json_option
@@ -56,6 +64,7 @@ def command(output, truth, as_json, **settings) -> None:
       split simulate --track handling --laps 2 --driver racer --aggressiveness 0.8 --seed 3 -o lap.mcap
       split simulate --car f1tenth_car --maneuver sine_sweep --truth truth.parquet -o sweep.csv
       split simulate --calibration-tests -o road_car_tests.parquet
+      split simulate --track small --effect steer_lag:tau=0.1 --effect mass:scale=1.1 -o lap.parquet
     """
     from split_cli.workflows.simulate import SimulateSettings, simulate_log
 
@@ -66,6 +75,8 @@ def command(output, truth, as_json, **settings) -> None:
         print_json(result)
         return
     click.echo(result.what)
+    if result.effects:
+        click.echo(f"with {', '.join(result.effects)}")
     header = ["time s", "distance m", "top speed m/s", "|ay| max", "ax max", "ax min"]
     peaks = [result.top_speed, result.lateral_peak, result.driving_peak, -result.braking_peak]
     print_table(header, [[result.duration, result.distance, *peaks]])

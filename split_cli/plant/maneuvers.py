@@ -13,6 +13,7 @@ import numpy as np
 from split_cli.errors import SplitError, nearest_names
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.drivers import DRIVER_STYLES, Grip, grip_of
+from split_cli.plant.faults import SOUND, Faults
 from split_cli.plant.road import Road
 from split_cli.plant.simulation import CONTROL_PERIOD, Script, Trajectory, drive_script
 from split_cli.plant.tracks import Track, circle
@@ -236,6 +237,7 @@ def run_maneuver(
     *,
     seed: int = 0,
     road: Road | None = None,
+    faults: Faults = SOUND,
     sample_period: float = 2e-3,
 ) -> Trajectory:
     """Drive a test.
@@ -253,5 +255,6 @@ def run_maneuver(
         track=maneuver.track,
         seed=seed,
         road=road,
+        faults=faults,
         sample_period=sample_period,
     )

@@ -243,6 +243,7 @@ def drive_script(
     track: Track | None = None,
     seed: int = 0,
     road: Road | None = None,
+    faults: Faults = SOUND,
     sample_period: float = 2e-3,
 ) -> Trajectory:
     """Carry out a script from straight running (or from a track's start) at `speed` [m/s].
@@ -258,7 +259,7 @@ def drive_script(
     calm = DriverStyle(style.name, preview_time=style.preview_time, line_wander=0, pace_wander=0)
     return _simulate(
         car, initial_state(car, speed, track), script, track, profile, calm, seed, road or Road(), np.inf,
-        sample_period,
+        sample_period, faults=faults,
     )  # fmt: skip
 
 

@@ -12,8 +12,11 @@ from split_cli.files import refuse_what_cannot_be_written, sha256_of_file
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, write_drive
 from split_cli.plant.cars import CarParameters, find_car
 from split_cli.plant.drivers import find_driver
+from split_cli.plant.effects import Setting, apply_effects, parse_effect
+from split_cli.plant.faults import SOUND
 from split_cli.plant.maneuvers import CALIBRATION_TESTS, build_maneuver, run_maneuver
 from split_cli.plant.recording import TABLE_CHANNELS, write_csv, write_mcap, write_parquet
+from split_cli.plant.road import Road
 from split_cli.plant.sensors import ChannelSpec, Reading, SensorSpec, lean, measure, perfect, sensors_of
 from split_cli.plant.simulation import Trajectory, drive_laps
 from split_cli.plant.tracks import find_track
@@ -56,6 +59,8 @@ class SimulateSettings:
         full, lean or perfect.
     workshop_units : bool
         A CSV in km/h, deg, deg/s and g.
+    effects : tuple of str
+        What the driver does not know of, each as ``NAME:parameter=value,...``; see `plant.effects`.
     """
 
     car: str = "road_car"
@@ -70,6 +75,7 @@ class SimulateSettings:
     format: str | None = None
     instruments: str = "full"
     workshop_units: bool = False
+    effects: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -92,6 +98,8 @@ class SimulatedLog:
         Greatest specific forces: across either way, forward, backward [m/s^2].
     rates : tuple of (str, float)
         Device and reports per second [Hz].
+    effects : tuple of str
+        What was changed, every parameter told.
     notes : tuple of str
     """
 
@@ -106,6 +114,7 @@ class SimulatedLog:
     driving_peak: float
     braking_peak: float
     rates: tuple[tuple[str, float], ...]
+    effects: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -131,7 +140,11 @@ def simulate_log(
     sensors = sensors_of(car.name)
     if settings.instruments != "full":
         sensors = lean(sensors) if settings.instruments == "lean" else perfect(sensors)
-    runs, what = _drive(settings, car)
+    effects = tuple(map(parse_effect, settings.effects))
+    lap = find_track(settings.track).length if settings.track else 0.0
+    setting = apply_effects(Setting(car, Road(), SOUND, sensors, lap), effects)
+    sensors, told = setting.sensors, tuple(effect.text for effect in effects)
+    runs, what = _drive(settings, car, setting)
 
     if settings.calibration_tests:
         tables = [
@@ -151,7 +164,7 @@ def simulate_log(
             write_parquet(readings, output)
         rates = (("table", TABLE_RATE),)
     if truth is not None:
-        write_drive(truth_drive(runs, Path(truth).name), truth)
+        write_drive(truth_drive(runs, Path(truth).name, told), truth)
 
     notes = tuple(
         f"{what_ran} ended early: the car had come down to its crawling speed"
@@ -173,6 +186,7 @@ def simulate_log(
         driving_peak=float(max(channel["ax"].max(), 0.0)),
         braking_peak=float(max(-channel["ax"].min(), 0.0)),
         rates=rates,
+        effects=told,
         notes=notes,
     )
 
@@ -211,36 +225,43 @@ def _format(settings: SimulateSettings, output: Path) -> str:
     return name
 
 
-def _drive(settings: SimulateSettings, car: CarParameters) -> tuple[list[Trajectory], str]:
+def _drive(settings: SimulateSettings, believed: CarParameters, real: Setting) -> tuple[list[Trajectory], str]:
+    """Return the runs of the car as it is, by a driver who believes in a sound one."""
     gentle = 0.35 if settings.aggressiveness is None else settings.aggressiveness
     if settings.track:
         share = 0.6 if settings.aggressiveness is None else settings.aggressiveness
         run = drive_laps(
-            car,
+            real.car,
             find_track(settings.track),
             find_driver(settings.driver),
             aggressiveness=share,
             laps=settings.laps,
             duration=settings.duration,
             seed=settings.seed,
+            road=real.road,
+            faults=real.faults,
+            believed=believed,
         )
         laps = (run.s[-1] - run.s[0]) / run.lap_length
         who = f"{settings.driver} driver at {share:g} of the grip"
-        return [run], f"{car.name}, {laps:.2f} laps of {settings.track}, {who}"
+        return [run], f"{believed.name}, {laps:.2f} laps of {settings.track}, {who}"
+
+    def tested(name: str, seed: int) -> Trajectory:
+        maneuver = build_maneuver(name, believed, gentle)
+        return run_maneuver(real.car, maneuver, seed=seed, road=real.road, faults=real.faults)
+
     if settings.maneuver:
-        run = run_maneuver(car, build_maneuver(settings.maneuver, car, gentle), seed=settings.seed)
-        return [run], f"{car.name}, {settings.maneuver} at {gentle:g} of the grip"
-    runs = [
-        run_maneuver(car, build_maneuver(name, car, gentle), seed=settings.seed + i)
-        for i, name in enumerate(CALIBRATION_TESTS)
-    ]
-    return runs, f"{car.name}, {len(runs)} tests at {gentle:g} of the grip: {', '.join(CALIBRATION_TESTS)}"
+        run = tested(settings.maneuver, settings.seed)
+        return [run], f"{believed.name}, {settings.maneuver} at {gentle:g} of the grip"
+    runs = [tested(name, settings.seed + i) for i, name in enumerate(CALIBRATION_TESTS)]
+    return runs, f"{believed.name}, {len(runs)} tests at {gentle:g} of the grip: {', '.join(CALIBRATION_TESTS)}"
 
 
-def truth_drive(runs: list[Trajectory], name: str) -> Drive:
+def truth_drive(runs: list[Trajectory], name: str, effects: tuple[str, ...] = ()) -> Drive:
     """Return the exact states of runs as a drive at 100 Hz, a segment a run, with loads and wheel speeds beside.
 
-    ``T`` and ``delta`` are the commands; ``T_actual`` and ``delta_actual`` what the actuators delivered.
+    ``T`` and ``delta`` are the commands; ``T_actual`` and ``delta_actual`` what the actuators delivered. The effects are
+    told in the metadata's quality.
     """
     every = int(round(1.0 / TABLE_RATE / (runs[0].t[1] - runs[0].t[0])))
     parts = []
@@ -253,7 +274,7 @@ def truth_drive(runs: list[Trajectory], name: str) -> Drive:
     noise = tuple(
         NoiseEstimate(channel, 0.0, 0.0) for channel in ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay")
     )
-    return _joined(parts, name, noise, "exact states of the plant, without sensors")
+    return _joined(parts, name, noise, "exact states of the plant, without sensors", effects)
 
 
 def _drive_of_tests(tables: list[tuple[Reading, ...]], sensors: tuple[SensorSpec, ...], name: str) -> Drive:
@@ -277,7 +298,11 @@ def _drive_of_tests(tables: list[tuple[Reading, ...]], sensors: tuple[SensorSpec
 
 
 def _joined(
-    parts: list[dict[str, np.ndarray]], name: str, noise: tuple[NoiseEstimate, ...], origin: str
+    parts: list[dict[str, np.ndarray]],
+    name: str,
+    noise: tuple[NoiseEstimate, ...],
+    origin: str,
+    effects: tuple[str, ...] = (),
 ) -> Drive:
     start, columns, segment = 0.0, {channel: [] for channel in parts[0]}, []
     for number, part in enumerate(parts):
@@ -287,11 +312,13 @@ def _joined(
         start = float(columns["t"][-1][-1]) + _PAUSE_BETWEEN_TESTS
     kinds = {channel: "measured" for channel in parts[0] if channel != "t"}
     kinds |= {"T": "command", "delta": "command"}
-    tests = {"tests": list(CALIBRATION_TESTS)} if len(parts) == len(CALIBRATION_TESTS) else {}
+    told = {"tests": list(CALIBRATION_TESTS)} if len(parts) == len(CALIBRATION_TESTS) else {}
+    if effects:
+        told["effects"] = list(effects)
     return Drive(
         name=name,
         columns={channel: np.concatenate(values) for channel, values in columns.items()},
         segment=np.concatenate(segment),
         period=1.0 / TABLE_RATE,
-        metadata=DriveMetadata(kinds=kinds, conversions=(origin,), noise=noise, quality=tests),
+        metadata=DriveMetadata(kinds=kinds, conversions=(origin,), noise=noise, quality=told),
     )
