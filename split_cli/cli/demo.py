@@ -24,7 +24,7 @@ __all__ = ["command"]
     help="Where to leave the results.",
 )
 def command(samples, output) -> None:
-    """Run the whole path on the bundled samples: ingest, train, evaluate, export.
+    """Run the whole path on the bundled samples: ingest, train, evaluate, export, diagnose.
 
     Each command is printed before it runs, so that it can be typed again.
 
@@ -33,7 +33,7 @@ def command(samples, output) -> None:
       split demo -o demo-output
     """
     from split_cli.cli.main import group
-    from split_cli.workflows.demo import demo_steps, find_samples
+    from split_cli.workflows.demo import closing_words, demo_steps, find_samples
 
     steps = demo_steps(find_samples(samples), output)
     output.mkdir(parents=True, exist_ok=True)
@@ -45,3 +45,4 @@ def command(samples, output) -> None:
     for path in sorted(output.rglob("*")):
         if path.is_file():
             click.echo(f"  {path}  ({path.stat().st_size / 1024:.0f} kB)")
+    click.echo(f"\n{closing_words(output)}")

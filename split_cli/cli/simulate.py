@@ -20,6 +20,13 @@ __all__ = ["command"]
 )
 @click.option("--laps", type=float, default=1.0, show_default=True, help="How many, fractions too.")
 @click.option("--duration", type=float, metavar="S", help="Drive for so long instead of a number of laps.")
+@click.option(
+    "--lead-in",
+    type=float,
+    default=0.0,
+    metavar="S",
+    help="Begin recording so long after the start, when tyres and actuators have settled.",
+)
 @click.option("--driver", default="brisk", show_default=True, help="smooth, brisk, racer or novice.")
 @click.option(
     "--aggressiveness",

@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.errors import SplitError, nearest_names
 from split_cli.plant.cars import GRAVITY, CarParameters
-from split_cli.plant.faults import SOUND, Faults
+from split_cli.plant.faults import Faults
 from split_cli.plant.road import Road
 from split_cli.plant.sensors import SensorSpec
 from split_cli.plant.tire import TireParameters
@@ -166,9 +166,7 @@ def _along_lap(setting: Setting, **tables: Callable[[np.ndarray], np.ndarray]) -
         raise SplitError("an effect with a place needs a track", where="--effect", advice="Add --track.")
     s = np.arange(_PLACES) * setting.lap_length / _PLACES
     road = setting.road
-    old = {
-        name: np.broadcast_to(getattr(road, name), _PLACES).copy() for name in ("friction", "grade", "bank")
-    }
+    old = {name: np.broadcast_to(getattr(road, name), _PLACES).copy() for name in ("friction", "grade", "bank")}
     new = {name: change(old[name], s) for name, change in tables.items()}
     return replace(
         setting, road=replace(road, spacing=setting.lap_length / _PLACES, closed=True, **{**old, **new})
@@ -317,7 +315,8 @@ EFFECTS: dict[str, _Kind] = {
         {"front_scale": Limits("", 0.3, 3.0, 1.0), "rear_scale": Limits("", 0.3, 3.0, 1.0)}, _tires(_stiff),
     ),
     "tire_relaxation": _Kind(
-        "distance over which lateral force builds up, instead of the tyre's own", {"length": Limits("m", 0.002, 5.0)},
+        "distance over which lateral force builds up, instead of the tyre's own",
+        {"length": Limits("m", 0.002, 5.0)},
         _tires(lambda tire, car, v, axle: replace(tire, relaxation_lateral=v["length"])),
     ),
     "combined_slip": _Kind(

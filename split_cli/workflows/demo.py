@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
 from split_cli.errors import SplitError
 
-__all__ = ["DemoStep", "demo_steps", "find_samples"]
+__all__ = ["DemoStep", "closing_words", "demo_steps", "find_samples"]
 
 TRAINING_LOG = "road_handling_moderate.mcap"
 HELD_OUT_LOG = "road_handling_aggressive.mcap"
 VEHICLE = "road_car.yaml"
+REAL_LOG = "road_pair_real.parquet"
+SIMULATED_LOG = "road_pair_sim.parquet"
+DIAGNOSIS = "diagnosis"
 
 
 @dataclass(frozen=True)
@@ -76,4 +80,18 @@ def demo_steps(samples: Path, output: Path) -> tuple[DemoStep, ...]:
         DemoStep("Write it as C99 and as a CasADi function, verified against Python.",
                  ("export", trained, "--target", "c", "--target", "casadi", "-o", str(output / "controller"))),
         DemoStep("Ask what a file is.", ("info", trained)),
+        DemoStep("Another pair: a real drive and its simulation, which differ in one thing. Say what it is.",
+                 ("diagnose", "--real", str(samples / REAL_LOG), "--sim", str(samples / SIMULATED_LOG),
+                  "--vehicle", vehicle, "--out", str(output / DIAGNOSIS))),
     )  # fmt: skip
+
+
+def closing_words(output: Path) -> str:
+    """Return what the diagnosis said, what had been concealed, and where the report lies."""
+    folder = output / DIAGNOSIS
+    told = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    names = [finding["term"] for finding in told["findings"]] or ["nothing by name"]
+    return (
+        f"Verdict: {told['verdict']}; found: {', '.join(names)}. What had been put into that drive stands in "
+        f"sample_logs/README.md.\nOpen the report: {(folder / 'report.html').resolve().as_uri()}"
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +59,8 @@ class SimulateSettings:
         full, lean or perfect.
     workshop_units : bool
         A CSV in km/h, deg, deg/s and g.
+    lead_in : float
+        Recording begins so long after the start, when tyres and actuators have settled [s].
     effects : tuple of str
         What the driver does not know of, each as ``NAME:parameter=value,...``; see `plant.effects`.
     """
@@ -75,6 +77,7 @@ class SimulateSettings:
     format: str | None = None
     instruments: str = "full"
     workshop_units: bool = False
+    lead_in: float = 0.0
     effects: tuple[str, ...] = ()
 
 
@@ -145,32 +148,33 @@ def simulate_log(
     setting = apply_effects(Setting(car, Road(), SOUND, sensors, lap), effects)
     sensors, told = setting.sensors, tuple(effect.text for effect in effects)
     runs, what = _drive(settings, car, setting)
+    lead_in = settings.lead_in
+    if lead_in >= min(run.t[-1] for run in runs) - 1.0:
+        raise SplitError(f"{lead_in:g} s leave nothing of the drive to record", where="--lead-in")
 
     if settings.calibration_tests:
         tables = [
-            measure(run, sensors, settings.seed + i, one_clock=TABLE_RATE) for i, run in enumerate(runs)
+            _recorded(run, sensors, settings.seed + i, lead_in, one_clock=TABLE_RATE) for i, run in enumerate(runs)
         ]
         write_drive(_drive_of_tests(tables, sensors, output.name), output)
         rates = tuple((name, TABLE_RATE) for name in ("state", "inertial", "command"))
     elif format_name == "mcap":
-        readings = measure(runs[0], sensors, settings.seed)
+        readings = _recorded(runs[0], sensors, settings.seed, lead_in)
         write_mcap(readings, output)
         rates = tuple((reading.sensor.name, reading.sensor.rate) for reading in readings)
     else:
-        readings = measure(runs[0], sensors, settings.seed, one_clock=TABLE_RATE)
+        readings = _recorded(runs[0], sensors, settings.seed, lead_in, one_clock=TABLE_RATE)
         if format_name == "csv":
             write_csv(readings, output, workshop_units=settings.workshop_units)
         else:
             write_parquet(readings, output)
         rates = (("table", TABLE_RATE),)
     if truth is not None:
-        write_drive(truth_drive(runs, Path(truth).name, told), truth)
+        write_drive(truth_drive(runs, Path(truth).name, told, lead_in), truth)
 
     notes = tuple(
         f"{what_ran} ended early: the car had come down to its crawling speed"
-        for run, what_ran in zip(
-            runs, CALIBRATION_TESTS if settings.calibration_tests else [what], strict=False
-        )
+        for run, what_ran in zip(runs, CALIBRATION_TESTS if settings.calibration_tests else [what], strict=False)
         if run.ended_early
     )
     channel = {name: np.concatenate([run.channel(name) for run in runs]) for name in ("vx", "ax", "ay")}
@@ -191,6 +195,25 @@ def simulate_log(
     )
 
 
+def _recorded(
+    run: Trajectory, sensors: tuple[SensorSpec, ...], seed: int, lead_in: float, *, one_clock: float | None = None
+) -> tuple[Reading, ...]:
+    """Return what the devices report from `lead_in` on, which becomes time 0."""
+
+    def later(reading: Reading) -> Reading:
+        kept = reading.stamp >= lead_in - 1e-9
+        values = {name: column[kept] for name, column in reading.values.items()}
+        return replace(
+            reading,
+            stamp=reading.stamp[kept] - lead_in,
+            arrival=reading.arrival[kept] - lead_in,
+            values=values,
+        )
+
+    readings = measure(run, sensors, seed, one_clock=one_clock)
+    return tuple(map(later, readings)) if lead_in else readings
+
+
 def _check(settings: SimulateSettings) -> None:
     asked = [bool(settings.track), bool(settings.maneuver), settings.calibration_tests]
     if sum(asked) != 1:
@@ -204,6 +227,8 @@ def _check(settings: SimulateSettings) -> None:
             where="--instruments",
             advice=f"There are: {', '.join(INSTRUMENTS)}.",
         )
+    if not 0.0 <= settings.lead_in < float("inf"):
+        raise SplitError(f"must not be negative, got {settings.lead_in:g} s", where="--lead-in")
     if settings.seed < 0:
         raise SplitError(f"a seed is a whole number from 0, got {settings.seed}", where="--seed")
 
@@ -257,23 +282,23 @@ def _drive(settings: SimulateSettings, believed: CarParameters, real: Setting) -
     return runs, f"{believed.name}, {len(runs)} tests at {gentle:g} of the grip: {', '.join(CALIBRATION_TESTS)}"
 
 
-def truth_drive(runs: list[Trajectory], name: str, effects: tuple[str, ...] = ()) -> Drive:
+def truth_drive(runs: list[Trajectory], name: str, effects: tuple[str, ...] = (), lead_in: float = 0.0) -> Drive:
     """Return the exact states of runs as a drive at 100 Hz, a segment a run, with loads and wheel speeds beside.
 
-    ``T`` and ``delta`` are the commands; ``T_actual`` and ``delta_actual`` what the actuators delivered. The effects are
-    told in the metadata's quality.
+    ``T`` and ``delta`` are the commands; ``T_actual`` and ``delta_actual`` what the actuators delivered. The
+    metadata's quality tells the effects.
     """
     every = int(round(1.0 / TABLE_RATE / (runs[0].t[1] - runs[0].t[0])))
     parts = []
     for run in runs:
-        part = {channel: run.channel(channel)[::every] for channel in (*TABLE_CHANNELS, *_TRUTH_EXTRAS)}
+        first = int(np.searchsorted(run.t, lead_in - 1e-9))
+        part = {channel: run.channel(channel)[first::every] for channel in (*TABLE_CHANNELS, *_TRUTH_EXTRAS)}
+        part["t"] = part["t"] - lead_in
         # In a drive a wheel's speed is that of its rim [m/s], the plant counts its spin [rad/s].
         spins = [name for name in part if name.startswith("wheel_speed_")]
         part |= {name: part[name] * run.car.wheel_radius for name in spins}
         parts.append(part)
-    noise = tuple(
-        NoiseEstimate(channel, 0.0, 0.0) for channel in ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay")
-    )
+    noise = tuple(NoiseEstimate(channel, 0.0, 0.0) for channel in ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay"))
     return _joined(parts, name, noise, "exact states of the plant, without sensors", effects)
 
 
@@ -291,9 +316,7 @@ def _drive_of_tests(tables: list[tuple[Reading, ...]], sensors: tuple[SensorSpec
             specs.setdefault(channel, spec)
     # The rounding's own error is uniform over a step.
     sigmas = {channel: float(np.hypot(s.noise, s.resolution / 12**0.5)) for channel, s in specs.items()}
-    noise = tuple(
-        NoiseEstimate(c, sigmas[c], sigmas[c]) for c in TABLE_CHANNELS if c not in ("t", "T", "delta")
-    )
+    noise = tuple(NoiseEstimate(c, sigmas[c], sigmas[c]) for c in TABLE_CHANNELS if c not in ("t", "T", "delta"))
     return _joined(parts, name, noise, "simulated sensors on one clock, seeded noise")
 
 
