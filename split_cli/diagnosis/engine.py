@@ -15,6 +15,7 @@ from split_cli.diagnosis.estimates import parameter_estimates
 from split_cli.diagnosis.evidence import Evidence, gather_evidence
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.formula import sparse_formula
+from split_cli.diagnosis.heldout import HeldOut, explained_shares, hold_out
 from split_cli.diagnosis.improvement import measure_improvement
 from split_cli.diagnosis.judge import CommonKnowledge, Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, habits
@@ -28,7 +29,7 @@ from split_cli.diagnosis.separation import exact_mimics
 from split_cli.diagnosis.series import Series, build_series
 from split_cli.diagnosis.structure import FlexibleFit, Structure, build_structure
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Settings", "diagnose"]
@@ -164,6 +165,7 @@ class _Case:
     keep: tuple[np.ndarray, ...]
     kinematics: tuple[Kinematics, ...]
     simulated: tuple[Evidence, ...] = ()
+    keep_holdout: tuple[np.ndarray, ...] = ()
 
     def common_rates(self, evidence: Evidence) -> np.ndarray:
         """Return what the simulation knows beyond the nominal model along a recording, shape (N, 3)."""
@@ -181,11 +183,13 @@ def _gather(vehicle: Vehicle, series: Sequence[Series], settings: Settings) -> _
     holdout = [gather_evidence(vehicle, one, common, least) for one in by_role["holdout"]]
     knowledge = learn_common(simulated, settings.inflation) if simulated else None
     keep = [comparable(one, simulated, common, settings.reach) for one in real]
+    kept_out = [comparable(one, simulated, common, settings.reach) for one in holdout]
     habit = habits(by_role["sim"])
     kinematics = [one for one in (build_kinematics(series, habit) for series in by_role["real"]) if one]
     return _Case(
-        vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep), tuple(kinematics), tuple(simulated)
-    )
+        vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep), tuple(kinematics), tuple(simulated),
+        tuple(kept_out),
+    )  # fmt: skip
 
 
 def _mismatch(
@@ -216,7 +220,13 @@ def _mismatch(
     if unexplained:
         remainder = replace(remainder, formula=sparse_formula(case.real, after, case.keep))
     location = locate(case.real, forces, after, case.keep)
-    improvement = _improvement(case, chosen, settings)
+    split = hold_out(
+        case.real, case.keep, case.holdout, case.keep_holdout, case.knowledge, case.common, case.kinematics,
+        settings.holdout_share,
+    )  # fmt: skip
+    trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen
+    findings = _with_shares(findings, chosen, explained_shares(split, trained))
+    improvement = _improvement(case, split, trained.terms)
     gaps = tuple(map(gap_series, case.real, case.keep, forces, after))
     return Diagnosis(
         "mismatch", p_value, share, not_judged, location, findings, unexplained, remainder, improvement,
@@ -283,6 +293,17 @@ def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
     return tuple(sorted(out, key=lambda finding: -finding.gap_explained))
 
 
+def _with_shares(
+    findings: Sequence[Finding], chosen: Fit, shares: Sequence[float] | None
+) -> tuple[Finding, ...]:
+    """Replace what findings explain of all rows by what they explain of those kept out, where enough were."""
+    if shares is None:
+        return tuple(findings)
+    by_term = {part.candidate.term: share for part, share in zip(chosen.parts, shares, strict=True)}
+    told = [replace(one, gap_explained=by_term[one.term]) for one in findings]
+    return tuple(sorted(told, key=lambda finding: -finding.gap_explained))
+
+
 def _alternatives(own: Candidate, rivals: Sequence[Rival], chosen: Fit, saved: float) -> tuple[str, ...]:
     """Return terms that fit as well here, and those that always would: exact degeneracies."""
     rules = Rules()
@@ -306,20 +327,10 @@ def _runners_up(rivals: Sequence[Rival]) -> tuple[RivalSummary, ...]:
     return tuple(best.values())[:_SHOWN_RIVALS]
 
 
-def _improvement(case: _Case, chosen: Fit, settings: Settings):
-    """Refit on the training rows alone, then compare on the held-out ones."""
-    if case.holdout:
-        masks = [np.zeros(len(one.series), dtype=bool) for one in case.real]
-    else:
-        masks = [one.series.t > (1.0 - settings.holdout_share) * one.series.t[-1] for one in case.real]
-    keep = [mask & ~held[one.at] for one, mask, held in zip(case.real, case.keep, masks, strict=True)]
-    terms = (
-        fit_parts(build_judge(case.real, case.knowledge, case.common, keep, case.kinematics), chosen.parts).terms
-        if chosen.parts
-        else ()
-    )
+def _improvement(case: _Case, split: HeldOut, terms: Sequence[Term]):
+    """Compare on what was kept out; the terms were fitted on the rest."""
     everything = [np.ones(len(one.series), dtype=bool) for one in case.holdout]
-    recordings = [*zip(case.real, masks, strict=True), *zip(case.holdout, everything, strict=True)]
+    recordings = [*zip(case.real, split.masks, strict=True), *zip(case.holdout, everything, strict=True)]
     return measure_improvement(recordings, terms, case.common, case.knowledge)
 
 
