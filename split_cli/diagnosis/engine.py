@@ -27,6 +27,7 @@ from split_cli.diagnosis.selection import Rival, Rules, Selection, nothing, sele
 from split_cli.diagnosis.sentences import sentence_for, separations, summarise
 from split_cli.diagnosis.separation import exact_mimics
 from split_cli.diagnosis.series import Series, build_series
+from split_cli.diagnosis.spectrum import Line, strongest_line
 from split_cli.diagnosis.structure import FlexibleFit, Structure, build_structure
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Term
@@ -140,7 +141,9 @@ def diagnose(
     gap = structure.fit(base.entries, settings.inflation)
     progress("naming")
     selection = select_terms(judge, candidates, settings.inflation)
-    p_value = min(1.0, 2.0 * min(gap.p_value, selection.first_p))
+    line = strongest_line(judge, selection.terms, case.simulated)
+    line = line if line is not None and line.severity > settings.nameless_severity else None
+    p_value = min(1.0, 3.0 * min(gap.p_value, selection.first_p, line.p_value if line else 1.0))
     if p_value >= settings.level:
         summary = summarise("match")
         return Diagnosis(
@@ -149,7 +152,7 @@ def diagnose(
         )  # fmt: skip
     progress("judging")
     return _mismatch(
-        case, judge, structure, gap, selection, p_value, share, not_judged, inputs, described, settings
+        case, judge, structure, gap, selection, line, p_value, share, not_judged, inputs, described, settings
     )
 
 
@@ -198,6 +201,7 @@ def _mismatch(
     structure: Structure,
     gap: FlexibleFit,
     selection: Selection,
+    line: Line | None,
     p_value: float,
     share: float,
     not_judged: tuple[str, ...],
@@ -214,11 +218,13 @@ def _mismatch(
             selection = trusted
             remainder = _remainder(structure, selection, settings)
             findings = _findings(judge, selection)
+    unexplained = unexplained or line is not None
     chosen = selection.chosen
     forces = [gap_forces(one, (), case.common_rates(one)) for one in case.real]
-    after = [gap_forces(one, chosen.terms, case.common_rates(one)) for one in case.real]
+    after = [gap_forces(one, selection.terms, case.common_rates(one)) for one in case.real]
     if unexplained:
-        remainder = replace(remainder, formula=sparse_formula(case.real, after, case.keep))
+        lead = line.in_words() if line else sparse_formula(case.real, after, case.keep)
+        remainder = replace(remainder, formula=lead)
     location = locate(case.real, forces, after, case.keep)
     split = hold_out(
         case.real, case.keep, case.holdout, case.keep_holdout, case.knowledge, case.common, case.kinematics,
@@ -226,7 +232,8 @@ def _mismatch(
     )  # fmt: skip
     trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen
     findings = _with_shares(findings, chosen, explained_shares(split, trained))
-    improvement = _improvement(case, split, trained.terms)
+    named = tuple(term for term, is_named in zip(trained.terms, selection.named, strict=True) if is_named)
+    improvement = _improvement(case, split, named)
     gaps = tuple(map(gap_series, case.real, case.keep, forces, after))
     return Diagnosis(
         "mismatch", p_value, share, not_judged, location, findings, unexplained, remainder, improvement,
@@ -256,14 +263,23 @@ def _without_imitations(
     judge: Judge, selection: Selection, findings: Sequence[Finding], remainder: RemainderTest
 ) -> Selection:
     """Return the explanation without terms that explain less than what is left: they imitate what has no name."""
-    named = 1.0 - remainder.share
-    trusted = {one.term for one in findings if one.gap_explained * named > remainder.share}
-    keep = [k for k, part in enumerate(selection.chosen.parts) if part.candidate.term in trusted]
+    explained = 1.0 - remainder.share
+    trusted = {one.term for one in findings if one.gap_explained * explained > remainder.share}
+    keep = [
+        k
+        for k, (part, named) in enumerate(zip(selection.chosen.parts, selection.named, strict=True))
+        if part.candidate.term in trusted or not named
+    ]
     if len(keep) == len(selection.chosen.parts):
         return selection
     parts = tuple(selection.chosen.parts[k] for k in keep)
     chosen = fit_parts(judge, parts) if parts else selection.base
-    return replace(selection, chosen=chosen, rivals=tuple(selection.rivals[k] for k in keep))
+    return replace(
+        selection,
+        chosen=chosen,
+        rivals=tuple(selection.rivals[k] for k in keep),
+        named=tuple(selection.named[k] for k in keep),
+    )
 
 
 def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
@@ -272,6 +288,8 @@ def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
     total = max(selection.base.cost - chosen.cost, 1e-9)
     out = []
     for k, (part, rivals) in enumerate(zip(chosen.parts, selection.rivals, strict=True)):
+        if not selection.named[k]:
+            continue
         term, variant = part.candidate.term, part.candidate.variant
         others = chosen.parts[:k] + chosen.parts[k + 1 :]
         without = fit_parts(judge, others).cost if others else selection.base.cost

@@ -10,7 +10,8 @@ import numpy as np
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts, linear_cost, scan_places
 from split_cli.diagnosis.judge import Judge, alters_inputs
-from split_cli.diagnosis.structure import TERM_FLOOR, minimum_effect_p, severity_of
+from split_cli.diagnosis.structure import TERM_FLOOR, minimum_effect_p, severity_of, term_allowance
+from split_cli.vehicle.effects import Term
 
 __all__ = ["Rival", "Rules", "Selection", "nothing", "select_terms", "term_p", "term_size"]
 
@@ -21,6 +22,8 @@ class Rules:
 
     price: float = 8.0  # cost a searched parameter has to save, before inflation
     most_terms: int = 3
+    most_aside: int = 2  # terms that save more than chance but are too small to name
+    most_of_lap: float = 0.75  # a stretch that is longer is no stretch
     full_fits: int = 9
     followed: int = 5  # of the best, in which the common physics follows the inputs they change
     same_within: float = 2.5  # standard errors of the paired block difference
@@ -60,18 +63,26 @@ class Selection:
     base, chosen : Fit
         Nothing added, and the explanation.
     rivals : tuple of tuple of Rival
-        For each part of the chosen fit, that part replaced by every other candidate, best first.
+        For each part of the chosen fit that is named, that part replaced by every other candidate, best first.
+    named : tuple of bool
+        Which parts are large enough to be named; the others are kept aside, so that they take nothing from these.
     history : tuple of str
         What was added or removed, in order, in words.
     first_p : float
-        Minimum-effect p value of the best single term, times the number of terms tried.
+        Smallest minimum-effect p value of a term that was tried, times the number of terms tried.
     """
 
     base: Fit
     chosen: Fit
     rivals: tuple[tuple[Rival, ...], ...]
+    named: tuple[bool, ...]
     history: tuple[str, ...]
     first_p: float
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The named terms."""
+        return tuple(term for term, named in zip(self.chosen.terms, self.named, strict=True) if named)
 
 
 def nothing(judge: Judge) -> Fit:
@@ -108,6 +119,7 @@ def explore(
         seen[key] = seen.get(key, 0) + 1
         settled = any(alters_inputs(one.term) for one in current.parts)
         fits.append(fit_parts(judge, (*current.parts, part), refreshes=int(settled)))
+    fits = [fit for fit in fits if not _is_everywhere(fit.parts[-1], rules)]
     fits.sort(key=lambda fit: price(fit, inflation, rules))
     best, done = [], set()
     for fit in fits:
@@ -122,6 +134,14 @@ def explore(
     return best
 
 
+def _is_everywhere(part: Part, rules: Rules) -> bool:
+    """Return whether a stretch covers so much of the track that it is none."""
+    if "s_start" not in part.values:
+        return False
+    reach = part.candidate.ranges["s_end"].upper
+    return (part.values["s_end"] - part.values["s_start"]) % reach > rules.most_of_lap * reach
+
+
 def select_terms(
     judge: Judge, candidates: Sequence[Candidate], inflation: float, rules: Rules | None = None
 ) -> Selection:
@@ -130,40 +150,59 @@ def select_terms(
     base = chosen = nothing(judge)
     history: list[str] = []
     first_p = 1.0
-    while len(chosen.parts) < rules.most_terms:
+    aside = 0
+    while len(chosen.parts) - aside < rules.most_terms:
         fits = explore(judge, chosen, candidates, rules, inflation)
         if not fits:
             break
         best = fits[0]
+        label = best.parts[-1].candidate.label
         saved = price(chosen, inflation, rules) - price(best, inflation, rules)
         share = (chosen.cost - best.cost) / max(base.cost - best.cost, 1e-12)
         if saved <= 0.0 or (chosen.parts and share < rules.least_share):
             break
         if chosen.parts and _is_misfit(judge, base, chosen, best, rules):
-            history.append(
-                f"{best.parts[-1].candidate.label} would save {saved:.0f}, no more than the others misfit"
-            )
+            history.append(f"{label} would save {saved:.0f}, no more than the others misfit")
             break
         if chosen.parts and block_z(judge, best, chosen) < rules.spread:
-            history.append(f"{best.parts[-1].candidate.label} would save {saved:.0f}, all in one moment")
+            history.append(f"{label} would save {saved:.0f}, all in one moment")
             break
         p_value = term_p(judge, best, len(best.parts) - 1, chosen.cost - best.cost, inflation) * len(candidates)
-        first_p = first_p if chosen.parts else min(p_value, 1.0)
+        first_p = min(first_p, p_value)
         if p_value >= rules.level:
-            history.append(f"{best.parts[-1].candidate.label} would save {saved:.0f}, too small to name")
-            break
-        history.append(f"added {best.parts[-1].candidate.label}, saves {saved:.0f}")
-        chosen = best
-        chosen, dropped = _prune(judge, chosen, inflation, rules)
+            history.append(f"{label} saves {saved:.0f}, too small to name")
+            aside += 1
+            if aside > rules.most_aside:
+                break
+            chosen = best
+            continue
+        history.append(f"added {label}, saves {saved:.0f}")
+        chosen, dropped = _prune(judge, best, inflation, rules)
         history += dropped
-    for _ in range(1 + rules.swaps):
-        rivals = tuple(_rivals(judge, chosen, k, candidates, inflation, rules) for k in range(len(chosen.parts)))
+    for swap in range(1 + rules.swaps):
+        named = _large_enough(judge, base, chosen, len(candidates), inflation, rules)
+        rivals = tuple(
+            _rivals(judge, chosen, k, candidates, inflation, rules) if named[k] else ()
+            for k in range(len(chosen.parts))
+        )
         better = min((several[0] for several in rivals if several), key=lambda one: one.excess, default=None)
-        if len(chosen.parts) < 2 or better is None or better.excess >= 0.0:
+        if swap == rules.swaps or len(chosen.parts) < 2 or better is None or better.excess >= 0.0:
             break
         history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
         chosen = better.fit
-    return Selection(base, chosen, rivals, tuple(history), first_p)
+    return Selection(base, chosen, rivals, named, tuple(history), first_p)
+
+
+def _large_enough(
+    judge: Judge, base: Fit, fit: Fit, tried: int, inflation: float, rules: Rules
+) -> tuple[bool, ...]:
+    """Return which parts of an explanation are large enough to be named, each removed last."""
+    out = []
+    for k in range(len(fit.parts)):
+        others = fit.parts[:k] + fit.parts[k + 1 :]
+        without = fit_parts(judge, others) if others else base
+        out.append(term_p(judge, fit, k, without.cost - fit.cost, inflation) * tried < rules.level)
+    return tuple(out)
 
 
 def block_z(judge: Judge, fit: Fit, other: Fit) -> float:
@@ -193,7 +232,8 @@ def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> fl
     """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
     candidate = fit.parts[k].candidate
     floor = max(TERM_FLOOR * judge.shared_cost, judge.place_floor if candidate.located else judge.term_floor)
-    return minimum_effect_p(saved, candidate.complexity, term_size(judge, fit, k), inflation, floor)
+    size = term_size(judge, fit, k)
+    return minimum_effect_p(saved, candidate.complexity, size, inflation, floor, term_allowance(judge))
 
 
 def _prune(judge: Judge, fit: Fit, inflation: float, rules: Rules) -> tuple[Fit, list[str]]:

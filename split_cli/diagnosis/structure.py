@@ -19,15 +19,18 @@ from split_cli.vehicle.effects import Term
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["FlexibleFit", "Structure", "build_structure", "minimum_effect_p", "severity"]
+__all__ = ["FlexibleFit", "Structure", "build_structure", "minimum_effect_p", "severity", "severity_of", "term_allowance"]
 
 _HORIZON = 0.05
 _HARMONICS = 8
 _KNOTS = 9
 _RIDGE_SHARE = 2e-3
-# Differences smaller than this share of the one-step noise are not called differences: below it, what any nominal
-# model misses in one way of driving and not in another counts as common.
+# Differences smaller than these shares of the one-step noise are not called differences: below them, what any nominal
+# model misses in one way of driving and not in another counts as common. A bare nominal model misses more than a
+# simulation that brings its physics along, and what has no name has to be larger than what has.
 ALLOWANCE = 0.05
+BARE_ALLOWANCE = 0.09
+NAMELESS_ALLOWANCE = 0.10
 # And smaller than these shares of what common physics explains: no dictionary fits it exactly. A flexible fit finds
 # more of what is left than a single term can, by so much a parameter.
 STRUCTURE_FLOOR = 1e-4
@@ -95,7 +98,7 @@ class Structure:
         # The size is overestimated by what the fit makes of noise.
         size *= np.sqrt(max(1.0 - inflation * freedom / max(saved, 1e-9), 0.0))
         floor = self.allowed(freedom)
-        p = minimum_effect_p(saved, freedom, size, inflation, floor)
+        p = minimum_effect_p(saved, freedom, size, inflation, floor, NAMELESS_ALLOWANCE)
         return FlexibleFit(saved, freedom, float(size), p, self._by_group(score))
 
     def allowed(self, freedom: float) -> float:
@@ -152,7 +155,14 @@ def severity_of(evidence: Evidence, terms: tuple[Term, ...], without: tuple[Term
     return severity(evidence.series, of(terms) - of(without))
 
 
-def minimum_effect_p(saved: float, freedom: float, size: float, inflation: float, floor: float = 0.0) -> float:
+def term_allowance(judge: Judge) -> float:
+    """Return the severity below which a term is not named."""
+    return BARE_ALLOWANCE if judge.knowledge is None else ALLOWANCE
+
+
+def minimum_effect_p(
+    saved: float, freedom: float, size: float, inflation: float, floor: float = 0.0, allowance: float = ALLOWANCE
+) -> float:
     """Return the probability of saving this much when the true effect is just the allowance.
 
     Parameters
@@ -166,6 +176,8 @@ def minimum_effect_p(saved: float, freedom: float, size: float, inflation: float
     inflation : float
     floor : float
         Saving that is allowed whatever the size.
+    allowance : float
+        Severity that is allowed.
 
     Notes
     -----
@@ -177,7 +189,7 @@ def minimum_effect_p(saved: float, freedom: float, size: float, inflation: float
     if saved <= 0.0 or size <= 0.0:
         return 1.0
     ratio = saved / inflation
-    allowed = max(ratio - freedom, 0.0) * min(ALLOWANCE / size, 1.0) ** 2
+    allowed = max(ratio - freedom, 0.0) * min(allowance / size, 1.0) ** 2
     return float(np.clip(ncx2.sf(ratio, max(freedom, 1.0), max(allowed, floor / inflation)), 0.0, 1.0))
 
 

@@ -8,7 +8,7 @@ them is prediction-error estimation over every horizon at once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -54,12 +54,14 @@ class Whitener:
         rows /= np.sqrt(self.count)[:, None, None]
         return rows[:, :, 0] if flat else rows
 
+    def of_every_sample(self) -> Whitener:
+        """Return the whitener that makes a row of every transition."""
+        every = np.arange(len(self.group), dtype=np.int64)
+        return replace(self, group=every, count=np.ones(len(every)))
+
     def cost(self, defect: np.ndarray) -> float:
         """Return minus twice the log likelihood of defects (N - 1, 3), up to a constant."""
-        every = np.arange(len(self.group), dtype=np.int64)
-        columns = np.ascontiguousarray(defect[:, :, None])
-        rows = _whiten(columns, self.gain, self.root, self.carry, self.begins, every, len(every))
-        return float(np.sum(rows**2)) + self.log_determinant
+        return float(np.sum(self.of_every_sample()(defect) ** 2)) + self.log_determinant
 
 
 def build_whitener(
