@@ -143,7 +143,12 @@ def diagnose(
     selection = select_terms(judge, candidates, settings.inflation)
     line = strongest_line(judge, selection.terms, case.simulated)
     line = line if line is not None and line.severity > settings.nameless_severity else None
-    p_value = min(1.0, 3.0 * min(gap.p_value, selection.first_p, line.p_value if line else 1.0))
+    nameless = gap
+    if selection.chosen.parts and not any(selection.named):
+        # Physics that has a name, and is too small to be called by it, is no difference.
+        nameless = structure.fit(selection.chosen.entries, settings.inflation)
+    named_p = selection.first_p if any(selection.named) else 1.0
+    p_value = min(1.0, 3.0 * min(nameless.p_value, named_p, line.p_value if line else 1.0))
     if p_value >= settings.level:
         summary = summarise("match")
         return Diagnosis(
