@@ -55,7 +55,7 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, as_json) 
 
 def _tell(result) -> None:
     """Print a diagnosis: verdict, summary, findings, and whether they help."""
-    p_value = "" if result.p_value is None else f", p = {result.p_value:.2g}"
+    p_value = "" if result.p_value is None else f", p {_chance(result.p_value)}"
     click.echo(f"{result.verdict}{p_value}; compared {result.compared_share:.0%} of the real drive")
     click.echo(result.summary)
     if result.findings:
@@ -68,8 +68,13 @@ def _tell(result) -> None:
     if result.improvement is not None and result.improvement.rollouts:
         last = result.improvement.rollouts[-1]
         click.echo(f"held-out rms error after {last.horizon:g} s of free running, 95 % intervals")
-        stages = ("before", "physics", "split_only", "after", "persistence", "noise_floor")
+        named = ("physics", "split_only", "after") if result.findings else ("split_only",)
+        stages = ("before", *named, "persistence", "noise_floor")
         print_table(["", *_CHANNELS], [[stage, *_with_intervals(last, stage)] for stage in stages])
+
+
+def _chance(p_value: float) -> str:
+    return "< 1e-6" if p_value < 1e-6 else f"= {p_value:.2g}"
 
 
 def _with_intervals(errors, stage: str) -> list[str]:

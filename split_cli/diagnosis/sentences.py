@@ -13,6 +13,12 @@ from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["sentence_for", "separations", "statement_for", "summarise"]
 
+# What a flexible fit calls its groups of functions, for a reader.
+_KINDS = {
+    "left against right": "the direction, left or right, driving or braking",
+    "memory": "what happened before (memory)",
+    "operating point": "the operating point",
+}
 Parameters = Mapping[str, ParameterEstimate]
 _SOME_BRAKING = 0.6  # share of the largest braking torque that lost grip is told at
 _CLEARLY = 0.02  # share of the gap from which on it is said to go with a variable
@@ -83,10 +89,10 @@ def summarise(
     parts.append({0: "", 1: "The simulation does not have it.", 2: "The simulation has neither."}.get(lacking, ""))
     if location is not None:
         parts.append(_where(location))
-    if improvement is not None and findings:
-        parts.append(_help(improvement))
     if unexplained and remainder is not None:
         parts.append(_nameless(remainder, bool(findings)))
+    if improvement is not None:
+        parts.append(_help(improvement, "physics" if findings else "split_only"))
     return " ".join(part for part in parts if part)
 
 
@@ -121,8 +127,8 @@ def _tells_most(location: Location) -> tuple[str, float]:
     return best
 
 
-def _help(improvement: Improvement) -> str:
-    removed = improvement.removed.get("physics")
+def _help(improvement: Improvement, stage: str) -> str:
+    removed = improvement.removed.get(stage)
     parts = []
     if removed is not None:
         share, low, high = removed
@@ -131,20 +137,21 @@ def _help(improvement: Improvement) -> str:
         parts.append(f"it removes {told} of a step's squared error beyond sensor noise ({interval})")
     if improvement.rollouts:
         last = improvement.rollouts[-1]
-        k = max(range(3), key=lambda k: last.before[k] / max(last.noise_floor[k], 1e-12))
+        before, after, floor = last.before, getattr(last, stage), last.noise_floor
+        k = max(range(3), key=lambda k: before[k] / max(floor[k], 1e-12))
         name, unit = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))[k]
-        before, after = number(last.before[k], 2), number(last.physics[k], 2)
-        verb = "takes" if last.physics[k] < last.before[k] else "leaves"
         parts.append(
-            f"after {number(last.horizon, 1)} s of free running it {verb} the error of {name} from {before} to "
-            f"{after} {unit} (sensor noise alone: {number(last.noise_floor[k], 2)})"
+            f"after {last.horizon:g} s of free running the error of {name} goes from {number(before[k], 2)} to "
+            f"{number(after[k], 2)} {unit} (sensor noise alone: {number(floor[k], 2)})"
         )
-    return f"With the named physics, on held-out time: {'; '.join(parts)}." if parts else ""
+    model = "the named physics" if stage == "physics" else "SPLIT alone, which needs no name"
+    return f"With {model}, on held-out time: {'; '.join(parts)}." if parts else ""
 
 
 def _nameless(remainder: RemainderTest, named: bool) -> str:
     share = f"{percent(remainder.share)} of the gap" if named else "The gap"
-    lead = f"; it goes with {remainder.by_group[0][0]}" if remainder.by_group else ""
+    kind = remainder.by_group[0][0] if remainder.by_group else ""
+    lead = f"; it goes with {_KINDS.get(kind, kind)}" if kind else ""
     formula = f" A formula as a lead: {remainder.formula}." if remainder.formula else ""
     return f"{share} has no name in the catalogue{lead}.{formula}"
 

@@ -49,7 +49,7 @@ def diagnosis_figures(diagnosis: Diagnosis) -> Iterator[tuple[str, Figure]]:
     if diagnosis.findings or diagnosis.remainder is not None:
         yield "what", draw_what(diagnosis)
     if diagnosis.improvement is not None:
-        yield "help", draw_help(diagnosis.improvement)
+        yield "help", draw_help(diagnosis.improvement, named=bool(diagnosis.findings))
 
 
 def gap_map(
@@ -211,35 +211,38 @@ def _told(name: str, estimate: ParameterEstimate) -> str:
     return f"{name} {number(estimate.value, 4)} ± {number(0.5 * (high - low), 2)}{unit}"
 
 
-def draw_help(improvement: Improvement) -> Figure:
-    """Draw held-out errors of one step and of rollouts, stage by stage, with the noise floor in grey."""
+def draw_help(improvement: Improvement, *, named: bool = True) -> Figure:
+    """Draw held-out errors of one step and of rollouts, stage by stage, with the noise floor in grey.
+
+    Where nothing was named, stages with the named physics are left out: they add nothing.
+    """
+    stages = [one for one in _STAGES if named or one[0] in ("before", "split_only")]
     heights = (2.4, 3.6) if improvement.rollouts else (2.4,)
     figure = new_figure(sum(heights) + 0.6)
     axes = figure.subplots(len(heights), 3, squeeze=False, height_ratios=heights)
     for state, axis in enumerate(axes[0]):
-        _draw_step(axis, improvement, state)
-    axes[0, 0].set_yticks(range(len(_STAGES)), [name for _, name, _ in _STAGES])
+        _draw_step(axis, improvement, state, stages)
+    axes[0, 0].set_yticks(range(len(stages)), [name for _, name, _ in stages])
     if improvement.rollouts:
         for state, axis in enumerate(axes[1]):
-            _draw_growth(axis, improvement.rollouts, state)
+            _draw_growth(axis, improvement.rollouts, state, stages)
         handles, labels = axes[1, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False, fontsize="small")
-    removed = improvement.removed.get("physics")
+    removed = improvement.removed.get("physics" if named else "split_only")
     said = "Held-out errors, 95 % intervals; grey: what sensor noise makes"
     if removed is not None:
         share, low, high = removed
-        said = (
-            f"The named physics removes {percent(max(share, 0.0))} ({100 * low:.0f} to {100 * high:.0f} %) of the "
-            f"held-out one-step error beyond sensor noise (grey)"
-        )
+        model = "The named physics" if named else "SPLIT alone"
+        interval = f"({100 * low:.0f} to {100 * high:.0f} %)"
+        said = f"{model} removes {percent(max(share, 0.0))} {interval} of the held-out one-step error beyond noise"
     figure.suptitle(said)
     return figure
 
 
-def _draw_step(axis: Axes, improvement: Improvement, state: int) -> None:
-    values = [getattr(improvement, stage)[state] for stage, _, _ in _STAGES]
+def _draw_step(axis: Axes, improvement: Improvement, state: int, stages: Sequence[tuple[str, str, str]]) -> None:
+    values = [getattr(improvement, stage)[state] for stage, _, _ in stages]
     ends = list(values)
-    for row, (stage, _, colour) in enumerate(_STAGES):
+    for row, (stage, _, colour) in enumerate(stages):
         interval = (improvement.confidence.get(stage) or [None] * 3)[state]
         if interval is not None:
             axis.plot(interval, [row, row], color=colour, linewidth=2.5)
@@ -251,7 +254,7 @@ def _draw_step(axis: Axes, improvement: Improvement, state: int) -> None:
         ends.append(floor)
     span = max(max(ends) - min(ends), 1e-9)
     axis.set_xlim(min(ends) - 0.15 * span, max(ends) + 0.15 * span)
-    axis.set_ylim(len(_STAGES) - 0.5, -0.5)
+    axis.set_ylim(len(stages) - 0.5, -0.5)
     axis.set_yticks([])
     axis.set_xlabel(f"one-step rms error of {STATES[state]} [{LABEL_UNITS[state]}]")
     axis.set_title(
@@ -260,16 +263,18 @@ def _draw_step(axis: Axes, improvement: Improvement, state: int) -> None:
     quiet(axis)
 
 
-def _draw_growth(axis: Axes, rollouts: Sequence[HorizonErrors], state: int) -> None:
+def _draw_growth(
+    axis: Axes, rollouts: Sequence[HorizonErrors], state: int, stages: Sequence[tuple[str, str, str]]
+) -> None:
     horizons = np.array([one.horizon for one in rollouts])
     axis.fill_between(horizons, [one.noise_floor[state] for one in rollouts], color=EMPTY, linewidth=0)
-    for k, (stage, name, colour) in enumerate(_STAGES):
+    for k, (stage, name, colour) in enumerate(stages):
         values = np.array([getattr(one, stage)[state] for one in rollouts])
         intervals = np.array([
             (one.confidence.get(stage) or [[v, v]] * 3)[state] for one, v in zip(rollouts, values, strict=True)
         ])  # fmt: skip
         error = np.abs(intervals.T - values)
-        shift = horizons * (1.0 + 0.012 * (k - 1.5))
+        shift = horizons * (1.0 + 0.012 * (k - 0.5 * (len(stages) - 1)))
         axis.errorbar(
             shift, values, yerr=error, fmt="o-", color=colour, ms=4.0, lw=1.3, elinewidth=1.0, label=name
         )

@@ -105,7 +105,7 @@ const Charts = (() => {
       const count = Math.max(2, Math.round(this.tall / 46));
       const longest = (list) => Math.max(2, ...list.map((tick) => tick.text.length));
       const names = options.rows && options.rows.map((text, k) => ({ value: options.rows.length - 1 - k, text }));
-      this.left = (names ? longest(names) : longest(ticks(...this.y, count))) * TEXT + (options.y ? 24 : 10);
+      this.left = (names ? longest(names) : longest(ticks(...this.y, count))) * TEXT + (options.y ? 30 : 10);
       this.inner = width - this.left - 12;
       if (options.equal) this.equalise();
       const yTicks = names || ticks(...this.y, count);

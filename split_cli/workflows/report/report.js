@@ -30,7 +30,7 @@
   });
   const gap = numbers.verdict === "mismatch";
   const located = numbers.location || { channel: 0, time: null, place: null };
-  const state = { channel: located.channel, stage: gap ? "before" : "compared", axes: 0, drive: -1, along: "t", seconds: 0.2, window: null };
+  const state = { channel: located.channel, stage: gap ? "before" : "compared", axes: gap ? [3, 1, 2][located.channel] : 0, drive: -1, along: "t", seconds: 0.2, window: null };
 
   const chosenDrives = () => (state.drive < 0 ? drives : [drives[state.drive]]);
   const forceName = () => numbers.forces[state.channel].toLowerCase();
@@ -391,7 +391,7 @@
   /* ---- does it help ---- */
   const ROWS = [
     ["before", "before", BEFORE], ["physics", "physics", AFTER], ["split_only", "SPLIT only", "#5a6271"], ["after", "both", "#007a59"], ["persistence", "persistence", "#8b929e"],
-  ];
+  ].filter(([stage]) => numbers.named || !["physics", "after"].includes(stage)); // without a name there is nothing to add
 
   const LINES = ROWS.map(([stage, text, color]) => [stage, { physics: "with the named physics", after: "with physics and SPLIT" }[stage] || text, color]);
 
@@ -413,7 +413,7 @@
     const plot = new Plot(figure(host, `${name} (${symbol})`), {
       zoom: "x",
       rows: ROWS.map(([, text]) => text),
-      height: () => 196,
+      height: () => 66 + 26 * ROWS.length,
       x: () => `rms error [${label}]`,
       label: () => `${name} error: ${bars.map((bar) => `${bar.text} ${short(bar.value)}`).join(", ")} ${label}.`,
       domain: (view) => ({ x: view ? view.x : [low - 0.12 * (high - low), high + 0.16 * (high - low)], y: [-0.6, ROWS.length - 0.4] }),
@@ -463,7 +463,7 @@
         const ground = plot.top + plot.tall;
         layer.append(shape("path", { d: `${path([[plot.left, floor[0][1]], ...floor, [plot.left + plot.inner, floor[floor.length - 1][1]], [plot.left + plot.inner, ground], [plot.left, ground]])}Z`, fill: "#e3e5ea" }));
         LINES.forEach(([stage, , color], k) => {
-          const shift = (k - 1.5) * 3; // so that intervals at one horizon stand side by side
+          const shift = (k - (LINES.length - 2) / 2) * 3; // so that intervals at one horizon stand side by side
           const points = help.rollouts.map((one) => [plot.sx(one.horizon) + (stage === "persistence" ? 0 : shift), plot.sy(value(one, stage))]);
           layer.append(shape("path", { d: path(points), fill: "none", stroke: color, "stroke-width": 1.8, "stroke-dasharray": stage === "persistence" ? "4 3" : "none" }));
           help.rollouts.forEach((one, i) => {
@@ -479,7 +479,7 @@
           const ends = interval(one, stage);
           return `${text}: ${short(value(one, stage))} ${label}${ends ? ` (${short(ends[0])} to ${short(ends[1])})` : ""}`;
         });
-        return { x: one.horizon, y: between(value(one, "physics"), ...plot.y), lines: [`${short(one.horizon)} s ahead`, ...told, `noise floor: ${short(one.floor[channel])} ${label}`] };
+        return { x: one.horizon, y: between(value(one, "before"), ...plot.y), lines: [`${short(one.horizon)} s ahead`, ...told, `noise floor: ${short(one.floor[channel])} ${label}`] };
       },
     });
     plot.redraw();

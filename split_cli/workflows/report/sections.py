@@ -102,20 +102,27 @@ def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
         largest = max(diagnosis.findings, key=lambda finding: finding.severity)
         note = f"sensor noise in 0.05 s ({term_title(largest.term)})"
         yield "Size", f"{number(largest.severity, 2)} ×", note
-    shown = diagnosis.improvement
-    if shown is not None and diagnosis.findings:
-        removed = shown.removed.get("physics")
-        if removed is not None:
-            note = "of held-out squared error above the noise floor, by the named physics"
-            yield "Removed", percent(removed[0]), f"{note} ({span(removed)})"
-        if shown.rollouts:
-            last = shown.rollouts[-1]
-            k = max(range(3), key=lambda k: last.before[k] / max(last.noise_floor[k], 1e-12))
-            symbol, _, _ = CHANNELS[k]
-            note = f"error of {symbol} after {number(last.horizon, 2)} s, with the named physics"
-            yield "Rollout", f"{number(last.before[k], 2)} → {number(last.physics[k], 2)}", note
+    if diagnosis.improvement is not None and diagnosis.findings:
+        yield from _facts_of_help(diagnosis.improvement)
     if diagnosis.remainder is not None:
         yield "Without a name", percent(diagnosis.remainder.share), "of the gap"
+
+
+def _facts_of_help(shown: Improvement) -> Iterable[tuple[str, str, str]]:
+    removed = shown.removed.get("physics")
+    if removed is not None:
+        note = "of held-out squared error above the noise floor, by the named physics"
+        yield "Removed", percent(removed[0]), f"{note} ({span(removed)})"
+    if shown.rollouts:
+        last = shown.rollouts[-1]
+        k = max(range(3), key=lambda k: last.before[k] / max(last.noise_floor[k], 1e-12))
+        before, after = last.before[k], max(last.physics[k], 1e-12)
+        ratio = f"÷ {number(before / after, 2)}" if after <= before else f"× {number(after / before, 2)}"
+        unit = CHANNELS[k][2].replace("/s²", "/s")
+        note = (
+            f"error of {CHANNELS[k][0]} after {last.horizon:g} s: {number(before, 2)} → {number(after, 2)} {unit}"
+        )
+        yield "Free running", ratio, note
 
 
 def _where(diagnosis: Diagnosis) -> str:
@@ -197,17 +204,19 @@ def _help(diagnosis: Diagnosis, improvement: Improvement) -> str:
         where = "on held-out time"
     blocks = improvement.confidence.get("blocks")
     how = f" Intervals: 95 %, bootstrap over {blocks} blocks of time." if blocks else ""
+    stages = [one for one in _STAGES if diagnosis.findings or one[0] not in ("physics", "after")]
+    tables = _error_table(improvement, stages), _rollouts(improvement, stages)
     return section(
         "help",
         "Does it help",
         f"<p>One-step errors {escape(where)}, refitted without it.{escape(how)} Grey: what sensor noise makes."
-        f'</p><div class="figures thirds" id="errors"></div>{_error_table(improvement)}{_rollouts(improvement)}',
+        f'</p><div class="figures thirds" id="errors"></div>{"".join(tables)}',
     )
 
 
-def _error_table(improvement: Improvement) -> str:
+def _error_table(improvement: Improvement, stages: Sequence[tuple[str, str]]) -> str:
     rows = []
-    for stage, words in _STAGES:
+    for stage, words in stages:
         removed = improvement.removed.get(stage)
         shown = "" if removed is None else f"{percent(removed[0])} <small>{span(removed)}</small>"
         rows.append(_error_row(words, stage, improvement, f"<td>{shown}</td>"))
@@ -217,12 +226,12 @@ def _error_table(improvement: Improvement) -> str:
     return table(["Rms error of one step", *heads, "Improvable error removed"], rows, "errors")
 
 
-def _rollouts(improvement: Improvement) -> str:
+def _rollouts(improvement: Improvement, stages: Sequence[tuple[str, str]]) -> str:
     """Return the section on longer horizons: charts, and a table for the longest."""
     if not improvement.rollouts:
         return "<p>No longer horizon fits into the held-out time.</p>"
     last = improvement.rollouts[-1]
-    rows = [_error_row(words, stage, last) for stage, words in _STAGES]
+    rows = [_error_row(words, stage, last) for stage, words in stages]
     rows.append(_floor_row(last.noise_floor))
     units = [unit.replace("/s²", "/s") for _, _, unit in CHANNELS]
     heads = [f"<i>{symbol}</i> [{unit}]" for (symbol, _, _), unit in zip(CHANNELS, units, strict=True)]
@@ -232,7 +241,7 @@ def _rollouts(improvement: Improvement) -> str:
         f"<p>The model runs on by itself over the recorded inputs, from {last.starts} starts in {blocks} blocks "
         "of held-out time.</p>"
         '<div class="figures thirds" id="rollouts"></div><div class="legend" id="rollout-legend"></div>'
-        f"{table([f'Rms error after {number(last.horizon, 2)} s', *heads], rows, 'errors')}"
+        f"{table([f'Rms error after {last.horizon:g} s', *heads], rows, 'errors')}"
     )
 
 
