@@ -165,7 +165,7 @@ def compare_drives(step: Stepper, oracle: StepOracle, kind: str, real: str, what
     Raises
     ------
     ExportError
-        If it exceeds `STEP_TOLERANCE`, in single precision ten times that: errors of 40 steps add up.
+        If it exceeds `STEP_TOLERANCE`, in single precision 50 times that: errors of 40 steps add up.
     """
     drives, h = oracle.drives, oracle.asked[0, oracle.size + 2]
     expected = getattr(drives, kind)
@@ -173,7 +173,7 @@ def compare_drives(step: Stepper, oracle: StepOracle, kind: str, real: str, what
     for u, place_time in zip(drives.u, drives.place_time, strict=True):
         x = step(np.column_stack([x, u, np.full(len(x), h), place_time]))
         path.append(x)
-    tolerance = STEP_TOLERANCE[real] * (10.0 if real == "float" else 1.0)
+    tolerance = STEP_TOLERANCE[real] * (50.0 if real == "float" else 1.0)
     return _require(np.stack(path), expected, np.abs(expected), tolerance, what)
 
 
@@ -203,7 +203,11 @@ def compare_memory(name: str, answer: Stepper, oracle: StepOracle, real: str, wh
         expected = steady
     else:
         expected = oracle.rates if name.endswith("rates") else oracle.arrived
-    return _require(answer(asked), expected, np.abs(expected), STEP_TOLERANCE[real], f"{what}: {name}")
+    size = np.abs(expected)
+    if real == "float":
+        # A force on its way to a steady one is a small difference of two that are rounded to seven digits.
+        size = size + size.max(axis=0)
+    return _require(answer(asked), expected, size, STEP_TOLERANCE[real], f"{what}: {name}")
 
 
 def compare_linearisation(found: np.ndarray, oracle: StepOracle, real: str, what: str) -> float:
