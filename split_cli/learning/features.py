@@ -13,7 +13,7 @@ from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["Z1", "Z2", "FeatureSet", "flow_along", "parse_features", "recording_of"]
+__all__ = ["Z1", "Z2", "FeatureSet", "flow_along", "parse_features", "place_of", "recording_of"]
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,12 @@ def flow_along(model: SingleTrack, drive: Drive) -> Flow:
     channels = (drive[name] for name in ("vx", "vy", "r", "T", "delta"))
     # Samples that are not finite are counted and rejected by who asks.
     with np.errstate(invalid="ignore"):
-        return model.flow(*channels, yaw=yaw, t=drive["t"], recording=recording_of(drive))
+        return model.flow(*channels, yaw=yaw, t=drive["t"], s=place_of(drive), recording=recording_of(drive))
+
+
+def place_of(drive: Drive) -> np.ndarray:
+    """Return the track position of every sample [m], shape (N,): the column ``s``, 0 where there is none."""
+    return drive["s"] if "s" in drive else np.zeros(len(drive))
 
 
 def recording_of(drive: Drive) -> Recording:

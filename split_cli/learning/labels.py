@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 
 from split_cli.errors import DriveError
-from split_cli.learning.features import FeatureSet, flow_along, recording_of
+from split_cli.learning.features import FeatureSet, flow_along, place_of, recording_of
 from split_cli.learning.region import Grid, Region
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.integration import RecordedInputs, integrate_recorded, phi_matrix, recorded_inputs
@@ -261,7 +261,8 @@ def _recorded_inputs(model: SingleTrack, drive: Drive) -> RecordedInputs:
     velocity = np.stack([drive[name] for name in _VELOCITIES], axis=1)
     yaw = drive.columns.get("yaw", 0.0)
     recording = recording_of(drive)
-    return recorded_inputs(model, velocity, drive["T"], drive["delta"], recording, time=drive["t"], yaw=yaw)
+    situation = {"time": drive["t"], "track_position": place_of(drive), "yaw": yaw}
+    return recorded_inputs(model, velocity, drive["T"], drive["delta"], recording, **situation)
 
 
 def _window_errors_reference(
@@ -272,8 +273,9 @@ def _window_errors_reference(
     span = starts[:, None] + np.arange(window + 1)
     torque, steer_angle, memory = inputs.torque[span], inputs.steer_angle[span], inputs.term_states[starts]
     time, yaw = drive["t"][starts], drive["yaw"][starts] if "yaw" in drive else np.zeros(len(starts))
-    states = dict(zip(model.state_names, memory.T, strict=True)) or None
-    jacobian = model.velocity_jacobian(*begin.T, torque[:, 0], steer_angle[:, 0], t=time, yaw=yaw, states=states)
+    states, place = dict(zip(model.state_names, memory.T, strict=True)) or None, place_of(drive)[starts]
+    situation = {"t": time, "s": place, "yaw": yaw, "states": states}
+    jacobian = model.velocity_jacobian(*begin.T, torque[:, 0], steer_angle[:, 0], **situation)
     substeps = _substeps(jacobian, drive.period, model.vehicle.wheelbase)
     predicted = np.empty_like(begin)
     for count in np.unique(substeps):
@@ -286,6 +288,7 @@ def _window_errors_reference(
             drive.period,
             int(count),
             time=time[group],
+            track_position=place[group],
             yaw=yaw[group],
             term_states=memory[group],
         )

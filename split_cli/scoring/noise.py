@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.learning.features import place_of
 from split_cli.learning.labels import Labels
 from split_cli.logs.drive import Drive, NoiseEstimate
 from split_cli.logs.noise import estimate_noise
@@ -150,6 +151,7 @@ def _flow_derivatives(
     inputs = {"T": recorded.torque[span], "delta": recorded.steer_angle[span]}
     yaw = drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows))
     situation = {"yaw": yaw, "time": drive["t"][rows], "term_states": recorded.term_states[rows]}
+    situation["track_position"] = place_of(drive)[rows]
     jacobian = model.velocity_jacobian(*state.T, inputs["T"][:, 0], inputs["delta"][:, 0], yaw=yaw)
     substeps = substep_count(jacobian, drive.period)
 

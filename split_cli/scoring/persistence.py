@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from split_cli.learning.features import place_of
 from split_cli.learning.labels import Labels
 from split_cli.logs.drive import Drive
 from split_cli.scoring.application import inputs_along
@@ -20,7 +21,8 @@ def phi_at(model: SingleTrack, drive: Drive, rows: np.ndarray, horizon: float) -
     yaw = drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows))
     states = dict(zip(model.state_names, inputs.term_states[rows].T, strict=True)) or None
     at = (*velocity, inputs.torque[rows], inputs.steer_angle[rows])
-    return phi_matrix(model.velocity_jacobian(*at, t=drive["t"][rows], yaw=yaw, states=states), horizon)
+    situation = {"t": drive["t"][rows], "s": place_of(drive)[rows], "yaw": yaw, "states": states}
+    return phi_matrix(model.velocity_jacobian(*at, **situation), horizon)
 
 
 def velocity_persistence_errors(model: SingleTrack, drive: Drive, labels: Labels) -> np.ndarray:

@@ -37,6 +37,7 @@ from split_cli.scoring.splits import hold_out_blocks, whole_drive
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import drive_notes
+from split_cli.workflows.recordings import RecordingCorrection
 
 __all__ = ["evaluate", "evaluate_files", "train_in_memory"]
 
@@ -96,6 +97,8 @@ def evaluate(
     _check(settings, trained)
     if trained is not None:
         settings = replace(settings, features=(_short_name(trained.features),), horizon=trained.horizon)
+    correct = RecordingCorrection(vehicle)
+    drives = [correct(drive) for drive in drives]
     model = SingleTrack(vehicle)
     contestants = []
     for features in settings.features:
@@ -121,7 +124,7 @@ def evaluate(
         noise_floor=pooled_noise_floor(model, contestants[0][1]),
         rollouts=tuple(rollout_scores),
         sizes=tuple(sizes),
-        notes=tuple(_notes(facts, contestants[0][1], settings, rollout_scores)),
+        notes=(*_notes(facts, contestants[0][1], settings, rollout_scores), *correct.notes),
     )
     sets = tuple(own for *_, own in contestants)
     drawn_from = tuple(tuple(held) for _, held, _ in contestants)

@@ -14,6 +14,7 @@ from split_cli.learning.labels import DEFAULT_HORIZON, compute_labels
 from split_cli.learning.region import Region, build_grid
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.recordings import RecordingCorrection
 
 __all__ = ["LabelResult", "drive_notes", "label_drive"]
 
@@ -69,7 +70,9 @@ def label_drive(
         As for `compute_labels`.
     """
     refuse_overwriting_inputs(output, (drive_path, vehicle_path))
-    vehicle, drive = read_vehicle(vehicle_path), read_drive(drive_path)
+    vehicle = read_vehicle(vehicle_path)
+    correct = RecordingCorrection(vehicle)
+    drive = correct(read_drive(drive_path))
     region = Region.of(vehicle)
     labels = compute_labels(
         drive, vehicle, parse_features(features), region, horizon=horizon, stride=stride, plain=plain
@@ -86,7 +89,7 @@ def label_drive(
         accepted=len(accepted),
         rejected=tuple(labels.counts().items()),
         rms=tuple(np.sqrt(np.mean(accepted**2, axis=0)).tolist()) if len(accepted) else None,
-        notes=drive_notes(drive),
+        notes=(*drive_notes(drive), *correct.notes),
     )
 
 

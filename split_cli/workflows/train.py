@@ -28,6 +28,7 @@ from split_cli.learning.training_set import SetSource, TrainingSet, read_set, wr
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.label import drive_notes
+from split_cli.workflows.recordings import RecordingCorrection
 
 __all__ = ["TrainResult", "TrainRow", "TrainSettings", "train_set"]
 
@@ -190,7 +191,9 @@ def train_set(
     offered = sum(row.samples for row in table)
     total = _row(trained, trained.sources, "total", seconds, offered)
     horizons = tuple(source.horizon for source in trained.sources[-len(table) :])
-    return TrainResult(str(output), tuple(table), total, horizons, trained.kernel, fit, tuple(run.notes))
+    return TrainResult(
+        str(output), tuple(table), total, horizons, trained.kernel, fit, (*run.notes, *run.correct.notes)
+    )
 
 
 class _Run:
@@ -215,6 +218,7 @@ class _Run:
             self.horizon = DEFAULT_HORIZON if settings.horizon is None else settings.horizon
         self.seen = {source.sha256: source.name for source in known.sources} if known else {}
         self.notes: list[str] = []
+        self.correct = RecordingCorrection(vehicle)
 
     def labels(self) -> Iterator[tuple[Labels, float]]:
         """Yield the labels of each drive and the seconds that labelling took."""
@@ -285,7 +289,7 @@ class _Run:
 
     def _drive(self, position: int) -> Drive:
         self.say(f"reading {self.paths[position].name}")
-        return read_drive(self.paths[position])
+        return self.correct(read_drive(self.paths[position]))
 
     def _label(self, drive: Drive, position: int) -> Labels:
         labels = compute_labels(

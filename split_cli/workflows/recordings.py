@@ -1,0 +1,56 @@
+"""Recordings as a corrected vehicle file asks for them: sensors' faults taken off, places told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from split_cli.diagnosis.place import TrackReference, build_reference, track_position
+from split_cli.learning.features import recording_of
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects import build_terms
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["RecordingCorrection"]
+
+
+class RecordingCorrection:
+    """What a vehicle's effects mean for recordings of it.
+
+    Terms of the sensors correct the recorded channels; `sensor_delay` alone does not, since the model takes the
+    commands of before instead. Terms of place need the column ``s``: arc length along the first drive given, as
+    in the diagnosis, unless a drive brings its own.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        terms = build_terms(vehicle)
+        self._sensors = [term for term in terms if not term.exported and term.id != "sensor_delay"]
+        self._places = any({"s_start", "wavelength"} & set(term.parameters) for term in terms)
+        self._wheelbase = vehicle.wheelbase
+        self._first: tuple[str, str] | None = None
+        self._reference: TrackReference | None = None
+        self._told: dict[str, None] = {}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of results should know of it."""
+        return tuple(self._told)
+
+    def __call__(self, drive: Drive) -> Drive:
+        """Return a drive corrected; the first one given is where s is told along."""
+        columns = dict(drive.columns)
+        if self._places and "s" not in drive:
+            # A drive may be read several times: the first is known by what it is, not by when it comes.
+            key = drive.name, drive.sha256
+            if self._first is None:
+                self._first, self._reference = key, build_reference(drive, self._wheelbase)
+                self._told[f"s, which effects of place act on, counts along {drive.name}"] = None
+            columns["s"], kind = track_position(drive, self._reference, first=key == self._first)
+            if kind != "position":
+                self._told[f"{drive.name} has no position: its s is the distance driven"] = None
+        for term in self._sensors:
+            columns = term.correct(columns, recording_of(drive))
+        return replace(drive, columns=columns)
