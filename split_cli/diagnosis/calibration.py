@@ -8,8 +8,8 @@ dictionary holds its physics, it shows how much.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.common import CommonPhysics, features
 from split_cli.diagnosis.evidence import Evidence, defects, integrated
 from split_cli.diagnosis.judge import Judge, build_judge, learn_common
+from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit
 from split_cli.diagnosis.series import extended_model
 from split_cli.diagnosis.structure import Structure, build_structure
 from split_cli.diagnosis.whitening import build_whitener
@@ -44,15 +45,16 @@ class SelfTest:
         Rows that were judged; 0 where the halves have not been in the same places, and nothing is known.
     ratio : float
         Cost that a flexible fit saves, noise included, over its freedom; about 1 when nothing is there.
-    nameless, term, place : float
-        Cost that a flexible fit, the best single term, and the best term with a place save.
+    nameless : float
+        Cost that a flexible fit saves.
+    terms : mapping of str to float
+        Cost that each term saves alone, in its best variant, start and place.
     """
 
     rows: int = 0
     ratio: float = 1.0
     nameless: float = 0.0
-    term: float = 0.0
-    place: float = 0.0
+    terms: Mapping[str, float] = field(default_factory=dict)
 
     def allow(self, judge: Judge) -> Judge:
         """Return a judge that forgives as much, in proportion to its rows, with a margin."""
@@ -63,8 +65,7 @@ class SelfTest:
         return replace(
             judge,
             nameless_floor=_NAMELESS_MARGIN * scale * self.nameless,
-            term_floor=_TERM_MARGIN * scale * self.term,
-            place_floor=_TERM_MARGIN * scale * max(self.place, self.term),
+            term_floors={term: _TERM_MARGIN * scale * saved for term, saved in self.terms.items()},
         )
 
 
@@ -73,6 +74,7 @@ def self_test(
     real: Sequence[Evidence],
     common: CommonPhysics,
     candidates: Sequence[Candidate],
+    kinematics: Sequence[Kinematics] = (),
     *,
     inflation: float,
     reach: float,
@@ -86,6 +88,8 @@ def self_test(
     common : CommonPhysics
     candidates : sequence of Candidate
         Terms that reality will be searched for.
+    kinematics : sequence of Kinematics
+        Of the real recordings; nothing but their noise is taken.
     inflation, reach : float
         As for reality.
 
@@ -97,27 +101,25 @@ def self_test(
     noise = np.median([one.series.noise for one in real], axis=0)
     disturbance = np.max([one.disturbance for one in real], axis=0)
     graded = [_graded(one, noise, disturbance, common) for one in simulated]
+    scale = max((one.scale for one in kinematics), default=np.inf)
+    positions = [build_kinematics(one.series) if np.isfinite(scale) else None for one in graded]
+    positions = [one and replace(one, scale=max(one.scale, scale)) for one in positions]
+    all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
+    offers = _offers(build_judge(graded, None, common, all_rows, [one for one in positions if one]), candidates)
+    sides = _Sides(tuple(simulated), tuple(graded), tuple(positions), common, inflation, reach)
     first = _first_half(simulated)
-    every = build_judge(graded, None, common, [np.ones(len(one.at), dtype=bool) for one in graded])
-    offers = _offers(every, candidates)
-    tests = [
-        _judge_half(simulated, graded, common, [mask ^ turned for mask in first], offers, inflation, reach)
-        for turned in (False, True)
-    ]
+    tests = [_judge_half(sides, [mask ^ turned for mask in first], offers) for turned in (False, True)]
     tests = [test for test in tests if test is not None]
     if not tests:
         return SelfTest()
     most = max(test.rows for test in tests)
 
-    def worst(pick) -> float:
-        return max(pick(test) * most / test.rows for test in tests)
-
+    names = dict.fromkeys(term for test in tests for term in test.terms)
     return SelfTest(
         most,
         max(test.ratio for test in tests),
-        worst(lambda test: test.nameless),
-        worst(lambda test: test.term),
-        worst(lambda test: test.place),
+        max(test.nameless * most / test.rows for test in tests),
+        {term: max(test.terms[term] * most / test.rows for test in tests) for term in names},
     )
 
 
@@ -159,7 +161,7 @@ def autocorrelation(structure: Structure, entries: np.ndarray) -> float:
         structure.factor, np.linalg.solve(structure.factor.T, structure.columns.T @ entries)
     )
     rows = sum(int(mask.sum()) for mask in structure.judge.keep)
-    left = left[: 3 * rows].reshape(rows, 3)
+    left = left[: 3 * rows].reshape(rows, 3)  # kinematic rows come last
     lags = min(_LAG_ROWS, rows // 4)
     plain = np.mean(left**2, axis=0) + 1e-300
     total = np.ones(3)
@@ -197,6 +199,7 @@ def _first_half(simulated: Sequence[Evidence]) -> list[np.ndarray]:
 class _Offer:
     """Directions, shape (R, P) over all rows of the simulation, that one term offers to explain with."""
 
+    term: str
     columns: np.ndarray
     located: str
 
@@ -209,7 +212,7 @@ def _offers(judge: Judge, candidates: Sequence[Candidate]) -> list[_Offer]:
         kind, variant = CATALOGUE[candidate.term], candidate.variant
         if candidate.located:
             whole = _everywhere(kind, variant)
-            offers.append(_Offer((judge.residual((whole,)) - base)[:, None], candidate.located))
+            offers.append(_Offer(candidate.term, (judge.residual((whole,)) - base)[:, None], candidate.located))
             continue
         neutral = {name: kind.neutral.get(name) for name in candidate.ranges}
         for start in candidate.starts:
@@ -220,7 +223,7 @@ def _offers(judge: Judge, candidates: Sequence[Candidate]) -> list[_Offer]:
                 - base
                 for name in sizes
             ]
-            offers.append(_Offer(np.stack(columns, axis=1), ""))
+            offers.append(_Offer(candidate.term, np.stack(columns, axis=1), ""))
     return offers
 
 
@@ -230,39 +233,61 @@ def _everywhere(kind: type[Term], variant: str) -> Term:
     return kind({"angle": 0.005}, "")
 
 
-def _judge_half(
-    simulated: Sequence[Evidence],
-    graded: Sequence[Evidence],
-    common: CommonPhysics,
-    teaching: Sequence[np.ndarray],
-    offers: Sequence[_Offer],
-    inflation: float,
-    reach: float,
-) -> SelfTest | None:
-    taught = [replace(one, weight=one.weight * mask) for one, mask in zip(simulated, teaching, strict=True)]
+@dataclass(frozen=True)
+class _Sides:
+    """A simulation as it is, to teach, and with reality's noise, to be judged."""
+
+    simulated: tuple[Evidence, ...]
+    graded: tuple[Evidence, ...]
+    positions: tuple[Kinematics | None, ...]
+    common: CommonPhysics
+    inflation: float
+    reach: float
+
+    def windows(self, teaching: Sequence[np.ndarray]) -> tuple[list[Kinematics], np.ndarray]:
+        """Return kinematic windows outside the teaching half, with its habits, and which of all they are."""
+        sides = [
+            None if one is None else mask[np.searchsorted(evidence.at, one.begin).clip(max=len(mask) - 1)]
+            for one, evidence, mask in zip(self.positions, self.graded, teaching, strict=True)
+        ]
+        pairs = [(one, side) for one, side in zip(self.positions, sides, strict=True) if one is not None]
+        habit = common_habit([one.select(side) for one, side in pairs])
+        judged = [replace(one.select(~side), habit=habit) for one, side in pairs]
+        return judged, np.concatenate([~side for _, side in pairs]) if pairs else np.zeros(0, dtype=bool)
+
+
+def _judge_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_Offer]) -> SelfTest | None:
+    graded, common = sides.graded, sides.common
+    taught = [replace(one, weight=one.weight * mask) for one, mask in zip(sides.simulated, teaching, strict=True)]
     if not any((one.weight > 0.0).any() for one in taught):
         return None
-    keep = [comparable(one, taught, common, reach) & ~mask for one, mask in zip(graded, teaching, strict=True)]
+    keep = [
+        comparable(one, taught, common, sides.reach) & ~mask for one, mask in zip(graded, teaching, strict=True)
+    ]
     rows = sum(int(mask.sum()) for mask in keep)
     if rows < _LEAST_ROWS:
         return None
-    judge = build_judge(graded, learn_common(taught, inflation), common, keep)
+    positions, windows = sides.windows(teaching)
+    judge = build_judge(graded, learn_common(taught, sides.inflation), common, keep, positions)
     entries = judge.whiten(judge.residual(()))
     structure = build_structure(judge, common)
-    fit = structure.fit(entries, inflation)
-    chosen = np.repeat(np.concatenate(keep), 3)
-    s = np.concatenate([np.repeat(one.series.s[one.at][mask], 3) for one, mask in zip(graded, keep, strict=True)])
+    fit = structure.fit(entries, sides.inflation)
+    chosen = np.concatenate([np.repeat(np.concatenate(keep), 3), windows])
+    # Kinematic rows have no place; nothing that has one moves them.
+    s = [np.repeat(one.series.s[one.at][mask], 3) for one, mask in zip(graded, keep, strict=True)]
+    s = np.concatenate([*s, np.zeros(int(windows.sum()))])
     lap = graded[0].series.lap_length
-    term = place = 0.0
+    terms = {offer.term: 0.0 for offer in offers}
     for offer in offers:
         columns = judge.whiten(offer.columns[chosen])
         if offer.located:
-            place = max(place, _best_place(columns[:, 0], entries, s, offer.located, lap))
+            saved = _best_place(columns[:, 0], entries, s, offer.located, lap)
         else:
-            term = max(term, _saving(columns, entries))
+            saved = _saving(columns, entries)
+        terms[offer.term] = max(terms[offer.term], saved)
     # What the simulation lacks of reality's noise would have added its share.
     quiet = max(0.0, 1.0 - (float(entries @ entries) - fit.saved) / max(len(entries) - fit.freedom, 1.0))
-    return SelfTest(rows, fit.saved / fit.freedom + quiet, fit.saved, term, place)
+    return SelfTest(rows, fit.saved / fit.freedom + quiet, fit.saved, terms)
 
 
 def _saving(columns: np.ndarray, entries: np.ndarray) -> float:

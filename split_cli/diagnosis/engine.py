@@ -130,7 +130,7 @@ def diagnose(
     known = SelfTest()
     if case.simulated:
         known = self_test(
-            case.simulated, case.real, case.common, candidates,
+            case.simulated, case.real, case.common, candidates, case.kinematics,
             inflation=settings.inflation, reach=settings.reach,
         )  # fmt: skip
     judge = known.allow(judge)

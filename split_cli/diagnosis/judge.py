@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -76,9 +76,11 @@ class Judge:
         M, diagonal in the directions of V, with (I - V M V^T)^2 = I - V V^T.
     kinematics : tuple of Kinematics
         Recordings against themselves; their rows come last in every stack, and nothing but sensors moves them.
-    nameless_floor, term_floor, place_floor : float
-        Cost that a flexible fit, a term, and a term with a place may save without a difference: what simulation
-        shows against itself, see `calibration`.
+    nameless_floor : float
+        Cost that a flexible fit may save without a difference: what simulation shows against itself, see
+        `calibration`.
+    term_floors : mapping of str to float
+        The same for terms.
     memo : dict
         What was computed before: shifts of the common physics, kinematic rows without a fault of the sensors.
     """
@@ -94,8 +96,7 @@ class Judge:
     root: np.ndarray
     kinematics: tuple[Kinematics, ...] = ()
     nameless_floor: float = 0.0
-    term_floor: float = 0.0
-    place_floor: float = 0.0
+    term_floors: Mapping[str, float] = field(default_factory=dict)
     memo: dict = field(default_factory=dict, repr=False, compare=False)
 
     def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:

@@ -8,7 +8,7 @@ does.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from split_cli.diagnosis.series import Series
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Kinematics", "build_kinematics", "habits"]
+__all__ = ["Kinematics", "build_kinematics", "common_habit", "habits"]
 
 _WINDOW_SECONDS = 0.5
 _EDGE_SECONDS = 0.1
@@ -69,6 +69,10 @@ class Kinematics:
         _, velocity = self.series.corrected(())
         return np.stack([self._integral(velocity[:, 2]), self._integral(velocity[:, 0])], axis=1)
 
+    def select(self, windows: np.ndarray) -> Kinematics:
+        """Return these windows alone."""
+        return replace(self, begin=self.begin[windows], end=self.end[windows], across=self.across[windows])
+
     def _integral(self, rate: np.ndarray) -> np.ndarray:
         total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))]) * self.series.period
         return total[self.end] - total[self.begin]
@@ -105,8 +109,12 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
 
 def habits(simulated: Sequence[Series]) -> np.ndarray:
     """Return what simulated recordings leave of displacements, by yaw angle [m] and distance [1], shape (2,)."""
-    several = [one for one in map(build_kinematics, simulated) if one is not None]
-    if not several:
+    return common_habit([one for one in map(build_kinematics, simulated) if one is not None])
+
+
+def common_habit(several: Sequence[Kinematics]) -> np.ndarray:
+    """Return what recordings leave of displacements, by yaw angle [m] and distance [1], shape (2,)."""
+    if not sum(len(one.begin) for one in several):
         return np.zeros(2)
     causes = np.concatenate([one.causes() / one.scale for one in several])
     left = np.concatenate([one.left(()) / one.scale for one in several])

@@ -231,7 +231,7 @@ def term_size(judge: Judge, fit: Fit, k: int) -> float:
 def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> float:
     """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
     candidate = fit.parts[k].candidate
-    floor = max(TERM_FLOOR * judge.shared_cost, judge.place_floor if candidate.located else judge.term_floor)
+    floor = max(TERM_FLOOR * judge.shared_cost, judge.term_floors.get(candidate.term, 0.0))
     size = term_size(judge, fit, k)
     return minimum_effect_p(saved, candidate.complexity, size, inflation, floor, term_allowance(judge))
 
