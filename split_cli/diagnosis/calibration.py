@@ -98,7 +98,7 @@ def self_test(
     Noise is not drawn: rows are whitened as noisy ones are, and what noise of unit variance adds to a saving, one
     for each parameter, is added.
     """
-    noise = np.median([one.series.noise for one in real], axis=0)
+    noise = np.median([one.series.told_noise for one in real], axis=0)
     disturbance = np.max([one.disturbance for one in real], axis=0)
     graded = [_graded(one, noise, disturbance, common) for one in simulated]
     scale = max((one.scale for one in kinematics), default=np.inf)
@@ -176,7 +176,7 @@ def _graded(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common: C
     whitener = build_whitener(
         one.jacobian,
         series.period,
-        series.noise,
+        series.told_noise,
         np.maximum(one.disturbance, disturbance),
         series.transitions_begin(),
         one.whitener.group,

@@ -22,7 +22,7 @@ from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, habits
 from split_cli.diagnosis.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.place import places_of
 from split_cli.diagnosis.result import Diagnosis, Finding, InputFile, RemainderTest, RivalSummary
-from split_cli.diagnosis.screening import judgeable, unfit
+from split_cli.diagnosis.screening import clean_drives, idle, judgeable, tellable, unfit
 from split_cli.diagnosis.selection import Rival, Rules, Selection, nothing, select_terms, term_size
 from split_cli.diagnosis.sentences import sentence_for, separations, summarise
 from split_cli.diagnosis.separation import exact_mimics
@@ -102,9 +102,10 @@ def diagnose(
     """
     settings = settings or Settings()
     described = {**asdict(settings), **{f"selection_{k}": v for k, v in asdict(Rules()).items()}}
-    drives = [*real, *simulated, *holdout]
+    drives, notes = clean_drives([*real, *simulated, *holdout])
     roles = ["real"] * len(real) + ["sim"] * len(simulated) + ["holdout"] * len(holdout)
     reasons = [reason for drive in drives for reason in unfit(drive, vehicle)]
+    reasons = [*reasons, *notes] if reasons else idle(drives[: len(real)], vehicle)
     if reasons:
         return _undecided(reasons, 0.0, inputs, described)
     progress("smoothing")
@@ -117,7 +118,7 @@ def diagnose(
     case = _gather(vehicle, series, settings)
     kept = sum(int(mask.sum()) for mask in case.keep)
     share = kept / max(sum(len(one.at) for one in case.real), 1)
-    not_judged = judgeable(case.real, vehicle)
+    not_judged = (*notes, *judgeable(case.real, vehicle, share))
     if kept < settings.least_rows:
         reasons = [
             f"Only {share:.0%} of the real drive ({kept} rows of 0.04 s) lies where the simulation has been; "
@@ -125,7 +126,9 @@ def diagnose(
         ]
         return _undecided(reasons, share, inputs, described)
     progress("comparing")
-    candidates = build_candidates(vehicle, case.real[0].series)
+    candidates = tellable(
+        build_candidates(vehicle, case.real[0].series), [one.series for one in case.real], vehicle
+    )
     judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
     known = SelfTest()
     if case.simulated:

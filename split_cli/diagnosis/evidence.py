@@ -105,13 +105,13 @@ def gather_evidence(
     begins = series.transitions_begin()
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
     for _ in range(2):
-        whitener = build_whitener(jacobian, series.period, series.noise, disturbance, begins, group)
+        whitener = build_whitener(jacobian, series.period, series.told_noise, disturbance, begins, group)
         u, phi = whitener(plain), whitener(columns)
         w = ridge(phi.reshape(-1, phi.shape[2]), u.reshape(-1))
         disturbance = _likely_disturbance(series, jacobian, plain - columns @ w, begins, disturbance)
         if least_disturbance is not None:
             disturbance = np.maximum(disturbance, least_disturbance)
-    whitener = build_whitener(jacobian, series.period, series.noise, disturbance, begins, group)
+    whitener = build_whitener(jacobian, series.period, series.told_noise, disturbance, begins, group)
     u, phi = whitener(plain), whitener(columns)
     left = u - phi @ ridge(phi.reshape(-1, phi.shape[2]), u.reshape(-1))
     return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, _robust_weight(left))
@@ -153,7 +153,9 @@ def _likely_disturbance(series, jacobian, defect, begins, start) -> np.ndarray:
     found = np.log10(np.asarray(start, dtype=float))
 
     def cost(logs: np.ndarray) -> float:
-        whitener = build_whitener(jacobian[: n + 1], series.period, series.noise, 10.0**logs, begins[:n], every)
+        whitener = build_whitener(
+            jacobian[: n + 1], series.period, series.told_noise, 10.0**logs, begins[:n], every
+        )
         return whitener.cost(clipped)
 
     for width in (2.0, 1.0, 0.5, 0.25):

@@ -19,6 +19,7 @@ __all__ = ["Series", "build_series", "extended_model"]
 _WINDOWS_SECONDS = (0.05, 0.08, 0.12, 0.18, 0.26, 0.36)
 # A window counts as too long when what it takes away exceeds the noise by more than this.
 _SLACK = 1.04
+_WORTHLESS = 1e4
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,12 @@ class Series:
     def period(self) -> float:
         """Sample period [s]."""
         return self.recording.period
+
+    @property
+    def told_noise(self) -> np.ndarray:
+        """Noise of v_x, v_y, r, shape (3,); v_x tells nothing where torque was derived from it."""
+        derived = self.drive.metadata.kinds.get("T", "").startswith("derived")
+        return self.noise * np.array([_WORTHLESS if derived else 1.0, 1.0, 1.0])
 
     def corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
         """Return measured and smooth velocities with the sensors' faults among `terms` taken off."""

@@ -141,7 +141,7 @@ def severity(series: Series, defect: np.ndarray) -> float:
     window = max(1, int(round(_HORIZON / series.period)))
     total = np.cumsum(np.concatenate([np.zeros((1, 3)), defect]), axis=0)
     over = total[window:] - total[:-window]
-    return float(np.max(np.sqrt(np.mean(over**2, axis=0)) / (np.sqrt(2.0) * series.noise)))
+    return float(np.max(np.sqrt(np.mean(over**2, axis=0)) / (np.sqrt(2.0) * series.told_noise)))
 
 
 def severity_of(evidence: Evidence, terms: tuple[Term, ...], without: tuple[Term, ...] = ()) -> float:
