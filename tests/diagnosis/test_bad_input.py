@@ -101,9 +101,10 @@ def test_recordings_that_hardly_overlap_are_not_judged(real):
 
 def formula_car() -> Vehicle:
     return road_car(
-        name="other", mass=280.0, yaw_inertia=120.0, cg_to_front_axle=0.75, cg_to_rear_axle=0.78, wheel_radius=0.23,
-        front_tire=MagicFormula(12.0, 1.5, 2200.0), rear_tire=MagicFormula(12.0, 1.5, 2200.0),
-        rolling_resistance_front=20.0, rolling_resistance_rear=20.0, max_torque=900.0, max_brake_torque=1200.0,
+        name="other", mass=280.0, yaw_inertia=120.0, cg_to_front_axle=0.75, cg_to_rear_axle=0.78,
+        wheel_radius=0.23, front_tire=MagicFormula(12.0, 1.5, 2200.0),
+        rear_tire=MagicFormula(12.0, 1.5, 2200.0), rolling_resistance_front=20.0, rolling_resistance_rear=20.0,
+        max_torque=900.0, max_brake_torque=1200.0,
     )  # fmt: skip
 
 
@@ -151,8 +152,8 @@ def cruising(seed: int) -> Drive:
     car = road_car()
     force = car.rolling_resistance_front + car.rolling_resistance_rear + car.drag_coefficient * 400.0
     columns = {
-        "t": 0.02 * np.arange(4000), "X": 0.4 * np.arange(4000), "Y": zero, "yaw": zero, "vx": zero + 20.0, "vy": zero,
-        "r": zero, "T": zero + force * car.wheel_radius, "delta": 1e-4 * rng.standard_normal(4000),
+        "t": 0.02 * np.arange(4000), "X": 0.4 * np.arange(4000), "Y": zero, "yaw": zero, "vx": zero + 20.0,
+        "vy": zero, "r": zero, "T": zero + force * car.wheel_radius, "delta": 1e-4 * rng.standard_normal(4000),
     }  # fmt: skip
     return noisy(Drive(f"cruise{seed}.parquet", columns, np.zeros(4000, dtype=np.int32), 0.02), seed)
 
@@ -195,7 +196,7 @@ def test_straight_running_without_noise_is_no_dropout():
 
 def test_samples_without_a_number_are_left_out_and_counted(real, simulated):
     values = real["vy"].copy()
-    values[500:540] = np.nan
+    values[600:640] = np.nan
     values[2200] = np.inf
     broken = altered(real, vy=values)
     drive, notes = cleaned(broken)
