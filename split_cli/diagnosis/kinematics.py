@@ -1,8 +1,8 @@
 """A recording against itself: position and yaw know the true lateral velocity, whatever the tyres do.
 
-Over windows of half a second the displacement across the car, from X, Y and yaw, is compared with the integral of the
-recorded velocities. A velocity sensor that is turned or displaced contradicts its own position; no missing physics
-does.
+Over windows of half a second the displacement across the car, from X, Y and yaw, is compared with the integral of
+the recorded velocities. A velocity sensor that is turned or displaced contradicts its own position; no missing
+physics does.
 """
 
 from __future__ import annotations

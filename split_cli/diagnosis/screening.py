@@ -63,8 +63,8 @@ def cleaned(drive: Drive) -> tuple[Drive, tuple[str, ...]]:
     if jumps.any():
         first = int(np.flatnonzero(jumps)[0])
         notes.append(
-            f"{drive.name}: what lies across {int(jumps.sum())} jumps of the clock, the first by {step[first]:.3g} s "
-            f"at t = {drive['t'][first]:.2f} s"
+            f"{drive.name}: what lies across {int(jumps.sum())} jumps of the clock, the first by "
+            f"{step[first]:.3g} s at t = {drive['t'][first]:.2f} s"
         )
         breaks = np.concatenate([[False], jumps | (np.diff(drive.segment) != 0)])
         drive = replace(drive, segment=np.cumsum(breaks).astype(np.int32))
@@ -74,8 +74,8 @@ def cleaned(drive: Drive) -> tuple[Drive, tuple[str, ...]]:
         if rows.any() and np.ptp(drive[name]) > 0.0:
             where = drive["t"][int(np.argmax(rows))]
             notes.append(
-                f"{drive.name}: {rows.sum() * drive.period:.1f} s in which {name} stands still while the car turns, "
-                f"from t = {where:.2f} s"
+                f"{drive.name}: {rows.sum() * drive.period:.1f} s in which {name} stands still while the car "
+                f"turns, from t = {where:.2f} s"
             )
     moving = ~np.any([rows for name, rows in stuck.items() if np.ptp(drive[name]) > 0.0] or [[False]], axis=0)
     if not moving.all():
@@ -108,8 +108,8 @@ def unfit(drive: Drive, vehicle: Vehicle) -> list[str]:
         frozen.append("T")
     if frozen:
         return [
-            f"{drive.name}: {', '.join(frozen)} never changes while the car moves; a recorded signal does. Look at "
-            "the map of signals it was ingested with."
+            f"{drive.name}: {', '.join(frozen)} never changes while the car moves; a recorded signal does. Look "
+            "at the map of signals it was ingested with."
         ]
     fast = np.mean(drive["vx"] >= 0.6 * vehicle.minimum_speed)
     if fast < 0.2:
@@ -291,8 +291,9 @@ def _of_another_car(drive: Drive, vehicle: Vehicle) -> list[str]:
         ratio = _ratio(v["T"][sound], (vehicle.mass * vehicle.wheel_radius * along)[sound], v["vx"][sound] ** 2)
     if ratio is not None and not _TORQUE_RATIO[0] < ratio < _TORQUE_RATIO[1]:
         reasons.append(
-            f"{drive.name} does not fit this vehicle file: torque accelerates it {ratio:.2g} times as much as a mass "
-            f"of {vehicle.mass:.4g} kg on wheels of {vehicle.wheel_radius:.3g} m would. Is it a recording of this car?"
+            f"{drive.name} does not fit this vehicle file: torque accelerates it {ratio:.2g} times as much as a "
+            f"mass of {vehicle.mass:.4g} kg on wheels of {vehicle.wheel_radius:.3g} m would. Is it a recording of "
+            "this car?"
         )
     return reasons
 
