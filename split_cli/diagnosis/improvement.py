@@ -36,6 +36,8 @@ __all__ = ["LabelErrors", "improvable_removed", "label_errors", "measure_improve
 
 _BOOTSTRAPS = 400
 _BLOCK_SECONDS = 2.0
+_WANTED_BLOCKS = 10
+_SHORTEST_BLOCK = 0.5
 _FEWEST_TO_LEARN = 100
 _MOSTLY = 0.9  # of the draws must leave something to improve, else a share has no interval
 
@@ -161,7 +163,7 @@ def measure_improvement(
             "persistence": [part.persistence for part in parts],
         }.items()
     }
-    block = np.concatenate([_blocks(part.labels.t[part.held], k) for k, part in enumerate(parts)])
+    block = _blocks([part.labels.t[part.held] for part in parts])
     floor = np.concatenate([part.floor[part.held] for part in parts])
     rms = {name: tuple(np.sqrt(np.mean(e**2, axis=0)).tolist()) for name, e in errors.items()}
     intervals, removed = _bootstrap({name: e**2 for name, e in errors.items()}, floor, block)
@@ -222,8 +224,11 @@ def _without(part: LabelErrors, error: np.ndarray, split) -> np.ndarray:
     return left
 
 
-def _blocks(t: np.ndarray, number: int, seconds: float = _BLOCK_SECONDS) -> np.ndarray:
-    return 1_000_000 * number + (t // seconds).astype(np.int64)
+def _blocks(times: Sequence[np.ndarray], longest: float = _BLOCK_SECONDS) -> np.ndarray:
+    """Number the blocks of time of all recordings; shorter ones where too few would be left to draw from."""
+    seconds = sum(float(np.ptp(t)) for t in times if len(t)) / _WANTED_BLOCKS
+    length = float(np.clip(seconds, _SHORTEST_BLOCK, longest))
+    return np.concatenate([1_000_000 * k + (t // length).astype(np.int64) for k, t in enumerate(times)])
 
 
 def _bootstrap(squared: Mapping[str, np.ndarray], floor: np.ndarray, block: np.ndarray):
@@ -268,9 +273,7 @@ def _pooled(recordings: Sequence[RolloutErrors]) -> tuple[HorizonErrors, ...]:
             break
         squared = {name: np.concatenate([one.squared[name][:, k] for one in having]) for name in having[0].squared}
         floor = np.concatenate([one.floor[:, k] for one in having])
-        block = np.concatenate([
-            _blocks(one.t, number, max(_BLOCK_SECONDS, horizon)) for number, one in enumerate(having)
-        ])  # fmt: skip
+        block = _blocks([one.t for one in having], max(_BLOCK_SECONDS, horizon))
         intervals, _ = _bootstrap(squared, floor, block)
         rms = {name: tuple(np.sqrt(values.mean(axis=0)).tolist()) for name, values in squared.items()}
         out.append(

@@ -12,6 +12,7 @@ __all__ = ["Separation", "exact_mimics", "separation"]
 
 _STEERING = frozenset({"steer_offset", "steer_gain", "steer_delay", "steer_lag", "steer_backlash"})
 _TORQUE = frozenset({"drive_gain", "drive_delay", "drive_lag", "aero_drag", "rolling_resistance", "mass"})
+_PLACES = frozenset({"friction_patch", "road_grade", "road_bank"})
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,11 @@ def _by_kind(term: str, others: Sequence[str]) -> str:
         return "position and yaw recorded beside the velocities"
     if differ(lambda kind: kind.id == "grip_fade"):
         return "the same manoeuvre at the start and at the end of a drive"
-    if differ(lambda kind: kind.id in ("friction_patch", "road_grade", "road_bank")):
+    if all(_remembers(kind) for kind in kinds):
+        return "steps of steering and of torque, each at two speeds"
+    if all(kind.id in _PLACES for kind in kinds):
+        return "gentle and hard turns on the same stretch, with and without torque"
+    if differ(lambda kind: kind.id in _PLACES):
         return "the same place at another speed and in the other direction"
     if differ(lambda kind: kind.id == "wind"):
         return "the same manoeuvre in the opposite direction"

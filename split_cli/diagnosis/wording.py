@@ -98,8 +98,11 @@ def amount(
 
 
 def term_name(term: str) -> str:
-    """Return a term in words: ``cg_shift+steer_gain`` is "CG shift with steer gain"."""
-    return " with ".join(part.replace("_", " ").replace("cg ", "CG ") for part in term.split("+"))
+    """Return a term in words: ``cg_shift+steer_gain`` is "CG shift and steer gain together"."""
+    parts = [part.replace("_", " ").replace("cg ", "CG ") for part in term.split("+")]
+    if len(parts) == 1:
+        return parts[0]
+    return f"{', '.join(parts[:-1])} and {parts[-1]} together"
 
 
 def term_with_id(term: str) -> str:

@@ -95,7 +95,8 @@ def test_every_term_reads_right_for_either_sign(term, variant, size):
         (percent(0.996), "over 99 %"),
         (percent(0.004), "less than 1 %"),
         (percent(1.0), "100 %"),
-        (term_name("cg_shift+steer_gain"), "CG shift with steer gain"),
+        (term_name("cg_shift+steer_gain"), "CG shift and steer gain together"),
+        (term_name("mass+steer_gain+wind"), "mass, steer gain and wind together"),
     ],
 )
 def test_amounts(said, expected):
@@ -130,6 +131,7 @@ def test_any_alternative_comes_with_what_would_tell(term, variant):
 def test_declared_hints_come_before_those_of_the_kind():
     assert "torque step" in separation("steer_delay", "", "sensor_delay").hint
     assert separation("sensor_delay", "", "steer_delay").hint == separation("steer_delay", "", "sensor_delay").hint
+    assert separation("steer_lag", "", "sensor_delay").hint == "a torque step"
     # Declared by the other alone.
     assert "position and yaw" in separation("cg_shift", "", "sensor_lever_arm").hint
     assert separation("mass", "", exact_mimics("mass", "")[0]).exact
@@ -149,7 +151,7 @@ def test_a_sentence_names_alternatives_in_words_with_the_id_once():
     for name in ("steer lag (steer_lag)", "sensor delay (sensor_delay)"):
         assert sentence.count(name) == 1
     exact = sentence_for("mass", "", {"scale": estimate(1.1, 0.01)}, exact_mimics("mass", ""))
-    assert "No drive can tell it from friction scale with drive gain" in exact and "only F/m" in exact
+    assert "No drive can tell it from friction scale, drive gain, " in exact and "only F/m" in exact
 
 
 def improvement() -> Improvement:

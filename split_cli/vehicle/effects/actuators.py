@@ -27,7 +27,10 @@ class DriveDelay(Term):
     units: ClassVar = {"delay": "s"}
     neutral: ClassVar = {"delay": 0.0}
     order = 0
-    mimics: ClassVar = (Mimic("drive_lag", "torque that changes slowly", "a torque step"),)
+    mimics: ClassVar = (
+        Mimic("drive_lag", "torque that changes slowly", "a torque step"),
+        Mimic("sensor_delay", "steering that hardly changes", "a steer step"),
+    )
 
     @property
     def input_delays(self) -> Mapping[str, float]:
@@ -66,7 +69,10 @@ class DriveLag(Term):
     order = 3
     states = ("torque",)
     state_units: ClassVar = {"torque": "N m"}
-    mimics: ClassVar = (Mimic("drive_delay", "torque that changes slowly", "a torque step"),)
+    mimics: ClassVar = (
+        Mimic("drive_delay", "torque that changes slowly", "a torque step"),
+        Mimic("sensor_delay", "steering that hardly changes", "a steer step"),
+    )
 
     def fastest_rate(self, speed: float) -> float:
         """1/tau."""
@@ -153,6 +159,7 @@ class SteerLag(Term):
     state_units: ClassVar = {"angle": "rad"}
     mimics: ClassVar = (
         Mimic("steer_delay", "steering below about 1 Hz", "a steer step, or fast slalom"),
+        Mimic("sensor_delay", "torque that hardly changes, steering below about 1 Hz", "a torque step"),
         Mimic("tire_relaxation", "one speed", "the same manoeuvre at two speeds"),
     )
 
