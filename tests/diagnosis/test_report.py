@@ -6,8 +6,12 @@ import base64
 import hashlib
 import json
 import math
+import os
+import pty
 import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -32,7 +36,6 @@ from split_cli.logs.drive import write_drive
 from split_cli.proof.cases import build_case
 from split_cli.proof.plan import plan_case
 from split_cli.vehicle.parameters import write_vehicle
-from split_cli.workflows.diagnose import diagnose_files
 from split_cli.workflows.report.page import report_page
 from split_cli.workflows.report.payload import chart_numbers, embedded_json
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, readable
@@ -348,6 +351,29 @@ class TestInABrowser:
         gap, left = (float(v) for v in re.findall(r"(?:gap|physics): ([\d.]+) N", told))
         assert 85.0 < gap < 115.0 and 0.0 < left < 25.0
 
+    def test_rollouts_say_every_stage_and_the_floor(self, browser, tmp_path):
+        from selenium.webdriver import ActionChains
+
+        opened(browser, report_page(mismatch()), tmp_path)
+        charts = browser.find_elements("css selector", "#rollouts svg[role=img]")
+        assert len(charts) == 3
+        assert "before 0.400" in charts[1].get_attribute("aria-label")
+        browser.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", charts[1])
+        ActionChains(browser).move_to_element_with_offset(charts[1], 100, 0).perform()
+        told = browser.find_elements("css selector", "#rollouts .tip")[1].text
+        for line in (
+            "2.00 s ahead",
+            "with the named physics: 0.200 m/s (0.160 to 0.240)",
+            "noise floor: 0.160 m/s",
+        ):
+            assert line in told
+        # Without a named term there is no stage to show for it.
+        nameless = replace(mismatch(), findings=())
+        opened(browser, report_page(nameless), tmp_path)
+        label = browser.find_elements("css selector", "#rollouts svg[role=img]")[1].get_attribute("aria-label")
+        assert "SPLIT only 0.280" in label and "named physics" not in label
+        assert "With the named physics" not in one(browser, "#help").text
+
     @pytest.mark.parametrize(
         "diagnosis", [mismatch("x" * 180), MATCH, UNDECIDED], ids=["mismatch", "match", "undecided"]
     )
@@ -372,17 +398,41 @@ class TestInABrowser:
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory) -> Path:
-    """Return what `split diagnose` wrote about a car whose torque arrives by a fifth too small."""
+def run(tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess, str]:
+    """Run `split diagnose` on a car whose torque arrives by a fifth too small, with a terminal for its stderr."""
     folder = tmp_path_factory.mktemp("diagnosed")
     case = build_case(plan_case(seed=77, number=0))
     write_drive(case.real, folder / "real.parquet")
     write_drive(case.sim, folder / "sim.parquet")
     write_vehicle(case.vehicle, folder / "car.yaml")
-    diagnose_files(
-        [folder / "real.parquet"], folder / "car.yaml", folder / "out", simulated=[folder / "sim.parquet"]
+    ours, theirs = pty.openpty()
+    words = [
+        "diagnose", "--real", "real.parquet", "--sim", "sim.parquet", "--vehicle", "car.yaml", "--out", "out",
+        "--json", "--exit-code",
+    ]  # fmt: skip
+    finished = subprocess.run(
+        [sys.executable, "-m", "split_cli", *words], cwd=folder, stdout=subprocess.PIPE, stderr=theirs, timeout=300
     )
-    return folder / "out"
+    os.close(theirs)
+    shown = os.read(ours, 100_000).decode()
+    os.close(ours)
+    return folder / "out", finished, shown
+
+
+@pytest.fixture(scope="module")
+def written(run) -> Path:
+    return run[0]
+
+
+def test_the_command_prints_the_file_and_tells_a_mismatch_by_its_code(run):
+    out, finished, shown = run
+    assert finished.returncode == 3
+    assert finished.stdout == (out / "diagnosis.json").read_bytes()
+    # Progress on a terminal: the time and a step on every line, in order.
+    told = [re.fullmatch(r" *([\d.]+) s  (\w[\w ]*)", line) for line in shown.splitlines()]
+    assert all(told) and len(told) >= 5
+    times = [float(match.group(1)) for match in told]
+    assert times == sorted(times) and told[-1].group(2) == "writing"
 
 
 def test_a_diagnosis_leaves_a_report_that_says_what_its_json_says(written):
