@@ -28,7 +28,7 @@ from split_cli.export.tables import build_tables
 from split_cli.export.targets import acados_source
 from split_cli.export.verify import verify_folder
 from split_cli.files import sha256_of_file
-from split_cli.learning.training_set import read_set
+from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import Drive, write_drive
 from split_cli.prediction.bcm import BcmPredictor
 from split_cli.scoring.application import inputs_along
@@ -37,6 +37,7 @@ from split_cli.vehicle.effects import CATALOGUE, Recording, build_terms
 from split_cli.vehicle.integration import integrate_recorded, integrate_with_memory, recorded_inputs
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.workflows.export import export_set
 from tests.export.effect_cases import (
     CASES,
     REMEMBERING,
@@ -306,7 +307,7 @@ def test_verification_covers_memory_residual_and_linearisation(compiler, tmp_pat
 MUTATIONS = {
     "the line does not move": ("x_next[i] = k == 0 && LATE_T > 0 ? x[6] : (k == LATE_T ? x[7] : x[i - 1]);",
                                "x_next[i] = k == 0 && LATE_T > 0 ? x[6] : (k == LATE_T ? x[7] : x[i]);"),
-    "shares the other way round": ("sum += share[1 + k] * line[k];", "sum += share[1 + k] * line[past - 1 - k];"),
+    "shares the other way round": ("sum += share[1 + k] * line[k];", "sum += share[1 + k] * line[count - 1 - k];"),
     "a play that is let go": ("f[play[k]] = rates[k];", "f[play[k]] += ZERO * rates[k];"),
     "memory that starts at rest": ("nominal_start(in, out);\n", "nominal_start(in, out);\n    x[9] = ZERO;\n"),
     "the residual sees late torque": ("w[STATES] = command[0];", "w[STATES] = state[6] + ZERO * command[0];"),
@@ -349,6 +350,16 @@ def test_a_memory_that_no_step_can_keep_is_refused(effects, message):
     training_set = silent_set()
     with pytest.raises(ExportError, match=message):
         build_nominal(SingleTrack(road_car(effects=tuple(effects))), training_set.features, STEP)
+
+
+def test_the_controllers_interval_decides_how_many_past_commands_there_are(tmp_path):
+    write_set(silent_set((effect("steer_delay"),)), tmp_path / "car.split")
+    for step, past in ((0.02, 4), (0.08, 1), (0.1, 1), (None, 2)):
+        export_set(tmp_path / "car.split", tmp_path / "out", ["npz"], queries=100, step=step)
+        memory = json.loads((tmp_path / "out" / "manifest.json").read_text())["memory"]
+        assert (memory["step"], len(memory["states"])) == (step or 0.05, past)
+    with pytest.raises(ExportError, match="step of"):
+        export_set(tmp_path / "car.split", tmp_path / "out", ["npz"], queries=100, step=-0.02)
 
 
 def test_numbers_tell_of_the_memory_and_fit_their_schema(tmp_path):
@@ -497,7 +508,7 @@ def test_a_corrected_vehicle_goes_from_training_to_the_controller(corrected, com
     starts = 501 * np.arange(0, 10, 2) + 100
     expected = roll_out(model, drive, starts, 15, WINDOW, correction)
     assert np.abs(expected - roll_out(model, drive, starts, 15, WINDOW)).max() > 0.01
-    flags = [*STRICT_FLAGS, "-O1", "-shared", "-fPIC"]
+    flags = [*STRICT_FLAGS, "-O0", "-shared", "-fPIC"]
     compiler.build([folder / "out" / "car.c"], tmp_path / "car.so", flags)
     graph = build_nominal(model, training_set.features)
     car = Exported(model, graph, training_set, "car", ctypes.CDLL(str(tmp_path / "car.so")))
