@@ -111,8 +111,13 @@ def locate(
             low, high, of_gap, of_samples = _interval(values[name], size)
             if of_samples < _EVERYWHERE and of_gap > of_samples:
                 region[name] = (low, high)
-    place, s_share = _place(evidence, values["s"], size)
-    when, t_share = _local(_interval(values["t"], size))
+    # What follows from how the car is driven is everywhere it is driven so, and tied to no place or time.
+    driven = max(score for name, score in ranked if name not in ("t", "s"))
+    place = s_share = when = t_share = None
+    if scores["s"] > driven + _CLEARLY_MORE:
+        place, s_share = _place(evidence, values["s"], size)
+    if scores["t"] > driven + _CLEARLY_MORE:
+        when, t_share = _local(_interval(values["t"], size))
     if s_share and t_share and s_share[0] - s_share[1] > t_share[0] - t_share[1] + _CLEARLY_MORE:
         when = None  # one of several passes of the place
     share = s_share or t_share or (1.0, 1.0)

@@ -84,7 +84,7 @@ def summarise(
     for finding in findings:
         statement = statement_for(finding.term, finding.variant, finding.parameters, vehicle)
         others = " or ".join(term_with_id(one) for one in finding.alternatives)
-        parts.append(f"{statement} (or {others}, which this data does not tell)." if others else f"{statement}.")
+        parts.append(f"{statement}." + (f" This data may as well be explained by {others}." if others else ""))
     lacking = sum(finding.exported for finding in findings)
     parts.append({0: "", 1: "The simulation does not have it.", 2: "The simulation has neither."}.get(lacking, ""))
     if location is not None:
@@ -284,7 +284,7 @@ _STATEMENTS: dict[str, Callable[[Parameters, str], str]] = {
     "yaw_inertia": _scaled("the yaw inertia is", "scale", "larger", "smaller"),
     "sensor_delay": _late("against the commands every measured channel is", "delay", "late"),
     "sensor_lever_arm": lambda p, v: (
-        f"the velocity sensor sits {amount(p['dx'], more='further forward', less='further back')} than said"
+        f"the velocity sensor sits {amount(p['dx'], more='further forward', less='further back')} than stated"
     ),
     "sensor_misalignment": lambda p, v: (
         f"the velocity sensor is turned {amount(p['angle'], more='counter-clockwise', less='clockwise')}"

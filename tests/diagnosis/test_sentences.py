@@ -173,7 +173,7 @@ def test_the_summary_says_what_where_and_whether_it_helps():
     said = summarise("mismatch", (finding,), False, location, None, (), improvement())
     for part in (
         "between s = 310 and 420 m grip is 22.0 % lower",
-        "(or grip fade (grip_fade), which this data does not tell)",
+        "This data may as well be explained by grip fade (grip_fade).",
         "mostly in front lateral force (80 % of it) and goes with track position, which alone explains 91 %",
         "87 % of it lies between s = 311 and 421 m, in 9 % of the samples",
         "removes 97 % of a step's squared error beyond sensor noise (95 %: 87 to 100 %)",
