@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from split_cli.diagnosis.candidates import Candidate, build_candidates
 from split_cli.diagnosis.common import build_common_physics
 from split_cli.diagnosis.evidence import Evidence, gather_evidence
-from split_cli.diagnosis.series import build_series
+from split_cli.diagnosis.judge import Judge, build_judge
+from split_cli.diagnosis.kinematics import Kinematics
+from split_cli.diagnosis.series import Series, build_series
+from split_cli.diagnosis.whitening import build_whitener
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import Term
+from split_cli.vehicle.integration import integrate_recorded
+from split_cli.vehicle.single_track import SingleTrack
 from tests.factories import make_drive, road_car
 
 #: Standard deviation of a sample of v_x, v_y [m/s] and r [rad/s].
 SIGMA = np.array([0.02, 0.02, 0.004])
+#: Length of the lap that runs start anywhere on [m], and time from the start of one to that of the next [s].
+LAP, STAMP = 400.0, 6.0
 
 
 def recorded(seed: int, terms: Sequence[Term] = (), *, segments: int = 20, seconds: float = 4.0) -> Evidence:
@@ -30,3 +39,110 @@ def recorded(seed: int, terms: Sequence[Term] = (), *, segments: int = 20, secon
     s = np.concatenate([[0.0], np.cumsum(0.01 * drive["vx"][1:])])
     series = build_series(drive, "real", s)
     return gather_evidence(car, series, build_common_physics(car, series))
+
+
+def first_order(inputs: np.ndarray, tau: float, step: float) -> np.ndarray:
+    """Return inputs (runs, K) behind a lag, steady at the start, to second order in the step."""
+    kept, out = np.exp(-step / tau), inputs.copy()
+    for k in range(inputs.shape[1] - 1):
+        out[:, k + 1] = kept * out[:, k] + (1.0 - kept) * 0.5 * (inputs[:, k] + inputs[:, k + 1])
+    return out
+
+
+def late(inputs: np.ndarray, delay: float, step: float) -> np.ndarray:
+    """Return inputs (runs, K) as they were `delay` before, the first value held."""
+    t = step * np.arange(inputs.shape[1])
+    return np.stack([np.interp(t - delay, t, row) for row in inputs])
+
+
+def driven(
+    seed: int,
+    terms: Sequence[Term] = (),
+    *,
+    runs: int = 16,
+    seconds: float = 5.0,
+    steer: Callable[[np.ndarray, float], np.ndarray] = lambda inputs, step: inputs,
+    torque: Callable[[np.ndarray, float], np.ndarray] = lambda inputs, step: inputs,
+    name: str = "driven.parquet",
+) -> Drive:
+    """Return a noise-free drive of the nominal car with `terms`, with position, yaw and place, at 100 Hz.
+
+    Runs start anywhere on a lap of `LAP` metres; `steer` and `torque` say what becomes of commands (runs, K) on
+    the clock of the integration, 2.5 ms, apart from the engine's own solution of lags and delays.
+    """
+    model, rng, step = SingleTrack(road_car(), tuple(terms)), np.random.default_rng(seed), 2.5e-3
+    knots = round(seconds / 0.2) + 1
+    speed = rng.uniform(10.0, 26.0, runs)
+    angle = rng.normal(0.0, 1.0, (runs, knots)) * np.minimum(0.06, 14.0 / speed**2)[:, None]
+    moment = rng.uniform(-0.5, 0.6, (runs, knots)) * road_car().max_torque
+    fine = np.linspace(0.0, knots - 1.0, round(seconds / step) + 1)
+    commands = [np.array([np.interp(fine, np.arange(knots), row) for row in each]) for each in (moment, angle)]
+    arrived = torque(commands[0], step), steer(commands[1], step)
+    place = rng.uniform(0.0, LAP, runs)
+    zero = np.zeros(runs)
+    state = np.stack([zero, zero, rng.uniform(-3.0, 3.0, runs), speed, zero, zero], axis=1)
+    states, places = [state], [place]
+    for k in range(0, len(fine) - 1, 4):
+        window = slice(k, k + 5)
+        before = state
+        state = integrate_recorded(
+            model, state, arrived[0][:, window], arrived[1][:, window], step,
+            time=STAMP * np.arange(runs) + k * step, track_position=places[-1],
+        )  # fmt: skip
+        places.append(np.mod(places[-1] + 0.5 * 0.01 * (before[:, 3] + state[:, 3]), LAP))
+        states.append(state)
+    path = np.stack(states, axis=1)
+    number = np.repeat(np.arange(runs), path.shape[1])
+    columns = {
+        "t": np.tile(0.01 * np.arange(path.shape[1]), runs) + STAMP * number,
+        **{channel: path[:, :, i].ravel() for i, channel in enumerate(("X", "Y", "yaw", "vx", "vy", "r"))},
+        "T": commands[0][:, ::4].ravel(),
+        "delta": commands[1][:, ::4].ravel(),
+        "s": np.stack(places, axis=1).ravel(),
+    }
+    return Drive(name, columns, number.astype(np.int32), 0.01)
+
+
+def noisy(drive: Drive, seed: int, *, share: float = 1.0, position: float = 0.0) -> Drive:
+    """Return a drive with white sensor noise, `share` of `SIGMA`, and of `position` [m] in X and Y."""
+    rng = np.random.default_rng(seed)
+    levels = {**dict(zip(("vx", "vy", "r"), share * SIGMA, strict=True)), "X": position, "Y": position}
+    columns = {name: drive[name] + rng.normal(0.0, level, len(drive)) for name, level in levels.items()}
+    return replace(drive, columns={**drive.columns, **columns})
+
+
+def prepared(drive: Drive, role: str = "real") -> Series:
+    """Return the series of a drive made by `driven`; places are on its lap."""
+    return build_series(drive, role, drive["s"], lap_length=LAP, place_reference="position")
+
+
+def light_evidence(series: Series, disturbance: float = 1e-4) -> Evidence:
+    """Return evidence of a known disturbance, without the columns of common physics: for many replicates."""
+    car = road_car()
+    jacobian = SingleTrack(car).velocity_jacobian(*series.smooth.T, series.torque, series.steer_angle)
+    rows = 4
+    group, at = np.full(len(series) - 1, -1, dtype=np.int64), []
+    for begin, end in series.recording.segments:
+        count = (end - 1 - begin) // rows
+        group[begin : begin + rows * count] = len(at) + np.repeat(np.arange(count), rows)
+        at += list(begin + rows // 2 + rows * np.arange(count))
+    strength = disturbance * np.array([1.0, 1.0, car.mass / car.yaw_inertia])
+    whitener = build_whitener(jacobian, series.period, series.noise, strength, series.transitions_begin(), group)
+    evidence = Evidence(
+        car, series, jacobian, whitener, np.zeros((len(at), 3)), np.zeros((len(at), 3, 0)),
+        np.array(at, dtype=np.int64), strength, np.ones(len(at)),
+    )  # fmt: skip
+    return replace(evidence, plain=evidence.rows(()))
+
+
+def bare_judge(*evidence: Evidence, kinematics: Sequence[Kinematics] = ()) -> Judge:
+    """Return a judge on all rows, the nominal model being the simulation."""
+    keep = [np.ones(len(one.at), dtype=bool) for one in evidence]
+    common = build_common_physics(evidence[0].vehicle, evidence[0].series)
+    return build_judge(evidence, None, common, keep, kinematics)
+
+
+def candidates_of(judge: Judge, *names: str) -> list[Candidate]:
+    """Return the candidates of these terms in all their variants."""
+    every = build_candidates(judge.evidence[0].vehicle, judge.evidence[0].series)
+    return [one for one in every if one.term in names]

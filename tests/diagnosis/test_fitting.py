@@ -1,0 +1,207 @@
+"""Fits on drives of our own single track with a planted term, integrated apart from the engine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from split_cli.diagnosis.candidates import Candidate
+from split_cli.diagnosis.fitting import Fit, Part, fit_parts, linear_cost, raw_slopes, scan_places
+from split_cli.diagnosis.judge import Judge
+from split_cli.vehicle.effects import CATALOGUE
+from tests.diagnosis.recordings import (
+    LAP,
+    bare_judge,
+    candidates_of,
+    driven,
+    first_order,
+    late,
+    light_evidence,
+    noisy,
+    prepared,
+)
+
+
+def judge_of(drive, seed: int = 7) -> Judge:
+    return bare_judge(light_evidence(prepared(noisy(drive, seed))))
+
+
+def candidate(judge: Judge, term: str, variant: str = "") -> Candidate:
+    (one,) = (one for one in candidates_of(judge, term) if one.variant == variant)
+    return one
+
+
+def best_fit(judge: Judge, one: Candidate) -> Fit:
+    starts = one.starts or scan_places(judge, (), judge.residual(()), one)
+    return min((fit_parts(judge, [Part(one, dict(start))]) for start in starts), key=lambda fit: fit.cost)
+
+
+def standard_errors(fit: Fit) -> np.ndarray:
+    return np.sqrt(np.diag(np.linalg.inv(fit.sensitivity.T @ fit.sensitivity)))
+
+
+def check(fit: Fit, truth: dict[str, float], least_told: float = 20.0) -> None:
+    """Within three standard errors and a hundredth of the effect, which is known well enough to mean it."""
+    kind = CATALOGUE[fit.parts[0].candidate.term]
+    for (name, value), error in zip(fit.parts[0].values.items(), standard_errors(fit), strict=True):
+        size = abs(truth[name] - kind.neutral[name])
+        assert error < size / least_told, (name, value, error)
+        # States are smoothed and rates are held over a sample of 10 ms: a hundredth for both.
+        assert abs(value - truth[name]) < 3.0 * error + 0.01 * size, (name, value, error)
+
+
+class TestPlantedTerms:
+    def test_both_axles_stiffness(self):
+        truth = {"front_scale": 0.85, "rear_scale": 1.1}
+        judge = judge_of(driven(11, (CATALOGUE["tire_stiffness"](truth),)))
+        one = candidate(judge, "tire_stiffness")
+        fit = best_fit(judge, one)
+        check(fit, truth)
+        # From far away too, and no lower cost is found by a search that takes no derivatives.
+        far = fit_parts(judge, [Part(one, {"front_scale": 0.35, "rear_scale": 2.8})])
+        search = minimize(
+            lambda x: judge.cost((one.build(dict(zip(truth, x, strict=True))),)),
+            list(fit.parts[0].values.values()),
+            method="Nelder-Mead",
+            options={"xatol": 1e-5, "fatol": 1e-4},
+        )
+        assert fit.cost == pytest.approx(search.fun, abs=0.05)
+        assert far.cost == pytest.approx(search.fun, abs=0.05)
+
+    def test_a_lag_of_the_steering(self):
+        judge = judge_of(driven(12, steer=lambda inputs, step: first_order(inputs, 0.06, step)))
+        check(best_fit(judge, candidate(judge, "steer_lag")), {"tau": 0.06})
+
+    def test_a_delay_of_the_torque(self):
+        judge = judge_of(driven(13, torque=lambda inputs, step: late(inputs, 0.073, step)))
+        check(best_fit(judge, candidate(judge, "drive_delay")), {"delay": 0.073})
+
+    def test_a_lever_arm_of_the_sensor(self):
+        drive = driven(14)
+        moved = replace(drive, columns={**drive.columns, "vy": drive["vy"] + 0.25 * drive["r"]})
+        judge = judge_of(moved)
+        check(best_fit(judge, candidate(judge, "sensor_lever_arm")), {"dx": 0.25})
+
+    def test_a_patch_over_the_start_of_the_lap(self):
+        stretch = {"scale": 0.7, "s_start": 350.0, "s_end": 60.0}
+        judge = judge_of(driven(15, (CATALOGUE["friction_patch"](stretch, "curve"),)))
+        one = candidate(judge, "friction_patch", "curve")
+        starts = scan_places(judge, (), judge.residual(()), one)
+        # Places are scanned in bins of a fiftieth of the lap; two at either end are forgiven.
+        for name in ("s_start", "s_end"):
+            away = (starts[0][name] - stretch[name] + LAP / 2) % LAP - LAP / 2
+            assert abs(away) <= 2.0 * LAP / 50
+        fit = best_fit(judge, one)
+        values = fit.parts[0].values
+        assert values["scale"] == pytest.approx(0.7, abs=0.04)
+        for name in ("s_start", "s_end"):
+            assert abs((values[name] - stretch[name] + LAP / 2) % LAP - LAP / 2) < LAP / 50
+
+    def test_a_wave_of_the_road(self):
+        truth = {"amplitude": 0.03, "wavelength": LAP / 3.0, "phase": 0.7}
+        judge = judge_of(driven(16, (CATALOGUE["road_grade"](truth, "wave"),)))
+        one = candidate(judge, "road_grade", "wave")
+        start, values = scan_places(judge, (), judge.residual(()), one)[0], best_fit(judge, one).parts[0].values
+        s = np.linspace(0.0, LAP, 200)
+
+        def profile(one):
+            return one["amplitude"] * np.sin(2.0 * np.pi * s / one["wavelength"] + one["phase"])
+
+        # Amplitude and phase trade signs and turns; the road is the same.
+        np.testing.assert_allclose(profile(values), profile(truth), atol=0.02 * 0.03)
+        # The scan knows whole fractions of the lap, of which this is one. Rows remember some tenths of a second,
+        # five metres of 133 or a quarter of a radian: that much late it is before any fit.
+        np.testing.assert_allclose(profile(start), profile(truth), atol=0.25 * 0.03)
+
+    def test_two_terms_together(self):
+        truth = CATALOGUE["aero_drag"]({"drag": 0.4}), CATALOGUE["yaw_inertia"]({"scale": 1.15})
+        judge = judge_of(driven(17, truth))
+        parts = [Part(one, dict(one.starts[0])) for one in candidates_of(judge, "aero_drag", "yaw_inertia")]
+        fit = fit_parts(judge, parts)
+        errors = iter(standard_errors(fit))
+        for part in fit.parts:
+            (true,) = (one.parameters for one in truth if one.id == part.candidate.term)
+            for name, value in part.values.items():
+                assert abs(value - true[name]) < 3.0 * next(errors) + 0.01 * abs(true[name])
+
+
+@pytest.fixture(scope="module")
+def pushed() -> Judge:
+    """Judges a car with 150 N more of rolling resistance."""
+    return judge_of(driven(18, (CATALOGUE["rolling_resistance"]({"force": 150.0}),)))
+
+
+@pytest.fixture(scope="module")
+def solved(pushed) -> tuple[float, float, float]:
+    """Force, cost and standard error by one least squares problem."""
+    base = pushed.residual(())
+    column = pushed.residual((CATALOGUE["rolling_resistance"]({"force": 1.0}),)) - base
+    force, left, *_ = np.linalg.lstsq(column[:, None], -base, rcond=None)
+    return float(force[0]), float(left[0]), 1.0 / float(np.linalg.norm(column))
+
+
+class TestLinearTerms:
+    """A force is linear in its parameter: one least squares problem knows the answer."""
+
+    def test_linear_cost_is_that_of_least_squares_from_any_start(self, pushed, solved):
+        one = candidate(pushed, "rolling_resistance")
+        for force in (-40.0, 10.0, 400.0):
+            assert linear_cost(pushed, (), Part(one, {"force": force})) == pytest.approx(solved[1], rel=1e-6)
+
+    def test_linear_cost_beside_another_term(self, pushed):
+        fixed = Part(candidate(pushed, "aero_drag"), {"drag": 0.3})
+        base = pushed.residual((fixed.term,))
+        column = pushed.residual((fixed.term, CATALOGUE["rolling_resistance"]({"force": 1.0}))) - base
+        expected = float(np.linalg.lstsq(column[:, None], base, rcond=None)[1][0])
+        got = linear_cost(pushed, (fixed,), Part(candidate(pushed, "rolling_resistance"), {"force": 20.0}))
+        assert got == pytest.approx(expected, rel=1e-6)
+
+    def test_the_fit_is_that_of_least_squares(self, pushed, solved):
+        fit = fit_parts(pushed, [Part(candidate(pushed, "rolling_resistance"), {"force": 10.0})])
+        force, cost, error = solved
+        # It stops where another step saves less than 0.02, which is a seventh of a standard error.
+        assert fit.parts[0].values["force"] == pytest.approx(force, abs=error / 7.0)
+        assert fit.cost == pytest.approx(cost, abs=0.02)
+        assert fit.cost == pytest.approx(float(fit.entries @ fit.entries), rel=1e-12)
+        assert standard_errors(fit)[0] == pytest.approx(error, rel=1e-4)
+        assert abs(force - 150.0) < 3.0 * error + 1.5
+
+    def test_slopes_are_those_of_the_residual(self, pushed):
+        part = Part(candidate(pushed, "rolling_resistance"), {"force": 30.0})
+        step = part.candidate.ranges["force"].step
+        ahead, behind = (pushed.residual((part.candidate.build({"force": 30.0 + d}),)) for d in (1.0, -1.0))
+        np.testing.assert_allclose(raw_slopes(pushed, [part])[:, 0], 0.5 * step * (ahead - behind), atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def lagging() -> Judge:
+    """Judges a car that steers 0.06 s late."""
+    return judge_of(driven(19, steer=lambda inputs, step: first_order(inputs, 0.06, step)))
+
+
+class TestBounds:
+    @pytest.mark.parametrize(("lower", "upper", "kept"), [(0.0, 0.03, 0.03), (0.09, 0.8, 0.09)])
+    def test_a_parameter_stays_where_the_limit_is_nearest(self, lagging, lower, upper, kept):
+        one = candidate(lagging, "steer_lag")
+        tight = replace(one, ranges={"tau": replace(one.ranges["tau"], lower=lower, upper=upper)})
+        for start in (lower, 0.5 * (lower + upper), upper, upper + 0.2):
+            fit = fit_parts(lagging, [Part(tight, {"tau": start})])
+            assert fit.parts[0].values["tau"] == pytest.approx(kept, rel=1e-9)
+
+    def test_another_parameter_goes_on_while_one_is_at_its_limit(self, lagging):
+        """Both fitted from the limit of one: the other takes the value it has with the first held there."""
+        lag, drag = candidate(lagging, "steer_lag"), candidate(lagging, "aero_drag")
+        tight = replace(lag, ranges={"tau": replace(lag.ranges["tau"], upper=0.03)})
+        both = fit_parts(lagging, [Part(tight, {"tau": 0.03}), Part(drag, {"drag": 0.5})])
+        alone = replace(lag, ranges={"tau": replace(lag.ranges["tau"], lower=0.03, upper=0.03)})
+        held = fit_parts(lagging, [Part(alone, {"tau": 0.03}), Part(drag, {"drag": 0.0})])
+        assert both.parts[0].values["tau"] == 0.03
+        assert both.parts[1].values["drag"] == pytest.approx(held.parts[1].values["drag"], abs=0.01)
+
+    def test_what_is_built_is_inside(self, lagging):
+        one = candidate(lagging, "steer_lag")
+        assert one.build({"tau": -1.0}).parameters["tau"] == one.ranges["tau"].lower
+        assert one.build({"tau": 9.0}).parameters["tau"] == one.ranges["tau"].upper

@@ -1,0 +1,188 @@
+"""Costs of explanations against their dense formula, and against minimising over the common physics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.linalg import sqrtm
+
+from split_cli.diagnosis.judge import CommonKnowledge, Judge, build_judge, learn_common
+from split_cli.vehicle.effects import CATALOGUE
+
+ROWS, COLUMNS = 40, 6
+_NEXT_TO_NOTHING = 2e-3  # share of a direction that may be left out
+
+
+class WrittenEvidence(SimpleNamespace):
+    """Rows that are simply given."""
+
+    def rows(self, terms):
+        return self.plain
+
+
+def written(seed: int, rows: int = ROWS, columns: int = COLUMNS, size: float = 1.0) -> WrittenEvidence:
+    rng = np.random.default_rng(seed)
+    return WrittenEvidence(
+        plain=rng.standard_normal((rows, 3)),
+        common=size * rng.standard_normal((rows, 3, columns)),
+        weight=np.sqrt(rng.uniform(0.3, 1.0, rows)),
+        series=SimpleNamespace(t=0.04 * np.arange(rows)),
+        at=np.arange(rows),
+    )
+
+
+def judge_of(*evidence: WrittenEvidence, knowledge: CommonKnowledge | None, keep=None) -> Judge:
+    keep = keep or [np.ones(len(one.at), dtype=bool) for one in evidence]
+    return build_judge(evidence, knowledge, None, keep)
+
+
+def knowledge_of(seed: int, strength: float, columns: int = COLUMNS) -> CommonKnowledge:
+    rng = np.random.default_rng(seed)
+    mix = rng.standard_normal((columns, columns))
+    return CommonKnowledge(rng.standard_normal(columns), strength * (mix @ mix.T + np.eye(columns)))
+
+
+def flat(*evidence: WrittenEvidence) -> tuple[np.ndarray, np.ndarray]:
+    """Return weighted rows (R,) and columns (R, C), stacked by loops."""
+    rows, columns = [], []
+    for one in evidence:
+        for k in range(len(one.at)):
+            for channel in range(3):
+                rows.append(one.weight[k] * one.plain[k, channel])
+                columns.append(one.weight[k] * one.common[k, channel])
+    return np.array(rows), np.array(columns)
+
+
+def test_the_common_physics_is_learned_by_ridge():
+    one, two = written(1), written(2, rows=25)
+    rows, columns = flat(one, two)
+    # Standard normal priors are rows of their own; noise is wider by the root of the inflation.
+    stacked = np.concatenate([columns / np.sqrt(1.7), np.eye(COLUMNS)])
+    target = np.concatenate([rows / np.sqrt(1.7), np.zeros(COLUMNS)])
+    known = learn_common([one, two], inflation=1.7)
+    np.testing.assert_allclose(known.weights, np.linalg.lstsq(stacked, target, rcond=None)[0], rtol=1e-9)
+    np.testing.assert_allclose(known.precision, stacked.T @ stacked, rtol=1e-9)
+
+
+@pytest.mark.parametrize("strength", [0.1, 3.0, 100.0])
+def test_costs_are_the_dense_quadratic_form(strength):
+    one, two = written(3), written(4, rows=25)
+    known = knowledge_of(5, strength)
+    judge = judge_of(one, two, knowledge=known)
+    rows, columns = flat(one, two)
+    left = rows - columns @ known.weights
+    dense = np.eye(len(rows)) + columns @ np.linalg.solve(known.precision, columns.T)
+    np.testing.assert_allclose(judge.residual(()), left, rtol=1e-12, atol=1e-12)
+    assert judge.cost(()) == pytest.approx(left @ np.linalg.solve(dense, left), rel=1e-9)
+    # Entry by entry it is the symmetric root, so that blocks of time share the cost out as they should.
+    root = np.real(sqrtm(np.linalg.inv(dense)))
+    np.testing.assert_allclose(judge.whiten(left), root @ left, rtol=1e-7, atol=1e-9)
+    several = np.random.default_rng(6).standard_normal((len(rows), 3))
+    np.testing.assert_allclose(judge.whiten(several), root @ several, rtol=1e-7, atol=1e-9)
+
+
+def test_costs_are_least_over_what_the_common_physics_may_still_be():
+    """min over d of |r - Phi d|^2 + d^T H d, as one least squares problem."""
+    one, known = written(7), knowledge_of(8, 2.0)
+    judge = judge_of(one, knowledge=known)
+    rows, columns = flat(one)
+    left = rows - columns @ known.weights
+    stacked = np.concatenate([columns, np.linalg.cholesky(known.precision).T])
+    target = np.concatenate([left, np.zeros(COLUMNS)])
+    moved = np.linalg.lstsq(stacked, target, rcond=None)[0]
+    assert judge.cost(()) == pytest.approx(float(np.sum((target - stacked @ moved) ** 2)), rel=1e-9)
+
+
+def test_directions_that_reality_says_nothing_about_change_costs_by_next_to_nothing():
+    """Columns from large to tiny against what is known of them: the last is left out, and not missed."""
+    one, known = written(9), CommonKnowledge(np.full(COLUMNS, 0.3), np.eye(COLUMNS))
+    one.common *= 10.0 ** (-0.5 * np.arange(COLUMNS))
+    judge = judge_of(one, knowledge=known)
+    rows, columns = flat(one)
+    left = rows - columns @ known.weights
+    dense = np.eye(len(rows)) + columns @ np.linalg.solve(known.precision, columns.T)
+    # Some 80 weighted squares a column: reality's share of what is known, from most to little.
+    assert judge.basis.shape[1] == COLUMNS - 1
+    difference = judge.cost(()) - left @ np.linalg.solve(dense, left)
+    assert 0.0 <= difference <= _NEXT_TO_NOTHING * (left @ left)
+
+
+def test_a_simulation_that_knows_everything_leaves_plain_squares():
+    one, known = written(11), knowledge_of(12, 1e9)
+    judge = judge_of(one, knowledge=known)
+    rows, columns = flat(one)
+    assert judge.cost(()) == pytest.approx(float(np.sum((rows - columns @ known.weights) ** 2)), rel=1e-6)
+
+
+def test_a_simulation_that_knows_nothing_leaves_what_no_common_physics_reaches():
+    one, known = written(13), knowledge_of(14, 1e-9)
+    judge = judge_of(one, knowledge=known)
+    rows, columns = flat(one)
+    left = rows - columns @ np.linalg.lstsq(columns, rows, rcond=None)[0]
+    assert judge.cost(()) == pytest.approx(float(left @ left), rel=1e-6)
+
+
+def test_without_a_simulation_nothing_is_common():
+    one = written(15)
+    judge = judge_of(one, knowledge=None)
+    rows, _ = flat(one)
+    assert judge.whiten(rows) is rows
+    assert judge.cost(()) == pytest.approx(float(rows @ rows))
+    assert judge.shared_cost == 0.0
+    assert not judge.shift((CATALOGUE["steer_gain"]({"gain": 0.8}),)).any()
+
+
+def test_shared_cost_is_what_the_simulation_explains_of_reality():
+    one = written(16)
+    truth = np.random.default_rng(17).standard_normal(COLUMNS)
+    one.plain = one.common @ truth
+    judge = judge_of(one, knowledge=CommonKnowledge(truth, 1e9 * np.eye(COLUMNS)))
+    rows, _ = flat(one)
+    # Everything is explained; weights that explain nothing share nothing.
+    assert judge.shared_cost == pytest.approx(float(rows @ rows))
+    wrong = judge_of(one, knowledge=CommonKnowledge(-truth, 1e9 * np.eye(COLUMNS)))
+    assert wrong.shared_cost == 0.0
+
+
+def test_rows_that_are_not_compared_have_no_say():
+    one = written(18, rows=130)
+    # The first block of 50 rows is not compared at all, of the others a third.
+    mask = (np.arange(130) % 3 == 0) & (np.arange(130) >= 50)
+    shorter = WrittenEvidence(
+        plain=one.plain[mask],
+        common=one.common[mask],
+        weight=one.weight[mask],
+        series=one.series,
+        at=one.at[mask],
+    )
+    known = knowledge_of(19, 1.0)
+    whole = judge_of(one, knowledge=known, keep=[mask])
+    assert whole.cost(()) == pytest.approx(judge_of(shorter, knowledge=known).cost(()), rel=1e-12)
+    np.testing.assert_array_equal(whole.block, np.repeat([0] * 17 + [1] * 10, 3))
+
+
+def test_blocks_are_two_seconds_of_one_recording():
+    first, second = written(20, rows=120), written(21, rows=60)
+    judge = judge_of(first, second, knowledge=None)
+    entries = np.random.default_rng(22).standard_normal(3 * 180)
+    # 50 rows of 0.04 s a block: 50, 50, 20, and the second recording begins anew.
+    edges = 3 * np.array([0, 50, 100, 120, 170, 180])
+    expected = [entries[a:b].sum() for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    np.testing.assert_allclose(judge.block_sums(entries), expected)
+    by_channel = [sum(entries[3 * k + c] for k in range(180)) for c in range(3)]
+    np.testing.assert_allclose(judge.channel_sums(entries), [*by_channel, 0.0])
+
+
+def test_the_shift_is_zero_at_neutral_and_moves_no_term_of_the_car(gathered, common):
+    known = learn_common([gathered])
+    keep = [np.ones(len(gathered.at), dtype=bool)]
+    judge = build_judge([gathered], replace(known, weights=known.weights + 0.3), common, keep)
+    assert not judge.shift((CATALOGUE["mass"]({"scale": 1.2}),)).any()
+    neutral = judge.shift((CATALOGUE["steer_gain"]({"gain": 1.0}),))
+    away = judge.shift((CATALOGUE["steer_gain"]({"gain": 1.1}),))
+    # Two ways to the same rows: by columns that are whitened, and by rates that are.
+    assert np.abs(neutral).max() < 1e-8 * np.abs(judge.offset).max()
+    assert np.abs(away).max() > 1e-3 * np.abs(judge.offset).max()
