@@ -16,6 +16,7 @@ COMMANDS = ("T", "delta")
 _LONGEST_LINE = 200
 _FASTEST = 200.0  # products of rate and step that a series in the step's length still follows
 _TOP_SPEED = 100.0
+_USUAL_SPEEDS = 8.0  # times the minimum: as fast as exports are compared with Python
 
 
 @dataclass(frozen=True)
@@ -155,12 +156,13 @@ def _rates(model: SingleTrack, step: float, where: str) -> tuple[float, float]:
         if not getattr(term, "state_names", ()):
             continue
         slow, fast = term.fastest_rate(0.0), term.fastest_rate(_TOP_SPEED)
-        # An actuator's lag that no step resolves is told before the controller finds not-a-number.
-        if slow * step > _FASTEST:
+        usual = term.fastest_rate(_USUAL_SPEEDS * model.vehicle.minimum_speed)
+        # What no step resolves is told before the controller finds not-a-number.
+        if usual * step > _FASTEST:
             raise ExportError(
-                f"{term.id} reacts within {1.0 / slow:.2g} s, too fast for a step of {step:g} s",
+                f"{term.id} reacts within {1.0 / usual:.2g} s, too fast for a step of {step:g} s",
                 where=where,
-                advice="Leave out a lag this short, or export for a shorter --step.",
+                advice="Leave out a lag or a relaxation this short, or export for a shorter --step.",
             )
         standing, moving = max(standing, slow), max(moving, (fast - slow) / _TOP_SPEED)
     return standing, moving

@@ -341,6 +341,7 @@ def test_sensor_terms_correct_recordings_and_leave_no_trace(compiler, tmp_path):
     ("effects", "message"),
     [
         ([EffectSpec("steer_lag", {"tau": 1e-6})], "too fast"),
+        ([EffectSpec("tire_relaxation", {"length": 1e-3})], "tire_relaxation reacts within"),
         ([EffectSpec("steer_delay", {"delay": 11.0})], "220 past commands"),
         ([EffectSpec("steer_delay", {"delay": -0.1})], "look ahead"),
         ([EffectSpec("steer_lag", {"tau": 0.1}), EffectSpec("steer_lag", {"tau": 0.2})], "twice"),
