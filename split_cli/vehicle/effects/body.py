@@ -15,7 +15,7 @@ class Mass(Term):
     """A heavier or lighter car: m scale.
 
     Variants: the axles' capacity D and their rolling resistance stay (default), or follow the load, in proportion
-    (``loaded``) or degressively (``degressive``, see `scale_load`).
+    (``loaded``) or degressively (``degressive``, as in `load_transfer`).
     Only forces over m and I_z are seen, so the same motion has another reading, below.
     """
 

@@ -176,7 +176,8 @@ class LoadTransfer(Term):
     """Accelerating moves load to the rear: dF_z = m a_x h/L, and D follows load.
 
     `cg_height` is the total h. a_x is the plane's specific force from this same model's forces, with lateral
-    forces as they are before the transfer. Variant ``peak`` keeps the stiffness and moves the peak only.
+    forces as they are before the transfer. Variants: ``peak`` keeps the stiffness and moves the peak
+    only; ``degressive`` moves the peak by the power 0.9 of the load and the stiffness by 0.5.
     Source: Rajamani (2012), section 4.1.5 (longitudinal tyre load).
     """
 
@@ -228,7 +229,7 @@ class TireStiffness(Term):
 class AeroDownforce(Term):
     """Axle load that grows with speed: D (1 + c v_x^2/F_z,static), c `front` and `rear`; rolling resistance too.
 
-    Source: Milliken and Milliken (1995), chapter 15. Variants: see `scale_load`.
+    Source: Milliken and Milliken (1995), chapter 15. Variants as `load_transfer`.
     """
 
     id = "aero_downforce"
