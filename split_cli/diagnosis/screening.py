@@ -22,6 +22,7 @@ _LEAST_SHARE = 0.7
 _LONGEST_PERIOD = 0.1
 _STUCK_SECONDS = 1.0
 _HELD_SECONDS = 3.0
+_ANSWER_SECONDS = 2.0
 _POSITION_GAP_SECONDS = 0.5
 # Beyond these no fault of a car, but another car: ratios that recordings and vehicle file should share.
 _STEER_RATIO = (0.6, 1.6)
@@ -226,7 +227,10 @@ def _stuck(drive: Drive, name: str) -> np.ndarray:
             if end - begin < max(least, 5):
                 continue
             rows = slice(run.start + int(begin), run.start + int(end))
-            if any(np.std(drive[other][rows]) > 0.1 * np.std(drive[other]) > 0.0 for other in _MOVES_WITH[name]):
+            # To a steer angle that is held after a step the car first has to answer.
+            answer = int(round(_ANSWER_SECONDS / drive.period)) if name == "delta" else 0
+            later = slice(rows.start + answer, rows.stop)
+            if any(np.std(drive[other][later]) > 0.1 * np.std(drive[other]) > 0.0 for other in _MOVES_WITH[name]):
                 found[rows] = True
     return found
 
