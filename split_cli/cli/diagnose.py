@@ -67,9 +67,11 @@ def _tell(result) -> None:
         print_table(["term", "parameter", "value", "std error", "unit", "or"], rows)
     if result.improvement is not None and result.improvement.rollouts:
         last = result.improvement.rollouts[-1]
-        click.echo(f"held-out rms error after {last.horizon:g} s of free running, 95 % intervals")
-        named = ("physics", "split_only", "after") if result.findings else ("split_only",)
-        stages = ("before", *named, "persistence", "noise_floor")
+        named = ", ".join(one.name for one in result.inputs if one.role == "holdout")
+        where = named or f"the last {result.settings.get('holdout_share', 0.0):.0%} of each real drive"
+        click.echo(f"held out: {where}; rms error there after {last.horizon:g} s of free running, 95 % intervals")
+        helped = ("physics", "split_only", "after") if result.findings else ("split_only",)
+        stages = ("before", *helped, "persistence", "noise_floor")
         print_table(["", *_CHANNELS], [[stage, *_with_intervals(last, stage)] for stage in stages])
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from split_cli.diagnosis.evidence import Evidence
 from split_cli.diagnosis.location import FORCES, variables
+from split_cli.diagnosis.wording import percent
 
 __all__ = ["sparse_formula"]
 
@@ -57,7 +58,7 @@ def sparse_formula(evidence: Sequence[Evidence], forces: Sequence[np.ndarray], k
         gained = size - float(np.mean((gap[:, channel] - columns[:, chosen] @ weights) ** 2))
         if gained > best:
             sum_ = " ".join(f"{w:+.3g} N {names[k]}" for w, k in zip(weights, chosen, strict=True))
-            best, text = gained, f"{force} = {sum_.lstrip('+')} ({gained / size:.0%} of it)"
+            best, text = gained, f"{force} = {sum_.lstrip('+')} ({percent(gained / size)} of it)"
     return text
 
 

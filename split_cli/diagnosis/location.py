@@ -111,13 +111,14 @@ def locate(
             low, high, of_gap, of_samples = _interval(values[name], size)
             if of_samples < _EVERYWHERE and of_gap > of_samples:
                 region[name] = (low, high)
-    # What follows from how the car is driven is everywhere it is driven so, and tied to no place or time.
+    # What follows from how the car is driven is wherever it is driven so: a place or a time has to tell more.
     driven = max(score for name, score in ranked if name not in ("t", "s"))
-    place = s_share = when = t_share = None
-    if scores["s"] > driven + _CLEARLY_MORE:
-        place, s_share = _place(evidence, values["s"], size)
-    if scores["t"] > driven + _CLEARLY_MORE:
-        when, t_share = _local(_interval(values["t"], size))
+    place, s_share = _place(evidence, values["s"], size)
+    if s_share and not (scores["s"] > driven + _CLEARLY_MORE or _concentrated(s_share)):
+        place = s_share = None
+    when, t_share = _local(_interval(values["t"], size))
+    if t_share and not (scores["t"] > driven + _CLEARLY_MORE or _concentrated(t_share)):
+        when = t_share = None
     if s_share and t_share and s_share[0] - s_share[1] > t_share[0] - t_share[1] + _CLEARLY_MORE:
         when = None  # one of several passes of the place
     share = s_share or t_share or (1.0, 1.0)
@@ -244,6 +245,11 @@ def _local(found: tuple[float, float, float, float]):
     if gap > 2.0 * samples and samples < 0.4 and gap > 0.3:
         return (low, high), (gap, samples)
     return None, None
+
+
+def _concentrated(share: tuple[float, float]) -> bool:
+    """Return whether most of the gap lies in a small part of the samples."""
+    return share[0] > 0.6 and share[0] > 4.0 * share[1]
 
 
 def _place(evidence: Sequence[Evidence], s: np.ndarray, size: np.ndarray):

@@ -22,6 +22,8 @@ __all__ = [
     "Verdict",
 ]
 
+_SHOWS = 1.25  # error before over the noise floor, from which on held-out rollouts show a gap
+
 Verdict = Literal["match", "mismatch", "undecided"]
 
 
@@ -223,6 +225,14 @@ class Improvement:
     confidence: Mapping[str, object]
     rollouts: tuple[HorizonErrors, ...] = ()
     removed: Mapping[str, tuple[float, float, float] | None] = field(default_factory=dict)
+
+    @property
+    def tells(self) -> bool:
+        """Whether held-out time shows the gap at all: an effect of one place may lie outside it."""
+        shown = [
+            b / max(n, 1e-12) for one in self.rollouts for b, n in zip(one.before, one.noise_floor, strict=True)
+        ]
+        return any(self.removed.values()) or max(shown, default=0.0) > _SHOWS
 
 
 @dataclass(frozen=True)

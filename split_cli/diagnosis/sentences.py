@@ -128,6 +128,9 @@ def _tells_most(location: Location) -> tuple[str, float]:
 
 
 def _help(improvement: Improvement, stage: str) -> str:
+    model = "the named physics" if stage == "physics" else "SPLIT alone, which needs no name"
+    if not improvement.tells:
+        return f"Held-out time shows too little of the gap to tell whether {model.split(',')[0]} helps."
     removed = improvement.removed.get(stage)
     parts = []
     if removed is not None:
@@ -144,7 +147,6 @@ def _help(improvement: Improvement, stage: str) -> str:
             f"after {last.horizon:g} s of free running the error of {name} goes from {number(before[k], 2)} to "
             f"{number(after[k], 2)} {unit} (sensor noise alone: {number(floor[k], 2)})"
         )
-    model = "the named physics" if stage == "physics" else "SPLIT alone, which needs no name"
     return f"With {model}, on held-out time: {'; '.join(parts)}." if parts else ""
 
 

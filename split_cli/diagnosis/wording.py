@@ -23,6 +23,7 @@ _VARIABLES = {
     "s": ("track position", "m"),
 }
 _MOST_DECIMALS = 9
+_BADLY_KNOWN = 0.4  # half an interval over its value, from which on the value's own digits mean nothing
 # Small lengths and times are read in thousandths: a model car's centre of gravity moves by millimetres.
 _THOUSANDTHS = {"m": ("mm", 0.1), "s": ("ms", 1.0)}
 
@@ -128,10 +129,13 @@ def _decimals(value: float, digits: int) -> int:
 
 
 def _shared_decimals(value: float, low: float, high: float) -> int:
-    """Return decimals with which value and interval have three significant digits, or the interval's width two."""
+    """Return decimals for a value and its interval: as many as the interval's width has digits to tell.
+
+    Of a value that is well known three significant digits at least, five at most however narrow the interval.
+    """
     half = 0.5 * (high - low)
-    wanted = _decimals(value if value else half, 3)
-    if 0.0 < half < math.inf:
-        # No more than five digits of the value, however narrow the interval.
-        wanted = max(wanted, min(_decimals(half, 2), _decimals(value, 5)))
-    return wanted
+    if not 0.0 < half < math.inf:
+        return _decimals(value, 3)
+    if half > _BADLY_KNOWN * abs(value):
+        return _decimals(half, 2)
+    return max(_decimals(value, 3), min(_decimals(half, 2), _decimals(value, 5)))

@@ -79,14 +79,19 @@ def test_every_term_reads_right_for_either_sign(term, variant, size):
         ),
         (
             amount(estimate(0.988, 0.011), neutral=1.0, share=True, more="more", less="less"),
-            "1.20 % less (95 %: 3.40 % less to 1.00 % more)",
+            "1.2 % less (95 %: 3.4 % less to 1.0 % more)",
         ),
         # A narrow interval needs the digits it is told in.
         (
             amount(estimate(0.98812, 0.00002), neutral=1.0, share=True, more="more", less="less"),
             "1.1880 % less (95 %: 1.1840 to 1.1920 %)",
         ),
-        (amount(estimate(0.0234, 0.02, "s"), one_sided=True), "23.4 ms (95 %: 0 to 63.4 ms)"),
+        (amount(estimate(0.0234, 0.02, "s"), one_sided=True), "23 ms (95 %: 0 to 63 ms)"),
+        # Of what is hardly known, no more digits than its interval has.
+        (
+            amount(estimate(-0.00012, 0.0004, "m"), more="forward", less="back"),
+            "0.12 mm back (95 %: 0.92 mm back to 0.68 mm forward)",
+        ),
         (amount(estimate(4210.0, 300.0, "N")), "4,210 N (95 %: 3,610 to 4,810 N)"),
         (amount(ParameterEstimate(0.5, None, "1", (float("nan"),) * 2)), "0.500"),
         (number(0.0), "0.00"),
@@ -180,6 +185,17 @@ def test_the_summary_says_what_where_and_whether_it_helps():
         "the error of v_x goes from 0.54 to 0.014 m/s (sensor noise alone: 0.013)",
     ):
         assert part in said
+
+
+def test_held_out_time_without_the_gap_tells_nothing():
+    """A patch that the last quarter of a drive does not touch: errors are at the noise floor already."""
+    finding = Finding("friction_patch", "", planted("friction_patch", "", 0.22, -1.0), 0.9, (), "", 1.0)
+    quiet = (0.011, 0.01, 0.001)
+    last = HorizonErrors(2.0, *([quiet] * 5), (0.0105, 0.0098, 0.001), {}, 100)
+    blind = Improvement(*([quiet] * 5), quiet, {}, (last,), {"physics": None})
+    said = summarise("mismatch", (finding,), improvement=blind)
+    assert "Held-out time shows too little of the gap to tell whether the named physics helps." in said
+    assert not blind.tells and improvement().tells
 
 
 def test_place_does_not_stand_for_what_repeats_every_lap():

@@ -102,7 +102,7 @@ def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
         largest = max(diagnosis.findings, key=lambda finding: finding.severity)
         note = f"sensor noise in 0.05 s ({term_title(largest.term)})"
         yield "Size", f"{number(largest.severity, 2)} ×", note
-    if diagnosis.improvement is not None and diagnosis.findings:
+    if diagnosis.improvement is not None and diagnosis.improvement.tells and diagnosis.findings:
         yield from _facts_of_help(diagnosis.improvement)
     if diagnosis.remainder is not None:
         yield "Without a name", percent(diagnosis.remainder.share), "of the gap"
@@ -205,6 +205,8 @@ def _help(diagnosis: Diagnosis, improvement: Improvement) -> str:
     blocks = improvement.confidence.get("blocks")
     how = f" Intervals: 95 %, bootstrap over {blocks} blocks of time." if blocks else ""
     stages = [one for one in _STAGES if diagnosis.findings or one[0] not in ("physics", "after")]
+    if not improvement.tells:
+        how += " That time shows too little of the gap to tell: give a drive that does with --holdout."
     tables = _error_table(improvement, stages), _rollouts(improvement, stages)
     return section(
         "help",
