@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,7 @@ class FeatureSet:
             If a feature is neither computed nor a channel of the drive.
         """
         flow = flow_along(model, drive)
+        drive = _on_the_sensors_clock(model, drive, flow)
         computed = {
             "alpha_f": flow.front.slip_angle,
             "alpha_r": flow.rear.slip_angle,
@@ -67,6 +68,16 @@ def flow_along(model: SingleTrack, drive: Drive) -> Flow:
     # Samples that are not finite are counted and rejected by who asks.
     with np.errstate(invalid="ignore"):
         return model.flow(*channels, yaw=yaw, t=drive["t"], s=place_of(drive), recording=recording_of(drive))
+
+
+def _on_the_sensors_clock(model: SingleTrack, drive: Drive, flow: Flow) -> Drive:
+    """Return a drive with commands as old as what late sensors measure; actuators' delays are the car's own."""
+    columns = dict(drive.columns)
+    for term in model.terms:
+        if not getattr(term, "exported", True):
+            for channel, delay in getattr(term, "input_delays", {}).items():
+                columns[channel] = term.delayed(flow, columns[channel], delay)
+    return replace(drive, columns=columns)
 
 
 def place_of(drive: Drive) -> np.ndarray:

@@ -10,7 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.train import command as train_command
+from split_cli.learning.features import FeatureSet
 from split_cli.learning.label_file import read_labels
+from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import Drive, write_drive
 from split_cli.vehicle.effects import CATALOGUE, Recording
 from split_cli.vehicle.integration import integrate_with_memory
@@ -96,8 +98,6 @@ def test_training_reads_drives_as_labels_do(recorded, tmp_path):
     done = CliRunner().invoke(train_command, [*arguments, "--json"], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     assert any("counts along" in note for note in json.loads(done.stdout)["notes"])
-    from split_cli.learning.training_set import read_set
-
     learned = np.abs(read_set(tmp_path / "car.split").y)
     assert len(learned) > 100 and np.quantile(learned, 0.95, axis=0).max() < 1e-2
 
@@ -113,3 +113,18 @@ def test_the_first_drive_is_known_again(recorded):
     first = correct(recorded)["s"]
     correct(second)
     assert np.array_equal(correct(recorded)["s"], first) and len(correct.notes) == 1
+
+
+def test_a_late_sensor_changes_when_features_are_seen_and_not_what_they_are(recorded):
+    """Twenty samples later everything measured is seen, with the commands that belong to it."""
+    delay = EffectSpec("sensor_delay", {"delay": 20 * PERIOD})
+    late = CATALOGUE["sensor_delay"](dict(delay.parameters)).corrupt(
+        recorded.columns, Recording.single(PERIOD, len(recorded))
+    )
+    features = FeatureSet(("alpha_f", "alpha_r", "torque_ratio", "delta", "vx"))
+    seen = features.compute(SingleTrack(CAR.with_effects(delay)), replace(recorded, columns=late))
+    there = features.compute(SingleTrack(CAR), recorded)
+    assert np.allclose(seen[20:], there[:-20], rtol=0, atol=1e-12)
+    assert (
+        np.abs(features.compute(SingleTrack(CAR), replace(recorded, columns=late))[20:] - there[:-20]).max() > 0.01
+    )
