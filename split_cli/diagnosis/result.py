@@ -22,6 +22,7 @@ __all__ = [
     "Verdict",
 ]
 
+_AS_GOOD = 2.5  # standard errors; of an exact degeneracy another variant may have been fitted, and be worse
 _SHOWS = 1.25  # error before over the noise floor, from which on held-out rollouts show a gap
 
 Verdict = Literal["match", "mismatch", "undecided"]
@@ -102,6 +103,10 @@ class Finding:
     def placebo(self) -> RivalSummary | None:
         """The best wrong term."""
         return next((rival for rival in self.runners_up if rival.term not in self.alternatives), None)
+
+    def is_as_good(self, rival: RivalSummary) -> bool:
+        """Return whether a runner-up is an alternative, in the very variant it was fitted in."""
+        return rival.term in self.alternatives and (rival.z < _AS_GOOD or rival.excess <= 0.0)
 
 
 @dataclass(frozen=True)

@@ -183,7 +183,7 @@ def _draw_rivals(axis: Axes, finding: Finding) -> None:
     placebo = finding.placebo
     names, sizes, errors, colours = [f"{term_name(finding.term)} (chosen)"], [0.0], [0.0], [_AFTER]
     for rival in finding.runners_up:
-        same = rival.term in finding.alternatives
+        same = finding.is_as_good(rival)
         note = " (as good here)" if same else " (placebo)" if rival is placebo else ""
         names.append(term_name(rival.term) + note)
         sizes.append(rival.excess)

@@ -224,6 +224,16 @@ def test_a_name_stays_text():
     assert readable("Würzburg – 東京 è.parquet") == "Würzburg – 東京 è.parquet"
 
 
+def test_another_form_of_an_exact_alternative_is_not_as_good():
+    """Rolling resistance is a constant grade; a grade in waves that was fitted in its place is still worse."""
+    finding = mismatch().findings[0]
+    wave = RivalSummary("mass", "loaded", 12_711.0, 5.5)
+    assert finding.is_as_good(finding.runners_up[0]) and not finding.is_as_good(wave)
+    assert not finding.is_as_good(finding.runners_up[1])
+    page = report_page(replace(mismatch(), findings=(replace(finding, runners_up=(wave,)),)))
+    assert "as good here" not in page and "worse" in page
+
+
 def test_what_a_verdict_may_not_show():
     assert "What could not be judged" in report_page(MATCH) and "Brake hard once." in report_page(MATCH)
     assert "What was left out" not in report_page(MATCH) and 'id="plot-strip"' not in report_page(MATCH)
@@ -329,6 +339,18 @@ class TestInABrowser:
         strip.send_keys("+")
         assert len(ticks_across(browser, "strip")) and ticks_across(browser, "strip") != everything
         assert browser.get_log("browser") == []
+
+    def test_a_constant_gap_and_what_is_left_of_it_are_both_in_view(self, browser, tmp_path):
+        gap = gap_along_a_circle()
+        constant = replace(gap, forces=gap.remainder - np.array([0.0, 400.0, 0.0]))
+        opened(browser, report_page(replace(mismatch(), gaps=(constant,))), tmp_path)
+        heights = browser.execute_script(
+            "const boxes = [...document.querySelectorAll('#plot-strip svg path')].map((p) => p.getBBox());"
+            "return boxes.map((b) => [b.y, b.height])"
+        )
+        top = min(y for y, height in heights if height > 0)
+        bottom = max(y + height for y, height in heights if height > 0)
+        assert top > 0.0 and bottom < one(browser, "#plot-strip svg").rect["height"]
 
     def test_the_hover_says_the_gap_that_is_there(self, browser, tmp_path):
         from selenium.webdriver import ActionChains

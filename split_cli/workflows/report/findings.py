@@ -78,7 +78,7 @@ def _length(rival: RivalSummary) -> float:
 
 def _rival(finding: Finding, rival: RivalSummary, longest: float) -> str:
     placebo = finding.placebo
-    same = rival.term in finding.alternatives
+    same = finding.is_as_good(rival)
     is_placebo = placebo is not None and (rival.term, rival.variant) == (placebo.term, placebo.variant)
     mark = "as good here" if same else "placebo: best wrong term" if is_placebo else "worse"
     width = 100.0 * _length(rival) / max(longest, 1e-9)

@@ -242,8 +242,10 @@
       limit: () => ({ x: extent(chosenDrives().map((drive) => drive[state.along])) }),
       domain(view) {
         const x = view ? view.x : extent(chosenDrives().map((drive) => drive[state.along]));
-        const inside = chosenDrives().map((drive) => smoothed(drive, "before").filter((_, i) => drive[state.along][i] >= x[0] && drive[state.along][i] <= x[1]));
-        return { x, y: extent(inside, 0.0005) };
+        const stages = numbers.named ? ["before", "after"] : ["before"];
+        const inside = chosenDrives().flatMap((drive) => stages.map((stage) => smoothed(drive, stage).filter((_, i) => drive[state.along][i] >= x[0] && drive[state.along][i] <= x[1])));
+        const y = extent(inside, 0.0005);
+        return { x, y: [Math.min(y[0], 0), Math.max(y[1], 0)] };
       },
       zoomed(view) {
         state.window = view && view.x;
