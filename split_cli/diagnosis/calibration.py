@@ -19,18 +19,18 @@ from split_cli.diagnosis.evidence import Evidence, defects, integrated
 from split_cli.diagnosis.judge import Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit
 from split_cli.diagnosis.series import extended_model
-from split_cli.diagnosis.structure import Structure, build_structure
+from split_cli.diagnosis.structure import build_structure
+from split_cli.diagnosis.wander import wander_of
 from split_cli.diagnosis.whitening import build_whitener
 from split_cli.vehicle.effects import CATALOGUE, Term
 
-__all__ = ["SelfTest", "autocorrelation", "comparable", "self_test"]
+__all__ = ["SelfTest", "comparable", "self_test"]
 
 _LEAST_ROWS = 150
 # Reality may cover other ground than the simulation's second half did, by chance: it has to show this much more.
 _NAMELESS_MARGIN = 1.5
 _TERM_MARGIN = 2.0
 _MOST_SCALE = 4.0
-_LAG_ROWS = 25
 _BINS = 40
 _WAVES = 12
 
@@ -49,12 +49,15 @@ class SelfTest:
         Cost that a flexible fit saves.
     terms : mapping of str to float
         Cost that each term saves alone, in its best variant, start and place.
+    wander : float
+        How much rows vary together, see `wander`.
     """
 
     rows: int = 0
     ratio: float = 1.0
     nameless: float = 0.0
     terms: Mapping[str, float] = field(default_factory=dict)
+    wander: float = 1.0
 
     def allow(self, judge: Judge) -> Judge:
         """Return a judge that forgives as much, in proportion to its rows, with a margin."""
@@ -120,6 +123,7 @@ def self_test(
         max(test.ratio for test in tests),
         max(test.nameless * most / test.rows for test in tests),
         {term: max(test.terms[term] * most / test.rows for test in tests) for term in names},
+        max(test.wander for test in tests),
     )
 
 
@@ -147,27 +151,6 @@ def comparable(one: Evidence, simulated: Sequence[Evidence], common: CommonPhysi
     tree = cKDTree(np.concatenate([scaled(evidence)[evidence.weight > 0.0] for evidence in simulated]))
     distance, _ = tree.query(scaled(one), k=1, distance_upper_bound=reach)
     return usable & np.isfinite(distance)
-
-
-def autocorrelation(structure: Structure, entries: np.ndarray) -> float:
-    """Return by how much rows that no flexible fit explains still vary together over a second, at least 1.
-
-    Notes
-    -----
-    The long-run variance over the plain one (Newey and West, 1987), worst of the channels. A flexible fit takes
-    slow parts with it, so that white rows give less than 1.
-    """
-    left = entries - structure.columns @ np.linalg.solve(
-        structure.factor, np.linalg.solve(structure.factor.T, structure.columns.T @ entries)
-    )
-    rows = sum(int(mask.sum()) for mask in structure.judge.keep)
-    left = left[: 3 * rows].reshape(rows, 3)  # kinematic rows come last
-    lags = min(_LAG_ROWS, rows // 4)
-    plain = np.mean(left**2, axis=0) + 1e-300
-    total = np.ones(3)
-    for lag in range(1, lags):
-        total += 2.0 * (1.0 - lag / lags) * np.sum(left[lag:] * left[:-lag], axis=0) / rows / plain
-    return float(max(1.0, total.max()))
 
 
 def _graded(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common: CommonPhysics) -> Evidence:
@@ -287,7 +270,7 @@ def _judge_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[
         terms[offer.term] = max(terms[offer.term], saved)
     # What the simulation lacks of reality's noise would have added its share.
     quiet = max(0.0, 1.0 - (float(entries @ entries) - fit.saved) / max(len(entries) - fit.freedom, 1.0))
-    return SelfTest(rows, fit.saved / fit.freedom + quiet, fit.saved, terms)
+    return SelfTest(rows, fit.saved / fit.freedom + quiet, fit.saved, terms, wander_of(structure, entries).ratio)
 
 
 def _saving(columns: np.ndarray, entries: np.ndarray) -> float:

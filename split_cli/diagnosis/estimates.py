@@ -21,8 +21,8 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
 
     Notes
     -----
-    The covariance is the sandwich (J^T J)^-1 (sum over blocks of s_b s_b^T) (J^T J)^-1, s_b a block's score: what a
-    bootstrap over blocks converges to, with the simulation's uncertainty inside J. Systematic error is added.
+    The covariance is the sandwich (J^T J)^-1 (sum over blocks of s_b s_b^T) (J^T J)^-1, s_b a block's score: what
+    a bootstrap over blocks converges to, with the simulation's uncertainty inside J. Systematic error is added.
     """
     from scipy.stats import t as student
 

@@ -65,8 +65,8 @@ def defects(
 
     Notes
     -----
-    The model is evaluated at smoothed states and carried to the measured ones by its Jacobian, so that sensor noise
-    enters to first order only, where the whitener knows of it.
+    The model is evaluated at smoothed states and carried to the measured ones by its Jacobian, so that sensor
+    noise enters to first order only, where the whitener knows of it.
     """
     expected = rates + np.einsum("nij,nj->ni", jacobian, measured - smooth)
     out = np.diff(measured, axis=0) - 0.5 * series.period * (expected[1:] + expected[:-1])

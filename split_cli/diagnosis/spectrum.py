@@ -1,4 +1,4 @@
-"""Lines in the spectrum of what is left, over time and over distance: what swings faster than rows of evidence see.
+"""Lines in the spectrum of what is left, over time and over distance: what swings faster than rows can see.
 
 An engine that shakes, a wheel out of balance and a gear tooth leave no trace in smooth functions of the operating
 point. They are lines: over time at a fixed frequency, over distance at a fixed share of a wheel's turn.
@@ -58,7 +58,9 @@ class Line:
     def in_words(self) -> str:
         """Return what swings, and how often."""
         unit = "rad/s^2" if self.channel == "r" else "m/s^2"
-        often = f"{self.frequency:.3g} times a second" if self.over == "time" else f"every {1 / self.frequency:.3g} m"
+        often = (
+            f"{self.frequency:.3g} times a second" if self.over == "time" else f"every {1 / self.frequency:.3g} m"
+        )
         return f"{self.channel}' swings by {self.amplitude:.2g} {unit}, {often}"
 
 

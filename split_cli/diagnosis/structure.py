@@ -19,20 +19,28 @@ from split_cli.vehicle.effects import Term
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["FlexibleFit", "Structure", "build_structure", "minimum_effect_p", "severity", "severity_of", "term_allowance"]
+__all__ = [
+    "FlexibleFit",
+    "Structure",
+    "build_structure",
+    "minimum_effect_p",
+    "severity",
+    "severity_of",
+    "term_allowance",
+]
 
 _HORIZON = 0.05
 _HARMONICS = 8
 _KNOTS = 9
 _RIDGE_SHARE = 2e-3
-# Differences smaller than these shares of the one-step noise are not called differences: below them, what any nominal
-# model misses in one way of driving and not in another counts as common. A bare nominal model misses more than a
-# simulation that brings its physics along, and what has no name has to be larger than what has.
+# Differences smaller than these shares of the one-step noise are not called differences: below them, what any
+# nominal model misses in one way of driving and not in another counts as common. A bare nominal model misses more
+# than a simulation that brings its physics along, and what has no name has to be larger than what has.
 ALLOWANCE = 0.05
 BARE_ALLOWANCE = 0.09
 NAMELESS_ALLOWANCE = 0.10
-# And smaller than these shares of what common physics explains: no dictionary fits it exactly. A flexible fit finds
-# more of what is left than a single term can, by so much a parameter.
+# And smaller than these shares of what common physics explains: no dictionary fits it exactly. A flexible fit
+# finds more of what is left than a single term can, by so much a parameter.
 STRUCTURE_FLOOR = 1e-4
 TERM_FLOOR = 1e-5
 MISFIT_A_PARAMETER = 1.8

@@ -1,8 +1,8 @@
-"""What one recorded sample tells beyond all before it: the Kalman filter of a model that is linear around a recording.
+"""What one recorded sample tells beyond all before it: the Kalman filter of a model linear around a recording.
 
-The defect of sample k, z_k = y_{k+1} - y_k - integral of f, holds the noise of two samples and everything the model
-lacks. Its noise is correlated from sample to sample, and plain least squares on it throws away what builds up
-slowly. The filter below turns it into innovations that are white and of unit variance, so that least squares on
+The defect of sample k, z_k = y_{k+1} - y_k - integral of f, holds the noise of two samples and everything the
+model lacks. Its noise is correlated from sample to sample, and plain least squares on it throws away what builds
+up slowly. The filter below turns it into innovations that are white and of unit variance, so that least squares on
 them is prediction-error estimation over every horizon at once.
 """
 

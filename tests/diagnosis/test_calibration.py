@@ -8,14 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.calibration import SelfTest, autocorrelation, comparable, self_test
+from split_cli.diagnosis.calibration import SelfTest, comparable, self_test
 from split_cli.diagnosis.candidates import build_candidates
 from split_cli.diagnosis.common import build_common_physics
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.evidence import gather_evidence
 from split_cli.diagnosis.place import places_of
 from split_cli.diagnosis.series import build_series
-from split_cli.diagnosis.structure import Structure
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import make_drive, road_car
@@ -127,20 +126,6 @@ def test_forgiveness_goes_with_the_rows(restless):
     once, twice = (restless.allow(judge(k * restless.rows)).term_floors["wind"] for k in (1, 2))
     assert twice == pytest.approx(2.0 * once)
     assert not SelfTest().allow(judge(10)).term_floors
-
-
-def test_autocorrelation_is_the_long_run_variance_of_a_first_order_process():
-    rng = np.random.default_rng(4)
-    rows, rho = 40_000, 0.8
-    path = np.stack([wandering(rows, 0.04 / -np.log(rho), 0.04, rng) for _ in range(3)], axis=1)
-    judge = SimpleNamespace(keep=(np.ones(rows, dtype=bool),))
-    structure = Structure(judge, np.zeros((3 * rows, 1)), (), ("none",), np.eye(1))
-    k = np.arange(1, 25)
-    expected = 1.0 + 2.0 * np.sum((1.0 - k / 25) * rho**k)
-    # Relative error of a Bartlett estimate: sqrt(4/3 * 25 / rows), 3 %; the worst of three is taken.
-    assert autocorrelation(structure, path.ravel()) == pytest.approx(expected, rel=0.1)
-    white = rng.standard_normal(3 * rows)
-    assert autocorrelation(structure, white) == pytest.approx(1.0, abs=0.1)
 
 
 def test_rows_are_compared_only_where_rows_of_weight_have_been():

@@ -57,7 +57,8 @@ def test_an_open_path_keeps_its_own_arc_length():
     t = np.arange(0.0, 30.0, 0.01)
     zero = np.zeros(len(t))
     columns = {
-        "t": t, "X": 15.0 * t, "Y": zero, "yaw": zero, "vx": zero + 15.0, "vy": zero, "r": zero, "T": zero, "delta": zero,
+        "t": t, "X": 15.0 * t, "Y": zero, "yaw": zero,
+        "vx": zero + 15.0, "vy": zero, "r": zero, "T": zero, "delta": zero,
     }  # fmt: skip
     ((s, _),), lap = places_of([Drive("road", columns, np.zeros(len(t), np.int32), 0.01)], 2.7)
     assert lap is None

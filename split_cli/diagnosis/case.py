@@ -1,0 +1,80 @@
+"""Everything whitened: what a diagnosis judges, and what the simulation knows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.diagnosis.calibration import comparable
+from split_cli.diagnosis.common import CommonPhysics, build_common_physics
+from split_cli.diagnosis.evidence import Evidence, gather_evidence
+from split_cli.diagnosis.judge import CommonKnowledge, learn_common
+from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, habits
+from split_cli.diagnosis.series import Series
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["Case", "gather_case"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """Recordings and knowledge.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+    real, holdout, simulated : tuple of Evidence
+    common : CommonPhysics
+    knowledge : CommonKnowledge or None
+        None where the nominal model is the simulation.
+    keep, keep_holdout : tuple of ndarray of bool, shape (G,)
+        Rows of each real and held-out recording that are compared.
+    kinematics : tuple of Kinematics
+    """
+
+    vehicle: Vehicle
+    real: tuple[Evidence, ...]
+    holdout: tuple[Evidence, ...]
+    common: CommonPhysics
+    knowledge: CommonKnowledge | None
+    keep: tuple[np.ndarray, ...]
+    kinematics: tuple[Kinematics, ...]
+    simulated: tuple[Evidence, ...] = ()
+    keep_holdout: tuple[np.ndarray, ...] = ()
+
+    def common_rates(self, evidence: Evidence) -> np.ndarray:
+        """Return what the simulation knows beyond the nominal model along a recording, shape (N, 3)."""
+        if self.knowledge is None:
+            return np.zeros_like(evidence.series.measured)
+        return self.common.columns(evidence.series) @ self.knowledge.weights
+
+
+def gather_case(vehicle: Vehicle, series: Sequence[Series], *, inflation: float, reach: float) -> Case:
+    """Whiten every recording and learn the common physics.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    series : sequence of Series
+    inflation : float
+        By which autocorrelation widens chi squared.
+    reach : float
+        How far, in scaled features, a real row may be from the nearest simulated one.
+    """
+    by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
+    common = build_common_physics(vehicle, (by_role["sim"] or by_role["real"])[0])
+    simulated = [gather_evidence(vehicle, one, common) for one in by_role["sim"]]
+    least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
+    real = [gather_evidence(vehicle, one, common, least) for one in by_role["real"]]
+    holdout = [gather_evidence(vehicle, one, common, least) for one in by_role["holdout"]]
+    knowledge = learn_common(simulated, inflation) if simulated else None
+    keep = [comparable(one, simulated, common, reach) for one in real]
+    kept_out = [comparable(one, simulated, common, reach) for one in holdout]
+    habit = habits(by_role["sim"])
+    kinematics = [one for one in (build_kinematics(series, habit) for series in by_role["real"]) if one]
+    return Case(
+        vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep), tuple(kinematics), tuple(simulated),
+        tuple(kept_out),
+    )  # fmt: skip

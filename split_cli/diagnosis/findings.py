@@ -1,0 +1,193 @@
+"""What may be said of an explanation: findings, what looks the same, and what is left without a name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.diagnosis.candidates import Candidate
+from split_cli.diagnosis.constancy import parameter_drifts
+from split_cli.diagnosis.estimates import parameter_estimates
+from split_cli.diagnosis.fitting import Fit, fit_parts
+from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.result import Finding, RemainderTest, RivalSummary
+from split_cli.diagnosis.selection import Rival, Rules, Selection, term_size
+from split_cli.diagnosis.sentences import sentence_for, separations
+from split_cli.diagnosis.separation import exact_mimics
+from split_cli.diagnosis.structure import FlexibleFit, Structure
+from split_cli.diagnosis.wander import Wander, wander_of
+from split_cli.vehicle.effects import CATALOGUE
+
+__all__ = ["Abstention", "describe", "wanders", "with_shares"]
+
+_SHOWN_RIVALS = 6
+
+
+@dataclass(frozen=True)
+class Abstention:
+    """When something is said to have no name.
+
+    Attributes
+    ----------
+    level : float
+        p below which what is left is no noise.
+    share : float
+        Share of the gap without a name from which on it is said to be unexplained.
+    severity : float
+        Severity below which nothing is called unexplained.
+    size : float
+        Severity of the remainder, over that of the gap, from which on it is unexplained whatever its share.
+    """
+
+    level: float = 0.01
+    share: float = 0.08
+    severity: float = 0.12
+    size: float = 0.12
+
+
+def describe(
+    structure: Structure,
+    gap: FlexibleFit,
+    selection: Selection,
+    inflation: float,
+    usual_wander: float,
+    rules: Abstention,
+) -> tuple[Selection, tuple[Finding, ...], RemainderTest, bool]:
+    """Return what is trusted of a selection, its findings, what is left, and whether that has no name.
+
+    Parameters
+    ----------
+    structure : Structure
+    gap : FlexibleFit
+        Of the whole gap.
+    selection : Selection
+    inflation : float
+    usual_wander : float
+        How much the simulation's own rows vary together.
+    rules : Abstention
+    """
+    judge = structure.judge
+    remainder = _remainder(structure, selection, inflation)
+    findings = _findings(judge, selection)
+    wander = wander_of(structure, selection.chosen.entries)
+    unexplained = not findings or _is_unexplained(remainder, wander, gap, usual_wander, rules)
+    if unexplained and findings:
+        trusted = _without_imitations(judge, selection, findings, remainder)
+        if trusted is not selection:
+            selection = trusted
+            remainder = _remainder(structure, selection, inflation)
+            findings = _findings(judge, selection)
+    return selection, findings, remainder, unexplained
+
+
+def _is_unexplained(
+    remainder: RemainderTest, wander: Wander, gap: FlexibleFit, usual_wander: float, rules: Abstention
+) -> bool:
+    """Return whether what is left is structured and large, or wanders."""
+    large = max(2.0 * rules.severity, rules.size * gap.severity)
+    if wanders(wander, usual_wander, rules) and wander.severity > large:
+        return True
+    if remainder.p_value >= rules.level or remainder.severity < rules.severity:
+        return False
+    return remainder.severity > large or remainder.share > rules.share
+
+
+def wanders(wander: Wander, usual: float, rules: Abstention) -> bool:
+    """Return whether rows vary together by more than they usually do, and by enough to matter."""
+    return wander.severity > rules.severity and wander.p_value(usual) < rules.level
+
+
+def with_shares(findings: Sequence[Finding], chosen: Fit, shares: Sequence[float] | None) -> tuple[Finding, ...]:
+    """Replace what findings explain of all rows by what they explain of those kept out, where enough were."""
+    if shares is None:
+        return tuple(findings)
+    by_term = {part.candidate.term: share for part, share in zip(chosen.parts, shares, strict=True)}
+    told = [replace(one, gap_explained=by_term[one.term]) for one in findings]
+    return tuple(sorted(told, key=lambda finding: -finding.gap_explained))
+
+
+def _remainder(structure: Structure, selection: Selection, inflation: float) -> RemainderTest:
+    left = structure.fit(selection.chosen.entries, inflation)
+    named = selection.base.cost - selection.chosen.cost
+    chance = inflation * left.freedom + structure.allowed(left.freedom)
+    nameless = max(left.saved - chance, 0.0)
+    drifts = tuple((one.variable, one.saved) for one in parameter_drifts(structure.judge, selection.chosen)[:3])
+    share = nameless / max(nameless + named, 1e-9)
+    return RemainderTest(left.p_value, share, left.severity, left.group_saved, drifts=drifts)
+
+
+def _without_imitations(
+    judge: Judge, selection: Selection, findings: Sequence[Finding], remainder: RemainderTest
+) -> Selection:
+    """Return the explanation without terms that explain less than what is left: they imitate what has no name."""
+    explained = 1.0 - remainder.share
+    trusted = {one.term for one in findings if one.gap_explained * explained > remainder.share}
+    keep = [
+        k
+        for k, (part, named) in enumerate(zip(selection.chosen.parts, selection.named, strict=True))
+        if part.candidate.term in trusted or not named
+    ]
+    if len(keep) == len(selection.chosen.parts):
+        return selection
+    parts = tuple(selection.chosen.parts[k] for k in keep)
+    chosen = fit_parts(judge, parts) if parts else selection.base
+    return replace(
+        selection,
+        chosen=chosen,
+        rivals=tuple(selection.rivals[k] for k in keep),
+        named=tuple(selection.named[k] for k in keep),
+    )
+
+
+def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
+    chosen = selection.chosen
+    estimates = parameter_estimates(judge, chosen)
+    total = max(selection.base.cost - chosen.cost, 1e-9)
+    out = []
+    for k, (part, rivals) in enumerate(zip(chosen.parts, selection.rivals, strict=True)):
+        if not selection.named[k]:
+            continue
+        term, variant = part.candidate.term, part.candidate.variant
+        others = chosen.parts[:k] + chosen.parts[k + 1 :]
+        without = fit_parts(judge, others).cost if others else selection.base.cost
+        alternatives = _alternatives(part.candidate, rivals, chosen, without - chosen.cost)
+        out.append(
+            Finding(
+                term,
+                variant,
+                estimates[k],
+                float(np.clip((without - chosen.cost) / total, 0.0, 1.0)),
+                alternatives,
+                sentence_for(term, variant, estimates[k], alternatives, judge.evidence[0].vehicle),
+                term_size(judge, chosen, k),
+                _runners_up(rivals),
+                separations(term, variant, alternatives),
+                CATALOGUE[term].exported,
+            )
+        )
+    return tuple(sorted(out, key=lambda finding: -finding.gap_explained))
+
+
+def _alternatives(own: Candidate, rivals: Sequence[Rival], chosen: Fit, saved: float) -> tuple[str, ...]:
+    """Return terms that fit as well here, and those that always would: exact degeneracies."""
+    rules = Rules()
+    names = [
+        rival.fit.parts[-1].candidate.term
+        for rival in rivals
+        if rival.excess < rules.same_excess
+        or (rival.z < rules.same_within and rival.excess < rules.same_share * saved)
+    ]
+    names += exact_mimics(own.term, own.variant)
+    taken = {part.candidate.term for part in chosen.parts}
+    return tuple(name for name in dict.fromkeys(names) if name not in taken)
+
+
+def _runners_up(rivals: Sequence[Rival]) -> tuple[RivalSummary, ...]:
+    """Return the best variant of each of the best other terms."""
+    best: dict[str, RivalSummary] = {}
+    for rival in rivals:
+        one = rival.fit.parts[-1].candidate
+        best.setdefault(one.term, RivalSummary(one.term, one.variant, rival.excess, rival.z))
+    return tuple(best.values())[:_SHOWN_RIVALS]
