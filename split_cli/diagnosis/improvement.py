@@ -131,7 +131,7 @@ def measure_improvement(
     terms: Sequence[Term],
     common: CommonPhysics,
     knowledge: CommonKnowledge | None,
-) -> Improvement:
+) -> Improvement | None:
     """Compare simulation, named physics and SPLIT on held-out time.
 
     Parameters
@@ -143,6 +143,11 @@ def measure_improvement(
     common : CommonPhysics
     knowledge : CommonKnowledge or None
         What the simulation taught.
+
+    Returns
+    -------
+    Improvement or None
+        None where no step lies wholly in held-out time, as behind a long gap.
     """
     terms = tuple(terms)
     plain = [shared_rates(one.series, common, knowledge) for one, _ in recordings]
@@ -150,6 +155,8 @@ def measure_improvement(
     parts = [
         label_errors(one, terms, *both, held) for (one, held), *both in zip(recordings, plain, named, strict=True)
     ]
+    if not any(part.held.any() for part in parts):
+        return None
     vehicle = recordings[0][0].vehicle
     split_only = _learn_rest(parts, [part.before for part in parts], vehicle)
     both = _learn_rest(parts, [part.physics for part in parts], vehicle)

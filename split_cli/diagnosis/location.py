@@ -92,13 +92,13 @@ def locate(
     noise = np.average(variance, axis=0, weights=[len(at) for at in rows])
     # A gap without a pattern in the common physics passes for a disturbance; what the findings leave bounds it.
     left = np.concatenate([force[at] for force, at in zip(after, rows, strict=True)])
-    noise = np.minimum(noise, np.mean(left**2, axis=0))
+    mean_square = np.mean(gap**2, axis=0)
+    noise = np.maximum(np.minimum(noise, np.mean(left**2, axis=0)), 1e-9 * mean_square + 1e-18)
     table = [variables(one) for one in evidence]
     values = {
         name: np.concatenate([columns[name][at] for columns, at in zip(table, rows, strict=True)])
         for name in table[0]
     }
-    mean_square = np.mean(gap**2, axis=0)
     excess = np.maximum(mean_square - noise, 1e-6 * mean_square + 1e-12)
     shares = excess / excess.sum()
     scores = {name: dependence(x, gap, noise, block) for name, x in values.items()}

@@ -86,7 +86,13 @@ def summarise(
         others = " or ".join(term_with_id(one) for one in finding.alternatives)
         parts.append(f"{statement}." + (f" This data may as well be explained by {others}." if others else ""))
     lacking = sum(finding.exported for finding in findings)
-    parts.append({0: "", 1: "The simulation does not have it.", 2: "The simulation has neither."}.get(lacking, ""))
+    lacks = (
+        "",
+        "The simulation does not have it.",
+        "The simulation has neither.",
+        "The simulation has none of these.",
+    )
+    parts.append(lacks[min(lacking, 3)])
     if location is not None:
         parts.append(_where(location))
     if unexplained and remainder is not None:

@@ -85,6 +85,12 @@ def test_no_horizon_fits_into_too_little_held_out_time(resisted):
     assert errors.horizons == (0.5, 1.0)
 
 
+def test_nothing_is_told_of_held_out_time_without_a_step(resisted):
+    common = build_common_physics(resisted.vehicle, resisted.series)
+    held = resisted.series.t > resisted.series.t[-1] - 0.025
+    assert measure_improvement([(resisted, held)], (RESISTANCE,), common, None) is None
+
+
 def test_noise_floor_of_a_right_model_is_its_error(resisted):
     """The nominal car by itself, all runs: the floor counts noise at both ends as the recording has it."""
     plain = recorded(12)
