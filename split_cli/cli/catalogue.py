@@ -1,4 +1,4 @@
-"""The catalogue of terms as a page, generated from the terms: ``python -m split_cli.cli.catalogue``."""
+"""Terms and simulated effects as a page, generated from them: ``python -m split_cli.cli.catalogue``."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ __all__ = ["catalogue_page"]
 
 
 def catalogue_page() -> str:
-    """Return docs/catalogue.md: a table of every term, then each with its physics and what mimics it."""
+    """Return docs/catalogue.md: every term with its physics and what mimics it, then the effects."""
     from split_cli.vehicle.effects import CATALOGUE
+    from split_cli.workflows.simulate import effect_kinds
 
     parts = [
         "# The catalogue",
@@ -33,6 +34,23 @@ def catalogue_page() -> str:
         for paragraph in _paragraphs(kind):
             parts += [paragraph, ""]
         parts += _facts(kind)
+    parts += [
+        "",
+        "## Effects of the simulated cars",
+        "",
+        "What `split simulate --effect NAME:parameter=value,...` puts into the double track as physics,",
+        "hidden from the driver. Actuators change in their usual order, places are on the track's centreline.",
+        "",
+        "| effect | what the car then has | parameters, from and to |",
+        "|---|---|---|",
+    ]
+    for name, effect in effect_kinds().items():
+        ranges = ", ".join(
+            f"`{parameter}` {limits.lower:g} to {limits.upper:g} {limits.unit}".rstrip()
+            + ("" if limits.default is None else f" (default {limits.default:g})")
+            for parameter, limits in effect.parameters.items()
+        )
+        parts.append(f"| `{name}` | {effect.about} | {ranges} |")
     return "\n".join(parts).rstrip() + "\n"
 
 

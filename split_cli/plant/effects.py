@@ -14,7 +14,7 @@ from split_cli.plant.road import Road
 from split_cli.plant.sensors import SensorSpec
 from split_cli.plant.tire import TireParameters
 
-__all__ = ["EFFECTS", "Effect", "Limits", "Setting", "apply_effects", "parse_effect"]
+__all__ = ["EFFECTS", "Effect", "EffectKind", "Limits", "Setting", "apply_effects", "parse_effect"]
 
 _PLACES = 512
 
@@ -51,7 +51,18 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class _Kind:
+class EffectKind:
+    """An effect that can be asked for.
+
+    Attributes
+    ----------
+    about : str
+        What the car, road or sensors then have.
+    parameters : mapping of str to Limits
+    apply : callable
+        (setting, values) -> setting with the effect.
+    """
+
     about: str
     parameters: Mapping[str, Limits]
     apply: Callable[[Setting, Mapping[str, float]], Setting]
@@ -240,27 +251,27 @@ _LAG = {"tau": Limits("s", 0.002, 1.0)}
 _WAVE = {"amplitude": Limits("rad", -0.3, 0.3), "waves": Limits("", 1, 8, 1.0), "phase": Limits("rad", -7, 7, 0.0)}
 _PLACE = {"s_start": Limits("m", 0.0, 1e5), "s_end": Limits("m", 0.0, 1e5)}
 
-EFFECTS: dict[str, _Kind] = {
-    "steer_offset": _Kind(
+EFFECTS: dict[str, EffectKind] = {
+    "steer_offset": EffectKind(
         "the road wheels' zero is off", {"offset": Limits("rad", -0.1, 0.1)},
         _car(steer_offset=lambda car, v: car.steer_offset + v["offset"]),
     ),
-    "steer_gain": _Kind(
+    "steer_gain": EffectKind(
         "the wheels turn by a share of the command", {"gain": _scale(0.3, 2.0)},
         _car(steer_gain=lambda car, v: car.steer_gain * v["gain"]),
     ),
-    "steer_delay": _Kind(
+    "steer_delay": EffectKind(
         "steering begins late", _DELAY, _car(steer_delay=lambda car, v: car.steer_delay + v["delay"]),
     ),
-    "steer_lag": _Kind(
+    "steer_lag": EffectKind(
         "steering builds up with this time constant, instead of the car's own", _LAG,
         _car(steer_lag=lambda car, v: v["tau"]),
     ),
-    "steer_backlash": _Kind(
+    "steer_backlash": EffectKind(
         "total play of the steering", {"width": Limits("rad", 0.0, 0.2)},
         _car(steer_backlash=lambda car, v: v["width"]),
     ),
-    "drive_gain": _Kind(
+    "drive_gain": EffectKind(
         "driving and braking torque arrive scaled",
         {"drive_gain": Limits("", 0.1, 2.0, 1.0), "brake_gain": Limits("", 0.1, 2.0, 1.0)},
         _car(
@@ -268,34 +279,37 @@ EFFECTS: dict[str, _Kind] = {
             brake_gain=lambda car, v: car.brake_gain * v["brake_gain"],
         ),
     ),
-    "drive_delay": _Kind(
+    "drive_delay": EffectKind(
         "torque begins late", _DELAY, _car(drive_delay=lambda car, v: car.drive_delay + v["delay"]),
     ),
-    "drive_lag": _Kind(
+    "drive_lag": EffectKind(
         "torque builds up with this time constant, instead of the car's own", _LAG,
         _car(drive_lag=lambda car, v: v["tau"]),
     ),
-    "mass": _Kind("a load at the CG", {"scale": _scale(0.5)}, _car(mass=lambda car, v: car.mass * v["scale"])),
-    "yaw_inertia": _Kind(
+    "mass": EffectKind(
+        "a load at the CG", {"scale": _scale(0.5)},
+        _car(mass=lambda car, v: car.mass * v["scale"]),
+    ),
+    "yaw_inertia": EffectKind(
         "another yaw inertia", {"scale": _scale()},
         _car(yaw_inertia=lambda car, v: car.yaw_inertia * v["scale"]),
     ),
-    "cg_shift": _Kind(
+    "cg_shift": EffectKind(
         "the CG lies further forward", {"dx": Limits("m", -1.0, 1.0)},
         _car(
             cg_to_front_axle=lambda car, v: car.cg_to_front_axle - v["dx"],
             cg_to_rear_axle=lambda car, v: car.cg_to_rear_axle + v["dx"],
         ),
     ),
-    "load_transfer": _Kind(
+    "load_transfer": EffectKind(
         "the CG's height, instead of the car's own", {"cg_height": Limits("m", 0.0, 1.5)},
         _car(cg_height=lambda car, v: v["cg_height"]),
     ),
-    "aero_drag": _Kind(
+    "aero_drag": EffectKind(
         "added drag", {"drag": Limits("N/(m/s)^2", -2.0, 10.0)},
         _car(drag_area=lambda car, v: max(car.drag_area + 2.0 * v["drag"] / car.air_density, 0.0)),
     ),
-    "aero_downforce": _Kind(
+    "aero_downforce": EffectKind(
         "added load on the axles",
         {"front": Limits("N/(m/s)^2", -2.0, 10.0), "rear": Limits("N/(m/s)^2", -2.0, 10.0)},
         _car(
@@ -303,52 +317,52 @@ EFFECTS: dict[str, _Kind] = {
             downforce_area_rear=lambda car, v: car.downforce_area_rear + 2.0 * v["rear"] / car.air_density,
         ),
     ),
-    "yaw_moment_differential": _Kind(
+    "yaw_moment_differential": EffectKind(
         "viscous torque between the rear wheels", {"locking": Limits("N m s/rad", 0.0, 1e5)},
         _car(differential_locking_rear=lambda car, v: v["locking"]),
     ),
-    "rolling_resistance": _Kind(
+    "rolling_resistance": EffectKind(
         "added rolling resistance", {"force": Limits("N", -1e3, 1e4)}, _tires(_rolling),
     ),
-    "tire_stiffness": _Kind(
+    "tire_stiffness": EffectKind(
         "cornering stiffness of the axles",
         {"front_scale": Limits("", 0.3, 3.0, 1.0), "rear_scale": Limits("", 0.3, 3.0, 1.0)}, _tires(_stiff),
     ),
-    "tire_relaxation": _Kind(
+    "tire_relaxation": EffectKind(
         "distance over which lateral force builds up, instead of the tyre's own",
         {"length": Limits("m", 0.002, 5.0)},
         _tires(lambda tire, car, v, axle: replace(tire, relaxation_lateral=v["length"])),
     ),
-    "combined_slip": _Kind(
+    "combined_slip": EffectKind(
         "how much longitudinal and lateral force take from each other, 1 in a sound tyre",
         {"strength": Limits("", 0.0, 1.0)},
         _tires(lambda tire, car, v, axle: replace(tire, combined_slip=v["strength"])),
     ),
-    "friction_scale": _Kind("grip of the whole road", {"scale": _scale(0.2, 1.5)}, _grip),
-    "friction_patch": _Kind(
+    "friction_scale": EffectKind("grip of the whole road", {"scale": _scale(0.2, 1.5)}, _grip),
+    "friction_patch": EffectKind(
         "grip between two places of the centreline", {"scale": _scale(0.2, 1.5), **_PLACE}, _patch,
     ),
-    "grip_fade": _Kind(
+    "grip_fade": EffectKind(
         "grip that drifts with time", {"final_loss": Limits("", -0.5, 0.8), "tau": Limits("s", 1.0, 1e4)}, _fade,
     ),
-    "road_grade": _Kind("waves a lap of grade, uphill positive", _WAVE, _incline("grade")),
-    "road_bank": _Kind("waves a lap of bank, left side higher positive", _WAVE, _incline("bank")),
-    "wind": _Kind(
+    "road_grade": EffectKind("waves a lap of grade, uphill positive", _WAVE, _incline("grade")),
+    "road_bank": EffectKind("waves a lap of bank, left side higher positive", _WAVE, _incline("bank")),
+    "wind": EffectKind(
         "air that moves over the ground", {"wx": Limits("m/s", -40, 40), "wy": Limits("m/s", -40, 40)}, _wind,
     ),
-    "sensor_delay": _Kind("every measured channel is late", _DELAY, _late),
-    "sensor_misalignment": _Kind(
+    "sensor_delay": EffectKind("every measured channel is late", _DELAY, _late),
+    "sensor_misalignment": EffectKind(
         "the velocity sensor is turned counter-clockwise", {"angle": Limits("rad", -0.3, 0.3)}, _turned,
     ),
-    "torque_bend": _Kind(
+    "torque_bend": EffectKind(
         "not in the catalogue: driving torque T arrives as T (1 - bend T/T_max)",
         {"bend": Limits("", 0.0, 0.95)}, _fault(torque_bend=lambda car, v: v["bend"]),
     ),
-    "torque_steer": _Kind(
+    "torque_steer": EffectKind(
         "not in the catalogue: full driving torque turns the front wheels by this angle",
         {"angle": Limits("rad", -0.2, 0.2)}, _fault(torque_steer=lambda car, v: v["angle"]),
     ),
-    "brake_fade": _Kind(
+    "brake_fade": EffectKind(
         "not in the catalogue: brakes that lose this share of their torque when hot",
         {"loss": Limits("", 0.0, 0.95)},
         _fault(

@@ -124,6 +124,7 @@ def _drive(path: Path) -> FileDescription:
     facts += [(f"{channel} is", kind) for channel, kind in drive.metadata.kinds.items()]
     facts += [("source", f"{s.name} (sha256 {s.sha256[:12]})") for s in drive.metadata.sources]
     facts += [("converted", text) for text in drive.metadata.conversions]
+    facts += [("concealed", text) for text in drive.metadata.quality.get("effects", ())]
     return FileDescription(str(path), "drive", tuple(facts))
 
 

@@ -12,7 +12,7 @@ from split_cli.files import refuse_what_cannot_be_written, sha256_of_file
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, write_drive
 from split_cli.plant.cars import CarParameters, find_car
 from split_cli.plant.drivers import find_driver
-from split_cli.plant.effects import Setting, apply_effects, parse_effect
+from split_cli.plant.effects import EFFECTS, EffectKind, Setting, apply_effects, parse_effect
 from split_cli.plant.faults import SOUND
 from split_cli.plant.maneuvers import CALIBRATION_TESTS, build_maneuver, run_maneuver
 from split_cli.plant.recording import TABLE_CHANNELS, write_csv, write_mcap, write_parquet
@@ -21,7 +21,7 @@ from split_cli.plant.sensors import ChannelSpec, Reading, SensorSpec, lean, meas
 from split_cli.plant.simulation import Trajectory, drive_laps
 from split_cli.plant.tracks import find_track
 
-__all__ = ["SimulateSettings", "SimulatedLog", "simulate_log", "truth_drive"]
+__all__ = ["SimulateSettings", "SimulatedLog", "effect_kinds", "simulate_log", "truth_drive"]
 
 FORMATS = ("mcap", "csv", "parquet")
 INSTRUMENTS = ("full", "lean", "perfect")
@@ -119,6 +119,11 @@ class SimulatedLog:
     rates: tuple[tuple[str, float], ...]
     effects: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+
+
+def effect_kinds() -> dict[str, EffectKind]:
+    """Return the effects that can be concealed, by name."""
+    return dict(EFFECTS)
 
 
 def simulate_log(
