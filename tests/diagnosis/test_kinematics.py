@@ -1,0 +1,112 @@
+"""Faults of the velocity sensor, found from position and yaw alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.kinematics import build_kinematics, habits
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects import CATALOGUE
+from tests.diagnosis.recordings import bare_judge, light_evidence, noisy, prepared
+
+POSITION = 0.01  # standard deviation of X and Y [m]
+
+
+def faulty(drive: Drive, *, angle: float = 0.0, dx: float = 0.0) -> Drive:
+    """Return a drive whose velocity sensor is turned by `angle` and sits `dx` ahead, by the geometry alone."""
+    vx, vy = drive["vx"], drive["vy"] + dx * drive["r"]
+    turned = {"vx": np.cos(angle) * vx + np.sin(angle) * vy, "vy": np.cos(angle) * vy - np.sin(angle) * vx}
+    return replace(drive, columns={**drive.columns, **turned})
+
+
+def series_of(drive: Drive, seed: int = 3, **fault: float):
+    return prepared(noisy(faulty(drive, **fault), seed, position=POSITION))
+
+
+def solved(kinematics, *terms: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the parameters that position and yaw alone ask for, and their standard errors: three Newton steps."""
+    names = [(term, next(iter(CATALOGUE[term].units))) for term in terms]
+    values = np.zeros(len(names))
+
+    def rows(values):
+        return kinematics.rows([CATALOGUE[t]({p: float(v)}) for (t, p), v in zip(names, values, strict=True)])
+
+    for _ in range(3):
+        here = rows(values)
+        slopes = np.stack([(rows(values + 1e-4 * unit) - here) / 1e-4 for unit in np.eye(len(names))], axis=1)
+        values = values - np.linalg.lstsq(slopes, here, rcond=None)[0]
+    return values, np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+
+
+def test_misalignment_and_lever_arm_are_recovered_together(nominal_drive):
+    kinematics = build_kinematics(series_of(nominal_drive, angle=0.02, dx=0.3))
+    values, errors = solved(kinematics, "sensor_misalignment", "sensor_lever_arm")
+    # Either is known to a tenth at least.
+    assert np.all(errors < [0.002, 0.03])
+    assert np.all(np.abs(values - [0.02, 0.3]) < 3.0 * errors)
+
+
+def test_a_sensor_that_is_right_contradicts_nothing(nominal_drive):
+    kinematics = build_kinematics(series_of(nominal_drive))
+    values, errors = solved(kinematics, "sensor_misalignment", "sensor_lever_arm")
+    assert np.all(np.abs(values) < 3.0 * errors)
+    # Rows are in units of their spread: their robust deviation is 1 by definition, and without outliers their rms.
+    assert np.sqrt(np.mean(kinematics.rows(()) ** 2)) == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_simulation_that_contradicts_itself_is_no_fault_of_reality(nominal_drive):
+    """Velocities of a point 0.3 m ahead in both: a habit of the simulation, taken off reality's rows."""
+    habit = habits([series_of(nominal_drive, 4, dx=0.3)])
+    assert habit[0] == pytest.approx(-0.3, abs=0.03) and abs(habit[1]) < 0.002
+    values, errors = solved(build_kinematics(series_of(nominal_drive, 3, dx=0.3), habit), "sensor_lever_arm")
+    # The habit is as uncertain as the answer.
+    assert abs(values[0]) < 3.0 * np.sqrt(2.0) * errors[0]
+    np.testing.assert_array_equal(habits([]), np.zeros(2))
+
+
+def test_a_straight_line_by_hand(nominal_drive):
+    """At 20 m/s straight ahead, a sensor turned by 0.01 rad sees 0.2 m/s that is not there: 0.1 m in 0.5 s."""
+    count = 1001
+    zero, t = np.zeros(count), 0.01 * np.arange(count)
+    columns = {"t": t, "X": 20.0 * t * np.cos(0.4), "Y": 20.0 * t * np.sin(0.4), "yaw": zero + 0.4, "s": 20.0 * t}
+    columns |= {"vx": zero + 20.0 * np.cos(0.01), "vy": zero - 20.0 * np.sin(0.01), "r": zero}
+    drive = Drive("straight", {**columns, "T": zero, "delta": zero}, np.zeros(count, dtype=np.int32), 0.01)
+    kinematics = build_kinematics(prepared(drive))
+    np.testing.assert_allclose(kinematics.left(()), 0.5 * 20.0 * np.sin(0.01), rtol=1e-9)
+    right = (CATALOGUE["sensor_misalignment"]({"angle": 0.01}),)
+    np.testing.assert_allclose(kinematics.left(right), 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        kinematics.causes(), np.tile([0.0, 10.0 * np.cos(0.01)], (len(kinematics.begin), 1))
+    )
+
+
+def test_what_the_car_lacks_moves_no_row_of_position_and_yaw(nominal_drive):
+    series = series_of(nominal_drive)
+    kinematics = build_kinematics(series)
+    judge = bare_judge(light_evidence(series), kinematics=[kinematics])
+    last = slice(-len(kinematics.begin), None)
+    plain = judge.residual(())
+    for term in (
+        CATALOGUE["mass"]({"scale": 1.3}),
+        CATALOGUE["steer_gain"]({"gain": 0.7}),
+        CATALOGUE["cg_shift"]({"dx": 0.2}),
+    ):
+        moved = judge.residual((term,))
+        np.testing.assert_array_equal(moved[last], plain[last])
+        assert np.abs(moved - plain).max() > 0.1
+    turned = judge.residual((CATALOGUE["sensor_misalignment"]({"angle": 0.02}),))
+    # 0.02 rad at some 18 m/s is 0.18 m in half a second, against some centimetres.
+    assert np.median(np.abs(turned[last] - plain[last])) > 3.0
+    assert judge.channel_sums(np.ones_like(plain))[3] == len(kinematics.begin)
+
+
+def test_no_rows_without_position_or_with_too_few_windows(nominal_drive):
+    bare = {name: values for name, values in nominal_drive.columns.items() if name not in ("X", "Y", "yaw")}
+    assert build_kinematics(prepared(replace(nominal_drive, columns=bare))) is None
+    # A run of 5 s holds nine windows; twelve are asked for.
+    one = nominal_drive.select(nominal_drive.segment == 0)
+    assert build_kinematics(prepared(one)) is None
+    assert build_kinematics(prepared(nominal_drive.select(nominal_drive.segment < 2))) is not None

@@ -1,0 +1,198 @@
+"""Which terms are named: planted ones, against a search of every subset, and what must not be named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.candidates import Candidate
+from split_cli.diagnosis.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.selection import (
+    Rules,
+    Selection,
+    block_z,
+    explore,
+    nothing,
+    price,
+    select_terms,
+    term_p,
+    term_size,
+)
+from split_cli.diagnosis.structure import severity_of
+from split_cli.vehicle.effects import CATALOGUE, Term
+from tests.diagnosis.recordings import LAP, bare_judge, candidates_of, driven, light_evidence, noisy, prepared
+
+INFLATION = 1.5
+NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness")
+
+
+def judge_of(*terms: Term, seed: int = 21) -> Judge:
+    return bare_judge(light_evidence(prepared(noisy(driven(seed, terms), 5))))
+
+
+def planted(**values: float) -> tuple[Term, ...]:
+    return tuple(CATALOGUE[name]({next(iter(CATALOGUE[name].units)): value}) for name, value in values.items())
+
+
+@pytest.fixture(scope="module")
+def pair() -> Judge:
+    return judge_of(*planted(yaw_inertia=1.12, aero_drag=0.5))
+
+
+@pytest.fixture(scope="module")
+def chosen_pair(pair) -> Selection:
+    return select_terms(pair, candidates_of(pair, *NAMES), INFLATION)
+
+
+def named(selection: Selection) -> set[str]:
+    return {term.id for term in selection.terms}
+
+
+def test_nothing_is_named_where_nothing_is_planted(nominal_judge):
+    selection = select_terms(nominal_judge, candidates_of(nominal_judge, *NAMES, "mass"), INFLATION)
+    assert not selection.terms and not selection.rivals
+    assert selection.first_p > 0.01
+    assert selection.chosen.cost == pytest.approx(nominal_judge.cost(()), rel=1e-12)
+
+
+def test_a_single_is_named():
+    judge = judge_of(*planted(steer_gain=0.9))
+    selection = select_terms(judge, candidates_of(judge, *NAMES), INFLATION)
+    assert named(selection) == {"steer_gain"}
+    assert selection.first_p < 1e-10
+    assert selection.chosen.terms[0].parameters["gain"] == pytest.approx(0.9, abs=0.005)
+
+
+def test_a_pair_is_named_as_a_search_of_every_subset_would(pair, chosen_pair):
+    candidates = candidates_of(pair, *NAMES)
+    fits = [nothing(pair)] + [
+        fit_parts(pair, [Part(one, dict(one.starts[0])) for one in several])
+        for size in (1, 2, 3)
+        for several in combinations(candidates, size)
+    ]
+    best = min(fits, key=lambda fit: price(fit, INFLATION, Rules()))
+    assert set(best.names) == named(chosen_pair) == {"yaw_inertia", "aero_drag"}
+    # Where the fits stop, 0.02 are left at most.
+    assert chosen_pair.chosen.cost == pytest.approx(best.cost, abs=0.05)
+
+
+def test_the_price_of_a_parameter_is_counted_after_inflation(chosen_pair):
+    fit = chosen_pair.chosen
+    assert fit.complexity == 2.0
+    assert price(fit, 2.0, Rules(price=5.0)) == pytest.approx(0.5 * fit.cost + 10.0)
+
+
+def test_rivals_are_in_the_place_of_one_part_and_sorted(pair, chosen_pair):
+    fit = chosen_pair.chosen
+    for own, rivals in zip(fit.parts, chosen_pair.rivals, strict=True):
+        others = {part.candidate.term for part in fit.parts} - {own.candidate.term}
+        taken = [rival.fit.parts[-1].candidate.term for rival in rivals]
+        assert own.candidate.term not in taken and not others & set(taken)
+        assert set(taken) == set(NAMES) - {own.candidate.term} - others
+        assert all({part.candidate.term for part in rival.fit.parts[:-1]} == others for rival in rivals)
+        excess = [rival.excess for rival in rivals]
+        assert excess == sorted(excess) and excess[0] > 0.0
+        for rival in rivals:
+            dearer = rival.fit.complexity - fit.complexity
+            expected = (rival.fit.cost - fit.cost) / INFLATION + Rules().price * dearer
+            assert rival.excess == pytest.approx(expected, rel=1e-9)
+
+
+def test_too_small_to_name_is_kept_aside_and_the_search_goes_on():
+    """60 N of resistance are seen before all else, since a constant adds up, but are below the noise of a step."""
+    terms = planted(rolling_resistance=60.0, yaw_inertia=1.03)
+    judge = judge_of(*terms)
+    evidence = judge.evidence[0]
+    assert severity_of(evidence, terms[:1]) < 0.09 < severity_of(evidence, terms[1:])
+    candidates = candidates_of(judge, "rolling_resistance", "yaw_inertia", "steer_gain")
+    first = explore(judge, nothing(judge), candidates, Rules(), INFLATION)[0]
+    assert first.names == ("rolling_resistance",)
+    selection = select_terms(judge, candidates, INFLATION)
+    assert named(selection) == {"yaw_inertia"}
+    assert selection.chosen.names == ("rolling_resistance", "yaw_inertia")
+    assert [bool(rivals) for rivals in selection.rivals] == list(selection.named)
+    # What is kept aside takes nothing from what is named.
+    values = {part.candidate.term: part.values for part in selection.chosen.parts}
+    assert selection.terms[0].parameters == values["yaw_inertia"]
+    assert values["yaw_inertia"]["scale"] == pytest.approx(1.03, abs=0.004)
+    assert values["rolling_resistance"]["force"] == pytest.approx(60.0, abs=6.0)
+
+
+def test_the_p_value_of_a_term_grows_with_what_the_simulation_shows_against_itself(pair, chosen_pair):
+    fit = chosen_pair.chosen
+    k = next(k for k, part in enumerate(fit.parts) if part.candidate.term == "aero_drag")
+    saved = fit_parts(pair, fit.parts[:k] + fit.parts[k + 1 :]).cost - fit.cost
+    plain = term_p(pair, fit, k, saved, INFLATION)
+    forgiving, other = (
+        term_p(replace(pair, term_floors={name: 2.0 * saved}), fit, k, saved, INFLATION)
+        for name in ("aero_drag", "mass")
+    )
+    assert plain < 1e-10 and forgiving > 0.9
+    assert other == plain
+
+
+def test_a_stretch_over_nearly_the_whole_lap_is_none():
+    """Grip lost on 380 of 400 m: the whole road has less of it, as far as names go."""
+    judge = judge_of(CATALOGUE["friction_patch"]({"scale": 0.8, "s_start": 10.0, "s_end": 390.0}))
+    patches = candidates_of(judge, "friction_patch")
+    for fit in explore(judge, nothing(judge), patches, Rules(), INFLATION):
+        values = fit.parts[0].values
+        assert (values["s_end"] - values["s_start"]) % LAP <= 0.75 * LAP
+    selection = select_terms(judge, [*patches, *candidates_of(judge, "friction_scale")], INFLATION)
+    assert named(selection) == {"friction_scale"}
+
+
+def test_a_stretch_is_named_and_not_the_whole_road():
+    judge = judge_of(CATALOGUE["friction_patch"]({"scale": 0.7, "s_start": 120.0, "s_end": 220.0}))
+    candidates = candidates_of(judge, "friction_patch", "friction_scale")
+    assert named(select_terms(judge, candidates, INFLATION)) == {"friction_patch"}
+
+
+class TestWithoutRecordings:
+    """Entries that are simply given."""
+
+    def judge(self, blocks: int, rows: int) -> Judge:
+        block = np.repeat(np.arange(blocks), rows)
+        empty = np.zeros(0)
+        return Judge((), None, None, (), empty, empty.reshape(0, 0), block, np.ones(len(block)), empty)
+
+    def fit(self, entries: np.ndarray) -> Fit:
+        return Fit((), float(entries @ entries), entries, np.empty((len(entries), 0)))
+
+    def test_block_z_is_a_t_of_the_blocks_sums(self):
+        rng = np.random.default_rng(2)
+        one, other = rng.standard_normal((2, 120))
+        sums = [float(np.sum(other[k : k + 10] ** 2 - one[k : k + 10] ** 2)) for k in range(0, 120, 10)]
+        expected = np.mean(sums) / (np.std(sums, ddof=1) / np.sqrt(len(sums)))
+        assert block_z(self.judge(12, 10), self.fit(one), self.fit(other)) == pytest.approx(expected, rel=1e-6)
+
+    def test_what_is_saved_in_one_moment_counts_for_one(self):
+        """All in one of n blocks: z is 1, however much it is; a tenth in every block: z grows without bound."""
+        base = np.ones(200)
+        once, always = base.copy(), base - 0.1 + 1e-3 * np.tile([1.0, -1.0], 100)
+        once[:10] = 0.0
+        judge = self.judge(20, 10)
+        assert block_z(judge, self.fit(once), self.fit(base)) == pytest.approx(1.0, rel=1e-6)
+        assert block_z(judge, self.fit(always), self.fit(base)) > 100.0
+
+
+def test_size_of_a_term_is_told_with_the_others_in_place(pair, chosen_pair):
+    """Drag and inertia act apart: each is as large as alone."""
+    fit = chosen_pair.chosen
+    for k, term in enumerate(fit.terms):
+        assert term_size(pair, fit, k) == pytest.approx(severity_of(pair.evidence[0], (term,)), rel=1e-6)
+
+
+def test_a_term_is_offered_once(pair, chosen_pair):
+    """Neither a term that is in, nor two variants of one, nor the same variant from two starts."""
+    inside: Candidate = chosen_pair.chosen.parts[0].candidate
+    current = fit_parts(pair, [Part(inside, dict(inside.starts[0]))])
+    fits = explore(pair, current, candidates_of(pair, *NAMES, "steer_lag"), Rules(), INFLATION)
+    last = [(fit.parts[-1].candidate.term, fit.parts[-1].candidate.variant) for fit in fits]
+    assert inside.term not in {term for term, _ in last} and len(last) == len(set(last))
+    costs = [price(fit, INFLATION, Rules()) for fit in fits]
+    assert costs == sorted(costs)
