@@ -116,7 +116,7 @@ def prepared(drive: Drive, role: str = "real") -> Series:
     return build_series(drive, role, drive["s"], lap_length=LAP, place_reference="position")
 
 
-def light_evidence(series: Series, disturbance: float = 1e-4) -> Evidence:
+def light_evidence(series: Series, disturbance: float = 1e-8) -> Evidence:
     """Return evidence of a known disturbance, without the columns of common physics: for many replicates."""
     car = road_car()
     jacobian = SingleTrack(car).velocity_jacobian(*series.smooth.T, series.torque, series.steer_angle)

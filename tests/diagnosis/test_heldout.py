@@ -1,0 +1,99 @@
+"""What findings explain of the time kept out: shares known from each effect alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.fitting import Part, fit_parts
+from split_cli.diagnosis.heldout import HeldOut, explained_shares, hold_out
+from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.selection import nothing
+from split_cli.vehicle.effects import CATALOGUE
+from tests.diagnosis.recordings import bare_judge, candidates_of, driven, light_evidence, noisy, prepared
+
+PAIR = CATALOGUE["aero_drag"]({"drag": 0.5}), CATALOGUE["yaw_inertia"]({"scale": 1.15})
+
+
+def evidence_of(seed: int, *terms):
+    return light_evidence(prepared(noisy(driven(seed, terms, runs=12), seed)))
+
+
+def split_of(evidence, others=(), share: float = 0.25) -> HeldOut:
+    every = [np.ones(len(one.at), dtype=bool) for one in (evidence, *others)]
+    common = bare_judge(evidence).common
+    return hold_out([evidence], every[:1], list(others), every[1:], None, common, (), share)
+
+
+def fitted(judge: Judge, *terms: str):
+    parts = [Part(one, dict(one.starts[0])) for one in candidates_of(judge, *terms) if not one.variant]
+    return fit_parts(judge, sorted(parts, key=lambda part: terms.index(part.candidate.term)))
+
+
+@pytest.fixture(scope="module")
+def paired():
+    return evidence_of(51, *PAIR)
+
+
+def test_the_last_time_is_kept_out_and_nothing_is_in_both(paired):
+    split = split_of(paired)
+    (training,), (judging,), (mask,) = split.training.keep, split.judging.keep, split.masks
+    t = paired.series.t
+    np.testing.assert_array_equal(mask, t > 0.75 * t[-1])
+    assert not np.any(training & judging) and np.all(training | judging)
+    assert paired.series.t[paired.at][training].max() <= 0.75 * t[-1] < paired.series.t[paired.at][judging].min()
+
+
+def test_shares_of_a_pair_are_those_of_each_effect_alone(paired):
+    """Drag is seen in v_x and inertia in r: what either explains is what it does alone."""
+    split = split_of(paired)
+    shares = explained_shares(split, fitted(split.training, "aero_drag", "yaw_inertia"))
+    judging = split.judging
+    base = judging.residual(())
+    alone = np.array([float(np.sum((judging.residual((term,)) - base) ** 2)) for term in PAIR])
+    assert 0.05 < alone[0] / alone.sum() < 0.95
+    # What is left after both is noise; the floor takes it off, known to some percent of what effects do.
+    np.testing.assert_allclose(shares, alone / alone.sum(), atol=0.04)
+
+
+def test_half_of_a_pair_explains_its_half_only(paired):
+    split = split_of(paired)
+    both = explained_shares(split, fitted(split.training, "aero_drag", "yaw_inertia"))
+    (one,) = explained_shares(split, fitted(split.training, "aero_drag"))
+    assert one == pytest.approx(both[0], abs=0.04)
+
+
+def test_a_wrong_term_explains_nothing(paired):
+    split = split_of(paired)
+    shares = explained_shares(split, fitted(split.training, "aero_drag", "yaw_inertia", "steer_offset"))
+    assert shares[2] < 0.01 and shares[0] > 0.05 and shares[1] > 0.05
+
+
+def test_a_term_that_fits_the_training_time_only_explains_nothing():
+    """Grip that was lost, but only before the time kept out: shares are of that time."""
+    lost, early = CATALOGUE["friction_scale"]({"scale": 0.85}), driven(52, runs=12)
+    slippery = driven(52, (lost,), runs=12)
+    before = early["t"] <= 0.75 * early["t"][-1]
+    columns = {name: np.where(before, slippery[name], early[name]) for name in early.columns}
+    drive = type(early)(early.name, columns, early.segment, early.period)
+    split = split_of(light_evidence(prepared(noisy(drive, 3))))
+    fit = fitted(split.training, "friction_scale")
+    assert fit.terms[0].parameters["scale"] == pytest.approx(0.85, abs=0.02)
+    assert explained_shares(split, fit) == (0.0,)
+
+
+def test_recordings_named_for_it_are_kept_out_whole(paired):
+    other = evidence_of(53, *PAIR)
+    split = split_of(paired, [other])
+    assert split.training.keep[0].all() and not split.masks[0].any()
+    assert split.judging.evidence == (other,)
+    shares = explained_shares(split, fitted(split.training, "aero_drag", "yaw_inertia"))
+    assert sum(shares) == pytest.approx(1.0, abs=0.05)
+
+
+def test_nothing_is_said_where_too_little_is_kept_out(paired):
+    # 70 s hold some 1,500 rows of 0.04 s; sixty are asked for.
+    split = split_of(paired, share=0.01)
+    assert split.judging is None
+    assert explained_shares(split, fitted(split.training, "aero_drag")) is None
+    assert explained_shares(split_of(paired), nothing(split.training)) is None
