@@ -28,9 +28,8 @@ __all__ = ["SelfTest", "comparable", "self_test"]
 
 _LEAST_ROWS = 150
 # Reality may cover other ground than the simulation's second half did, by chance: it has to show this much more.
-_NAMELESS_MARGIN = 1.5
-_TERM_MARGIN = 2.0
-_MOST_SCALE = 4.0
+_NAMELESS_MARGIN = 2.0
+_TERM_MARGIN = 1.5
 _BINS = 40
 _WAVES = 12
 
@@ -60,11 +59,14 @@ class SelfTest:
     wander: float = 1.0
 
     def allow(self, judge: Judge) -> Judge:
-        """Return a judge that forgives as much, in proportion to its rows, with a margin."""
+        """Return a judge that forgives as much, with a margin.
+
+        More rows hold more: a misfit saves in proportion to them, what wanders saves no more. The root lies between.
+        """
         if not self.rows:
             return judge
         rows = sum(int(mask.sum()) for mask in judge.keep)
-        scale = float(np.clip(rows / self.rows, 1.0, _MOST_SCALE))
+        scale = float(np.sqrt(max(rows / self.rows, 1.0)))
         return replace(
             judge,
             nameless_floor=_NAMELESS_MARGIN * scale * self.nameless,
@@ -115,14 +117,12 @@ def self_test(
     tests = [test for test in tests if test is not None]
     if not tests:
         return SelfTest()
-    most = max(test.rows for test in tests)
-
     names = dict.fromkeys(term for test in tests for term in test.terms)
     return SelfTest(
-        most,
+        max(test.rows for test in tests),
         max(test.ratio for test in tests),
-        max(test.nameless * most / test.rows for test in tests),
-        {term: max(test.terms[term] * most / test.rows for test in tests) for term in names},
+        max(test.nameless for test in tests),
+        {term: max(test.terms[term] for test in tests) for term in names},
         max(test.wander for test in tests),
     )
 

@@ -56,7 +56,8 @@ FAULTS: dict[str, tuple[str, str, tuple[float, float]]] = {
 def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None) -> list[InjectedFault]:
     """Return the faults to put into a drive, each in two sizes, and none as the first.
 
-    A torque that was derived from acceleration is not scaled: it would say nothing of the car.
+    A torque that was derived from acceleration is neither scaled nor shifted: it would say nothing of the car, and
+    clocks that are late for the steering alone are a steering that is late.
 
     Raises
     ------
@@ -69,7 +70,7 @@ def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None
     derived = drive.metadata.kinds.get("T", "").startswith("derived")
     found = [InjectedFault("none", "", ())]
     for name, (term, parameter, sizes) in FAULTS.items():
-        if (only and name not in only) or (derived and term == "drive_gain"):
+        if (only and name not in only) or (derived and term in ("drive_gain", "sensor_delay")):
             continue
         for size in sizes:
             value = size * vehicle.wheelbase / 2.7 if term == "sensor_lever_arm" else size
