@@ -30,6 +30,8 @@ _LEAST_ROWS = 150
 # Reality may cover other ground than the simulation's second half did, by chance: it has to show this much more.
 _NAMELESS_MARGIN = 2.0
 _TERM_MARGIN = 1.5
+# What one term shows between two halves, another may show between two recordings.
+_KINDRED = 0.33
 _BINS = 40
 _WAVES = 12
 
@@ -67,10 +69,13 @@ class SelfTest:
             return judge
         rows = sum(int(mask.sum()) for mask in judge.keep)
         scale = float(np.sqrt(max(rows / self.rows, 1.0)))
+        most = max(self.terms.values(), default=0.0)
         return replace(
             judge,
             nameless_floor=_NAMELESS_MARGIN * scale * self.nameless,
-            term_floors={term: _TERM_MARGIN * scale * saved for term, saved in self.terms.items()},
+            term_floors={
+                term: _TERM_MARGIN * scale * max(saved, _KINDRED * most) for term, saved in self.terms.items()
+            },
         )
 
 
@@ -155,11 +160,11 @@ def comparable(one: Evidence, simulated: Sequence[Evidence], common: CommonPhysi
 
 def _graded(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common: CommonPhysics) -> Evidence:
     """Whiten a simulation as if it had reality's noise."""
-    series = replace(one.series, noise=np.maximum(one.series.noise, noise))
+    series = one.series
     whitener = build_whitener(
         one.jacobian,
         series.period,
-        series.told_noise,
+        np.maximum(series.told_noise, noise),
         np.maximum(one.disturbance, disturbance),
         series.transitions_begin(),
         one.whitener.group,
@@ -167,7 +172,7 @@ def _graded(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common: C
     rates = series.rates(extended_model(one.vehicle))
     plain = defects(series, rates, one.jacobian, series.measured, series.smooth)
     columns = whitener(integrated(series, common.columns(series)))
-    return replace(one, series=series, whitener=whitener, plain=whitener(plain), common=columns)
+    return replace(one, whitener=whitener, plain=whitener(plain), common=columns)
 
 
 def _first_half(simulated: Sequence[Evidence]) -> list[np.ndarray]:

@@ -19,7 +19,7 @@ from split_cli.diagnosis.judge import build_judge
 from split_cli.diagnosis.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.place import places_of
 from split_cli.diagnosis.result import Diagnosis, InputFile
-from split_cli.diagnosis.screening import clean_drives, idle, judgeable, tellable, unfit
+from split_cli.diagnosis.screening import clean_drives, idle, judgeable, moving, tellable, unfit
 from split_cli.diagnosis.selection import Rules, Selection, nothing, select_terms
 from split_cli.diagnosis.sentences import summarise
 from split_cli.diagnosis.series import build_series
@@ -98,6 +98,7 @@ def diagnose(
     reasons = [*reasons, *notes] if reasons else idle(drives[: len(real)], vehicle)
     if reasons:
         return _undecided(reasons, 0.0, inputs, described)
+    drives = [moving(drive, vehicle) for drive in drives]
     progress("smoothing")
     places, lap = places_of(drives, vehicle.wheelbase)
     series = [

@@ -15,10 +15,12 @@ from split_cli.logs.drive import Drive
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["clean_drives", "cleaned", "idle", "judgeable", "tellable", "torque_is_derived", "unfit"]
+__all__ = ["clean_drives", "cleaned", "idle", "judgeable", "moving", "tellable", "torque_is_derived", "unfit"]
 
 _LEAST_SECONDS = 8.0
 _LEAST_SHARE = 0.7
+_CRAWL = 0.5  # of the speed from which on the nominal model is valid; rows are compared from 0.6 of it
+_SHORTEST_RUN = 0.5
 _LONGEST_PERIOD = 0.1
 _STUCK_SECONDS = 1.0
 _HELD_SECONDS = 3.0
@@ -119,6 +121,22 @@ def unfit(drive: Drive, vehicle: Vehicle) -> list[str]:
             "slip angles mean little there. Drive faster, or look whether it is a recording of this vehicle."
         ]
     return _of_another_car(drive, vehicle)
+
+
+def moving(drive: Drive, vehicle: Vehicle) -> Drive:
+    """Return a drive without its crawling and standing: slip is not defined there, and nothing of it is compared.
+
+    Runs too short for a smoothing window go with it. A drive without such rows is returned as it is.
+    """
+    rows = drive["vx"] >= _CRAWL * vehicle.minimum_speed
+    if rows.all():
+        return drive
+    left = drive.select(rows)
+    long = [run for run in left.segments() if (run.stop - run.start) * drive.period > _SHORTEST_RUN]
+    kept = np.zeros(len(left), dtype=bool)
+    for run in long:
+        kept[run] = True
+    return left.select(kept)
 
 
 def idle(real: Sequence[Drive], vehicle: Vehicle) -> list[str]:

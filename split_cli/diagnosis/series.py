@@ -19,7 +19,7 @@ __all__ = ["Series", "build_series", "extended_model"]
 _WINDOWS_SECONDS = (0.05, 0.08, 0.12, 0.18, 0.26, 0.36)
 # A window counts as too long when what it takes away exceeds the noise by more than this.
 _SLACK = 1.04
-_WORTHLESS = 1e4
+_WORTHLESS = 1e3
 
 
 @dataclass(frozen=True)
