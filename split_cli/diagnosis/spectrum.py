@@ -25,6 +25,7 @@ _LONGEST = 4.0  # wavelengths in wheelbases; longer ones are the track's
 _BACKGROUND = 201  # bins
 _FEWEST = 2048  # samples
 _SHARED = 0.5  # of the amplitude, that the simulation shows too
+_MARGIN = 2.0  # over lines that the simulation has elsewhere
 _CHANNELS = ("v_x", "v_y", "r")
 
 
@@ -55,6 +56,10 @@ class Line:
     severity: float
     p_value: float
 
+    def like(self, other: Line) -> float:
+        """Return another line's amplitude where it is of the same channel and clock, else 0."""
+        return other.amplitude if (other.channel, other.over) == (self.channel, self.over) else 0.0
+
     def in_words(self) -> str:
         """Return what swings, and how often."""
         unit = "rad/s^2" if self.channel == "r" else "m/s^2"
@@ -80,6 +85,9 @@ def strongest_line(judge: Judge, terms: Sequence[Term], simulated: Sequence[Evid
     """
     lines = [line for one in judge.evidence for line in _lines(one, _left(judge, one, terms))]
     lines = [line for line in lines if line.p_value < 1e-3]
+    # A simulation that has lines of its own is a recording: another line of their size is no difference.
+    own = [line for one in simulated for line in _lines(one, _left(judge, one, ()))] if lines else []
+    lines = [line for line in lines if line.amplitude > _MARGIN * max(map(line.like, own), default=0.0)]
     for line in sorted(lines, key=lambda line: line.p_value):
         if not any(_shows(judge, one, line) for one in simulated):
             return line
