@@ -63,7 +63,7 @@ class SelfTest:
     def allow(self, judge: Judge) -> Judge:
         """Return a judge that forgives as much, with a margin.
 
-        More rows hold more: a misfit saves in proportion to them, what wanders saves no more; the root lies between.
+        A misfit saves in proportion to the rows, what wanders saves no more of more rows; the root lies between.
         """
         if not self.rows:
             return judge
