@@ -117,7 +117,7 @@ def _lines(one: Evidence, left: np.ndarray) -> list[Line]:
         even = white if over == "time" else np.stack([np.interp(grid, clock, row) for row in white.T], axis=1)
         power = np.abs(np.fft.rfft(even * np.hanning(len(even))[:, None], axis=0)) ** 2
         frequency = np.fft.rfftfreq(len(even), step)
-        background = median_filter(power, size=(_BACKGROUND, 1), mode="nearest") / np.log(2.0) + 1e-300
+        background = median_filter(power, size=(_BACKGROUND, 1), mode="reflect") / np.log(2.0) + 1e-300
         ratio = power / background
         allowed = _fast_enough(one, over, frequency)
         count = max(3 * int(allowed.sum()), 1)

@@ -1,0 +1,100 @@
+"""Lines in the spectrum: planted over time and over distance, absent from noise, shown by the simulation too."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.series import Series
+from split_cli.diagnosis.spectrum import strongest_line
+from tests.diagnosis.recordings import SIGMA, bare_judge, driven, light_evidence, noisy, prepared
+
+REPLICATES = 60
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Forty seconds in one run: lines are sharpest without gaps."""
+    return driven(71, runs=1, seconds=40.0)
+
+
+def shaken(drive, channel: str, angle: np.ndarray, amplitude: float, seed: int = 1):
+    """Return a recording whose `channel` changes by `amplitude` sin(angle) more a second, and with noise."""
+    rate = amplitude * np.sin(angle)
+    moved = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))]) * drive.period
+    return prepared(noisy(replace(drive, columns={**drive.columns, channel: drive[channel] + moved}), seed))
+
+
+def way(drive) -> np.ndarray:
+    return np.concatenate([[0.0], np.cumsum(0.5 * (drive["vx"][1:] + drive["vx"][:-1]))]) * drive.period
+
+
+def line_of(series: Series, *simulated: Series):
+    return strongest_line(bare_judge(light_evidence(series)), (), [light_evidence(one) for one in simulated])
+
+
+def test_a_line_over_time(drive):
+    series = shaken(drive, "vx", 2.0 * np.pi * 13.0 * drive["t"], 1.5)
+    line = line_of(series)
+    assert (line.over, line.channel) == ("time", "v_x")
+    # Forty seconds tell frequencies to a fortieth of a hertz; the rate to a tenth or better.
+    assert line.frequency == pytest.approx(13.0, abs=1.0 / 40.0)
+    assert line.amplitude == pytest.approx(1.5, rel=0.15)
+    assert line.p_value < 1e-6
+    # By hand: over 0.05 s the sine sums to 2 a/w sin(w 0.025), rms over root two, against root two of noise.
+    omega = 2.0 * np.pi * 13.0
+    expected = 2.0 * 1.5 / omega * abs(np.sin(omega * 0.025)) / np.sqrt(2.0) / (np.sqrt(2.0) * SIGMA[0])
+    assert line.severity == pytest.approx(expected, rel=0.15)
+    assert line.in_words() == f"v_x' swings by {line.amplitude:.2g} m/s^2, 13 times a second"
+
+
+def test_a_line_over_distance(drive):
+    """A wheel out of balance: one swing every 1.9 m, whatever the speed."""
+    series = shaken(drive, "r", 2.0 * np.pi * way(drive) / 1.9, 0.5)
+    line = line_of(series)
+    assert (line.over, line.channel) == ("distance", "r")
+    # Some 700 m are driven: a wave between two whole fractions of that is told by the nearer one, which holds
+    # two thirds of its amplitude at least.
+    assert 1.0 / line.frequency == pytest.approx(1.9, rel=0.005)
+    assert 0.6 * 0.5 < line.amplitude < 1.1 * 0.5
+    assert "rad/s^2, every 1.9 m" in line.in_words()
+
+
+def test_a_line_that_the_simulation_shows_too_is_common(drive):
+    angle = 2.0 * np.pi * 13.0 * drive["t"]
+    real = shaken(drive, "vx", angle, 1.5)
+    assert line_of(real, prepared(noisy(drive, 5))).frequency == pytest.approx(13.0, abs=1.0 / 40.0)
+    assert line_of(real, shaken(drive, "vx", angle + 1.0, 1.5, seed=5)) is None
+    # Much weaker than in reality it is not the same.
+    assert line_of(real, shaken(drive, "vx", angle + 1.0, 0.4, seed=5)) is not None
+    # Nor at another frequency.
+    assert line_of(real, shaken(drive, "vx", 2.0 * np.pi * 17.0 * drive["t"], 1.5, seed=5)) is not None
+
+
+def test_the_second_line_is_told_where_the_first_is_common(drive):
+    both = 2.0 * np.pi * 13.0 * drive["t"]
+    real = shaken(drive, "vx", both, 1.5)
+    faster = shaken(drive, "vy", 2.0 * np.pi * 21.0 * drive["t"], 1.5, seed=1)
+    together = replace(real, measured=np.stack([*real.measured.T[:1], *faster.measured.T[1:]], axis=1))
+    line = line_of(together, shaken(drive, "vx", both, 1.5, seed=5))
+    assert (line.channel, round(line.frequency)) == ("v_y", 21)
+
+
+def test_noise_has_no_lines_more_often_than_it_should(drive):
+    """Told at p below 1e-3: in sixty drives of noise the second would be one in two thousand."""
+    told = [line_of(prepared(noisy(drive, 100 + seed))) for seed in range(REPLICATES)]
+    assert sum(line is not None for line in told) <= 1
+
+
+def test_swings_that_a_driver_could_make_are_no_lines(drive):
+    """At 0.6 Hz, and every 30 m: slower than what shakes by itself; what spills over is below what is told."""
+    for swing in (2.0 * np.pi * 0.6 * drive["t"], 2.0 * np.pi * way(drive) / 30.0):
+        line = line_of(shaken(drive, "vx", swing, 1.0))
+        assert line is None or line.severity < 0.12
+
+
+def test_too_short_to_tell(drive):
+    short = drive.select(slice(0, 1500))
+    assert line_of(shaken(short, "vx", 2.0 * np.pi * 13.0 * short["t"], 3.0)) is None
