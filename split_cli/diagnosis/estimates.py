@@ -48,6 +48,10 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
             systematic = abs(away) * _SYSTEMATIC / max(size, 1e-9)
             error = float(np.sqrt(variance[column] + systematic**2))
             limits = (value - wide * error, value + wide * error)
+            if not np.isfinite(error):
+                # No row says anything of it: an end of a stretch where nothing was driven.
+                limit = part.candidate.ranges[name]
+                error, limits = limit.upper - limit.lower, (limit.lower, limit.upper)
             entries[name] = ParameterEstimate(value, error, unit, limits)
             column += 1
         out.append(entries)
