@@ -15,13 +15,11 @@ import numpy as np
 
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.common import CommonPhysics, features
-from split_cli.diagnosis.evidence import Evidence, defects, integrated
+from split_cli.diagnosis.evidence import Evidence, graded_as
 from split_cli.diagnosis.judge import Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit
-from split_cli.diagnosis.series import extended_model
 from split_cli.diagnosis.structure import build_structure
 from split_cli.diagnosis.wander import wander_of
-from split_cli.diagnosis.whitening import build_whitener
 from split_cli.vehicle.effects import CATALOGUE, Term
 
 __all__ = ["SelfTest", "comparable", "self_test"]
@@ -110,13 +108,13 @@ def self_test(
     """
     noise = np.median([one.series.told_noise for one in real], axis=0)
     disturbance = np.max([one.disturbance for one in real], axis=0)
-    graded = [_graded(one, noise, disturbance, common) for one in simulated]
+    graded = [graded_as(one, noise, disturbance, common) for one in simulated]
     scale = max((one.scale for one in kinematics), default=np.inf)
     positions = [build_kinematics(one.series) if np.isfinite(scale) else None for one in graded]
     positions = [one and replace(one, scale=max(one.scale, scale)) for one in positions]
     all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
     offers = _offers(build_judge(graded, None, common, all_rows, [one for one in positions if one]), candidates)
-    sides = _Sides(tuple(simulated), tuple(graded), tuple(positions), common, inflation, reach)
+    sides = _Sides(tuple(graded), tuple(positions), common, inflation, reach)
     first = _first_half(simulated)
     tests = [_judge_half(sides, [mask ^ turned for mask in first], offers) for turned in (False, True)]
     tests = [test for test in tests if test is not None]
@@ -156,23 +154,6 @@ def comparable(one: Evidence, simulated: Sequence[Evidence], common: CommonPhysi
     tree = cKDTree(np.concatenate([scaled(evidence)[evidence.weight > 0.0] for evidence in simulated]))
     distance, _ = tree.query(scaled(one), k=1, distance_upper_bound=reach)
     return usable & np.isfinite(distance)
-
-
-def _graded(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common: CommonPhysics) -> Evidence:
-    """Whiten a simulation as if it had reality's noise."""
-    series = one.series
-    whitener = build_whitener(
-        one.jacobian,
-        series.period,
-        np.maximum(series.told_noise, noise),
-        np.maximum(one.disturbance, disturbance),
-        series.transitions_begin(),
-        one.whitener.group,
-    )
-    rates = series.rates(extended_model(one.vehicle))
-    plain = defects(series, rates, one.jacobian, series.measured, series.smooth)
-    columns = whitener(integrated(series, common.columns(series)))
-    return replace(one, whitener=whitener, plain=whitener(plain), common=columns)
 
 
 def _first_half(simulated: Sequence[Evidence]) -> list[np.ndarray]:
@@ -223,9 +204,8 @@ def _everywhere(kind: type[Term], variant: str) -> Term:
 
 @dataclass(frozen=True)
 class _Sides:
-    """A simulation as it is, to teach, and with reality's noise, to be judged."""
+    """A simulation with the noise of reality, half of it to teach and half to be judged."""
 
-    simulated: tuple[Evidence, ...]
     graded: tuple[Evidence, ...]
     positions: tuple[Kinematics | None, ...]
     common: CommonPhysics
@@ -246,7 +226,7 @@ class _Sides:
 
 def _judge_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_Offer]) -> SelfTest | None:
     graded, common = sides.graded, sides.common
-    taught = [replace(one, weight=one.weight * mask) for one, mask in zip(sides.simulated, teaching, strict=True)]
+    taught = [replace(one, weight=one.weight * mask) for one, mask in zip(graded, teaching, strict=True)]
     if not any((one.weight > 0.0).any() for one in taught):
         return None
     keep = [

@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.diagnosis.calibration import comparable
 from split_cli.diagnosis.common import CommonPhysics, build_common_physics
-from split_cli.diagnosis.evidence import Evidence, gather_evidence
+from split_cli.diagnosis.evidence import Evidence, gather_evidence, graded_as
 from split_cli.diagnosis.judge import CommonKnowledge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, habits
 from split_cli.diagnosis.series import Series
@@ -69,7 +69,10 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], *, inflation: float,
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
     real = [gather_evidence(vehicle, one, common, least) for one in by_role["real"]]
     holdout = [gather_evidence(vehicle, one, common, least) for one in by_role["holdout"]]
-    knowledge = learn_common(simulated, inflation) if simulated else None
+    noise = np.median([one.series.told_noise for one in real], axis=0)
+    disturbance = np.max([one.disturbance for one in real], axis=0)
+    graded = [graded_as(one, noise, disturbance, common) for one in simulated]
+    knowledge = learn_common(graded, inflation) if graded else None
     keep = [comparable(one, simulated, common, reach) for one in real]
     kept_out = [comparable(one, simulated, common, reach) for one in holdout]
     habit = habits(by_role["sim"])

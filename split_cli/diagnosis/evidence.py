@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from split_cli.diagnosis.whitening import Whitener, build_whitener
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Evidence", "gather_evidence"]
+__all__ = ["Evidence", "gather_evidence", "graded_as"]
 
 _ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000
@@ -115,6 +115,27 @@ def gather_evidence(
     u, phi = whitener(plain), whitener(columns)
     left = u - phi @ ridge(phi.reshape(-1, phi.shape[2]), u.reshape(-1))
     return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, _robust_weight(left))
+
+
+def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common: CommonPhysics) -> Evidence:
+    """Whiten a recording as if it had at least this noise and disturbance, shape (3,) each.
+
+    A simulation without noise would otherwise be believed to the last digit, and weighed by other frequencies than
+    the reality it is compared with.
+    """
+    series = one.series
+    whitener = build_whitener(
+        one.jacobian,
+        series.period,
+        np.maximum(series.told_noise, noise),
+        np.maximum(one.disturbance, disturbance),
+        series.transitions_begin(),
+        one.whitener.group,
+    )
+    rates = series.rates(extended_model(one.vehicle))
+    plain = defects(series, rates, one.jacobian, series.measured, series.smooth)
+    columns = whitener(integrated(series, common.columns(series)))
+    return replace(one, whitener=whitener, plain=whitener(plain), common=columns)
 
 
 def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -14,6 +14,8 @@ from split_cli.diagnosis.kinematics import Kinematics
 from split_cli.vehicle.effects import Term
 
 _LEAST_TOLD = 2e-3
+_LAG_ROWS = 25  # of 0.04 s: a second
+_LEAST_NOISE = 1e-3  # variance that a row of simulation is believed to have at least
 
 __all__ = ["CommonKnowledge", "Judge", "build_judge", "learn_common"]
 
@@ -33,15 +35,45 @@ class CommonKnowledge:
 
 
 def learn_common(simulations: Sequence[Evidence], inflation: float = 1.0) -> CommonKnowledge:
-    """Learn the common physics; `inflation` widens the noise for what autocorrelation takes from the rows."""
-    size = simulations[0].common.shape[2]
-    precision, score = np.eye(size), np.zeros(size)
-    for evidence in simulations:
-        weight = np.repeat(evidence.weight, 3)
-        columns = evidence.common.reshape(-1, size) * weight[:, None]
-        precision += columns.T @ columns / inflation
-        score += columns.T @ (evidence.plain.reshape(-1) * weight) / inflation
-    return CommonKnowledge(np.linalg.solve(precision, score), precision)
+    """Learn the common physics from whitened simulations.
+
+    Parameters
+    ----------
+    simulations : sequence of Evidence
+    inflation : float
+        By which autocorrelation widens the noise.
+
+    Notes
+    -----
+    Rows are believed as far as the dictionary holds them: their noise is the long-run variance of what it leaves,
+    which is 1 for rows of unit noise and small for a simulation without any, but never 0, since no dictionary holds
+    the physics of a real car.
+    """
+    columns = np.concatenate(
+        [one.common.reshape(-1, one.common.shape[2]) * _entry_weight(one) for one in simulations]
+    )
+    target = np.concatenate([one.plain.reshape(-1) * _entry_weight(one)[:, 0] for one in simulations])
+    normal, score = columns.T @ columns, columns.T @ target
+    prior = np.eye(len(score))
+    noise = inflation
+    for _ in range(2):
+        weights = np.linalg.solve(prior + normal / noise, score / noise)
+        left = (target - columns @ weights).reshape(-1, 3)
+        noise = inflation * float(np.clip(_long_run_variance(left).max(), _LEAST_NOISE, 1.0))
+    precision = prior + normal / noise
+    return CommonKnowledge(np.linalg.solve(precision, score / noise), precision)
+
+
+def _entry_weight(one: Evidence) -> np.ndarray:
+    return np.repeat(one.weight, 3)[:, None]
+
+
+def _long_run_variance(rows: np.ndarray) -> np.ndarray:
+    """Return the Bartlett estimate of rows (G, 3) over a second, shape (3,)."""
+    total = np.mean(rows**2, axis=0)
+    for lag in range(1, min(_LAG_ROWS, len(rows) // 4)):
+        total = total + 2.0 * (1.0 - lag / _LAG_ROWS) * np.sum(rows[lag:] * rows[:-lag], axis=0) / len(rows)
+    return np.maximum(total, np.mean(rows**2, axis=0))
 
 
 def alters_inputs(term: Term) -> bool:
