@@ -225,7 +225,8 @@ def _is_misfit(judge: Judge, base: Fit, chosen: Fit, further: Fit, rules: Rules)
 def term_size(judge: Judge, fit: Fit, k: int) -> float:
     """Return the severity of one part of an explanation, the others in place."""
     others = fit.terms[:k] + fit.terms[k + 1 :]
-    return max(severity_of(one, fit.terms, others) for one in judge.evidence)
+    pairs = zip(judge.evidence, judge.keep, strict=True)
+    return max(severity_of(one, one.at[mask], fit.terms, others) for one, mask in pairs)
 
 
 def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> float:

@@ -100,8 +100,8 @@ class Structure:
         inverse = np.linalg.inv(self.factor)
         freedom = float(len(score) - _RIDGE_SHARE * len(entries) * np.sum(inverse**2))
         size = max(
-            severity(one.series, part @ weights)
-            for one, part in zip(self.judge.evidence, self.defects, strict=True)
+            severity(one.series, part @ weights, one.at[mask])
+            for one, part, mask in zip(self.judge.evidence, self.defects, self.judge.keep, strict=True)
         )
         # The size is overestimated by what the fit makes of noise.
         size *= np.sqrt(max(1.0 - inflation * freedom / max(saved, 1e-9), 0.0))
@@ -144,23 +144,32 @@ def build_structure(judge: Judge, common: CommonPhysics) -> Structure:
     return Structure(judge, columns, tuple(part / scale for part in raw), groups, factor)
 
 
-def severity(series: Series, defect: np.ndarray) -> float:
-    """Return the rms of defects (N - 1, 3) summed over 0.05 s over that of sensor noise, in the worst channel."""
+def severity(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> float:
+    """Return the rms of defects (N - 1, 3) summed over 0.05 s over that of sensor noise, in the worst channel.
+
+    Only windows about the samples `rows` count, where they are given: what a function does elsewhere is not known.
+    """
     window = max(1, int(round(_HORIZON / series.period)))
     total = np.cumsum(np.concatenate([np.zeros((1, 3)), defect]), axis=0)
     over = total[window:] - total[:-window]
+    if rows is not None:
+        over = over[np.clip(rows - window // 2, 0, len(over) - 1)]
+    if not len(over):
+        return 0.0
     return float(np.max(np.sqrt(np.mean(over**2, axis=0)) / (np.sqrt(2.0) * series.told_noise)))
 
 
-def severity_of(evidence: Evidence, terms: tuple[Term, ...], without: tuple[Term, ...] = ()) -> float:
-    """Return the severity of terms in a recording, against the model with `without` alone."""
+def severity_of(
+    evidence: Evidence, rows: np.ndarray, terms: tuple[Term, ...], without: tuple[Term, ...] = ()
+) -> float:
+    """Return the severity of terms about the samples `rows`, against the model with `without` alone."""
 
     def of(chosen: tuple[Term, ...]) -> np.ndarray:
         measured, smooth = evidence.series.corrected(chosen)
         rates = evidence.series.rates(extended_model(evidence.vehicle, chosen), smooth)
         return defects(evidence.series, rates, evidence.jacobian, measured, smooth)
 
-    return severity(evidence.series, of(terms) - of(without))
+    return severity(evidence.series, of(terms) - of(without), rows)
 
 
 def term_allowance(judge: Judge) -> float:

@@ -16,7 +16,7 @@ from split_cli.logs.drive import read_drive
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_file, write_vehicle
 from split_cli.workflows.report.page import report_page
 
-__all__ = ["FIGURES", "STAGES", "corrected_vehicle", "diagnose_files", "write_diagnosis"]
+__all__ = ["FIGURES", "STAGES", "corrected_vehicle", "diagnose_files", "read_and_diagnose", "write_diagnosis"]
 
 #: What may lie in the folder ``figures``.
 FIGURES = frozenset({"where.png", "what.png", "help.png", "help.csv"})
@@ -50,18 +50,31 @@ def diagnose_files(
     """
     if not Path(output).is_dir():
         refuse_what_cannot_be_written(output)
+    diagnosis, vehicle = read_and_diagnose(
+        real, vehicle_path, simulated=simulated, holdout=holdout, progress=progress
+    )
+    progress("writing")
+    write_diagnosis(diagnosis, vehicle, output)
+    return diagnosis
+
+
+def read_and_diagnose(
+    real: Sequence[str | Path],
+    vehicle_path: str | Path,
+    *,
+    simulated: Sequence[str | Path] = (),
+    holdout: Sequence[str | Path] = (),
+    progress: Callable[[str], None] = lambda step: None,
+) -> tuple[Diagnosis, Vehicle]:
+    """Diagnose recordings without writing anything; parameters as for `diagnose_files`."""
     vehicle_path = vehicle_file(vehicle_path)
     vehicle = read_vehicle(vehicle_path)
     groups = {"real": real, "sim": simulated, "holdout": holdout}
     drives = {role: [read_drive(path) for path in paths] for role, paths in groups.items()}
     inputs = [InputFile(one.name, one.sha256, role) for role, several in drives.items() for one in several]
     inputs.append(InputFile(vehicle_path.name, sha256_of_file(vehicle_path), "vehicle"))
-    diagnosis = diagnose(
-        drives["real"], vehicle, drives["sim"], drives["holdout"], inputs=inputs, progress=progress
-    )
-    progress("writing")
-    write_diagnosis(diagnosis, vehicle, output)
-    return diagnosis
+    told = diagnose(drives["real"], vehicle, drives["sim"], drives["holdout"], inputs=inputs, progress=progress)
+    return told, vehicle
 
 
 def corrected_vehicle(diagnosis: Diagnosis, vehicle: Vehicle) -> Vehicle:

@@ -96,11 +96,14 @@ def _identify(task: tuple[ShownCase, Path]) -> None:
     case, results = task
     import resource
 
-    from split_cli.workflows.diagnose import diagnose_files
+    from split_cli.diagnosis.document import diagnosis_to_text
+    from split_cli.workflows.diagnose import read_and_diagnose
 
     began, failure = time.perf_counter(), ""
     try:
-        diagnose_files([case.real], case.vehicle, results / case.name, simulated=[case.sim] if case.sim else [])
+        told, _ = read_and_diagnose([case.real], case.vehicle, simulated=[case.sim] if case.sim else [])
+        (results / case.name).mkdir(exist_ok=True)
+        atomic_write_text(results / case.name / "diagnosis.json", diagnosis_to_text(told))
     except SplitError as error:
         failure = str(error)
     except Exception as error:

@@ -59,12 +59,29 @@ def flat(*evidence: WrittenEvidence) -> tuple[np.ndarray, np.ndarray]:
 def test_the_common_physics_is_learned_by_ridge():
     one, two = written(1), written(2, rows=25)
     rows, columns = flat(one, two)
-    # Standard normal priors are rows of their own; noise is wider by the root of the inflation.
-    stacked = np.concatenate([columns / np.sqrt(1.7), np.eye(COLUMNS)])
-    target = np.concatenate([rows / np.sqrt(1.7), np.zeros(COLUMNS)])
     known = learn_common([one, two], inflation=1.7)
+    # What noise the rows are believed to have, told by the precision: these rows hold more than the columns do.
+    believed = np.trace(columns.T @ columns) / np.trace(known.precision - np.eye(COLUMNS))
+    assert 0.0017 < believed < 1.7001
+    # Standard normal priors are rows of their own; noise is wider by the root of the inflation.
+    stacked = np.concatenate([columns / np.sqrt(believed), np.eye(COLUMNS)])
+    target = np.concatenate([rows / np.sqrt(believed), np.zeros(COLUMNS)])
     np.testing.assert_allclose(known.weights, np.linalg.lstsq(stacked, target, rcond=None)[0], rtol=1e-9)
     np.testing.assert_allclose(known.precision, stacked.T @ stacked, rtol=1e-9)
+
+
+def test_a_simulation_is_believed_as_far_as_the_dictionary_holds_it():
+    """Rows that the columns explain are known to the least noise; rows of noise as noise."""
+    one = written(1)
+    weights = np.linspace(-0.5, 0.5, COLUMNS)
+    exact = replace(one, plain=one.common @ weights)
+    size = np.trace(np.einsum("gki,gkj->ij", one.common * one.weight[:, None, None] ** 2, one.common))
+
+    def noise(evidence) -> float:
+        return size / np.trace(learn_common([evidence]).precision - np.eye(COLUMNS))
+
+    assert noise(exact) < 0.01
+    assert noise(one) > 20.0 * noise(exact)
 
 
 @pytest.mark.parametrize("strength", [0.1, 3.0, 100.0])

@@ -121,8 +121,8 @@ def test_severity_of_a_force_is_that_of_its_rate(nominal_evidence):
     force = CATALOGUE["rolling_resistance"]({"force": 300.0})
     # Gaps between runs count as no error: one window in a hundred.
     expected = 300.0 / 1500.0 * 0.05 / (np.sqrt(2.0) * nominal_evidence.series.noise[0])
-    assert severity_of(nominal_evidence, (force,)) == pytest.approx(expected, rel=0.01)
-    assert severity_of(nominal_evidence, (force,), (force,)) == 0.0
+    assert severity_of(nominal_evidence, nominal_evidence.at, (force,)) == pytest.approx(expected, rel=0.01)
+    assert severity_of(nominal_evidence, nominal_evidence.at, (force,), (force,)) == 0.0
 
 
 class OneSided(Term):
@@ -162,7 +162,7 @@ def test_a_symmetric_loss_is_found_at_the_operating_point(common):
     fit = build_structure(judge, common).fit(judge.residual(()), 1.5)
     assert fit.group_saved[0][0] == "operating point" and fit.p_value < 1e-6
     # What it makes of noise is taken off its size.
-    assert fit.severity == pytest.approx(severity_of(judge.evidence[0], (lost,)), rel=0.15)
+    assert fit.severity == pytest.approx(severity_of(judge.evidence[0], judge.evidence[0].at, (lost,)), rel=0.15)
 
 
 def test_the_fit_is_ridge_regression(nominal_judge, nominal_structure):
