@@ -63,12 +63,13 @@ def driven(
     seconds: float = 5.0,
     steer: Callable[[np.ndarray, float], np.ndarray] = lambda inputs, step: inputs,
     torque: Callable[[np.ndarray, float], np.ndarray] = lambda inputs, step: inputs,
+    spaced: float = STAMP,
     name: str = "driven.parquet",
 ) -> Drive:
     """Return a noise-free drive of the nominal car with `terms`, with position, yaw and place, at 100 Hz.
 
-    Runs start anywhere on a lap of `LAP` metres; `steer` and `torque` say what becomes of commands (runs, K) on
-    the clock of the integration, 2.5 ms, apart from the engine's own solution of lags and delays.
+    Runs start `spaced` seconds apart, anywhere on a lap of `LAP` metres; `steer` and `torque` say what becomes of
+    commands (runs, K) on the clock of the integration, 2.5 ms, apart from the engine's own lags and delays.
     """
     model, rng, step = SingleTrack(road_car(), tuple(terms)), np.random.default_rng(seed), 2.5e-3
     knots = round(seconds / 0.2) + 1
@@ -87,14 +88,14 @@ def driven(
         before = state
         state = integrate_recorded(
             model, state, arrived[0][:, window], arrived[1][:, window], step,
-            time=STAMP * np.arange(runs) + k * step, track_position=places[-1],
+            time=spaced * np.arange(runs) + k * step, track_position=places[-1],
         )  # fmt: skip
         places.append(np.mod(places[-1] + 0.5 * 0.01 * (before[:, 3] + state[:, 3]), LAP))
         states.append(state)
     path = np.stack(states, axis=1)
     number = np.repeat(np.arange(runs), path.shape[1])
     columns = {
-        "t": np.tile(0.01 * np.arange(path.shape[1]), runs) + STAMP * number,
+        "t": np.tile(0.01 * np.arange(path.shape[1]), runs) + spaced * number,
         **{channel: path[:, :, i].ravel() for i, channel in enumerate(("X", "Y", "yaw", "vx", "vy", "r"))},
         "T": commands[0][:, ::4].ravel(),
         "delta": commands[1][:, ::4].ravel(),

@@ -1,0 +1,69 @@
+"""The whole diagnosis on short drives: what it names, what it leaves unnamed, what must not change its answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jsonschema
+import pytest
+
+from split_cli.diagnosis.document import diagnosis_to_mapping, diagnosis_to_text, read_schema
+from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.result import Diagnosis
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects import CATALOGUE, Term
+from tests.diagnosis.recordings import driven, noisy
+from tests.factories import road_car
+
+GAIN = CATALOGUE["steer_gain"]({"gain": 0.93})
+
+
+def recording(seed: int, *terms: Term, name: str = "drive.parquet") -> Drive:
+    """Return sixty noisy seconds; runs of eight seconds, since fewer are not judged."""
+    return noisy(driven(seed, terms, runs=8, seconds=8.0, spaced=9.0, name=name), seed + 500, position=0.01)
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Drive:
+    return recording(81, name="simulation.parquet")
+
+
+@pytest.fixture(scope="module")
+def reality() -> Drive:
+    return recording(82, GAIN, name="reality.parquet")
+
+
+@pytest.fixture(scope="module")
+def answer(reality, simulation) -> Diagnosis:
+    return diagnose([reality], road_car(), [simulation])
+
+
+def test_a_single_is_named_with_the_truth_inside_its_interval(answer):
+    assert answer.verdict == "mismatch" and answer.p_value < 0.01 and not answer.unexplained
+    (finding,) = answer.findings
+    assert finding.term == "steer_gain"
+    low, high = finding.parameters["gain"].interval_95
+    assert low <= 0.93 <= high and high - low < 0.04
+    assert finding.gap_explained > 0.9
+    assert finding.placebo.excess > 9.0
+
+
+def test_the_same_car_matches(simulation):
+    same = diagnose([recording(83)], road_car(), [simulation])
+    assert same.verdict == "match" and same.p_value >= 0.01
+    assert not same.findings and not same.unexplained
+    jsonschema.validate(diagnosis_to_mapping(same), read_schema())
+
+
+def test_the_result_is_valid_by_the_schema(answer):
+    jsonschema.validate(diagnosis_to_mapping(answer), read_schema())
+
+
+def test_neither_names_nor_running_again_change_a_byte(answer, reality, simulation):
+    """Files called as if they were the other, and a term no drive has."""
+    misleading = diagnose(
+        [replace(reality, name="null_friction_patch_sim.parquet")],
+        road_car(name="wind"),
+        [replace(simulation, name="real_steer_gain.parquet")],
+    )
+    assert diagnosis_to_text(misleading) == diagnosis_to_text(answer)
