@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import jsonschema
+import numpy as np
 import pytest
 
 from split_cli.diagnosis.document import diagnosis_to_mapping, diagnosis_to_text, read_schema
@@ -67,3 +68,33 @@ def test_neither_names_nor_running_again_change_a_byte(answer, reality, simulati
         [replace(simulation, name="real_steer_gain.parquet")],
     )
     assert diagnosis_to_text(misleading) == diagnosis_to_text(answer)
+
+
+def test_the_order_of_drives_changes_nothing(reality, simulation):
+    second = recording(84, GAIN)
+    one, other = (diagnose(pair, road_car(), [simulation]) for pair in ([reality, second], [second, reality]))
+    assert one.verdict == other.verdict == "mismatch"
+    assert [finding.term for finding in one.findings] == [finding.term for finding in other.findings]
+    # Sums of the same rows in another order; the fit stops within a seventh of a standard error.
+    for mine, its in zip(one.findings, other.findings, strict=True):
+        for name, told in mine.parameters.items():
+            assert told.value == pytest.approx(its.parameters[name].value, abs=told.std_error / 7.0)
+
+
+class Lopsided(Term):
+    """Front grip that is lost in turns to one side and gained in those to the other: in no catalogue."""
+
+    id = "lopsided"
+
+    def lateral(self, flow) -> None:
+        """Take a share of the front force's size from it."""
+        force = flow.front.lateral_force
+        flow.front.lateral_force = force - self.parameters["share"] * np.abs(force)
+
+
+def test_what_is_in_no_catalogue_is_unexplained(simulation):
+    strange = diagnose([recording(85, Lopsided({"share": 0.2}))], road_car(), [simulation])
+    assert strange.verdict == "mismatch" and strange.unexplained
+    assert strange.remainder.p_value < 0.01
+    # The lead is the right one: the front axle, by the size of its slip angle.
+    assert "front_lateral" in strange.remainder.formula and "|B alpha_f|" in strange.remainder.formula
