@@ -61,12 +61,12 @@ def test_two_planted_terms_are_read_off_with_their_signs(nominal_evidence, colum
 
 def test_the_force_that_is_explained_most_is_told(nominal_evidence, columns):
     forces = noise(3, (len(nominal_evidence.series), 3))
-    forces[:, 0] += 1500.0 * columns["torque"] ** 2 * (columns["torque"] < 0.0)
-    forces[:, 1] += 200.0 * columns["front"]
-    force, weights, _ = terms_of(formula_of(nominal_evidence, forces))
-    strong, weak = np.var(forces[:, 0]), np.var(forces[:, 1])
+    forces[:, 0] += 300.0 * columns["torque"]
+    forces[:, 1] += 700.0 * columns["front"]
+    strong, weak = np.var(forces[:, 1]), np.var(forces[:, 0])
     assert strong > 1.5 * weak
-    assert force == "longitudinal" and set(weights) == {"(T/T_max)_-^2"}
+    force, weights, _ = terms_of(formula_of(nominal_evidence, forces))
+    assert force == "front_lateral" and set(weights) == {"B alpha_f"}
 
 
 def test_noise_has_no_formula(nominal_evidence):

@@ -56,6 +56,17 @@ def test_shares_of_a_pair_are_those_of_each_effect_alone(paired):
     np.testing.assert_allclose(shares, alone / alone.sum(), atol=0.04)
 
 
+def test_shares_are_of_what_is_above_the_noise():
+    """A gain of a hundredth is a fraction of the noise, and explains all that there is to explain."""
+    split = split_of(evidence_of(54, CATALOGUE["steer_gain"]({"gain": 0.985})))
+    fit = fitted(split.training, "steer_gain")
+    judging = split.judging
+    saved = judging.cost(()) - judging.cost(fit.terms)
+    assert 0.02 < saved / judging.cost(()) < 0.5
+    (share,) = explained_shares(split, fit)
+    assert share > 0.8
+
+
 def test_half_of_a_pair_explains_its_half_only(paired):
     split = split_of(paired)
     both = explained_shares(split, fitted(split.training, "aero_drag", "yaw_inertia"))
