@@ -107,7 +107,7 @@ def test_too_small_to_name_is_kept_aside_and_the_search_goes_on():
     terms = planted(rolling_resistance=60.0, yaw_inertia=1.03)
     judge = judge_of(*terms)
     evidence = judge.evidence[0]
-    assert severity_of(evidence, terms[:1]) < 0.09 < severity_of(evidence, terms[1:])
+    assert severity_of(evidence, evidence.at, terms[:1]) < 0.09 < severity_of(evidence, evidence.at, terms[1:])
     candidates = candidates_of(judge, "rolling_resistance", "yaw_inertia", "steer_gain")
     first = explore(judge, nothing(judge), candidates, Rules(), INFLATION)[0]
     assert first.names == ("rolling_resistance",)
@@ -184,7 +184,9 @@ def test_size_of_a_term_is_told_with_the_others_in_place(pair, chosen_pair):
     """Drag and inertia act apart: each is as large as alone."""
     fit = chosen_pair.chosen
     for k, term in enumerate(fit.terms):
-        assert term_size(pair, fit, k) == pytest.approx(severity_of(pair.evidence[0], (term,)), rel=1e-6)
+        assert term_size(pair, fit, k) == pytest.approx(
+            severity_of(pair.evidence[0], pair.evidence[0].at, (term,)), rel=1e-6
+        )
 
 
 def test_a_term_is_offered_once(pair, chosen_pair):

@@ -76,7 +76,9 @@ class TestFlexibleFit:
         defect = np.zeros((samples - 1, 3, self.columns))
         defect[:, 0, :] = 1e-4
         series = SimpleNamespace(period=0.01, noise=SIGMA, told_noise=SIGMA)
-        judge = SimpleNamespace(knowledge=None, evidence=(SimpleNamespace(series=series),))
+        every = np.arange(samples - 5)
+        one = SimpleNamespace(series=series, at=every)
+        judge = SimpleNamespace(knowledge=None, evidence=(one,), keep=(every >= 0,))
         factor = np.linalg.cholesky(columns.T @ columns * (1.0 + module._RIDGE_SHARE * self.rows)).T
         groups = ("a", "a", "b", "b", "b", "c")
         return Structure(judge, columns, (defect,), groups, factor)
