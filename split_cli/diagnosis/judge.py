@@ -46,8 +46,8 @@ def learn_common(simulations: Sequence[Evidence], inflation: float = 1.0) -> Com
     Notes
     -----
     Rows are believed as far as the dictionary holds them: their noise is the long-run variance of what it leaves,
-    which is 1 for rows of unit noise and small for a simulation without any, but never 0, since no dictionary holds
-    the physics of a real car.
+    which is 1 for rows of unit noise and small for a simulation without any, but never 0, since no dictionary
+    holds the physics of a real car.
     """
     columns = np.concatenate(
         [one.common.reshape(-1, one.common.shape[2]) * _entry_weight(one) for one in simulations]

@@ -18,7 +18,7 @@ from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Region
 
-__all__ = ["read_labels", "write_labels"]
+__all__ = ["label_columns", "read_labels", "write_labels"]
 
 LABELS_FORMAT = "split-labels/1"
 
@@ -28,16 +28,7 @@ def write_labels(labels: Labels, path: str | Path) -> None:
 
     Columns are ``t, row, segment``, one a feature, ``y_vx, y_vy, y_r`` and ``reason``, empty where accepted.
     """
-    words = [reason.word for reason in Reason]
-    columns = {
-        "t": pa.array(labels.t),
-        "row": pa.array(labels.row.astype(np.int64)),
-        "segment": pa.array(labels.segment.astype(np.int32)),
-        # A feature named t is that column already.
-        **{name: pa.array(labels.z[:, i]) for i, name in enumerate(labels.features.names)},
-        **{f"y_{output}": pa.array(labels.y[:, i]) for i, output in enumerate(OUTPUTS)},
-        "reason": pa.DictionaryArray.from_arrays(pa.array(labels.reason.astype(np.int8)), pa.array(words)),
-    }
+    columns = label_columns(labels)
     stored = {
         "format": LABELS_FORMAT,
         "drive": labels.drive,
@@ -55,6 +46,20 @@ def write_labels(labels: Labels, path: str | Path) -> None:
     with atomic_path(path) as temporary:
         table = pa.table(columns).replace_schema_metadata(metadata)
         pa.parquet.write_table(table, temporary, compression="zstd", write_page_checksum=True)
+
+
+def label_columns(labels: Labels) -> dict[str, pa.Array]:
+    """Return the columns of a file of labels, by name."""
+    words = [reason.word for reason in Reason]
+    return {
+        "t": pa.array(labels.t),
+        "row": pa.array(labels.row.astype(np.int64)),
+        "segment": pa.array(labels.segment.astype(np.int32)),
+        # A feature named t is that column already.
+        **{name: pa.array(labels.z[:, i]) for i, name in enumerate(labels.features.names)},
+        **{f"y_{output}": pa.array(labels.y[:, i]) for i, output in enumerate(OUTPUTS)},
+        "reason": pa.DictionaryArray.from_arrays(pa.array(labels.reason.astype(np.int8)), pa.array(words)),
+    }
 
 
 def read_labels(path: str | Path) -> Labels:

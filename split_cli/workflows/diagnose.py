@@ -10,9 +10,13 @@ import numpy as np
 
 from split_cli.diagnosis.document import diagnosis_to_text
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.result import Diagnosis, Improvement, InputFile
+from split_cli.diagnosis.location import FORCES
+from split_cli.diagnosis.result import Diagnosis, GapSeries, Improvement, InputFile
 from split_cli.files import atomic_directory, refuse_what_cannot_be_written, sha256_of_file
-from split_cli.logs.drive import read_drive
+from split_cli.learning.features import Z2
+from split_cli.learning.label_file import label_columns
+from split_cli.learning.labels import compute_labels
+from split_cli.logs.drive import Drive, read_drive
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_file, write_vehicle
 from split_cli.workflows.report.page import report_page
 
@@ -24,6 +28,7 @@ FIGURES = frozenset({"where.png", "what.png", "help.png", "help.csv"})
 STAGES = ("before", "physics", "split_only", "after", "persistence")
 CHANNELS, LABEL_UNITS, STATE_UNITS = ("v_x", "v_y", "r"), ("m/s^2", "m/s^2", "rad/s^2"), ("m/s", "m/s", "rad/s")
 _ONE_STEP = 0.05
+_GAP_REACH = 0.05  # [s] between a label and the row of the gap that is told beside it
 
 
 def diagnose_files(
@@ -50,11 +55,11 @@ def diagnose_files(
     """
     if not Path(output).is_dir():
         refuse_what_cannot_be_written(output)
-    diagnosis, vehicle = read_and_diagnose(
+    diagnosis, vehicle, drives = read_and_diagnose(
         real, vehicle_path, simulated=simulated, holdout=holdout, progress=progress
     )
     progress("writing")
-    write_diagnosis(diagnosis, vehicle, output)
+    write_diagnosis(diagnosis, vehicle, output, drives)
     return diagnosis
 
 
@@ -65,8 +70,8 @@ def read_and_diagnose(
     simulated: Sequence[str | Path] = (),
     holdout: Sequence[str | Path] = (),
     progress: Callable[[str], None] = lambda step: None,
-) -> tuple[Diagnosis, Vehicle]:
-    """Diagnose recordings without writing anything; parameters as for `diagnose_files`."""
+) -> tuple[Diagnosis, Vehicle, Sequence[Drive]]:
+    """Return a diagnosis, the vehicle and the real drives, writing nothing; parameters as for `diagnose_files`."""
     vehicle_path = vehicle_file(vehicle_path)
     vehicle = read_vehicle(vehicle_path)
     groups = {"real": real, "sim": simulated, "holdout": holdout}
@@ -74,7 +79,7 @@ def read_and_diagnose(
     inputs = [InputFile(one.name, one.sha256, role) for role, several in drives.items() for one in several]
     inputs.append(InputFile(vehicle_path.name, sha256_of_file(vehicle_path), "vehicle"))
     told = diagnose(drives["real"], vehicle, drives["sim"], drives["holdout"], inputs=inputs, progress=progress)
-    return told, vehicle
+    return told, vehicle, drives["real"]
 
 
 def corrected_vehicle(diagnosis: Diagnosis, vehicle: Vehicle) -> Vehicle:
@@ -87,7 +92,9 @@ def corrected_vehicle(diagnosis: Diagnosis, vehicle: Vehicle) -> Vehicle:
     return vehicle.with_effects(*effects)
 
 
-def write_diagnosis(diagnosis: Diagnosis, vehicle: Vehicle, output: str | Path) -> None:
+def write_diagnosis(
+    diagnosis: Diagnosis, vehicle: Vehicle, output: str | Path, drives: Sequence[Drive] = ()
+) -> None:
     """Write a diagnosis into a folder, all files or none; figures of an earlier one there are taken away."""
     from split_cli.plots.diagnosis import diagnosis_figures
     from split_cli.plots.style import save
@@ -97,7 +104,7 @@ def write_diagnosis(diagnosis: Diagnosis, vehicle: Vehicle, output: str | Path) 
     with atomic_directory(output) as folder:
         (folder / "diagnosis.json").write_text(diagnosis_to_text(diagnosis), encoding="utf-8")
         write_vehicle(corrected_vehicle(diagnosis, vehicle), folder / "vehicle_corrected.yaml", comment=comment)
-        _write_gap(diagnosis, folder / "gap.parquet")
+        _write_gap(diagnosis, drives, vehicle, folder / "gap.parquet")
         (folder / "report.html").write_text(report_page(diagnosis), encoding="utf-8")
         (folder / "figures").mkdir()
         for name, figure in diagnosis_figures(diagnosis):
@@ -132,21 +139,33 @@ def _write_help(improvement: Improvement, path: Path) -> None:
         writer.writerows(rows)
 
 
-def _write_gap(diagnosis: Diagnosis, path: Path) -> None:
+def _write_gap(diagnosis: Diagnosis, drives: Sequence[Drive], vehicle: Vehicle, path: Path) -> None:
+    """Write labels of the real drives against the nominal model, with the gap as forces at each."""
     import pyarrow as pa
     import pyarrow.parquet
 
-    empty = np.empty(0)
-    gaps = diagnosis.gaps
+    tables = [
+        _gap_table(gap, drive, vehicle) for gap, drive in zip(diagnosis.gaps, drives, strict=False) if len(gap.t) > 1
+    ]
+    if not tables:
+        names = ("t", "s", *(f"{kind}_{force}" for kind in ("gap", "remainder") for force in FORCES))
+        tables = [pa.table({"drive": pa.array([], pa.string()), **{n: pa.array([], pa.float64()) for n in names}})]
+    pyarrow.parquet.write_table(pa.concat_tables(tables), path, compression="zstd")
 
-    def joined(pick: Callable) -> np.ndarray:
-        return np.concatenate([pick(gap) for gap in gaps]) if gaps else empty
 
-    names = [gap.drive for gap in gaps for _ in gap.t]
-    columns = {"drive": pa.array(names, pa.string())}
-    for name in ("t", "row", "s"):
-        columns[name] = pa.array(joined(lambda gap, name=name: getattr(gap, name)))
-    for k, force in enumerate(("longitudinal", "front_lateral", "rear_lateral")):
-        columns[f"gap_{force}"] = pa.array(joined(lambda gap, k=k: gap.forces[:, k]))
-        columns[f"remainder_{force}"] = pa.array(joined(lambda gap, k=k: gap.remainder[:, k]))
-    pyarrow.parquet.write_table(pa.table(columns), path, compression="zstd")
+def _gap_table(gap: GapSeries, drive: Drive, vehicle: Vehicle):
+    import pyarrow as pa
+
+    labels = compute_labels(drive, vehicle, Z2)
+    # By time, since rows that were no recording may have been left out of the gap; its forces are averages over 0.2 s.
+    after = np.clip(np.searchsorted(gap.t, labels.t), 1, max(len(gap.t) - 1, 1))
+    near = np.where(labels.t - gap.t[after - 1] < gap.t[after] - labels.t, after - 1, after)
+    meets = np.abs(gap.t[near] - labels.t) < _GAP_REACH
+    columns = {"drive": pa.array([gap.drive] * int(meets.sum()), pa.string())}
+    columns |= label_columns(labels.take(np.flatnonzero(meets)))
+    meets = near[meets]
+    columns["s"] = pa.array(gap.s[meets])
+    for k, force in enumerate(FORCES):
+        columns[f"gap_{force}"] = pa.array(gap.forces[meets, k])
+        columns[f"remainder_{force}"] = pa.array(gap.remainder[meets, k])
+    return pa.table(columns)

@@ -101,7 +101,7 @@ def _identify(task: tuple[ShownCase, Path]) -> None:
 
     began, failure = time.perf_counter(), ""
     try:
-        told, _ = read_and_diagnose([case.real], case.vehicle, simulated=[case.sim] if case.sim else [])
+        told, *_ = read_and_diagnose([case.real], case.vehicle, simulated=[case.sim] if case.sim else [])
         (results / case.name).mkdir(exist_ok=True)
         atomic_write_text(results / case.name / "diagnosis.json", diagnosis_to_text(told))
     except SplitError as error:
