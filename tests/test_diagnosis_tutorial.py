@@ -7,6 +7,8 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
+import pandas
 import pytest
 import yaml
 from click.testing import CliRunner
@@ -14,7 +16,11 @@ from click.testing import CliRunner
 from split_cli.cli.catalogue import catalogue_page
 from split_cli.cli.main import group
 from split_cli.diagnosis.document import read_schema
+from split_cli.learning.features import Z2
+from split_cli.learning.labels import compute_labels
+from split_cli.logs.drive import read_drive
 from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.parameters import read_vehicle
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
@@ -56,6 +62,22 @@ def test_the_pair_is_diagnosed_as_the_page_says(followed):
     named = set(re.findall(r"^\| `([\w./]+)` \|", PAGE, flags=re.M))
     for path in (folder / "diagnosis").iterdir():
         assert path.name in named or f"{path.name}/" in named
+
+
+def test_the_gap_stands_beside_the_labels_it_belongs_to(followed):
+    folder, _ = followed
+    gap = pandas.read_parquet(folder / "diagnosis" / "gap.parquet")
+    labels = compute_labels(
+        read_drive(folder / "real.parquet"), read_vehicle(folder / "sample_logs/road_car.yaml"), Z2
+    )
+    at = np.searchsorted(labels.row, gap["row"])
+    np.testing.assert_array_equal(labels.row[at], gap["row"])
+    np.testing.assert_array_equal(labels.y[at, 0], gap["y_vx"])
+    np.testing.assert_array_equal(labels.z[at, 2], gap["torque_ratio"])
+    assert len(gap) > 0.9 * len(labels)
+    # Brakes that give less: the car keeps what the nominal model takes away, and the finding explains it.
+    braking = gap["torque_ratio"] < -0.3
+    assert gap["gap_longitudinal"][braking].mean() > 5.0 * abs(gap["remainder_longitudinal"][braking].mean())
 
 
 def test_the_step_tells_delay_from_lag(followed):

@@ -144,12 +144,12 @@ def _write_gap(diagnosis: Diagnosis, drives: Sequence[Drive], vehicle: Vehicle, 
     import pyarrow as pa
     import pyarrow.parquet
 
-    tables = [
-        _gap_table(gap, drive, vehicle) for gap, drive in zip(diagnosis.gaps, drives, strict=False) if len(gap.t) > 1
-    ]
+    pairs = zip(diagnosis.gaps, drives, strict=False)
+    tables = [_gap_table(gap, drive, vehicle) for gap, drive in pairs if len(gap.t) > 1]
     if not tables:
         names = ("t", "s", *(f"{kind}_{force}" for kind in ("gap", "remainder") for force in FORCES))
-        tables = [pa.table({"drive": pa.array([], pa.string()), **{n: pa.array([], pa.float64()) for n in names}})]
+        columns = {name: pa.array([], pa.float64()) for name in names}
+        tables = [pa.table({"drive": pa.array([], pa.string()), **columns})]
     pyarrow.parquet.write_table(pa.concat_tables(tables), path, compression="zstd")
 
 
@@ -157,15 +157,15 @@ def _gap_table(gap: GapSeries, drive: Drive, vehicle: Vehicle):
     import pyarrow as pa
 
     labels = compute_labels(drive, vehicle, Z2)
-    # By time, since rows that were no recording may have been left out of the gap; its forces are averages over 0.2 s.
+    # By time, since rows that were no recording may have been left out; the forces are averages over 0.2 s.
     after = np.clip(np.searchsorted(gap.t, labels.t), 1, max(len(gap.t) - 1, 1))
-    near = np.where(labels.t - gap.t[after - 1] < gap.t[after] - labels.t, after - 1, after)
-    meets = np.abs(gap.t[near] - labels.t) < _GAP_REACH
-    columns = {"drive": pa.array([gap.drive] * int(meets.sum()), pa.string())}
+    row = np.where(labels.t - gap.t[after - 1] < gap.t[after] - labels.t, after - 1, after)
+    meets = np.abs(gap.t[row] - labels.t) < _GAP_REACH
+    row = row[meets]
+    columns = {"drive": pa.array([gap.drive] * len(row), pa.string())}
     columns |= label_columns(labels.take(np.flatnonzero(meets)))
-    meets = near[meets]
-    columns["s"] = pa.array(gap.s[meets])
+    columns["s"] = pa.array(gap.s[row])
     for k, force in enumerate(FORCES):
-        columns[f"gap_{force}"] = pa.array(gap.forces[meets, k])
-        columns[f"remainder_{force}"] = pa.array(gap.remainder[meets, k])
+        columns[f"gap_{force}"] = pa.array(gap.forces[row, k])
+        columns[f"remainder_{force}"] = pa.array(gap.remainder[row, k])
     return pa.table(columns)
