@@ -20,9 +20,7 @@ def as_numbers(parameters):
 def _number_class(source: type) -> type:
     # One class a dataclass: compiled code is specialised on the class, a new one would be compiled again.
     if source not in _CLASSES:
-        created = namedtuple(
-            f"{source.__name__}Numbers", [f.name for f in fields(source) if f.name != "name"]
-        )
+        created = namedtuple(f"{source.__name__}Numbers", [f.name for f in fields(source) if f.name != "name"])
         created.__module__ = __name__
         globals()[created.__name__] = created  # numba's cache finds a class by its import path
         _CLASSES[source] = created

@@ -175,9 +175,7 @@ def grip_of(car: CarParameters, friction: float = 1.0) -> Grip:
         angles[np.argmax(tire_force(tire, 0.0, angles, static / 2, friction)[1])]
         for tire, static in ((car.front_tire, car.static_load_front), (car.rear_tire, car.static_load_rear))
     )
-    downforce = (
-        0.5 * car.air_density * (car.downforce_area_front + car.downforce_area_rear) / (car.mass * GRAVITY)
-    )
+    downforce = 0.5 * car.air_density * (car.downforce_area_front + car.downforce_area_rear) / (car.mass * GRAVITY)
     return Grip(
         lateral=float((len(differences) - 1) * spacing),
         braking=_longitudinal(car, -1.0, car.brake_split_front, friction),

@@ -185,9 +185,7 @@ def _throttle_in_turn(setting: _Setting) -> Maneuver:
     most = min(setting.car.max_torque, 0.5 * setting.intensity * setting.grip.driving * setting.car.mass
                * setting.car.wheel_radius)  # fmt: skip
     torque, steer = _free(clock), _free(clock)
-    torque[held] = _steps(
-        clock[held] - clock[held][0], (0.8 * most, 0.0, 0.8 * most, 0.0), 0.15 * setting.pace
-    )
+    torque[held] = _steps(clock[held] - clock[held][0], (0.8 * most, 0.0, 0.8 * most, 0.0), 0.15 * setting.pace)
     steer[held] = np.inf
     script = Script(torque, steer, np.full(len(clock), speed))
     return Maneuver("throttle_in_turn", script, float(speed), circle(radius))

@@ -59,9 +59,7 @@ def write_mcap(readings: tuple[Reading, ...], path: str | Path, start: float = E
         )
         for log_time, index, sequence, publish_time, message in merged:
             topic = topics[index]
-            writer.write_message(
-                topic.name, schemas[topic.type_name], message, log_time, publish_time, sequence
-            )
+            writer.write_message(topic.name, schemas[topic.type_name], message, log_time, publish_time, sequence)
         writer.finish()
 
 

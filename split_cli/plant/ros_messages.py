@@ -162,9 +162,7 @@ TOPICS = (
     Topic("/odometry", "nav_msgs/msg/Odometry", "state", _odometry, "map"),
     Topic("/imu", "sensor_msgs/msg/Imu", "inertial", _imu),
     Topic("/command/drive", "ackermann_msgs/msg/AckermannDriveStamped", "command", _drive_command),
-    Topic(
-        "/command/wheel_torque", "split_msgs/msg/WheelTorqueStamped", "command", lambda v: {"torque": v["T"]}
-    ),
+    Topic("/command/wheel_torque", "split_msgs/msg/WheelTorqueStamped", "command", lambda v: {"torque": v["T"]}),
     Topic(
         "/actuators",
         "split_msgs/msg/ActuatorReport",

@@ -115,9 +115,7 @@ def find_track(name: str) -> Track:
         If there is none; names the nearest.
     """
     if name not in _OUTLINES:
-        raise SplitError(
-            f"no track is called {name!r}", where="--track", advice=nearest_names(name, _OUTLINES)
-        )
+        raise SplitError(f"no track is called {name!r}", where="--track", advice=nearest_names(name, _OUTLINES))
     outline = _OUTLINES[name]
     return _from_closed_points(
         name,
@@ -183,14 +181,10 @@ def _smooth_closed(points: np.ndarray, outline: _Outline) -> np.ndarray:
     return np.stack([smooth.real, smooth.imag], axis=1)
 
 
-def _from_closed_points(
-    name: str, points: np.ndarray, length: float, spacing: float, half_width: float
-) -> Track:
+def _from_closed_points(name: str, points: np.ndarray, length: float, spacing: float, half_width: float) -> Track:
     """Return the track through closed points, scaled to a length, by a periodic quintic spline (C4)."""
     count = len(points)
-    spline = make_interp_spline(
-        np.arange(count + 1.0), np.vstack([points, points[:1]]), k=5, bc_type="periodic"
-    )
+    spline = make_interp_spline(np.arange(count + 1.0), np.vstack([points, points[:1]]), k=5, bc_type="periodic")
     speed = spline.derivative()
     fine = np.linspace(0.0, count, 8 * count + 1)
     rate = np.linalg.norm(speed(fine), axis=1)
@@ -200,9 +194,7 @@ def _from_closed_points(
     samples = int(round(length / spacing))
     parameter = np.interp(np.arange(samples) * arc[-1] / samples, arc, fine)
     velocity, bend = speed(parameter), spline.derivative(2)(parameter)
-    curvature = (velocity[:, 0] * bend[:, 1] - velocity[:, 1] * bend[:, 0]) / np.linalg.norm(
-        velocity, axis=1
-    ) ** 3
+    curvature = (velocity[:, 0] * bend[:, 1] - velocity[:, 1] * bend[:, 0]) / np.linalg.norm(velocity, axis=1) ** 3
     at = (spline(parameter) - spline(0.0)) * scale
     return Track(
         name=name,

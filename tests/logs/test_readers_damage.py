@@ -233,9 +233,7 @@ def test_unsupported_encodings_are_listed_and_refused(tmp_path, encoding):
         recording.read(["/odom/x"])
 
 
-@pytest.mark.parametrize(
-    "payload", [b"", b"[1]", b"{", b'{"vx": "fast"}', b'{"vx": {"deeper": 1}}', b"\xff\xfe"]
-)
+@pytest.mark.parametrize("payload", [b"", b"[1]", b"{", b'{"vx": "fast"}', b'{"vx": {"deeper": 1}}', b"\xff\xfe"])
 def test_json_that_is_none_is_counted_or_missing(tmp_path, payload):
     messages = [("/car", support.EPOCH + row, 0, b'{"vx": %d}' % row) for row in range(4)]
     messages.append(("/car", support.EPOCH + 9, 0, payload))

@@ -17,14 +17,10 @@ WRITERS = {
     "cdr without chunks": lambda p, d: support.write_ros2_mcap(p, d, use_chunking=False),
     "cdr without index": lambda p, d: support.write_ros2_mcap(p, d, index_types=IndexType.NONE),
     "cdr without statistics": lambda p, d: support.write_ros2_mcap(p, d, use_statistics=False),
-    "cdr without repeats": lambda p, d: support.write_ros2_mcap(
-        p, d, repeat_channels=False, repeat_schemas=False
-    ),
+    "cdr without repeats": lambda p, d: support.write_ros2_mcap(p, d, repeat_channels=False, repeat_schemas=False),
     "ros1": support.write_ros1_mcap,
     "protobuf": support.write_protobuf_mcap,
-    "json sec nsec": lambda p, d: support.write_json_mcap(
-        p, d, lambda t: {"sec": t // 10**9, "nsec": t % 10**9}
-    ),
+    "json sec nsec": lambda p, d: support.write_json_mcap(p, d, lambda t: {"sec": t // 10**9, "nsec": t % 10**9}),
     "json nanoseconds": lambda p, d: support.write_json_mcap(p, d, lambda t: t),
 }
 

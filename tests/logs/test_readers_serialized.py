@@ -80,9 +80,7 @@ def test_any_definition_decodes_as_the_reference_does(fields, seed):
     text += f"{'=' * 80}\nMSG: test_msgs/Inner\n{INNER}"
     encode = serialize_dynamic("test_msgs/msg/Outer", text)["test_msgs/msg/Outer"]
     reference = generate_dynamic("test_msgs/msg/Outer", text)["test_msgs/msg/Outer"]
-    decoder = SerializedDecoder(
-        Definitions().layout("test_msgs/msg/Outer", "ros2msg", text.encode()), cdr=True
-    )
+    decoder = SerializedDecoder(Definitions().layout("test_msgs/msg/Outer", "ros2msg", text.encode()), cdr=True)
     payloads, expected = [], []
     for _ in range(8):
         message = {}
@@ -97,25 +95,19 @@ def test_any_definition_decodes_as_the_reference_does(fields, seed):
     # All at once, and one path at a time: then the walk stops early and guards fewer lengths.
     tables = [decoder.decode(payloads, paths).values]
     tables.append(np.hstack([decoder.decode(payloads, [p]).values for p in paths]) if paths else tables[0])
-    wanted = np.array([[row.get(path, np.nan) for path in paths] for row in expected]).reshape(
-        len(payloads), -1
-    )
+    wanted = np.array([[row.get(path, np.nan) for path in paths] for row in expected]).reshape(len(payloads), -1)
     for table in tables:
         np.testing.assert_array_equal(table, wanted)
 
 
-@pytest.mark.parametrize(
-    "kind", ["nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "sensor_msgs/msg/JointState"]
-)
+@pytest.mark.parametrize("kind", ["nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "sensor_msgs/msg/JointState"])
 @pytest.mark.parametrize("how", ["little endian", "big endian", "ros1"])
 def test_byte_orders_and_ros1_against_rosbags(kind, how):
     rng = np.random.default_rng(3)
     ros1 = how == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     text = store.generate_msgdef(kind, ros_version=1 if ros1 else 2)[0].encode()
-    decoder = SerializedDecoder(
-        Definitions().layout(kind, "ros1msg" if ros1 else "ros2msg", text), cdr=not ros1
-    )
+    decoder = SerializedDecoder(Definitions().layout(kind, "ros1msg" if ros1 else "ros2msg", text), cdr=not ros1)
     payloads, expected = [], []
     for row in range(20):
         more = {"header__seq": row} if ros1 else {}
@@ -224,9 +216,7 @@ def test_a_given_definition_stands_in_for_one_that_cannot_be_parsed(tmp_path):
     layout = Definitions([tmp_path]).layout("test_msgs/msg/Outer", "ros2msg", b"float64\n")
     payload = b"\0\1\0\0" + np.array([2.5]).tobytes()
     assert not layout.embedded
-    np.testing.assert_array_equal(
-        SerializedDecoder(layout, cdr=True).decode([payload], ["x"]).values, [[2.5]]
-    )
+    np.testing.assert_array_equal(SerializedDecoder(layout, cdr=True).decode([payload], ["x"]).values, [[2.5]])
     (tmp_path / "empty").mkdir()
     with pytest.raises(LogError, match=r"no \.msg files"):
         Definitions([tmp_path / "empty"])

@@ -154,8 +154,7 @@ def test_times_of_day_and_switches_become_numbers(tmp_path):
     start = datetime.datetime(2024, 5, 4, 10, 0, 0, 250_000, tzinfo=datetime.UTC)
     moments = [start + datetime.timedelta(milliseconds=10 * n) for n in range(30)]
     rows = [
-        f"{moment.isoformat()},{n},{n / 7!r},{'true' if n % 3 else 'False'}"
-        for n, moment in enumerate(moments)
+        f"{moment.isoformat()},{n},{n / 7!r},{'true' if n % 3 else 'False'}" for n, moment in enumerate(moments)
     ]
     (tmp_path / "a.csv").write_text("time,n,x,on\n" + "\n".join(rows))
     signals = open_recording(tmp_path / "a.csv").read(["time", "on", "n"])
@@ -217,9 +216,7 @@ def test_mat_versions(tmp_path, planted, version):
     table = table_of(planted)
     path = tmp_path / "drive.mat"
     if version == "7.3":
-        write_hdf5(
-            path, {"log": {"car": table}, "xyz": np.stack([planted.vx, planted.vy, planted.r], axis=1)}
-        )
+        write_hdf5(path, {"log": {"car": table}, "xyz": np.stack([planted.vx, planted.vy, planted.r], axis=1)})
     elif version == "4":
         from scipy.io import savemat
 
@@ -285,9 +282,7 @@ def test_mdf_channels_have_their_own_clocks(tmp_path, planted, version, suffix):
     t, path = table["t"], tmp_path / f"drive.{suffix}"
     signal = asammdf.Signal
     with asammdf.MDF(version=version) as file:
-        file.append(
-            [signal(planted.vx, t, name="vx", unit="m/s"), signal(planted.r, t, name="r", unit="deg/sec")]
-        )
+        file.append([signal(planted.vx, t, name="vx", unit="m/s"), signal(planted.r, t, name="r", unit="deg/sec")])
         file.append(
             [
                 signal(planted.vy[::4], t[::4], name="vy", unit="km/h"),

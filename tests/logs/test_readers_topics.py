@@ -58,14 +58,10 @@ def test_topics_of_cars(tmp_path, storage):
     for n in range(COUNT):
         time = int(planted.header[n])
         stamp = {"stamp__sec": time // 10**9, "stamp__nanosec": time % 10**9}
-        reports.append(
-            (planted.log[n], support.build(store, steering, **stamp, steering_tire_angle=planted.r[n]))
-        )
+        reports.append((planted.log[n], support.build(store, steering, **stamp, steering_tire_angle=planted.r[n])))
     extra["steering"] = (steering, reports)
     recording = open_recording(support.write_rosbag2(tmp_path / "bag", planted, storage, **extra))
-    names = {
-        f"/{topic}/{field}": n for topic, (_, fields) in TOPICS.items() for n, field in enumerate(fields)
-    }
+    names = {f"/{topic}/{field}": n for topic, (_, fields) in TOPICS.items() for n, field in enumerate(fields)}
     names["/steering/steering_tire_angle"] = 2
     assert set(names) <= {channel.name for channel in recording.channels()}
     for clock in ("header", "log"):
@@ -87,9 +83,7 @@ def test_only_the_topics_asked_for_are_decoded(tmp_path, monkeypatch):
     planted = support.plant(count=COUNT)
     store = support.ros2_store()
     kind, fields = TOPICS["imu"]
-    extra = {
-        "imu": (kind, [(planted.log[n], message_of(store, kind, fields, planted, n)) for n in range(COUNT)])
-    }
+    extra = {"imu": (kind, [(planted.log[n], message_of(store, kind, fields, planted, n)) for n in range(COUNT)])}
     recording = open_recording(support.write_rosbag2(tmp_path / "bag", planted, "MCAP", **extra))
     decoded = []
     plain = SerializedDecoder.decode
@@ -110,9 +104,7 @@ def test_messages_out_of_order_come_in_order_of_log_time(tmp_path):
     messages = support.cdr_messages(support.ros2_store(), planted)
     shuffled = [messages[n] for n in np.random.default_rng(1).permutation(COUNT)]
     schema = support.ros2_schema(support.ros2_store(), "nav_msgs/msg/Odometry")
-    recording = open_recording(
-        support.write_mcap(tmp_path / "a.mcap", schema, "cdr", shuffled, chunk_size=2000)
-    )
+    recording = open_recording(support.write_mcap(tmp_path / "a.mcap", schema, "cdr", shuffled, chunk_size=2000))
     support.check_planted(recording, planted)
 
 
@@ -129,9 +121,7 @@ def test_a_topic_whose_type_changes_is_read_with_both_definitions(tmp_path):
             )
             payload = b"\0\1\0\0" + (b"" if number == 0 else np.array([3, 0], "<f4").tobytes())
             for n in range(5):
-                writer.add_message(
-                    channel, 10 * number + n, payload + np.array([10.0 * number + n]).tobytes(), 0
-                )
+                writer.add_message(channel, 10 * number + n, payload + np.array([10.0 * number + n]).tobytes(), 0)
         writer.finish()
     recording = open_recording(path)
     signals = recording.read(["/car/speed", "/car/gear"])

@@ -42,8 +42,7 @@ def test_the_grip_in_use_follows_the_aggressiveness():
 def test_same_seed_same_drive_and_another_seed_another():
     track = find_track("f1tenth")
     first, again, other = (
-        drive_laps(F1TENTH_CAR, track, DRIVER_STYLES["brisk"], aggressiveness=0.6, seed=seed)
-        for seed in (4, 4, 5)
+        drive_laps(F1TENTH_CAR, track, DRIVER_STYLES["brisk"], aggressiveness=0.6, seed=seed) for seed in (4, 4, 5)
     )
     np.testing.assert_array_equal(first.states, again.states)
     shortest = min(len(first.t), len(other.t))
@@ -133,9 +132,7 @@ def test_actuators_delay_scale_and_play():
 def test_the_road_acts_where_and_when_it_says():
     maneuver = build_maneuver("coast_down", ROAD_CAR)
     level = run_maneuver(ROAD_CAR, maneuver)
-    hill = run_maneuver(
-        ROAD_CAR, maneuver, road=Road(spacing=10.0, grade=np.r_[np.zeros(50), np.full(400, 0.02)])
-    )
+    hill = run_maneuver(ROAD_CAR, maneuver, road=Road(spacing=10.0, grade=np.r_[np.zeros(50), np.full(400, 0.02)]))
     start = int(np.searchsorted(hill.s, 490.0))
     np.testing.assert_array_equal(level.states[:start], hill.states[:start])
     later = int(np.searchsorted(hill.s, 600.0))

@@ -74,9 +74,7 @@ def test_steady_cornering_at_small_lateral_acceleration_is_the_bicycle_model(car
     stiff_front = axle_stiffness(car.front_tire, car.static_load_front)
     stiff_rear = axle_stiffness(car.rear_tire, car.static_load_rear)
     speed = 18.0 * np.sqrt(car.wheelbase / 2.7)
-    gradient = (
-        car.mass / car.wheelbase * (car.cg_to_rear_axle / stiff_front - car.cg_to_front_axle / stiff_rear)
-    )
+    gradient = car.mass / car.wheelbase * (car.cg_to_rear_axle / stiff_front - car.cg_to_front_axle / stiff_rear)
     steer = 0.2 * (car.wheelbase + gradient * speed**2) / speed**2  # for 0.2 m/s^2
     state, out = advance(car, initial_state(car, speed), 0.0, steer, 4.0)
     vx, vy, r = state[3:6]

@@ -49,9 +49,7 @@ def test_a_delay_is_recovered_from_the_reading(lap, delay):
     reading = one(lap, channels={"r": ChannelSpec(noise=0.002, delay=delay)})
     inside = (reading.stamp > 0.5) & (reading.stamp < lap.t[-1] - 0.5)
     trials = np.arange(-0.05, 0.2, 0.001)
-    costs = [
-        np.mean((reading.values["r"] - truth_at(lap, "r", reading.stamp - d))[inside] ** 2) for d in trials
-    ]
+    costs = [np.mean((reading.values["r"] - truth_at(lap, "r", reading.stamp - d))[inside] ** 2) for d in trials]
     # Least squares over some thousand samples of a yaw rate with slopes near 1 rad/s^2: sigma 0.002/sqrt(3000) s.
     assert trials[int(np.argmin(costs))] == pytest.approx(delay, abs=0.0015)
 
@@ -78,12 +76,8 @@ def test_a_device_off_the_centre_and_turned_reports_rigid_body_motion(lap):
     reading = one(lap, position_x=-1.2, position_y=0.3, turned=0.02)
     vx, vy, r = (truth_at(lap, name, reading.stamp) for name in ("vx", "vy", "r"))
     there_x, there_y = vx - 0.3 * r, vy - 1.2 * r
-    np.testing.assert_allclose(
-        reading.values["vx"], np.cos(0.02) * there_x + np.sin(0.02) * there_y, atol=1e-12
-    )
-    np.testing.assert_allclose(
-        reading.values["vy"], np.cos(0.02) * there_y - np.sin(0.02) * there_x, atol=1e-12
-    )
+    np.testing.assert_allclose(reading.values["vx"], np.cos(0.02) * there_x + np.sin(0.02) * there_y, atol=1e-12)
+    np.testing.assert_allclose(reading.values["vy"], np.cos(0.02) * there_y - np.sin(0.02) * there_x, atol=1e-12)
 
 
 def test_clocks_keep_their_rate_and_transport_only_delays(lap):
@@ -100,9 +94,7 @@ def test_clocks_keep_their_rate_and_transport_only_delays(lap):
 def test_commands_are_stamped_when_they_take_effect(lap):
     command = next(r for r in measure(lap, sensors_of("road_car"), 3) if r.sensor.name == "command")
     np.testing.assert_array_equal(command.stamp, lap.command_t[: len(command.stamp)])
-    np.testing.assert_allclose(
-        command.values["T"], lap.torque_command[: len(command.stamp)], atol=0.005 + 1e-9
-    )
+    np.testing.assert_allclose(command.values["T"], lap.torque_command[: len(command.stamp)], atol=0.005 + 1e-9)
 
 
 def test_perfect_instruments_report_the_truth(lap):
@@ -121,9 +113,7 @@ def test_another_device_does_not_change_the_noise_of_the_first(lap):
 
 def test_a_run_too_short_for_a_device_is_refused():
     maneuver = build_maneuver("coast_down", ROAD_CAR)
-    brief = replace(
-        maneuver.script, **{n: getattr(maneuver.script, n)[:3] for n in ("torque", "steer", "speed")}
-    )
+    brief = replace(maneuver.script, **{n: getattr(maneuver.script, n)[:3] for n in ("torque", "steer", "speed")})
     run = run_maneuver(ROAD_CAR, replace(maneuver, script=brief))
     with pytest.raises(SplitError, match="too short"):
         measure(run, (SensorSpec("slow", 2.0, {"vx": ChannelSpec()}),))

@@ -39,9 +39,7 @@ def test_a_log_lies_within_noise_of_the_truth_beside_it(tmp_path):
 
 
 def test_perfect_instruments_give_the_truth(tmp_path):
-    simulate_log(
-        replace(QUICK, instruments="perfect"), tmp_path / "log.parquet", truth=tmp_path / "truth.parquet"
-    )
+    simulate_log(replace(QUICK, instruments="perfect"), tmp_path / "log.parquet", truth=tmp_path / "truth.parquet")
     log, truth = read_drive(tmp_path / "log.parquet"), read_drive(tmp_path / "truth.parquet")
     for name in log.columns:
         np.testing.assert_allclose(log[name], truth[name], atol=1e-9)

@@ -36,9 +36,7 @@ def test_slopes_at_zero_slip_are_the_stated_stiffnesses(tire, share):
     assert cornering == pytest.approx(
         tire.p_ky1 * tire.nominal_load * np.sin(2 * np.arctan(share / tire.p_ky2)), rel=1e-6
     )
-    assert traction == pytest.approx(
-        load * (tire.p_kx1 + tire.p_kx2 * df) * np.exp(tire.p_kx3 * df), rel=1e-6
-    )
+    assert traction == pytest.approx(load * (tire.p_kx1 + tire.p_kx2 * df) * np.exp(tire.p_kx3 * df), rel=1e-6)
 
 
 def test_friction_scales_the_peak_and_leaves_the_slope():

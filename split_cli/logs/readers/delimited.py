@@ -75,9 +75,7 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
             continue
         if name in columns:
             renamed += 1
-            name = next(
-                f"{name}_{n}" for n in range(2, len(sniffed.header) + 2) if f"{name}_{n}" not in columns
-            )
+            name = next(f"{name}_{n}" for n in range(2, len(sniffed.header) + 2) if f"{name}_{n}" not in columns)
         columns[name] = (index, unit)
     if renamed:
         note_once(notes, ReadNote("column names that occur twice, numbered", path.name, renamed))
@@ -144,9 +142,7 @@ def _read_columns(
             if bad:
                 note_once(
                     notes,
-                    ReadNote(
-                        "cells that are no numbers, read as missing", f"{path.name}, column {title}", bad
-                    ),
+                    ReadNote("cells that are no numbers, read as missing", f"{path.name}, column {title}", bad),
                 )
         else:
             values[index] = np.array(column.fill_null(float("nan")), dtype=np.float64)

@@ -86,9 +86,7 @@ def _collect_hdf5(group: Any, prefix: str, leaves: list[tuple[str, np.ndarray]],
         if isinstance(item, h5py.Group):
             _collect_hdf5(item, name + ".", leaves, depth + 1)
         elif (
-            isinstance(item, h5py.Dataset)
-            and item.dtype.kind in "biuf"
-            and not item.attrs.get("MATLAB_empty", 0)
+            isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and not item.attrs.get("MATLAB_empty", 0)
         ):
             is_text = item.attrs.get("MATLAB_class", b"") in (b"char", "char")
             if item.ndim <= 2 and not is_text:

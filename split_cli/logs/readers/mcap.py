@@ -110,9 +110,7 @@ class McapContainer:
             raise LogError(f"holds no readable message{detail}", where=path.name, advice="Record it again.")
         self.origin = contents.first_time
         self.streams = [
-            self._stream(channel, contents)
-            for key, channel in contents.channels.items()
-            if contents.counts[key]
+            self._stream(channel, contents) for key, channel in contents.channels.items() if contents.counts[key]
         ]
 
     def _stream(self, channel: records.Channel, contents: _Contents) -> Stream:
@@ -266,9 +264,7 @@ class McapContainer:
                 raise _DamageError("its header is damaged")
             return _decompressed(memoryview(self._file)[segment.start : segment.stop])
         except _DamageError as damage:
-            note_once(
-                self.notes, ReadNote(f"chunk left out: {damage}", f"{self.path.name}, byte {segment.start}")
-            )
+            note_once(self.notes, ReadNote(f"chunk left out: {damage}", f"{self.path.name}, byte {segment.start}"))
             return b""
 
     def _messages(

@@ -205,18 +205,14 @@ class MessageRecording:
             parts[stream.topic].append(_Part(log, publish, columns.stamps, columns.values, columns.readable))
         pending.clear()
 
-    def _assemble(
-        self, topic: str, parts: list[_Part], width: int, clock: Clock
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _assemble(self, topic: str, parts: list[_Part], width: int, clock: Clock) -> tuple[np.ndarray, np.ndarray]:
         """Return time (N,) and values (N, P) of a topic, without the messages that could not be decoded."""
         if not parts:
             return np.empty(0), np.empty((0, width))
         readable = np.concatenate([part.readable for part in parts])
         lost = int(len(readable) - readable.sum())
         if lost:
-            note_once(
-                self.notes, ReadNote("messages that do not fit their definition, left out", topic, lost)
-            )
+            note_once(self.notes, ReadNote("messages that do not fit their definition, left out", topic, lost))
         if lost == len(readable):
             raise LogError(
                 f"none of the {lost} messages of topic {topic} fits the definition of "
@@ -237,9 +233,7 @@ class MessageRecording:
         since = (times.astype(np.uint64) - np.uint64(self._container.origin)).view(np.int64)
         return since[order] * 1e-9, values[order]
 
-    def _header_times(
-        self, topic: str, parts: list[_Part], readable: np.ndarray, log: np.ndarray
-    ) -> np.ndarray:
+    def _header_times(self, topic: str, parts: list[_Part], readable: np.ndarray, log: np.ndarray) -> np.ndarray:
         if any(part.stamps is None for part in parts):
             note_once(
                 self.notes,

@@ -94,9 +94,7 @@ def _signal(
         if invalid.any():
             note_once(
                 notes,
-                ReadNote(
-                    "samples marked invalid, read as missing", f"{path.name}, {name}", int(invalid.sum())
-                ),
+                ReadNote("samples marked invalid, read as missing", f"{path.name}, {name}", int(invalid.sum())),
             )
     return RawSignal(name, np.array(found.timestamps, dtype=np.float64), values, unit)
 

@@ -109,9 +109,7 @@ def column_values(column: Any, where: str) -> np.ndarray:
     elif not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):
         raise LogError(f"holds {kind}, not numbers", where=where)
     column = pc.fill_null(pc.cast(column, pa.float64(), safe=False), float("nan"))
-    return (
-        np.asarray(column, dtype=np.float64) * scale if scale != 1.0 else np.array(column, dtype=np.float64)
-    )
+    return np.asarray(column, dtype=np.float64) * scale if scale != 1.0 else np.array(column, dtype=np.float64)
 
 
 def _damaged(path: Path, kind: str, error: Exception) -> LogError:

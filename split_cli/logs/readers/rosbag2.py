@@ -67,9 +67,7 @@ class SqliteContainer:
         counts = dict(query("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id"))
         rows = query("SELECT id, name, type, serialization_format FROM topics ORDER BY id").fetchall()
         return [
-            Stream(
-                key, str(name), str(kind), str(encoding), *definitions.get(str(kind), ("", b"")), counts[key]
-            )
+            Stream(key, str(name), str(kind), str(encoding), *definitions.get(str(kind), ("", b"")), counts[key])
             for key, name, kind, encoding in rows
             if counts.get(key)
         ]
@@ -84,9 +82,7 @@ class SqliteContainer:
             while rows := cursor.fetchmany(_ROWS_AT_ONCE):
                 yield from self._sorted(rows)
         except sqlite3.Error as error:
-            note_once(
-                self.notes, ReadNote(f"the database is damaged ({error}): read up to there", self.path.name)
-            )
+            note_once(self.notes, ReadNote(f"the database is damaged ({error}): read up to there", self.path.name))
 
     def _sorted(self, rows: list[tuple[Any, Any, Any]]) -> Iterator[Batch]:
         found: dict[int, Batch] = defaultdict(lambda: Batch(0, [], [], []))
@@ -143,9 +139,7 @@ class ConcatenatedContainer:
         for part, own_keys in zip(self._parts, self._keys, strict=True):
             chosen = frozenset(own for own, key in own_keys.items() if key in keys)
             for batch in part.batches(chosen) if chosen else ():
-                payloads = (
-                    [_unpacked(payload) for payload in batch.payloads] if self._packed else batch.payloads
-                )
+                payloads = [_unpacked(payload) for payload in batch.payloads] if self._packed else batch.payloads
                 yield replace(batch, key=own_keys[batch.key], payloads=payloads)
             for note in part.notes:
                 note_once(self.notes, note)
@@ -185,9 +179,7 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
     present.sort(key=lambda file: [int(n) if n.isdigit() else n for n in re.split(r"(\d+)", file.name)])
     if not metadata.exists():
         if present:
-            note_once(
-                notes, ReadNote("no metadata.yaml: files taken in the order of their numbers", path.name)
-            )
+            note_once(notes, ReadNote("no metadata.yaml: files taken in the order of their numbers", path.name))
         return present, False
     try:
         described = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
@@ -205,9 +197,7 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
     if missing:
         note_once(
             notes,
-            ReadNote(
-                f"files of the recording that are missing: {', '.join(missing)}", path.name, len(missing)
-            ),
+            ReadNote(f"files of the recording that are missing: {', '.join(missing)}", path.name, len(missing)),
         )
     return [path / name for name in names if (path / name).exists()], mode == "message"
 
