@@ -39,12 +39,18 @@ class Abstention:
         Severity below which nothing is called unexplained.
     size : float
         Severity of the remainder, over that of the gap, from which on it is unexplained whatever its share.
+    most_alternatives : int
+        Terms that explain the data as well, exact degeneracies not counted, above which none of them is named.
+    widest_place : float
+        Share of the track that the interval of a stretch's end may cover.
     """
 
     level: float = 0.01
     share: float = 0.08
     severity: float = 0.12
     size: float = 0.12
+    most_alternatives: int = 4
+    widest_place: float = 0.5
 
 
 def describe(
@@ -73,13 +79,34 @@ def describe(
     findings = _findings(judge, selection)
     wander = wander_of(structure, selection.chosen.entries)
     unexplained = not findings or _is_unexplained(remainder, wander, gap, usual_wander, rules)
-    if unexplained and findings:
-        trusted = _without_imitations(judge, selection, findings, remainder)
-        if trusted is not selection:
-            selection = trusted
-            remainder = _remainder(structure, selection, inflation)
-            findings = _findings(judge, selection)
+    kept = {one.term for one in findings}
+    if unexplained:
+        # Where something is left, terms that explain less than it does imitate what has no name.
+        explained = 1.0 - remainder.share
+        kept = {one.term for one in findings if one.gap_explained * explained > remainder.share}
+    kept -= _vague(selection, findings, rules)
+    if len(kept) < len(findings):
+        unexplained = True
+        selection = _only(judge, selection, kept)
+        remainder = _remainder(structure, selection, inflation)
+        findings = _findings(judge, selection)
     return selection, findings, remainder, unexplained
+
+
+def _vague(selection: Selection, findings: Sequence[Finding], rules: Abstention) -> set[str]:
+    """Return terms that the data do not single out: many others do as well, or nothing tells where they act."""
+    ranges = {part.candidate.term: part.candidate.ranges for part in selection.chosen.parts}
+    out = set()
+    for one in findings:
+        exact = exact_mimics(one.term, one.variant)
+        if sum(name not in exact for name in one.alternatives) > rules.most_alternatives:
+            out.add(one.term)
+        for name in ("s_start", "s_end"):
+            if name in one.parameters:
+                low, high = one.parameters[name].interval_95
+                if high - low > rules.widest_place * ranges[one.term][name].upper:
+                    out.add(one.term)
+    return out
 
 
 def _is_unexplained(
@@ -118,19 +145,13 @@ def _remainder(structure: Structure, selection: Selection, inflation: float) -> 
     return RemainderTest(left.p_value, share, left.severity, left.group_saved, drifts=drifts)
 
 
-def _without_imitations(
-    judge: Judge, selection: Selection, findings: Sequence[Finding], remainder: RemainderTest
-) -> Selection:
-    """Return the explanation without terms that explain less than what is left: they imitate what has no name."""
-    explained = 1.0 - remainder.share
-    trusted = {one.term for one in findings if one.gap_explained * explained > remainder.share}
+def _only(judge: Judge, selection: Selection, terms: set[str]) -> Selection:
+    """Return an explanation with these of its named terms, refitted; what was kept aside stays."""
     keep = [
         k
         for k, (part, named) in enumerate(zip(selection.chosen.parts, selection.named, strict=True))
-        if part.candidate.term in trusted or not named
+        if part.candidate.term in terms or not named
     ]
-    if len(keep) == len(selection.chosen.parts):
-        return selection
     parts = tuple(selection.chosen.parts[k] for k in keep)
     chosen = fit_parts(judge, parts) if parts else selection.base
     return replace(
