@@ -93,7 +93,7 @@ class Lopsided(Term):
 
 
 def test_what_is_in_no_catalogue_is_unexplained(simulation):
-    strange = diagnose([recording(85, Lopsided({"share": 0.2}))], road_car(), [simulation])
+    strange = diagnose([recording(85, Lopsided({"share": 0.3}))], road_car(), [simulation])
     assert strange.verdict == "mismatch" and strange.unexplained
     assert strange.remainder.p_value < 0.01
     # The lead is the right one: the front axle, by the size of its slip angle.

@@ -73,20 +73,6 @@ def test_the_common_physics_is_learned_by_ridge():
     np.testing.assert_allclose(known.precision, stacked.T @ stacked, rtol=1e-9)
 
 
-def test_a_simulation_is_believed_as_far_as_the_dictionary_holds_it():
-    """Rows that the columns explain are known to the least noise; rows of noise as noise."""
-    one = written(1)
-    weights = np.linspace(-0.5, 0.5, COLUMNS)
-    exact = replace(one, plain=one.common @ weights)
-    size = np.trace(np.einsum("gki,gkj->ij", one.common * one.weight[:, None, None] ** 2, one.common))
-
-    def noise(evidence) -> float:
-        return size / np.trace(learn_common([evidence]).precision - np.eye(COLUMNS))
-
-    assert noise(exact) < 0.01
-    assert noise(one) > 20.0 * noise(exact)
-
-
 def test_a_quiet_simulation_is_believed_as_far_as_the_dictionary_holds_it():
     """Rows of a tenth of the noise teach a hundred times as much; without any noise a thousand times, not more."""
     truth = np.random.default_rng(23).standard_normal(COLUMNS)

@@ -8,9 +8,11 @@ import shutil
 import numpy as np
 import pytest
 
+from split_cli.diagnosis.result import Diagnosis
 from split_cli.errors import SplitError
 from split_cli.proof.generate import generate_cases
 from split_cli.proof.store import check_seal, read_answer, read_heldout, shown_cases
+from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows import prove
 
 
@@ -94,14 +96,13 @@ def test_identification_is_handed_the_shown_files_only_and_takes_up_where_it_sto
     root, seal = copy
     asked = []
 
-    def diagnose(real, vehicle, output, *, simulated=()):
+    def diagnose(real, vehicle, *, simulated=()):
         asked.append([*real, vehicle, *simulated])
         if len(asked) == 2:
             raise SplitError("too short")
-        output.mkdir()
-        (output / "diagnosis.json").write_text('{"verdict": "match", "findings": [], "unexplained": false}')
+        return Diagnosis("match", 1.0, 1.0), read_vehicle(vehicle), ()
 
-    monkeypatch.setattr("split_cli.workflows.diagnose.diagnose_files", diagnose)
+    monkeypatch.setattr("split_cli.workflows.diagnose.read_and_diagnose", diagnose)
     (root / "results").mkdir()
     for case in shown_cases(root):
         prove._identify((case, root / "results"))
