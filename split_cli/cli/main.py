@@ -170,6 +170,16 @@ def _stop_cleanly() -> list[int]:
         came.append(number)
         raise KeyboardInterrupt
 
+    usual = sys.unraisablehook
+
+    def again(unraisable: sys.UnraisableHookArgs) -> None:
+        if came and isinstance(unraisable.exc_value, KeyboardInterrupt):
+            # It came while an object was taken down, where nothing can be raised: once more in a moment.
+            threading.Timer(0.01, os.kill, (here, came[-1])).start()
+        else:
+            usual(unraisable)
+
+    sys.unraisablehook = again
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, stop)
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where a shell ignores it

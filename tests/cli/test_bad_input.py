@@ -513,6 +513,28 @@ def test_a_stdout_that_is_full_or_closed_is_no_error_of_this_program(here):
     assert run.returncode == 0
 
 
+def test_a_stop_that_comes_while_an_object_is_taken_down_is_not_lost():
+    """Python swallows what is raised in a destructor, and prints it; the run would go on."""
+    program = """
+import os, signal, time
+from split_cli.cli.main import _stop_cleanly
+came = _stop_cleanly()
+class Held:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.05)
+try:
+    held = Held()
+    del held
+    time.sleep(5.0)
+    print("went on")
+except KeyboardInterrupt:
+    print("stopped", came[-1] == signal.SIGTERM)
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (run.stdout, run.stderr) == ("stopped True\n", "")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_run_that_is_stopped_leaves_the_old_set_or_the_new_one(here, number):
     old = state("a.split")
