@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import signal
@@ -132,7 +133,7 @@ def main(arguments: list[str] | None = None) -> None:
     except SplitError as error:
         _fail(str(error), 1)
     except click.exceptions.Abort:
-        _fail(_STOPPED, 130)
+        _leave_stopped(stopped)
     except click.ClickException as error:
         error.show()
         sys.exit(2)
@@ -148,7 +149,7 @@ def main(arguments: list[str] | None = None) -> None:
         _fail("not enough memory; try shorter recordings or fewer at once", 1)
     except Exception as error:
         if stopped:  # a library that was loading turned the interrupt into an error of its own
-            _fail(_STOPPED, 130)
+            _leave_stopped(stopped)
         if os.environ.get("SPLIT_TRACEBACK"):
             raise
         _fail(
@@ -203,6 +204,21 @@ def _fail(text: str, code: int) -> None:
     line = " ".join(text.split())
     click.echo(f"split: {line}", err=True)
     sys.exit(code)
+
+
+def _leave_stopped(came: list[int]) -> None:
+    """Leave with 130 once all is unwound; at once where a signal `came`.
+
+    What the signal left half made (a module, an object of a library) would make noise as it is taken down, and
+    an interrupt inside an `exec` of a library makes Python itself end by SIGINT, whatever code it was told.
+    """
+    if not came:
+        _fail(_STOPPED, 130)
+    click.echo(f"split: {_STOPPED}", err=True)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(130)
 
 
 def _refuse_undecodable(arguments: list[str]) -> None:

@@ -535,6 +535,23 @@ except KeyboardInterrupt:
     assert (run.stdout, run.stderr) == ("stopped True\n", "")
 
 
+def test_a_stop_inside_the_exec_of_a_library_leaves_with_130(here):
+    """Python notes an interrupt of an `exec`, and would end by SIGINT later; halfway loaded modules make noise."""
+    Path("sitecustomize.py").write_text("""
+import os, signal, sys
+class Late:
+    def find_spec(self, name, path=None, target=None):
+        if name == "split_cli.workflows.info":
+            sys.meta_path.remove(self)
+            exec("os.kill(os.getpid(), signal.SIGTERM)")
+sys.meta_path.insert(0, Late())
+""")
+    run = spawn("info", "a.split", env={**os.environ, "PYTHONPATH": os.pathsep.join([".", *sys.path])})
+    out, err = run.communicate(timeout=60)
+    assert (run.returncode, out) == (130, "")
+    assert err.strip() == "split: stopped; what was being written is left as it was before"
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_run_that_is_stopped_leaves_the_old_set_or_the_new_one(here, number):
     old = state("a.split")
