@@ -15,7 +15,7 @@ import numpy as np
 
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.common import CommonPhysics, features
-from split_cli.diagnosis.evidence import Evidence, graded_as
+from split_cli.diagnosis.evidence import Evidence
 from split_cli.diagnosis.judge import Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit
 from split_cli.diagnosis.structure import build_structure
@@ -78,8 +78,7 @@ class SelfTest:
 
 
 def self_test(
-    simulated: Sequence[Evidence],
-    real: Sequence[Evidence],
+    graded: Sequence[Evidence],
     common: CommonPhysics,
     candidates: Sequence[Candidate],
     kinematics: Sequence[Kinematics] = (),
@@ -91,8 +90,8 @@ def self_test(
 
     Parameters
     ----------
-    simulated, real : sequence of Evidence
-        Of the recordings, nothing but their noise and disturbance is taken.
+    graded : sequence of Evidence
+        The simulation with the noise and disturbance of the real recordings, see `graded_as`.
     common : CommonPhysics
     candidates : sequence of Candidate
         Terms that reality will be searched for.
@@ -106,16 +105,13 @@ def self_test(
     Noise is not drawn: rows are whitened as noisy ones are, and what noise of unit variance adds to a saving, one
     for each parameter, is added.
     """
-    noise = np.median([one.series.told_noise for one in real], axis=0)
-    disturbance = np.max([one.disturbance for one in real], axis=0)
-    graded = [graded_as(one, noise, disturbance, common) for one in simulated]
     scale = max((one.scale for one in kinematics), default=np.inf)
     positions = [build_kinematics(one.series) if np.isfinite(scale) else None for one in graded]
     positions = [one and replace(one, scale=max(one.scale, scale)) for one in positions]
     all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
     offers = _offers(build_judge(graded, None, common, all_rows, [one for one in positions if one]), candidates)
     sides = _Sides(tuple(graded), tuple(positions), common, inflation, reach)
-    first = _first_half(simulated)
+    first = _first_half(graded)
     tests = [_judge_half(sides, [mask ^ turned for mask in first], offers) for turned in (False, True)]
     tests = [test for test in tests if test is not None]
     if not tests:
@@ -156,9 +152,9 @@ def comparable(one: Evidence, simulated: Sequence[Evidence], common: CommonPhysi
     return usable & np.isfinite(distance)
 
 
-def _first_half(simulated: Sequence[Evidence]) -> list[np.ndarray]:
-    total, before, halves = sum(len(one.at) for one in simulated), 0, []
-    for one in simulated:
+def _first_half(graded: Sequence[Evidence]) -> list[np.ndarray]:
+    total, before, halves = sum(len(one.at) for one in graded), 0, []
+    for one in graded:
         halves.append(before + np.arange(len(one.at)) < total / 2)
         before += len(one.at)
     return halves

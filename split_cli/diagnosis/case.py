@@ -32,6 +32,8 @@ class Case:
     keep, keep_holdout : tuple of ndarray of bool, shape (G,)
         Rows of each real and held-out recording that are compared.
     kinematics : tuple of Kinematics
+    graded : tuple of Evidence
+        The simulated recordings as if they had the noise and disturbance of the real ones.
     """
 
     vehicle: Vehicle
@@ -43,6 +45,7 @@ class Case:
     kinematics: tuple[Kinematics, ...]
     simulated: tuple[Evidence, ...] = ()
     keep_holdout: tuple[np.ndarray, ...] = ()
+    graded: tuple[Evidence, ...] = ()
 
     def common_rates(self, evidence: Evidence) -> np.ndarray:
         """Return what the simulation knows beyond the nominal model along a recording, shape (N, 3)."""
@@ -79,5 +82,5 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], *, inflation: float,
     kinematics = [one for one in (build_kinematics(series, habit) for series in by_role["real"]) if one]
     return Case(
         vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep), tuple(kinematics), tuple(simulated),
-        tuple(kept_out),
+        tuple(kept_out), tuple(graded),
     )  # fmt: skip

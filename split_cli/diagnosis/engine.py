@@ -122,9 +122,9 @@ def diagnose(
     )
     judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
     known = SelfTest()
-    if case.simulated:
+    if case.graded:
         known = self_test(
-            case.simulated, case.real, case.common, candidates, case.kinematics,
+            case.graded, case.common, candidates, case.kinematics,
             inflation=settings.inflation, reach=settings.reach,
         )  # fmt: skip
     judge = known.allow(judge)
@@ -201,8 +201,9 @@ def _tell(case: Case, structure: Structure, found: _Comparison, settings: Settin
         structure, found.gap, found.selection, found.inflation, found.usual_wander, Abstention()
     )
     unexplained = unexplained or found.line is not None
-    forces = [gap_forces(one, (), case.common_rates(one)) for one in case.real]
-    after = [gap_forces(one, selection.terms, case.common_rates(one)) for one in case.real]
+    shared = [case.common_rates(one) for one in case.real]
+    forces = [gap_forces(one, (), rates) for one, rates in zip(case.real, shared, strict=True)]
+    after = [gap_forces(one, selection.terms, rates) for one, rates in zip(case.real, shared, strict=True)]
     if unexplained:
         lead = found.line.in_words() if found.line else sparse_formula(case.real, after, case.keep)
         remainder = replace(remainder, formula=lead)

@@ -10,6 +10,7 @@ import pytest
 
 from split_cli.diagnosis.calibration import SelfTest, comparable, self_test
 from split_cli.diagnosis.candidates import build_candidates
+from split_cli.diagnosis.case import gather_case
 from split_cli.diagnosis.common import build_common_physics
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.evidence import gather_evidence
@@ -54,15 +55,8 @@ def against_itself(simulation: Drive, reality: Drive) -> SelfTest:
     real, sim = (
         build_series(one, role, s) for one, role, (s, _) in zip(drives, ("real", "sim"), places, strict=True)
     )
-    common = build_common_physics(car, sim)
-    return self_test(
-        [gather_evidence(car, sim, common)],
-        [gather_evidence(car, real, common)],
-        common,
-        build_candidates(car, real),
-        inflation=1.5,
-        reach=0.35,
-    )
+    case = gather_case(car, [real, sim], inflation=1.5, reach=0.35)
+    return self_test(case.graded, case.common, build_candidates(car, real), inflation=1.5, reach=0.35)
 
 
 @pytest.fixture(scope="module")
