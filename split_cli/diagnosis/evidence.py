@@ -53,9 +53,22 @@ class Evidence:
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:
         """Return whitened rows, shape (G, 3), against the nominal model with `terms`."""
+        return self.whitener(self.left(terms))
+
+    def left(self, terms: Sequence[Term], common_rates: np.ndarray | None = None) -> np.ndarray:
+        """Return the defects that the nominal model with `terms` leaves, shape (N - 1, 3); 0 over gaps.
+
+        Parameters
+        ----------
+        terms : sequence of Term
+        common_rates : ndarray, shape (N, 3), optional
+            What common physics adds to the model's rates [m/s^2], [m/s^2], [rad/s^2].
+        """
         measured, smooth = self.series.corrected(terms)
         rates = self.series.rates(extended_model(self.vehicle, terms), smooth)
-        return self.whitener(defects(self.series, rates, self.jacobian, measured, smooth))
+        if common_rates is not None:
+            rates = rates + common_rates
+        return defects(self.series, rates, self.jacobian, measured, smooth)
 
 
 def defects(
@@ -132,10 +145,8 @@ def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common:
         series.transitions_begin(),
         one.whitener.group,
     )
-    rates = series.rates(extended_model(one.vehicle))
-    plain = defects(series, rates, one.jacobian, series.measured, series.smooth)
     columns = whitener(integrated(series, common.columns(series)))
-    return replace(one, whitener=whitener, plain=whitener(plain), common=columns)
+    return replace(one, whitener=whitener, plain=whitener(one.left(())), common=columns)
 
 
 def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from split_cli.diagnosis.common import features
-from split_cli.diagnosis.evidence import Evidence, defects
+from split_cli.diagnosis.evidence import Evidence
 from split_cli.diagnosis.result import GapSeries, Location, Place
-from split_cli.diagnosis.series import extended_model
 from split_cli.vehicle.effects import Term
 
 __all__ = ["dependence", "force_noise", "gap_forces", "gap_series", "locate", "variables"]
@@ -32,9 +31,7 @@ def gap_forces(evidence: Evidence, terms: Sequence[Term], common_rates: np.ndarr
     Rates left by model, terms and common physics, through the inverse of the invariant force matrix.
     """
     series = evidence.series
-    measured, smooth = series.corrected(terms)
-    rates = series.rates(extended_model(evidence.vehicle, terms), smooth) + common_rates
-    left = defects(series, rates, evidence.jacobian, measured, smooth) / series.period
+    left = evidence.left(terms, common_rates) / series.period
     left = np.concatenate([left, left[-1:]])
     width = max(1, int(round(_AVERAGE_SECONDS / series.period)))
     total = np.cumsum(np.concatenate([np.zeros((1, 3)), left]), axis=0)

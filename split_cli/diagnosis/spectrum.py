@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
-from split_cli.diagnosis.evidence import Evidence, defects, integrated
+from split_cli.diagnosis.evidence import Evidence, integrated
 from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.series import extended_model
 from split_cli.diagnosis.structure import severity
 from split_cli.vehicle.effects import Term
 
@@ -96,11 +95,8 @@ def strongest_line(judge: Judge, terms: Sequence[Term], simulated: Sequence[Evid
 
 def _left(judge: Judge, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
     """Return the defects that terms and common physics leave, shape (N - 1, 3)."""
-    measured, smooth = one.series.corrected(terms)
-    rates = one.series.rates(extended_model(one.vehicle, terms), smooth)
-    if judge.knowledge is not None:
-        rates = rates + judge.common.rates(one.series, judge.knowledge.weights, terms)
-    return defects(one.series, rates, one.jacobian, measured, smooth)
+    known = judge.knowledge
+    return one.left(terms, None if known is None else judge.common.rates(one.series, known.weights, terms))
 
 
 def _lines(one: Evidence, left: np.ndarray) -> list[Line]:

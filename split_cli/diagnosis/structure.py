@@ -12,9 +12,9 @@ from itertools import product
 import numpy as np
 
 from split_cli.diagnosis.common import CommonPhysics, features
-from split_cli.diagnosis.evidence import Evidence, defects, integrated
+from split_cli.diagnosis.evidence import Evidence, integrated
 from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.series import Series, extended_model
+from split_cli.diagnosis.series import Series
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
@@ -163,13 +163,7 @@ def severity_of(
     evidence: Evidence, rows: np.ndarray, terms: tuple[Term, ...], without: tuple[Term, ...] = ()
 ) -> float:
     """Return the severity of terms about the samples `rows`, against the model with `without` alone."""
-
-    def of(chosen: tuple[Term, ...]) -> np.ndarray:
-        measured, smooth = evidence.series.corrected(chosen)
-        rates = evidence.series.rates(extended_model(evidence.vehicle, chosen), smooth)
-        return defects(evidence.series, rates, evidence.jacobian, measured, smooth)
-
-    return severity(evidence.series, of(terms) - of(without), rows)
+    return severity(evidence.series, evidence.left(terms) - evidence.left(without), rows)
 
 
 def term_allowance(judge: Judge) -> float:
