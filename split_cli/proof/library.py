@@ -83,13 +83,51 @@ def _small_terms(vehicle: Vehicle, lap_length: float) -> list[Term]:
     return small
 
 
+def _large_terms(vehicle: Vehicle) -> list[Term]:
+    """Return more of the terms whose effect is not proportional to it, and their variants.
+
+    With them a regression can say of a large effect what a fit of the term itself would.
+    """
+    scales = [CATALOGUE["friction_scale"]({"scale": scale}, variant) for scale, variant in (
+        (0.8, ""), (0.95, "curve"), (0.8, "curve"),
+    )]  # fmt: skip
+    fades = [
+        CATALOGUE["grip_fade"]({"final_loss": loss, "tau": tau}, variant)
+        for tau in (3.0, 20.0, 60.0)
+        for variant in ("", "curve")
+        for loss in (0.05, 0.2)
+    ]
+    stiffness = [
+        CATALOGUE["tire_stiffness"]({"front_scale": front, "rear_scale": rear})
+        for front, rear in ((0.85, 1.0), (1.0, 0.85))
+    ]
+    body = [
+        CATALOGUE["mass"]({"scale": scale}, variant)
+        for scale, variant in ((1.15, ""), (1.03, "loaded"), (1.15, "loaded"))
+    ]
+    moved = [CATALOGUE["cg_shift"]({"dx": 0.04 * vehicle.wheelbase}, variant) for variant in ("", "loaded")]
+    plays = [CATALOGUE["steer_backlash"]({"width": width}) for width in (0.001, 0.003, 0.03)]
+    late = [CATALOGUE[term]({"delay": 0.05}) for term in ("steer_delay", "drive_delay", "sensor_delay")]
+    slow = [CATALOGUE[term]({"tau": 0.08}) for term in ("steer_lag", "drive_lag")]
+    return [*scales, *fades, *stiffness, *body, *moved, *plays, *late, *slow]
+
+
 def build_library(
-    columns: Mapping[str, np.ndarray], vehicle: Vehicle, lap_length: float, noise: np.ndarray
+    columns: Mapping[str, np.ndarray],
+    vehicle: Vehicle,
+    lap_length: float,
+    noise: np.ndarray,
+    *,
+    large: bool = False,
 ) -> Library:
-    """Return the regressors of a recording: `window_errors` of the plain model less that with each term."""
+    """Return the regressors of a recording: `window_errors` of the plain model less that with each term.
+
+    With `large` also those of effects that are no longer proportional to their size, and of variants.
+    """
     nominal = window_errors(columns, vehicle, ())
     found, names = [], []
-    for term in _small_terms(vehicle, lap_length):
+    terms = _small_terms(vehicle, lap_length)
+    for term in [*terms, *_large_terms(vehicle)] if large else terms:
         column = ((nominal - window_errors(columns, vehicle, [term])) / noise).ravel()
         if np.isfinite(column).all() and np.any(column):
             found.append(column)
@@ -130,7 +168,7 @@ def beyond_catalogue(
     error: np.ndarray, columns: Mapping[str, np.ndarray], vehicle: Vehicle, lap_length: float, noise: np.ndarray
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return what the two best terms together leave of an effect's error, shape (K, 3), and their names."""
-    library = build_library(columns, vehicle, lap_length, noise)
+    library = build_library(columns, vehicle, lap_length, noise, large=True)
     rows = error.size
     library = Library(library.matrix[:rows], library.terms)
     target = (error / noise).ravel()
