@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from split_cli.diagnosis.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
 from split_cli.diagnosis.common import CommonPhysics
 from split_cli.diagnosis.evidence import Evidence, integrated
 from split_cli.diagnosis.kinematics import Kinematics
 from split_cli.vehicle.effects import Term
 
 _LEAST_TOLD = 2e-3
-_LAG_ROWS = 25  # of 0.04 s: a second
 _LEAST_NOISE = 1e-3  # variance that a row of simulation is believed to have at least
 
 __all__ = ["CommonKnowledge", "Judge", "build_judge", "learn_common"]
@@ -69,11 +69,10 @@ def _entry_weight(one: Evidence) -> np.ndarray:
 
 
 def _long_run_variance(rows: np.ndarray) -> np.ndarray:
-    """Return the Bartlett estimate of rows (G, 3) over a second, shape (3,)."""
-    total = np.mean(rows**2, axis=0)
-    for lag in range(1, min(_LAG_ROWS, len(rows) // 4)):
-        total = total + 2.0 * (1.0 - lag / _LAG_ROWS) * np.sum(rows[lag:] * rows[:-lag], axis=0) / len(rows)
-    return np.maximum(total, np.mean(rows**2, axis=0))
+    """Return the Bartlett estimate of rows (G, 3) over a second, at least their variance, shape (3,)."""
+    lags = max(min(LAG_ROWS, len(rows) // 4) - 1, 0)
+    shared = bartlett_sum(autocovariances(rows, lags), LAG_ROWS)
+    return np.mean(rows**2, axis=0) + np.maximum(shared, 0.0)
 
 
 def alters_inputs(term: Term) -> bool:

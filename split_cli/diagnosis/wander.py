@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.diagnosis.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
 from split_cli.diagnosis.structure import Structure
 
 __all__ = ["Wander", "wander_of"]
 
-_LAG_ROWS = 25  # of 0.04 s: a second
 _NEAR_ROWS = 4
 _MARGIN = 1.5
 
@@ -47,7 +47,7 @@ class Wander:
         from scipy.stats import norm
 
         allowed = _MARGIN * max(usual, 1.0)
-        spread = allowed * np.sqrt(4.0 * _LAG_ROWS / (3.0 * max(self.rows, 1)))
+        spread = allowed * np.sqrt(4.0 * LAG_ROWS / (3.0 * max(self.rows, 1)))
         return float(norm.sf((self.ratio - allowed) / spread))
 
 
@@ -64,10 +64,9 @@ def wander_of(structure: Structure, entries: np.ndarray) -> Wander:
     left = entries - structure.columns @ weights
     rows = sum(int(mask.sum()) for mask in structure.judge.keep)
     left = left[: 3 * rows].reshape(rows, 3)  # kinematic rows come last
-    lags = min(_LAG_ROWS, rows // 4)
+    width = max(min(LAG_ROWS, rows // 4), 2)
     plain = np.maximum(np.mean(left**2, axis=0), 1.0)
-    shared = np.array([np.sum(left[lag:] * left[:-lag], axis=0) / rows for lag in range(1, max(lags, 2))]) / plain
-    weight = 1.0 - np.arange(1, len(shared) + 1) / max(lags, 2)
-    ratio = 1.0 + 2.0 * weight @ shared
+    shared = autocovariances(left, width - 1) / plain
+    ratio = 1.0 + bartlett_sum(shared, width)
     near = np.sqrt(np.maximum(shared[:_NEAR_ROWS].mean(axis=0), 0.0))
     return Wander(float(max(1.0, ratio.max())), float(near.max()), rows)
