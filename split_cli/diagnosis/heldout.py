@@ -12,7 +12,6 @@ from split_cli.diagnosis.evidence import Evidence
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.judge import CommonKnowledge, Judge, build_judge
 from split_cli.diagnosis.kinematics import Kinematics
-from split_cli.vehicle.effects import Term
 
 __all__ = ["HeldOut", "explained_shares", "hold_out"]
 
@@ -91,17 +90,12 @@ def explained_shares(split: HeldOut, fit: Fit) -> tuple[float, ...] | None:
     """
     if split.judging is None or not fit.parts:
         return None
-    full = _cost(split.judging, fit.terms)
-    bare = _cost(split.judging, ())
+    full = split.judging.cost(fit.terms)
+    bare = split.judging.cost(())
     above = max(bare - min(full, float(len(split.judging.weight))), 1e-9)
     out = []
     for k in range(len(fit.parts)):
         others = fit.parts[:k] + fit.parts[k + 1 :]
-        without = _cost(split.judging, fit_parts(split.training, others).terms) if others else bare
+        without = split.judging.cost(fit_parts(split.training, others).terms) if others else bare
         out.append(float(np.clip((without - full) / above, 0.0, 1.0)))
     return tuple(out)
-
-
-def _cost(judge: Judge, terms: Sequence[Term]) -> float:
-    entries = judge.whiten(judge.residual(terms) - judge.shift(terms))
-    return float(entries @ entries)

@@ -207,3 +207,16 @@ def test_the_shift_is_zero_at_neutral_and_moves_no_term_of_the_car(gathered, com
     # Two ways to the same rows: by columns that are whitened, and by rates that are.
     assert np.abs(neutral).max() < 1e-8 * np.abs(judge.offset).max()
     assert np.abs(away).max() > 1e-3 * np.abs(judge.offset).max()
+
+
+def test_costs_follow_the_common_physics_where_a_term_moves_it(gathered, common):
+    """The rows of model, term and moved common physics, whitened together, against rows and shift apart."""
+    known = learn_common([gathered])
+    known = replace(known, weights=known.weights + 0.3)
+    judge = build_judge([gathered], known, common, [np.ones(len(gathered.at), dtype=bool)])
+    late = (CATALOGUE["steer_lag"]({"tau": 0.08}),)
+    left = gathered.left(late, common.rates(gathered.series, known.weights, late))
+    expected = float(np.sum(judge.whiten(judge.stack([gathered.whitener(left)])) ** 2))
+    assert judge.cost(late) == pytest.approx(expected, rel=1e-9)
+    # Common physics that stayed where the commands are would be a different cost, not one by rounding.
+    assert abs(float(np.sum(judge.whiten(judge.residual(late)) ** 2)) / expected - 1.0) > 1e-2
