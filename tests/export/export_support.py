@@ -1,17 +1,37 @@
-"""What several export tests make: the C of a set, and smaller sets."""
+"""What several export tests make: the C of a set, smaller sets, and a caller in place of acados."""
 
 from __future__ import annotations
 
+import subprocess
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from split_cli.export.c99 import CSource, c_source
+from split_cli.export.compiler import Compiler
 from split_cli.export.provenance import provenance_of
 from split_cli.export.symbolic import build_nominal
 from split_cli.export.tables import build_tables
 from split_cli.learning.training_set import TrainingSet
 from split_cli.vehicle.single_track import SingleTrack
+
+#: acados and blasfeo are not here: their few types and calls are stood in for.
+BLASFEO = """
+#include <stdio.h>
+struct blasfeo_dvec { double pa[64]; };
+struct blasfeo_dmat { double pA[1024]; int rows; };
+struct blasfeo_dvec_args { struct blasfeo_dvec *x; int xi; };
+struct blasfeo_dmat_args { struct blasfeo_dmat *A; int ai; int aj; };
+static void blasfeo_unpack_dvec(int m, struct blasfeo_dvec *s, int i, double *x, int inc)
+{ for (int k = 0; k < m; ++k) { x[k * inc] = s->pa[i + k]; } }
+static void blasfeo_pack_dvec(int m, double *x, int inc, struct blasfeo_dvec *s, int i)
+{ for (int k = 0; k < m; ++k) { s->pa[i + k] = x[k * inc]; } }
+static void blasfeo_pack_dmat(int m, int n, double *a, int lda, struct blasfeo_dmat *s, int i, int j)
+{ for (int q = 0; q < n; ++q) { for (int p = 0; p < m; ++p) {
+    s->pA[(j + q) * s->rows + i + p] = a[p + q * lda]; } } }
+"""
 
 
 def source_of(training_set: TrainingSet, real: str = "double", name: str = "car") -> CSource:
@@ -37,3 +57,19 @@ def take_cells(training_set: TrainingSet, cells: int, points: int | None = None)
         offsets=np.array(offsets, dtype=np.int64),
         **arrays,
     )
+
+
+def build_acados_caller(compiler: Compiler, caller: str, folder: Path) -> Callable[[Sequence[float]], np.ndarray]:
+    """Compile C that calls the adapter in `folder` as acados would; return what it answers to numbers."""
+    (folder / "acados" / "utils").mkdir(parents=True)
+    (folder / "acados" / "utils" / "external_function_generic.h").write_text("")
+    (folder / "blasfeo_d_aux.h").write_text(BLASFEO)
+    (folder / "caller.c").write_text(caller)
+    compiler.build([folder / "caller.c"], folder / "caller", ["-std=gnu11", "-O0", f"-I{folder}"])
+
+    def ask(numbers: Sequence[float]) -> np.ndarray:
+        text = " ".join(repr(float(number)) for number in numbers)
+        done = subprocess.run([str(folder / "caller")], input=text, capture_output=True, text=True, check=True)
+        return np.array(done.stdout.split(), dtype=float)
+
+    return ask

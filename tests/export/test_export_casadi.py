@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from dataclasses import replace
 
 import casadi
@@ -25,7 +24,7 @@ from split_cli.export.symbolic import build_nominal
 from split_cli.export.tables import build_tables
 from split_cli.export.targets import acados_source
 from split_cli.vehicle.single_track import SingleTrack
-from tests.export.export_support import take_cells
+from tests.export.export_support import build_acados_caller, take_cells
 
 
 def functions_of(training_set):
@@ -97,21 +96,6 @@ def test_generated_c_agrees(small_set, compiler, tmp_path):
         check_generated("car", tmp_path, scratch, compiler, oracle, True, steps)
 
 
-BLASFEO = """
-#include <stdio.h>
-struct blasfeo_dvec { double pa[64]; };
-struct blasfeo_dmat { double pA[512]; int rows; };
-struct blasfeo_dvec_args { struct blasfeo_dvec *x; int xi; };
-struct blasfeo_dmat_args { struct blasfeo_dmat *A; int ai; int aj; };
-static void blasfeo_unpack_dvec(int m, struct blasfeo_dvec *s, int i, double *x, int inc)
-{ for (int k = 0; k < m; ++k) { x[k * inc] = s->pa[i + k]; } }
-static void blasfeo_pack_dvec(int m, double *x, int inc, struct blasfeo_dvec *s, int i)
-{ for (int k = 0; k < m; ++k) { s->pa[i + k] = x[k * inc]; } }
-static void blasfeo_pack_dmat(int m, int n, double *a, int lda, struct blasfeo_dmat *s, int i, int j)
-{ for (int q = 0; q < n; ++q) { for (int p = 0; p < m; ++p) {
-    s->pA[(j + q) * s->rows + i + p] = a[p + q * lda]; } } }
-"""
-
 CALLER = """
 #include "car_acados.c"
 int main(void)
@@ -136,23 +120,13 @@ int main(void)
 
 
 def test_the_acados_adapter_hands_over_step_and_transposed_jacobian(small_set, compiler, tmp_path):
-    # acados and blasfeo are not here: their few types and calls are stood in for, with offsets that are not zero.
+    # The offsets into the vectors are not zero.
     graph, functions = functions_of(small_set)
     generate_c(functions, "car", tmp_path)
     (tmp_path / "car_acados.c").write_text(acados_source("car", graph, 0.05))
-    (tmp_path / "acados" / "utils").mkdir(parents=True)
-    (tmp_path / "acados" / "utils" / "external_function_generic.h").write_text("")
-    (tmp_path / "blasfeo_d_aux.h").write_text(BLASFEO)
-    (tmp_path / "caller.c").write_text(CALLER)
-    flags = ["-std=gnu11", "-O1", f"-I{tmp_path}"]
-    compiler.build([tmp_path / "caller.c"], tmp_path / "caller", flags)
     x = np.array([1.0, 2.0, 0.3, 22.0, 0.4, 0.3, 400.0, 0.03])
     u = np.array([500.0, 0.2])
-    text = " ".join(map(repr, [*x.tolist(), *u.tolist()]))
-    said = subprocess.run(
-        [str(tmp_path / "caller")], input=text, capture_output=True, text=True, check=True
-    ).stdout
-    numbers = np.array(said.split(), dtype=float)
+    numbers = build_acados_caller(compiler, CALLER, tmp_path)([*x, *u])
     expected = np.asarray(functions.step(x, u, 0.05)).ravel()
     assert np.allclose(numbers[:8], expected, rtol=1e-13) and np.allclose(numbers[8:16], expected, rtol=1e-13)
     found = numbers[16:].reshape(8, 10)

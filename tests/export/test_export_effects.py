@@ -49,7 +49,7 @@ from tests.export.effect_cases import (
     manoeuvre,
     silent_set,
 )
-from tests.export.export_support import source_of
+from tests.export.export_support import build_acados_caller, source_of
 from tests.factories import MissingForce, make_training_set, road_car
 
 ALL = "everything with a memory"
@@ -379,21 +379,6 @@ def test_numbers_tell_of_the_memory_and_fit_their_schema(tmp_path):
     assert content["memory"]["delays"] == {"T": 0.0, "delta": 0.08} and content["memory"]["step"] == STEP
 
 
-ACADOS_TYPES = """
-#include <stdio.h>
-struct blasfeo_dvec { double pa[64]; };
-struct blasfeo_dmat { double pA[1024]; int rows; };
-struct blasfeo_dvec_args { struct blasfeo_dvec *x; int xi; };
-struct blasfeo_dmat_args { struct blasfeo_dmat *A; int ai; int aj; };
-static void blasfeo_unpack_dvec(int m, struct blasfeo_dvec *s, int i, double *x, int inc)
-{ for (int k = 0; k < m; ++k) { x[k * inc] = s->pa[i + k]; } }
-static void blasfeo_pack_dvec(int m, double *x, int inc, struct blasfeo_dvec *s, int i)
-{ for (int k = 0; k < m; ++k) { s->pa[i + k] = x[k * inc]; } }
-static void blasfeo_pack_dmat(int m, int n, double *a, int lda, struct blasfeo_dmat *s, int i, int j)
-{ for (int q = 0; q < n; ++q) { for (int p = 0; p < m; ++p) {
-    s->pA[(j + q) * s->rows + i + p] = a[p + q * lda]; } } }
-"""
-
 ACADOS_CALLER = """
 #include "car_acados.c"
 int main(void)
@@ -424,18 +409,12 @@ def test_acados_gets_the_memory_as_states_and_time_and_place_as_parameters(expor
     step = model_step(predict, case.graph, "car_step")
     generate_c(CasadiFunctions(predict, step), "car", tmp_path)
     (tmp_path / "car_acados.c").write_text(acados_source("car", case.graph, STEP))
-    (tmp_path / "acados" / "utils").mkdir(parents=True)
-    (tmp_path / "acados" / "utils" / "external_function_generic.h").write_text("")
-    (tmp_path / "blasfeo_d_aux.h").write_text(ACADOS_TYPES)
-    (tmp_path / "caller.c").write_text(ACADOS_CALLER)
-    compiler.build([tmp_path / "caller.c"], tmp_path / "caller", ["-std=gnu11", "-O0", f"-I{tmp_path}"])
+    ask = build_acados_caller(compiler, ACADOS_CALLER, tmp_path)
     x, commands, t, s = manoeuvre()
     now, u = case.drive(x, commands, t, s)[9], np.array([300.0, 0.2])
     answers = []
     for place in (20.0, 100.0):  # on the patch and beyond it
-        text = " ".join(map(repr, [*now.tolist(), *u.tolist(), float(t[9]), place]))
-        done = subprocess.run([str(tmp_path / "caller")], input=text, capture_output=True, text=True, check=True)
-        numbers = np.array(done.stdout.split(), dtype=float)
+        numbers = ask([*now, *u, t[9], place])
         expected = np.empty(9)
         case.call("step", now, u, float(t[9]), place, STEP, expected)
         assert np.allclose(numbers[:9], expected, rtol=1e-12, atol=1e-12)
