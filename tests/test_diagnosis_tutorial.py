@@ -64,6 +64,16 @@ def test_the_pair_is_diagnosed_as_the_page_says(followed):
         assert path.name in named or f"{path.name}/" in named
 
 
+def test_every_file_and_every_column_is_described_among_the_formats(followed):
+    folder = followed[0] / "diagnosis"
+    page = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    section = page.split("## Diagnosis (a folder)")[1].split("\n## ")[0]
+    told = set(re.findall(r"`([^`]+)`", section)) | {Path(name).name for name in re.findall(r"`([^`]+)`", section)}
+    assert {path.name for path in folder.rglob("*") if path.is_file()} <= told
+    table = pandas.read_csv(folder / "figures" / "help.csv")
+    assert {*pandas.read_parquet(folder / "gap.parquet").columns, *table.columns, *table["stage"]} <= told
+
+
 def test_the_gap_stands_beside_the_labels_it_belongs_to(followed):
     folder, _ = followed
     gap = pandas.read_parquet(folder / "diagnosis" / "gap.parquet")
