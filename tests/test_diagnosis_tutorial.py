@@ -4,44 +4,30 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 from pathlib import Path
 
 import numpy as np
 import pandas
 import pytest
 import yaml
-from click.testing import CliRunner
 
 from split_cli.cli.catalogue import catalogue_page
-from split_cli.cli.main import group
 from split_cli.diagnosis.document import read_schema
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import read_drive
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import read_vehicle
+from tests.pages import follow, page_text
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGE = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+PAGE = page_text("diagnosis.md")
 
 
 @pytest.fixture(scope="module")
 def followed(sample_logs, tmp_path_factory):
     """An empty folder in which every command of the page was run in turn, and what each printed."""
     folder = tmp_path_factory.mktemp("tutorial")
-    (folder / "sample_logs").symlink_to(sample_logs)
-    said = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        for block in re.findall(r"```bash\n(.*?)```", PAGE, flags=re.S):
-            for line in block.splitlines():
-                name, *arguments = shlex.split(line)
-                assert name == "split"
-                result = CliRunner().invoke(group, arguments)
-                assert result.exit_code == 0, f"{line}\n{result.output}"
-                said.append((line, result.output))
-    return folder, said
+    return folder, follow(PAGE, folder, sample_logs)
 
 
 def findings(folder: Path, name: str) -> list[dict]:
@@ -66,8 +52,7 @@ def test_the_pair_is_diagnosed_as_the_page_says(followed):
 
 def test_every_file_and_every_column_is_described_among_the_formats(followed):
     folder = followed[0] / "diagnosis"
-    page = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
-    section = page.split("## Diagnosis (a folder)")[1].split("\n## ")[0]
+    section = page_text("formats.md").split("## Diagnosis (a folder)")[1].split("\n## ")[0]
     told = set(re.findall(r"`([^`]+)`", section)) | {Path(name).name for name in re.findall(r"`([^`]+)`", section)}
     assert {path.name for path in folder.rglob("*") if path.is_file()} <= told
     table = pandas.read_csv(folder / "figures" / "help.csv")
@@ -111,7 +96,7 @@ def test_the_trained_set_improves_the_corrected_vehicle_as_told(followed):
 
 
 def test_the_catalogue_page_is_what_the_terms_say():
-    assert (ROOT / "docs" / "catalogue.md").read_text(encoding="utf-8") == catalogue_page()
+    assert page_text("catalogue.md") == catalogue_page()
     for name, kind in CATALOGUE.items():
         assert kind.__doc__, name
 
