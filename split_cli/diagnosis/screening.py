@@ -34,7 +34,8 @@ _LEAST_CORRELATION = 0.7
 _MOVES_WITH = {"vx": ("vy", "r"), "vy": ("r",), "r": ("vy",), "delta": ("r",)}
 _NEED_POSITION = frozenset({"wind", "friction_patch"})
 _NEED_TORQUE = frozenset({
-    "aero_drag", "drive_delay", "drive_gain", "drive_lag", "road_grade", "rolling_resistance", "sensor_delay",
+    "aero_drag", "drive_delay", "drive_gain", "drive_lag", "mass", "road_grade", "rolling_resistance",
+    "sensor_delay",
 })  # fmt: skip
 
 
