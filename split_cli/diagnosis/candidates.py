@@ -96,10 +96,11 @@ def _tables(vehicle: Vehicle, duration: float, reach: float) -> dict:
         "phase": (-40.0, 40.0, 0.02),
     }
     stretch = {"angle": (-0.4, 0.4, 0.001), "s_start": place, "s_end": place}
-    delay = {"delay": (0.0, 0.5, 0.002)}
-    delay_starts = [{"delay": value} for value in (0.01, 0.04, 0.12)]
-    lag = {"tau": (0.0, 0.8, 0.002)}
-    lag_starts = [{"tau": value} for value in (0.01, 0.04, 0.15)]
+    # What is late by ten times as much promises nothing, so starts stand close.
+    delay = {"delay": (0.0, 0.6, 0.001)}
+    delay_starts = [{"delay": value} for value in (0.001, 0.004, 0.015, 0.045, 0.13)]
+    lag = {"tau": (0.0, 1.0, 0.001)}
+    lag_starts = [{"tau": value} for value in (0.001, 0.004, 0.015, 0.05, 0.16)]
     tables = {
         ("combined_slip", ""): ({"strength": (0.0, 4.0, 0.02)}, [{"strength": 0.3}]),
         ("grip_fade", ""): (fade, fade_starts),
@@ -125,8 +126,8 @@ def _tables(vehicle: Vehicle, duration: float, reach: float) -> dict:
         ),
         ("drive_lag", ""): (lag, lag_starts),
         ("steer_backlash", ""): (
-            {"width": (0.0, 0.15, 0.0004)},
-            [{"width": value} for value in (0.002, 0.006, 0.015, 0.04)],
+            {"width": (0.0, 0.15, 0.0001)},
+            [{"width": value} for value in (0.0003, 0.001, 0.003, 0.01, 0.03)],
         ),
         ("steer_delay", ""): (delay, delay_starts),
         ("steer_gain", ""): ({"gain": (0.4, 2.0, 0.005)}, [{"gain": 0.98}]),

@@ -17,6 +17,7 @@ from split_cli.diagnosis.series import Series, extended_model
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = ["CommonPhysics", "build_common_physics"]
 
@@ -85,7 +86,8 @@ class CommonPhysics:
         What the actuators really did, and where the car really was, is what common physics answers to.
         """
         _, smooth = series.corrected(terms)
-        flow = series.flow(extended_model(self.vehicle, terms), smooth)
+        # The vehicle file's own effects act when the rates are taken below, and must not twice.
+        flow = series.flow(SingleTrack(self.vehicle, tuple(terms)), smooth)
         actual = replace(
             series, smooth=smooth, torque=flow.T + 0.0 * series.t, steer_angle=flow.delta + 0.0 * series.t
         )
@@ -181,6 +183,8 @@ def natural_unit(vehicle: Vehicle, term: str, parameter: str) -> float:
         ("cg_shift", "dx"): vehicle.wheelbase,
         ("sensor_lever_arm", "dx"): vehicle.wheelbase,
         ("tire_relaxation", "length"): vehicle.wheelbase / 2.7,
+        **{(name, "delay"): np.sqrt(length) for name in ("steer_delay", "drive_delay", "sensor_delay")},
+        **{(name, "tau"): np.sqrt(length) for name in ("steer_lag", "drive_lag")},
     }
     return float(units.get((term, parameter), 1.0))
 

@@ -10,7 +10,7 @@ import pytest
 from split_cli.diagnosis.common import _TANGENTS, build_common_physics, natural_unit
 from split_cli.diagnosis.series import extended_model
 from split_cli.vehicle.effects import CATALOGUE
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from tests.factories import road_car
 
 
@@ -106,6 +106,21 @@ def test_tangents_are_secants_that_tend_to_the_derivative(common, nominal_series
 
 
 def test_rates_of_weights_are_the_columns_times_them(common, nominal_series):
+    columns = common.columns(nominal_series)
+    weights = np.random.default_rng(3).standard_normal(columns.shape[2])
+    np.testing.assert_allclose(common.rates(nominal_series, weights), columns @ weights, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("term", "parameters"),
+    [
+        ("drive_gain", {"drive_gain": 0.8, "brake_gain": 0.8}),
+        ("steer_gain", {"gain": 0.9}),
+        ("steer_lag", {"tau": 0.05}),
+    ],
+)
+def test_actuators_of_the_vehicle_file_act_once(term, parameters, nominal_series):
+    common = build_common_physics(road_car().with_effects(EffectSpec(term, parameters)), nominal_series)
     columns = common.columns(nominal_series)
     weights = np.random.default_rng(3).standard_normal(columns.shape[2])
     np.testing.assert_allclose(common.rates(nominal_series, weights), columns @ weights, rtol=1e-9, atol=1e-9)
