@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from split_cli.diagnosis.fitting import Fit
+from split_cli.diagnosis.fitting import Fit, Part
 from split_cli.diagnosis.judge import Judge
 from split_cli.diagnosis.result import ParameterEstimate
 from split_cli.diagnosis.selection import term_size
@@ -14,6 +14,11 @@ __all__ = ["parameter_estimates"]
 # What a single track calls one thing and a car does as another: this share of the one-step noise, put wholly on
 # one term, is the systematic error each parameter is given beside chance.
 _SYSTEMATIC = 0.03
+# And this share of itself, where it acts through the tyres: two curves stand for four tyres, and which value suits
+# them best depends on how they are driven.
+_THROUGH_TIRES = 0.10
+_CHI2_95 = 3.84  # of one parameter
+_PLACES = ("s_start", "s_end")
 
 
 def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEstimate], ...]:
@@ -34,7 +39,7 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
     scores = judge.block_sums((J / scale) * fit.entries[:, None])
     blocks = len(scores)
     middle = scores.T @ scores * blocks / max(blocks - J.shape[1], 1)
-    covariance = normal @ np.maximum(middle, 0.0) @ normal / np.outer(scale, scale)
+    covariance = normal @ middle @ normal / np.outer(scale, scale)
     plain = np.diag(normal) / scale**2
     variance = np.maximum(np.diag(covariance), plain)
     wide = float(student.ppf(0.975, max(blocks - J.shape[1], 2)))
@@ -42,17 +47,48 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
     for k, part in enumerate(fit.parts):
         size = term_size(judge, fit, k)
         term, entries = part.term, {}
+        relative = np.hypot(_SYSTEMATIC / max(size, 1e-9), _THROUGH_TIRES if term.through_tires else 0.0)
         for name, unit in term.parameter_units(part.candidate.variant).items():
             value = term.parameters[name]
             away = value - term.neutral.get(name, value)
-            systematic = abs(away) * _SYSTEMATIC / max(size, 1e-9)
-            error = float(np.sqrt(variance[column] + systematic**2))
+            error = float(np.hypot(np.sqrt(variance[column]), 0.0 if name in _PLACES else abs(away) * relative))
             limits = (value - wide * error, value + wide * error)
-            if not np.isfinite(error):
-                # No row says anything of it: an end of a stretch where nothing was driven.
-                limit = part.candidate.ranges[name]
-                error, limits = limit.upper - limit.lower, (limit.lower, limit.upper)
+            if name in _PLACES:
+                rise = _CHI2_95 * max(float(np.max(variance / np.maximum(plain, 1e-300))), 1.0)
+                limits = _place_limits(judge, fit, k, name, rise)
+                error = (limits[1] - limits[0]) / (2.0 * wide)
             entries[name] = ParameterEstimate(value, error, unit, limits)
             column += 1
         out.append(entries)
     return tuple(out)
+
+
+def _place_limits(judge: Judge, fit: Fit, k: int, name: str, rise: float) -> tuple[float, float]:
+    """Return how far an end of a stretch may be moved to either side until the cost has risen by `rise`.
+
+    Costs are no parabola there: between two turns nothing tells where a stretch ends, so derivatives do not say.
+    """
+    part = fit.parts[k]
+    limit, here = part.candidate.ranges[name], part.values[name]
+    shift = judge.shift(fit.terms)
+
+    def cost_at(place: float) -> float:
+        moved = Part(part.candidate, {**part.values, name: place})
+        entries = judge.whiten(judge.residual([*fit.terms[:k], moved.term, *fit.terms[k + 1 :]]) - shift)
+        return float(entries @ entries)
+
+    allowed = cost_at(here) + rise
+    ends = []
+    for end in (limit.lower, limit.upper):
+        inside, outside = here, here
+        step = limit.step
+        while outside != end and cost_at(outside) <= allowed:
+            inside = outside
+            outside = max(end, outside - step) if end < here else min(end, outside + step)
+            step *= 2.0
+        if cost_at(outside) > allowed:
+            while abs(outside - inside) > limit.step:
+                middle = 0.5 * (inside + outside)
+                inside, outside = (middle, outside) if cost_at(middle) <= allowed else (inside, middle)
+        ends.append(float(outside))
+    return ends[0], ends[1]

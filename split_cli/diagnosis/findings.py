@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.constancy import parameter_drifts
 from split_cli.diagnosis.estimates import parameter_estimates
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.result import Finding, RemainderTest, RivalSummary
-from split_cli.diagnosis.selection import Rival, Rules, Selection, term_size
+from split_cli.diagnosis.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
+from split_cli.diagnosis.selection import Rival, Rules, Selection, explains_as_well, term_size, without_parts
 from split_cli.diagnosis.sentences import sentence_for, separations
 from split_cli.diagnosis.separation import exact_mimics
 from split_cli.diagnosis.structure import FlexibleFit, Structure
@@ -37,8 +36,9 @@ class Abstention:
         Share of the gap without a name from which on it is said to be unexplained.
     severity : float
         Severity below which nothing is called unexplained.
-    size : float
-        Severity of the remainder, over that of the gap, from which on it is unexplained whatever its share.
+    size, most : float
+        Severity of the remainder, over that of the gap, from which on it is unexplained whatever its share; and
+        severity from which on it is in any case.
     most_alternatives : int
         Terms that explain the data as well, exact degeneracies not counted, above which none of them is named.
     widest_place : float
@@ -49,6 +49,7 @@ class Abstention:
     share: float = 0.08
     severity: float = 0.12
     size: float = 0.12
+    most: float = 0.6
     most_alternatives: int = 4
     widest_place: float = 0.5
 
@@ -78,7 +79,7 @@ def describe(
     remainder = _remainder(structure, selection, inflation)
     findings = _findings(judge, selection)
     wander = wander_of(structure, selection.chosen.entries)
-    unexplained = not findings or _is_unexplained(remainder, wander, gap, usual_wander, rules)
+    unexplained = not findings or _is_unexplained(findings, remainder, wander, gap, usual_wander, rules)
     kept = {one.term for one in findings}
     if unexplained:
         # Where something is left, terms that explain less than it does imitate what has no name.
@@ -110,10 +111,17 @@ def _vague(selection: Selection, findings: Sequence[Finding], rules: Abstention)
 
 
 def _is_unexplained(
-    remainder: RemainderTest, wander: Wander, gap: FlexibleFit, usual_wander: float, rules: Abstention
+    findings: Sequence[Finding],
+    remainder: RemainderTest,
+    wander: Wander,
+    gap: FlexibleFit,
+    usual_wander: float,
+    rules: Abstention,
 ) -> bool:
     """Return whether what is left is structured and large, or wanders."""
-    large = max(2.0 * rules.severity, rules.size * gap.severity)
+    large = 2.0 * rules.severity
+    if len(findings) < Rules().most_terms:  # as many names as there may be, and yet something left: no name is
+        large = max(large, min(rules.size * gap.severity, rules.most))
     if wanders(wander, usual_wander, rules) and wander.severity > large:
         return True
     if remainder.p_value >= rules.level or remainder.severity < rules.severity:
@@ -157,7 +165,9 @@ def _only(judge: Judge, selection: Selection, terms: set[str]) -> Selection:
     return replace(
         selection,
         chosen=chosen,
+        without=without_parts(judge, selection.base, chosen),
         rivals=tuple(selection.rivals[k] for k in keep),
+        siblings=tuple(selection.siblings[k] for k in keep),
         named=tuple(selection.named[k] for k in keep),
     )
 
@@ -171,17 +181,16 @@ def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
         if not selection.named[k]:
             continue
         term, variant = part.candidate.term, part.candidate.variant
-        others = chosen.parts[:k] + chosen.parts[k + 1 :]
-        without = fit_parts(judge, others).cost if others else selection.base.cost
-        alternatives = _alternatives(part.candidate, rivals, chosen, without - chosen.cost)
+        alternatives = _alternatives(judge, selection, k)
+        parameters = _with_variants(judge, selection, k, estimates[k])
         out.append(
             Finding(
                 term,
                 variant,
-                estimates[k],
-                float(np.clip((without - chosen.cost) / total, 0.0, 1.0)),
+                parameters,
+                float(np.clip((selection.without[k].cost - chosen.cost) / total, 0.0, 1.0)),
                 alternatives,
-                sentence_for(term, variant, estimates[k], alternatives, judge.evidence[0].vehicle),
+                sentence_for(term, variant, parameters, alternatives, judge.evidence[0].vehicle),
                 term_size(judge, chosen, k),
                 _runners_up(rivals),
                 separations(term, variant, alternatives),
@@ -191,17 +200,29 @@ def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
     return tuple(sorted(out, key=lambda finding: -finding.gap_explained))
 
 
-def _alternatives(own: Candidate, rivals: Sequence[Rival], chosen: Fit, saved: float) -> tuple[str, ...]:
+def _with_variants(
+    judge: Judge, selection: Selection, k: int, own: Mapping[str, ParameterEstimate]
+) -> dict[str, ParameterEstimate]:
+    """Widen a part's intervals by those of its term's other variants, where they explain the data as well."""
+    out = dict(own)
+    for sibling in selection.siblings[k]:
+        if not explains_as_well(judge, selection, k, sibling):
+            continue
+        theirs = parameter_estimates(judge, sibling.fit)[-1]
+        out = {name: one.covering(theirs[name]) if name in theirs else one for name, one in out.items()}
+    return out
+
+
+def _alternatives(judge: Judge, selection: Selection, k: int) -> tuple[str, ...]:
     """Return terms that fit as well here, and those that always would: exact degeneracies."""
-    rules = Rules()
+    own = selection.chosen.parts[k].candidate
     names = [
         rival.fit.parts[-1].candidate.term
-        for rival in rivals
-        if rival.excess < rules.same_excess
-        or (rival.z < rules.same_within and rival.excess < rules.same_share * saved)
+        for rival in selection.rivals[k]
+        if explains_as_well(judge, selection, k, rival)
     ]
     names += exact_mimics(own.term, own.variant)
-    taken = {part.candidate.term for part in chosen.parts}
+    taken = {part.candidate.term for part in selection.chosen.parts}
     return tuple(name for name in dict.fromkeys(names) if name not in taken)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -22,6 +22,7 @@ __all__ = [
     "Verdict",
 ]
 
+_NORMAL_95 = 1.96
 _AS_GOOD = 2.5  # standard errors; of an exact degeneracy another variant may have been fitted, and be worse
 _SHOWS = 1.25  # error before over the noise floor, from which on held-out rollouts show a gap
 
@@ -44,6 +45,13 @@ class ParameterEstimate:
     std_error: float | None
     unit: str
     interval_95: tuple[float, float]
+
+    def covering(self, other: ParameterEstimate) -> ParameterEstimate:
+        """Return this estimate with an interval that also holds another's."""
+        low = min(self.interval_95[0], other.interval_95[0])
+        high = max(self.interval_95[1], other.interval_95[1])
+        error = max(high - self.value, self.value - low) / _NORMAL_95
+        return replace(self, std_error=max(error, self.std_error or 0.0), interval_95=(low, high))
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,20 @@ import numpy as np
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts, linear_cost, scan_places
 from split_cli.diagnosis.judge import Judge, alters_inputs
-from split_cli.diagnosis.structure import TERM_FLOOR, minimum_effect_p, severity_of, term_allowance
+from split_cli.diagnosis.structure import TERM_FLOOR, minimum_effect_p, severities_of, term_allowance
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Rival", "Rules", "Selection", "nothing", "select_terms", "term_p", "term_size"]
+__all__ = [
+    "Rival",
+    "Rules",
+    "Selection",
+    "explains_as_well",
+    "nothing",
+    "select_terms",
+    "term_p",
+    "term_size",
+    "without_parts",
+]
 
 
 @dataclass(frozen=True)
@@ -29,10 +39,13 @@ class Rules:
     same_within: float = 2.5  # standard errors of the paired block difference
     same_excess: float = 9.0  # cost above the chosen one, after inflation
     same_share: float = 0.15  # of what the chosen term saves: beyond it, a rival is worse whatever its error
-    least_share: float = 0.005  # of the explained cost, for a further term
-    misfit: float = 0.10  # of what the chosen terms explain in the same channels
+    same_misfit: float = 0.01  # of what the chosen term saves: no single track fits better than that
+    least_severity: float = 0.15  # of a further term
+    misfit: float = 0.30  # of the severity of the chosen terms, in the channel where a further one is largest
+    considered: int = 3  # of the further terms that save most
     spread: float = 1.5  # standard errors, from differences block by block, that a further term has to save
     swaps: int = 2
+    beginnings: int = 2  # other first terms from which the search begins anew where the best leaves something
     level: float = 0.01  # of the minimum-effect test, after counting the terms that were tried
 
 
@@ -62,8 +75,12 @@ class Selection:
     ----------
     base, chosen : Fit
         Nothing added, and the explanation.
+    without : tuple of Fit
+        The explanation refitted without each part.
     rivals : tuple of tuple of Rival
-        For each part of the chosen fit that is named, that part replaced by every other candidate, best first.
+        For each part of the chosen fit that is named, that part replaced by every other term, best first.
+    siblings : tuple of tuple of Rival
+        The same with other variants of the part's own term.
     named : tuple of bool
         Which parts are large enough to be named; the others are kept aside, so that they take nothing from these.
     history : tuple of str
@@ -74,7 +91,9 @@ class Selection:
 
     base: Fit
     chosen: Fit
+    without: tuple[Fit, ...]
     rivals: tuple[tuple[Rival, ...], ...]
+    siblings: tuple[tuple[Rival, ...], ...]
     named: tuple[bool, ...]
     history: tuple[str, ...]
     first_p: float
@@ -145,28 +164,77 @@ def _is_everywhere(part: Part, rules: Rules) -> bool:
 def select_terms(
     judge: Judge, candidates: Sequence[Candidate], inflation: float, rules: Rules | None = None
 ) -> Selection:
-    """Add the term that saves most while one earns its price, then drop those that no longer do."""
+    """Add the term that saves most while one earns its price, then drop those that no longer do.
+
+    Where the best first term leaves something, the search begins anew from the next best: two terms together may
+    be one that is not the best alone.
+    """
     rules = rules or Rules()
-    base = chosen = nothing(judge)
-    history: list[str] = []
-    first_p = 1.0
-    aside = 0
+    base = nothing(judge)
+    first = explore(judge, base, candidates, rules, inflation)
+    found = _forward(judge, base, first, candidates, rules, inflation)
+    # Several terms may imitate one, and fit better by what the one misfits.
+    burden = rules.same_misfit * (base.cost - found.chosen.cost) / inflation
+
+    def score(fit: Fit) -> float:
+        return price(fit, inflation, rules) + burden * len(fit.parts)
+
+    for other in _other_beginnings(first, base, rules) if found.left_something else ():
+        trial = _forward(judge, base, [other], candidates, rules, inflation)
+        found = min(found, trial, key=lambda one: score(one.chosen))
+    chosen, history = found.chosen, list(found.history)
+    for swap in range(1 + rules.swaps):
+        without = without_parts(judge, base, chosen)
+        named = tuple(
+            term_p(judge, chosen, k, one.cost - chosen.cost, inflation) * len(candidates) < rules.level
+            for k, one in enumerate(without)
+        )
+        rivals = tuple(
+            _rivals(judge, chosen, k, rest, candidates, inflation, rules) if named[k] else ((), ())
+            for k, rest in enumerate(without)
+        )
+        better = min((several[0] for several, _ in rivals if several), key=lambda one: one.excess, default=None)
+        if swap == rules.swaps or len(chosen.parts) < 2 or better is None or better.excess >= 0.0:
+            break
+        history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
+        chosen = better.fit
+    others, siblings = zip(*rivals, strict=True) if rivals else ((), ())
+    return Selection(base, chosen, without, others, siblings, named, tuple(history), found.first_p)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a search forward ended with, and whether a term it refused shows that something is left."""
+
+    chosen: Fit
+    history: tuple[str, ...]
+    first_p: float
+    left_something: bool
+
+
+def _forward(
+    judge: Judge, base: Fit, first: Sequence[Fit], candidates: Sequence[Candidate], rules: Rules, inflation: float
+) -> _Found:
+    """Add terms, beginning with the best of `first`."""
+    chosen, history, first_p, aside, refused = base, [], 1.0, 0, False
+
+    def price_saved(fit: Fit) -> float:
+        return price(chosen, inflation, rules) - price(fit, inflation, rules)
+
     while len(chosen.parts) - aside < rules.most_terms:
-        fits = explore(judge, chosen, candidates, rules, inflation)
+        fits = first if chosen is base else explore(judge, chosen, candidates, rules, inflation)
+        fits = [fit for fit in fits if price_saved(fit) > 0.0]
         if not fits:
             break
-        best = fits[0]
-        label = best.parts[-1].candidate.label
-        saved = price(chosen, inflation, rules) - price(best, inflation, rules)
-        share = (chosen.cost - best.cost) / max(base.cost - best.cost, 1e-12)
-        if saved <= 0.0 or (chosen.parts and share < rules.least_share):
+        alone = len(chosen.parts) == aside  # beside what is kept aside: no name to be a misfit of
+        reasons = ["" if alone else _refusal(judge, chosen, fit, rules) for fit in fits[: rules.considered]]
+        best = next((fit for fit, reason in zip(fits, reasons, strict=False) if not reason), None)
+        if best is None:
+            label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
+            history.append(f"{label} would save {saved:.0f}, {reasons[0]}")
+            refused = True
             break
-        if chosen.parts and _is_misfit(judge, base, chosen, best, rules):
-            history.append(f"{label} would save {saved:.0f}, no more than the others misfit")
-            break
-        if chosen.parts and block_z(judge, best, chosen) < rules.spread:
-            history.append(f"{label} would save {saved:.0f}, all in one moment")
-            break
+        label, saved = best.parts[-1].candidate.label, price_saved(best)
         p_value = term_p(judge, best, len(best.parts) - 1, chosen.cost - best.cost, inflation) * len(candidates)
         first_p = min(first_p, p_value)
         if p_value >= rules.level:
@@ -179,30 +247,26 @@ def select_terms(
         history.append(f"added {label}, saves {saved:.0f}")
         chosen, dropped = _prune(judge, best, inflation, rules)
         history += dropped
-    for swap in range(1 + rules.swaps):
-        named = _large_enough(judge, base, chosen, len(candidates), inflation, rules)
-        rivals = tuple(
-            _rivals(judge, chosen, k, candidates, inflation, rules) if named[k] else ()
-            for k in range(len(chosen.parts))
-        )
-        better = min((several[0] for several in rivals if several), key=lambda one: one.excess, default=None)
-        if swap == rules.swaps or len(chosen.parts) < 2 or better is None or better.excess >= 0.0:
-            break
-        history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
-        chosen = better.fit
-    return Selection(base, chosen, rivals, named, tuple(history), first_p)
+    return _Found(chosen, tuple(history), first_p, refused or len(chosen.parts) - aside > 1)
 
 
-def _large_enough(
-    judge: Judge, base: Fit, fit: Fit, tried: int, inflation: float, rules: Rules
-) -> tuple[bool, ...]:
-    """Return which parts of an explanation are large enough to be named, each removed last."""
-    out = []
-    for k in range(len(fit.parts)):
-        others = fit.parts[:k] + fit.parts[k + 1 :]
-        without = fit_parts(judge, others) if others else base
-        out.append(term_p(judge, fit, k, without.cost - fit.cost, inflation) * tried < rules.level)
-    return tuple(out)
+def _other_beginnings(first: Sequence[Fit], base: Fit, rules: Rules) -> list[Fit]:
+    """Return the best fits of the next best terms, where they save nearly as much as the best."""
+    out: dict[str, Fit] = {}
+    saved = base.cost - first[0].cost if first else 0.0
+    for fit in first[1:]:
+        term = fit.parts[-1].candidate.term
+        if term != first[0].parts[-1].candidate.term and base.cost - fit.cost > (1.0 - rules.same_share) * saved:
+            out.setdefault(term, fit)
+    return list(out.values())[: rules.beginnings]
+
+
+def without_parts(judge: Judge, base: Fit, fit: Fit) -> tuple[Fit, ...]:
+    """Return an explanation refitted without each of its parts; `base` is the one without any."""
+    several = len(fit.parts) > 1
+    return tuple(
+        fit_parts(judge, fit.parts[:k] + fit.parts[k + 1 :]) if several else base for k in range(len(fit.parts))
+    )
 
 
 def block_z(judge: Judge, fit: Fit, other: Fit) -> float:
@@ -211,22 +275,46 @@ def block_z(judge: Judge, fit: Fit, other: Fit) -> float:
     return float(difference.sum()) / (float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9)
 
 
-def _is_misfit(judge: Judge, base: Fit, chosen: Fit, further: Fit, rules: Rules) -> bool:
-    """Return whether a further term saves no more than single-track terms leave of a real car's effect.
+def _refusal(judge: Judge, chosen: Fit, further: Fit, rules: Rules) -> str:
+    """Return why a further term is not believed, in words; nothing where it is.
 
-    Counted in the channels in which the further term saves: what one term leaves is of its own kind.
+    It may be no larger than what single-track terms leave of a real car's effect. That is measured by prediction
+    errors over 0.05 s: costs also weigh what builds up slowly, and one term's slow channel would drown another's
+    fast one. What is left of one term is of its own kind, so channels count apart. Or it may save all in one
+    moment, unless it acts at a place, which is passed once a lap.
     """
-    before, now, then = (judge.channel_sums(fit.entries**2) for fit in (base, chosen, further))
-    gained, explained = np.maximum(now - then, 0.0), np.maximum(before - now, 0.0)
-    weight = gained / max(float(gained.sum()), 1e-12)
-    return float(gained.sum()) < rules.misfit * float(weight @ explained)
+    size = _sizes(judge, further.terms, chosen.terms)
+    channel = int(np.argmax(size))
+    if size[channel] < max(rules.least_severity, rules.misfit * _sizes(judge, chosen.terms, ())[channel]):
+        return "no more than the others misfit"
+    if not further.parts[-1].candidate.located and block_z(judge, further, chosen) < rules.spread:
+        return "all in one moment"
+    return ""
+
+
+def _sizes(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
+    """Return severities of terms against those of `without` in v_x, v_y and r, shape (3,)."""
+    pairs = zip(judge.evidence, judge.keep, strict=True)
+    return np.max([severities_of(one, one.at[mask], terms, without) for one, mask in pairs], axis=0)
 
 
 def term_size(judge: Judge, fit: Fit, k: int) -> float:
     """Return the severity of one part of an explanation, the others in place."""
-    others = fit.terms[:k] + fit.terms[k + 1 :]
-    pairs = zip(judge.evidence, judge.keep, strict=True)
-    return max(severity_of(one, one.at[mask], fit.terms, others) for one, mask in pairs)
+    return float(_sizes(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :]).max())
+
+
+def explains_as_well(judge: Judge, selection: Selection, k: int, rival: Rival) -> bool:
+    """Return whether a rival of a part may be what acts instead of it.
+
+    It may where the two differ by chance, and where a misfit that is allowed, or no larger than single tracks
+    have, could have made the difference.
+    """
+    rules = Rules()
+    saved = selection.without[k].cost - selection.chosen.cost
+    share = min(term_allowance(judge) / max(term_size(judge, selection.chosen, k), 1e-9), 1.0) ** 2
+    misfit = max(share, rules.same_misfit) * saved
+    chance = rival.z < rules.same_within and rival.excess < rules.same_share * saved
+    return rival.excess < max(rules.same_excess, misfit) or chance
 
 
 def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> float:
@@ -250,16 +338,22 @@ def _prune(judge: Judge, fit: Fit, inflation: float, rules: Rules) -> tuple[Fit,
     return fit, history
 
 
-def _rivals(judge: Judge, chosen: Fit, k: int, candidates, inflation: float, rules: Rules) -> tuple[Rival, ...]:
-    others = chosen.parts[:k] + chosen.parts[k + 1 :]
-    own = chosen.parts[k].candidate.term
-    rest = fit_parts(judge, others) if others else nothing(judge)
-    fits = explore(judge, rest, [one for one in candidates if one.term != own], rules, inflation)
+def _rivals(
+    judge: Judge, chosen: Fit, k: int, rest: Fit, candidates: Sequence[Candidate], inflation: float, rules: Rules
+) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
+    """Return a part replaced by other terms, and by other variants of its own, best first."""
+    own = chosen.parts[k].candidate
+    others = [one for one in candidates if (one.term, one.variant) != (own.term, own.variant)]
     reference = judge.block_sums(chosen.entries**2)
     rivals = []
-    for fit in fits:
+    for fit in explore(judge, rest, others, rules, inflation):
         difference = (judge.block_sums(fit.entries**2) - reference) / inflation
         total = float(difference.sum()) + rules.price * (fit.complexity - chosen.complexity)
         spread = float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9
         rivals.append(Rival(fit, total, total / spread))
-    return tuple(sorted(rivals, key=lambda rival: rival.excess))
+    rivals.sort(key=lambda rival: rival.excess)
+    of_own = [rival.fit.parts[-1].candidate.term == own.term for rival in rivals]
+    return (
+        tuple(rival for rival, mine in zip(rivals, of_own, strict=True) if not mine),
+        tuple(rival for rival, mine in zip(rivals, of_own, strict=True) if mine),
+    )

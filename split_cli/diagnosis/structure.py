@@ -24,8 +24,9 @@ __all__ = [
     "Structure",
     "build_structure",
     "minimum_effect_p",
+    "severities",
+    "severities_of",
     "severity",
-    "severity_of",
     "term_allowance",
 ]
 
@@ -145,7 +146,12 @@ def build_structure(judge: Judge, common: CommonPhysics) -> Structure:
 
 
 def severity(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> float:
-    """Return the rms of defects (N - 1, 3) summed over 0.05 s over that of sensor noise, in the worst channel.
+    """Return the severity of defects in the channel where it is largest; see `severities`."""
+    return float(severities(series, defect, rows).max())
+
+
+def severities(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
+    """Return the rms of defects (N - 1, 3) summed over 0.05 s over that of sensor noise, of v_x, v_y and r.
 
     Only windows about the samples `rows` count, where they are given: what a function does elsewhere is not known.
     """
@@ -155,15 +161,15 @@ def severity(series: Series, defect: np.ndarray, rows: np.ndarray | None = None)
     if rows is not None:
         over = over[np.clip(rows - window // 2, 0, len(over) - 1)]
     if not len(over):
-        return 0.0
-    return float(np.max(np.sqrt(np.mean(over**2, axis=0)) / (np.sqrt(2.0) * series.told_noise)))
+        return np.zeros(3)
+    return np.sqrt(np.mean(over**2, axis=0)) / (np.sqrt(2.0) * series.told_noise)
 
 
-def severity_of(
+def severities_of(
     evidence: Evidence, rows: np.ndarray, terms: tuple[Term, ...], without: tuple[Term, ...] = ()
-) -> float:
-    """Return the severity of terms about the samples `rows`, against the model with `without` alone."""
-    return severity(evidence.series, evidence.left(terms) - evidence.left(without), rows)
+) -> np.ndarray:
+    """Return the severities of terms about the samples `rows`, against the model with `without` alone."""
+    return severities(evidence.series, evidence.left(terms) - evidence.left(without), rows)
 
 
 def term_allowance(judge: Judge) -> float:

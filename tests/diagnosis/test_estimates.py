@@ -116,6 +116,57 @@ def test_the_covariance_is_a_bootstrap_over_blocks(drive):
     assert chance > 1.3 / np.sqrt(information.sum())
 
 
+def test_parameters_that_lean_against_each_other_are_known_as_a_bootstrap_says():
+    """Front and rear stiffness: what one has too much the other makes up for, in every block alike."""
+    truth = {"front_scale": 0.9, "rear_scale": 1.08}
+    judge = judge_of(driven(43, (CATALOGUE["tire_stiffness"](truth),), runs=8), 2)
+    fit = fitted(judge, "tire_stiffness", truth)
+    louder = np.where(judge.block % 3 == 0, 3.0, 1.0)
+    fit = replace(fit, entries=fit.entries * louder)
+    J = fit.sensitivity
+    correlation = np.linalg.inv(J.T @ J)
+    assert abs(correlation[0, 1]) > 0.5 * np.sqrt(correlation[0, 0] * correlation[1, 1])
+    scores = judge.block_sums(J * fit.entries[:, None])
+    scores -= scores.mean(axis=0)
+    blocks = len(scores)
+    draws = np.random.default_rng(1).integers(0, blocks, (4000, blocks))
+    moved = -np.linalg.solve(J.T @ J, scores[draws].sum(axis=1).T)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_SYSTEMATIC", 0.0)
+        patch.setattr(module, "_THROUGH_TIRES", 0.0)
+        (told,) = parameter_estimates(judge, fit)
+    for name, expected in zip(("front_scale", "rear_scale"), moved.std(axis=1), strict=True):
+        # Two parameters of some twenty blocks, and a mean that is not quite zero: a tenth or two.
+        assert told[name].std_error == pytest.approx(expected, rel=0.2)
+
+
+@pytest.fixture(scope="module")
+def patched() -> tuple[Judge, Fit]:
+    """A patch of 90 m on a lap of 400 m, driven over by twelve runs that begin anywhere."""
+    truth = {"scale": 0.8, "s_start": 120.0, "s_end": 210.0}
+    judge = judge_of(driven(44, (CATALOGUE["friction_patch"](truth),), runs=12), 6)
+    (one,) = (each for each in candidates_of(judge, "friction_patch") if not each.variant)
+    return judge, fit_parts(judge, [Part(one, dict(truth))])
+
+
+@pytest.mark.parametrize(("name", "truth"), [("s_start", 120.0), ("s_end", 210.0)])
+def test_an_end_of_a_stretch_is_known_as_far_as_the_cost_says(patched, name, truth):
+    judge, fit = patched
+    (told,) = parameter_estimates(judge, fit)
+    low, high = told[name].interval_95
+    assert low <= truth <= high and high - low < 60.0
+    (part,) = fit.parts
+    rise = 3.84 * 1.0
+    places = np.arange(max(low - 20.0, 0.0), high + 20.0, 0.4)
+    costs = np.array([judge.cost((Part(part.candidate, {**part.values, name: place}).term,)) for place in places])
+    inside = places[costs <= fit.cost + rise]
+    # The rise is that of one parameter at 95 %, or more where blocks say so: never a smaller interval than this.
+    step = part.candidate.ranges[name].step
+    assert low <= inside.min() + step and high >= inside.max() - step
+    # Outside of the interval nothing is as good as that.
+    assert costs[(places < low - step) | (places > high + step)].min() > fit.cost + rise
+
+
 def test_systematic_error_is_a_share_of_the_effect(drive):
     """With next to no chance left, what is called the same in a car and a single track still is not exactly."""
     judge = judge_of(drive, 4)

@@ -14,7 +14,9 @@ from split_cli.diagnosis.judge import Judge
 from split_cli.diagnosis.selection import (
     Rules,
     Selection,
+    _other_beginnings,
     block_z,
+    explains_as_well,
     explore,
     nothing,
     price,
@@ -22,9 +24,19 @@ from split_cli.diagnosis.selection import (
     term_p,
     term_size,
 )
-from split_cli.diagnosis.structure import severity_of
+from split_cli.diagnosis.structure import BARE_ALLOWANCE, severities_of
 from split_cli.vehicle.effects import CATALOGUE, Term
-from tests.diagnosis.recordings import LAP, bare_judge, candidates_of, driven, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import (
+    LAP,
+    bare_judge,
+    candidates_of,
+    driven,
+    first_order,
+    late,
+    light_evidence,
+    noisy,
+    prepared,
+)
 
 INFLATION = 1.5
 NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness")
@@ -107,7 +119,11 @@ def test_too_small_to_name_is_kept_aside_and_the_search_goes_on():
     terms = planted(rolling_resistance=60.0, yaw_inertia=1.03)
     judge = judge_of(*terms)
     evidence = judge.evidence[0]
-    assert severity_of(evidence, evidence.at, terms[:1]) < 0.09 < severity_of(evidence, evidence.at, terms[1:])
+    assert (
+        severities_of(evidence, evidence.at, terms[:1]).max()
+        < 0.09
+        < severities_of(evidence, evidence.at, terms[1:]).max()
+    )
     candidates = candidates_of(judge, "rolling_resistance", "yaw_inertia", "steer_gain")
     first = explore(judge, nothing(judge), candidates, Rules(), INFLATION)[0]
     assert first.names == ("rolling_resistance",)
@@ -120,6 +136,105 @@ def test_too_small_to_name_is_kept_aside_and_the_search_goes_on():
     assert selection.terms[0].parameters == values["yaw_inertia"]
     assert values["yaw_inertia"]["scale"] == pytest.approx(1.03, abs=0.004)
     assert values["rolling_resistance"]["force"] == pytest.approx(60.0, abs=6.0)
+
+
+def test_a_fast_effect_is_seen_beside_a_slow_one_of_ten_thousand_times_its_cost():
+    """What is constant adds up over minutes; a car that turns later does not, and is no misfit of it."""
+    judge = judge_of(*planted(yaw_inertia=1.05, rolling_resistance=1500.0))
+    selection = select_terms(judge, candidates_of(judge, "yaw_inertia", "rolling_resistance"), INFLATION)
+    assert named(selection) == {"yaw_inertia", "rolling_resistance"}
+    saved = {
+        part.candidate.term: without.cost - selection.chosen.cost
+        for part, without in zip(selection.chosen.parts, selection.without, strict=True)
+    }
+    assert saved["rolling_resistance"] > 1e3 * saved["yaw_inertia"]
+
+
+def test_a_further_term_no_larger_than_a_misfit_is_not_named():
+    """Half a milliradian of steering beside half the inertia more: a tenth of its severity, in its channel."""
+    judge = judge_of(*planted(yaw_inertia=1.5, steer_offset=0.0005))
+    selection = select_terms(judge, candidates_of(judge, "yaw_inertia", "steer_offset"), INFLATION)
+    assert named(selection) == {"yaw_inertia"}
+    assert "steer_offset" in selection.history[-1] and "misfit" in selection.history[-1]
+    # Alone, as large as it is, it would be named.
+    alone = judge_of(*planted(steer_offset=0.0005))
+    assert named(select_terms(alone, candidates_of(alone, "yaw_inertia", "steer_offset"), INFLATION)) == {
+        "steer_offset"
+    }
+
+
+def test_two_terms_are_found_behind_one_that_is_the_best_alone():
+    """Steering that lags and torque that comes late look like late sensors before they are told apart."""
+    drive = driven(
+        21,
+        steer=lambda inputs, step: first_order(inputs, 0.05, step),
+        torque=lambda inputs, step: late(inputs, 0.12, step),
+    )
+    judge = bare_judge(light_evidence(prepared(noisy(drive, 5))))
+    candidates = candidates_of(judge, "drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
+    first = explore(judge, nothing(judge), candidates, Rules(), INFLATION)[0]
+    assert first.names == ("sensor_delay",)
+    selection = select_terms(judge, candidates, INFLATION)
+    assert named(selection) == {"steer_lag", "drive_delay"}
+    values = {part.candidate.term: part.values for part in selection.chosen.parts}
+    assert values["steer_lag"]["tau"] == pytest.approx(0.05, rel=0.03)
+    assert values["drive_delay"]["delay"] == pytest.approx(0.12, rel=0.03)
+
+
+def test_one_term_is_preferred_to_two_that_say_the_same():
+    """Late sensors are late steering and late torque at once; nothing tells them apart but their number."""
+    drive = driven(
+        21,
+        steer=lambda inputs, step: late(inputs, 0.012, step),
+        torque=lambda inputs, step: late(inputs, 0.012, step),
+    )
+    judge = bare_judge(light_evidence(prepared(noisy(drive, 5))))
+    candidates = candidates_of(judge, "drive_delay", "steer_delay", "sensor_delay")
+    assert named(select_terms(judge, candidates, INFLATION)) == {"sensor_delay"}
+
+
+def test_other_beginnings_are_other_terms_that_save_nearly_as_much(pair):
+    first = explore(pair, nothing(pair), candidates_of(pair, *NAMES), Rules(), INFLATION)
+    everything = Rules(same_share=1.0, beginnings=9)
+    assert _other_beginnings(first, nothing(pair), everything) == first[1:]
+    assert len(_other_beginnings(first, nothing(pair), replace(everything, beginnings=2))) == 2
+    saved = nothing(pair).cost - first[0].cost
+    for share in (0.05, 0.5):
+        told = _other_beginnings(first, nothing(pair), replace(everything, same_share=share))
+        assert told == [fit for fit in first[1:] if nothing(pair).cost - fit.cost > (1.0 - share) * saved]
+
+
+@pytest.fixture(scope="module")
+def moved() -> tuple[Judge, Selection]:
+    """A centre of gravity that is 4 cm further ahead, gently driven: stiffness follows load, or it does not."""
+    judge = judge_of(CATALOGUE["cg_shift"]({"dx": 0.04}, "degressive"))
+    return judge, select_terms(judge, candidates_of(judge, "cg_shift"), INFLATION)
+
+
+def test_siblings_are_the_other_variants_in_the_same_place(moved):
+    judge, selection = moved
+    assert named(selection) == {"cg_shift"} and not selection.rivals[0]
+    own = selection.chosen.parts[0].candidate.variant
+    told = {rival.fit.parts[-1].candidate.variant for rival in selection.siblings[0]}
+    assert told == {"", "loaded", "degressive"} - {own}
+    for rival in selection.siblings[0]:
+        expected = (rival.fit.cost - selection.chosen.cost) / INFLATION
+        assert rival.excess == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_could_be_misfit_or_chance_explains_as_well(pair, chosen_pair):
+    k = 0
+    saved = chosen_pair.without[k].cost - chosen_pair.chosen.cost
+    (rival, *_) = chosen_pair.rivals[k]
+    share = max(BARE_ALLOWANCE / term_size(pair, chosen_pair.chosen, k), 0.1) ** 2
+
+    def as_well(excess: float, z: float) -> bool:
+        return explains_as_well(pair, chosen_pair, k, replace(rival, excess=excess, z=z))
+
+    # By misfit: whatever the standard error.
+    assert as_well(0.99 * share * saved, 50.0) and not as_well(1.01 * share * saved, 50.0)
+    # By chance: within 2.5 standard errors, and by no more than 15 % of what the term saves.
+    assert as_well(0.14 * saved, 2.4) and not as_well(0.14 * saved, 2.6) and not as_well(0.16 * saved, 1.0)
 
 
 def test_the_p_value_of_a_term_grows_with_what_the_simulation_shows_against_itself(pair, chosen_pair):
@@ -185,7 +300,7 @@ def test_size_of_a_term_is_told_with_the_others_in_place(pair, chosen_pair):
     fit = chosen_pair.chosen
     for k, term in enumerate(fit.terms):
         assert term_size(pair, fit, k) == pytest.approx(
-            severity_of(pair.evidence[0], pair.evidence[0].at, (term,)), rel=1e-6
+            severities_of(pair.evidence[0], pair.evidence[0].at, (term,)).max(), rel=1e-6
         )
 
 

@@ -13,8 +13,8 @@ from split_cli.diagnosis.structure import (
     Structure,
     build_structure,
     minimum_effect_p,
+    severities_of,
     severity,
-    severity_of,
 )
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import SIGMA, bare_judge, driven, light_evidence, noisy, prepared
@@ -108,7 +108,7 @@ class TestFlexibleFit:
         assert one.fit(one.columns[:, 0] * 12.0 + rng.standard_normal(self.rows), 1.0).p_value < 1e-6
 
 
-def test_severity_of_a_constant_rate_by_hand(nominal_series):
+def test_severities_of_a_constant_rate_by_hand(nominal_series):
     """0.4 m/s^2 more along the car: 0.02 m/s in 0.05 s, against 0.02 root two of noise."""
     defect = np.zeros((len(nominal_series) - 1, 3))
     defect[:, 0] = 0.4 * nominal_series.period
@@ -119,12 +119,14 @@ def test_severity_of_a_constant_rate_by_hand(nominal_series):
     assert severity(nominal_series, defect) == pytest.approx(expected / 5.0, rel=1e-3)
 
 
-def test_severity_of_a_force_is_that_of_its_rate(nominal_evidence):
+def test_severities_of_a_force_is_that_of_its_rate(nominal_evidence):
     force = CATALOGUE["rolling_resistance"]({"force": 300.0})
     # Gaps between runs count as no error: one window in a hundred.
     expected = 300.0 / 1500.0 * 0.05 / (np.sqrt(2.0) * nominal_evidence.series.noise[0])
-    assert severity_of(nominal_evidence, nominal_evidence.at, (force,)) == pytest.approx(expected, rel=0.01)
-    assert severity_of(nominal_evidence, nominal_evidence.at, (force,), (force,)) == 0.0
+    assert severities_of(nominal_evidence, nominal_evidence.at, (force,)).max() == pytest.approx(
+        expected, rel=0.01
+    )
+    assert severities_of(nominal_evidence, nominal_evidence.at, (force,), (force,)).max() == 0.0
 
 
 class OneSided(Term):
@@ -164,7 +166,9 @@ def test_a_symmetric_loss_is_found_at_the_operating_point(common):
     fit = build_structure(judge, common).fit(judge.residual(()), 1.5)
     assert fit.group_saved[0][0] == "operating point" and fit.p_value < 1e-6
     # What it makes of noise is taken off its size.
-    assert fit.severity == pytest.approx(severity_of(judge.evidence[0], judge.evidence[0].at, (lost,)), rel=0.15)
+    assert fit.severity == pytest.approx(
+        severities_of(judge.evidence[0], judge.evidence[0].at, (lost,)).max(), rel=0.15
+    )
 
 
 def test_the_fit_is_ridge_regression(nominal_judge, nominal_structure):

@@ -87,6 +87,7 @@ class SteerDelay(Term):
     """Steering that answers `delay` late: delta(t - delay)."""
 
     id = "steer_delay"
+    through_tires: ClassVar = True
     units: ClassVar = {"delay": "s"}
     neutral: ClassVar = {"delay": 0.0}
     order = 0
@@ -110,6 +111,7 @@ class SteerGain(Term):
     """A steering ratio off its nominal: gain delta."""
 
     id = "steer_gain"
+    through_tires: ClassVar = True
     units: ClassVar = {"gain": "1"}
     neutral: ClassVar = {"gain": 1.0}
     order = 1
@@ -152,6 +154,7 @@ class SteerLag(Term):
     """Steering that builds up: tau delta' = delta_command - delta, steady at each start."""
 
     id = "steer_lag"
+    through_tires: ClassVar = True
     units: ClassVar = {"tau": "s"}
     neutral: ClassVar = {"tau": 0.0}
     order = 3

@@ -72,6 +72,7 @@ class CgShift(Term):
     """
 
     id = "cg_shift"
+    through_tires: ClassVar = True
     units: ClassVar = {"dx": "m"}
     neutral: ClassVar = {"dx": 0.0}
     variants: ClassVar = ("", "loaded", "degressive")

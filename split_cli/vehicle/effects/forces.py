@@ -56,6 +56,7 @@ class YawMomentDifferential(Term):
     """
 
     id = "yaw_moment_differential"
+    through_tires: ClassVar = True
     units: ClassVar = {"yaw_damping": "N m s/rad"}
     neutral: ClassVar = {"yaw_damping": 0.0}
     mimics: ClassVar = (

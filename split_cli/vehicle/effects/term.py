@@ -77,6 +77,8 @@ class Term:
         Values at which the term vanishes; parameters it does not name are free at that point.
     exported : bool
         Whether the term is part of the car (sensor terms are not).
+    through_tires : bool
+        Whether its parameters are known only as well as one curve says what an axle's tyres do.
 
     Parameters
     ----------
@@ -95,6 +97,7 @@ class Term:
     mimics: ClassVar[tuple[Mimic, ...]] = ()
     neutral: ClassVar[Mapping[str, float]] = {}
     exported: ClassVar[bool] = True
+    through_tires: ClassVar[bool] = False
 
     def __init__(self, parameters: Mapping[str, float], variant: str = "") -> None:
         self.parameters = dict(parameters)

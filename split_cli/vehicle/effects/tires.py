@@ -55,6 +55,7 @@ class CombinedSlip(Term):
     """
 
     id = "combined_slip"
+    through_tires: ClassVar = True
     units: ClassVar = {"strength": "1"}
     neutral: ClassVar = {"strength": 0.0}
     order = 3
@@ -79,6 +80,7 @@ class FrictionScale(Term):
     """
 
     id = "friction_scale"
+    through_tires: ClassVar = True
     units: ClassVar = {"scale": "1"}
     neutral: ClassVar = {"scale": 1.0}
     variants: ClassVar = ("", "curve")
@@ -103,6 +105,7 @@ class FrictionPatch(Term):
     """Grip on one stretch, [s_start, s_end), axle by axle as each gets there; variants as `friction_scale`."""
 
     id = "friction_patch"
+    through_tires: ClassVar = True
     units: ClassVar = {"scale": "1", "s_start": "m", "s_end": "m"}
     neutral: ClassVar = {"scale": 1.0}
     variants: ClassVar = ("", "curve")
@@ -127,6 +130,7 @@ class GripFade(Term):
     """
 
     id = "grip_fade"
+    through_tires: ClassVar = True
     units: ClassVar = {"final_loss": "1", "tau": "s"}
     neutral: ClassVar = {"final_loss": 0.0}
     variants: ClassVar = ("", "curve")
@@ -150,6 +154,7 @@ class TireRelaxation(Term):
     """
 
     id = "tire_relaxation"
+    through_tires: ClassVar = True
     units: ClassVar = {"length": "m"}
     neutral: ClassVar = {"length": 0.0}
     order = 9
@@ -182,6 +187,7 @@ class LoadTransfer(Term):
     """
 
     id = "load_transfer"
+    through_tires: ClassVar = True
     units: ClassVar = {"cg_height": "m"}
     neutral: ClassVar = {"cg_height": 0.0}
     variants: ClassVar = ("", "peak", "degressive")
@@ -211,6 +217,7 @@ class TireStiffness(Term):
     """Stiffness of an axle's tyres: B front_scale, B rear_scale; the peak stays."""
 
     id = "tire_stiffness"
+    through_tires: ClassVar = True
     units: ClassVar = {"front_scale": "1", "rear_scale": "1"}
     neutral: ClassVar = {"front_scale": 1.0, "rear_scale": 1.0}
     mimics: ClassVar = (
@@ -233,6 +240,7 @@ class AeroDownforce(Term):
     """
 
     id = "aero_downforce"
+    through_tires: ClassVar = True
     units: ClassVar = {"front": "N/(m/s)^2", "rear": "N/(m/s)^2"}
     neutral: ClassVar = {"front": 0.0, "rear": 0.0}
     variants: ClassVar = ("", "peak", "degressive")
