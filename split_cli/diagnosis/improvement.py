@@ -82,7 +82,10 @@ def label_errors(
     held_rows : ndarray of bool, shape (N,)
     """
     series, vehicle = evidence.series, evidence.vehicle
-    labels = compute_labels(series.drive, vehicle, Z2)
+    # Effects of the vehicle file act where, when and under which yaw the diagnosis says.
+    situation = {"t": series.t, "s": series.s, "yaw": series.yaw}
+    drive = replace(series.drive, columns={**series.drive.columns, **situation})
+    labels = compute_labels(drive, vehicle, Z2)
     labels = labels.take(np.isfinite(labels.y).all(axis=1))
     window, rows = labels.window, labels.row
     span = rows[:, None] + np.arange(window + 1)

@@ -18,6 +18,7 @@ from split_cli.learning.label_file import label_columns
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_file, write_vehicle
+from split_cli.workflows.recordings import RecordingCorrection
 from split_cli.workflows.report.page import report_page
 
 __all__ = ["FIGURES", "STAGES", "corrected_vehicle", "diagnose_files", "read_and_diagnose", "write_diagnosis"]
@@ -144,7 +145,9 @@ def _write_gap(diagnosis: Diagnosis, drives: Sequence[Drive], vehicle: Vehicle, 
     import pyarrow as pa
     import pyarrow.parquet
 
-    pairs = zip(diagnosis.gaps, drives, strict=False)
+    # As `split label` reads them: with s for effects of place.
+    correct = RecordingCorrection(vehicle)
+    pairs = zip(diagnosis.gaps, map(correct, drives), strict=False)
     tables = [_gap_table(gap, drive, vehicle) for gap, drive in pairs if len(gap.t) > 1]
     if not tables:
         names = ("t", "s", *(f"{kind}_{force}" for kind in ("gap", "remainder") for force in FORCES))

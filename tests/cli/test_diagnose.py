@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pandas
 import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.main import group
 from split_cli.diagnosis.document import diagnosis_to_text
-from split_cli.diagnosis.result import Diagnosis
+from split_cli.diagnosis.result import Diagnosis, GapSeries
 from split_cli.errors import VehicleError
 from split_cli.files import sha256_of_file
 from split_cli.logs.drive import Drive, write_drive
 from split_cli.vehicle.library import library_path
-from split_cli.vehicle.parameters import read_vehicle, vehicle_file
+from split_cli.vehicle.parameters import EffectSpec, read_vehicle, vehicle_file
 from split_cli.workflows import diagnose as workflow
+from tests.factories import road_car
 
 VERDICTS = {
     "match": Diagnosis("match", 0.4, 0.9, ("brake gain: there is no braking; brake hard once",), summary="Alike."),
@@ -92,3 +94,25 @@ def test_a_file_wins_over_the_library_and_an_unknown_name_is_told(tmp_path, monk
     assert vehicle_file("tum_sim").resolve() == tmp_path / "tum_sim"
     with pytest.raises(VehicleError, match="tum_sym"):
         workflow.diagnose_files([], "tum_sym", tmp_path / "out")
+
+
+def test_the_gap_stands_beside_labels_that_know_where_effects_act(tmp_path):
+    """Steady 20 m/s with a climb from 50 to 150 m in the vehicle file, which the car did not feel."""
+    climb = EffectSpec("road_grade", {"angle": 0.05, "s_start": 50.0, "s_end": 150.0}, "stretch")
+    t = 0.01 * np.arange(1001)
+    zero = np.zeros_like(t)
+    columns = {"t": t, "X": 20.0 * t, "Y": zero, "yaw": zero, "vx": 20.0 + zero, "vy": zero, "r": zero}
+    drive = Drive("real.parquet", {**columns, "T": zero, "delta": zero}, np.zeros(len(t), dtype=np.int32), 0.01)
+    at = np.arange(2, len(t), 4)
+    nowhere, three = np.full(len(at), np.nan), np.zeros((len(at), 3))
+    gap = GapSeries(
+        drive.name, t[at], 20.0 * t[at], at, nowhere, nowhere, np.zeros((len(at), 4)), at > 0, three, three
+    )
+    told = Diagnosis("match", 0.5, 1.0, gaps=(gap,))
+    workflow.write_diagnosis(told, road_car(effects=(climb,)), tmp_path / "out", [drive])
+    table = pandas.read_parquet(tmp_path / "out" / "gap.parquet")
+    on_it = (table["s"] > 52.0) & (table["s"] < 148.0)
+    off_it = (table["s"] < 48.0) | (table["s"] > 152.0)
+    # Resistance is the same on and off the climb: what differs is the weight along the road.
+    difference = table["y_vx"][on_it].mean() - table["y_vx"][off_it].mean()
+    assert difference == pytest.approx(9.80665 * np.sin(0.05), rel=1e-6)

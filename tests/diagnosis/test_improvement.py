@@ -9,15 +9,23 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.common import build_common_physics
-from split_cli.diagnosis.improvement import _bootstrap, improvable_removed, measure_improvement
+from split_cli.diagnosis.improvement import (
+    _bootstrap,
+    improvable_removed,
+    label_errors,
+    measure_improvement,
+)
 from split_cli.diagnosis.judge import learn_common
 from split_cli.diagnosis.rollouts import Stage, roll_out_stages, shared_rates
+from split_cli.learning.features import Z2
+from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive
 from split_cli.scoring.rollouts import roll_out
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects import CATALOGUE, build_terms
 from split_cli.vehicle.integration import integrate_recorded
+from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
-from tests.diagnosis.recordings import SIGMA, recorded
+from tests.diagnosis.recordings import SIGMA, driven, light_evidence, noisy, prepared, recorded
 from tests.factories import road_car
 
 RESISTANCE = CATALOGUE["rolling_resistance"]({"force": 450.0})
@@ -159,6 +167,26 @@ def test_a_stretch_of_road_acts_where_it_lies():
     # Past the stretch (s = 50 m after 2.5 s at 20 m/s) both agree; over it g sin(0.05) acts for a second.
     np.testing.assert_allclose(path, velocity[starts + 200, 0], atol=0.005)
     assert flat[0] - velocity[200, 0] == pytest.approx(9.80665 * 0.05 * 0.5, rel=0.1)
+
+
+def test_labels_know_where_effects_of_the_vehicle_file_act():
+    """A climb in the vehicle file: labels of a drive that brings no s against those of one that does."""
+    climb = EffectSpec("road_grade", {"angle": 0.05, "s_start": 50.0, "s_end": 150.0}, "stretch")
+    car = road_car(effects=(climb,))
+    drive = noisy(driven(21, build_terms(car), runs=8), 21)
+    series = prepared(drive)
+    bare = replace(drive, columns={name: column for name, column in drive.columns.items() if name != "s"})
+    evidence = replace(light_evidence(replace(series, drive=bare)), vehicle=car)
+    held = np.ones(len(series), dtype=bool)
+    errors = label_errors(evidence, (), None, None, held)
+    told = compute_labels(drive, car, Z2)
+    np.testing.assert_array_equal(errors.labels.row, told.row[np.isfinite(told.y).all(axis=1)])
+    # The same place and time; of the yaw only whole turns and a constant time of start may differ.
+    np.testing.assert_allclose(errors.before, told.y[np.isfinite(told.y).all(axis=1)], rtol=0.0, atol=1e-9)
+    climbing = (series.s[errors.labels.row] > 55.0) & (series.s[errors.labels.row] < 145.0)
+    noise = np.sqrt(errors.floor[:, 0].mean())
+    # Without its place the climb of 0.49 m/s^2 would be missed; some 100 labels know their mean well enough.
+    assert abs(errors.before[climbing, 0].mean()) < 4.0 * noise / np.sqrt(climbing.sum()) < 0.25
 
 
 @pytest.mark.parametrize("blocks", [4, 12])
