@@ -130,14 +130,18 @@ def explore(
             part = Part(candidate, dict(start))
             promises.append((linear_cost(judge, current.parts, part), part))
     promises.sort(key=lambda promise: promise[0] / inflation + rules.price * promise[1].candidate.complexity)
-    fits, seen = [], {}
-    for _, part in promises:
+    fits: list[Fit] = []
+    seen: dict[tuple[str, str], list[float]] = {}
+    settled = any(alters_inputs(one.term) for one in current.parts)
+    for promised, part in promises:
         key = (part.candidate.term, part.candidate.variant)
-        if seen.get(key, 0) >= 2 or (key not in seen and len(seen) >= rules.full_fits):
+        if key not in seen and len(seen) >= rules.full_fits:
             continue
-        seen[key] = seen.get(key, 0) + 1
-        settled = any(alters_inputs(one.term) for one in current.parts)
+        costs = seen.setdefault(key, [])
+        if len(costs) >= 2 or min(costs, default=np.inf) < promised:
+            continue  # another start has kept more than this one promises
         fits.append(fit_parts(judge, (*current.parts, part), refreshes=int(settled)))
+        costs.append(fits[-1].cost)
     fits = [fit for fit in fits if not _is_everywhere(fit.parts[-1], rules)]
     fits.sort(key=lambda fit: price(fit, inflation, rules))
     best, done = [], set()
