@@ -45,6 +45,7 @@ class Rules:
     considered: int = 3  # of the further terms that save most
     spread: float = 1.5  # standard errors, from differences block by block, that a further term has to save
     swaps: int = 2
+    least_swap: float = 1.0  # cost that another term has to save in the place of one; terms that tie stay
     beginnings: int = 2  # other first terms from which the search begins anew where the best leaves something
     level: float = 0.01  # of the minimum-effect test, after counting the terms that were tried
 
@@ -198,7 +199,7 @@ def select_terms(
             for k, rest in enumerate(without)
         )
         better = min((several[0] for several, _ in rivals if several), key=lambda one: one.excess, default=None)
-        if swap == rules.swaps or len(chosen.parts) < 2 or better is None or better.excess >= 0.0:
+        if swap == rules.swaps or len(chosen.parts) < 2 or better is None or better.excess > -rules.least_swap:
             break
         history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
         chosen = better.fit
