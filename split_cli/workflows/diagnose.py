@@ -72,14 +72,19 @@ def read_and_diagnose(
     holdout: Sequence[str | Path] = (),
     progress: Callable[[str], None] = lambda step: None,
 ) -> tuple[Diagnosis, Vehicle, Sequence[Drive]]:
-    """Return a diagnosis, the vehicle and the real drives, writing nothing; parameters as for `diagnose_files`."""
+    """Return a diagnosis, the vehicle and the real drives, writing nothing; parameters as for `diagnose_files`.
+
+    Faults of sensors that the vehicle file names are taken off the real drives; a simulation has no sensors.
+    """
     vehicle_path = vehicle_file(vehicle_path)
     vehicle = read_vehicle(vehicle_path)
     groups = {"real": real, "sim": simulated, "holdout": holdout}
     drives = {role: [read_drive(path) for path in paths] for role, paths in groups.items()}
     inputs = [InputFile(one.name, one.sha256, role) for role, several in drives.items() for one in several]
     inputs.append(InputFile(vehicle_path.name, sha256_of_file(vehicle_path), "vehicle"))
-    told = diagnose(drives["real"], vehicle, drives["sim"], drives["holdout"], inputs=inputs, progress=progress)
+    correct = RecordingCorrection(vehicle)
+    measured, held = ([correct.sensors(drive) for drive in drives[role]] for role in ("real", "holdout"))
+    told = diagnose(measured, vehicle, drives["sim"], held, inputs=inputs, progress=progress)
     return told, vehicle, drives["real"]
 
 

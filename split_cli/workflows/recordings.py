@@ -51,6 +51,11 @@ class RecordingCorrection:
             columns["s"], kind = track_position(drive, self._reference, first=key == self._first)
             if kind != "position":
                 self._told[f"{drive.name} has no position: its s is the distance driven"] = None
+        return self.sensors(replace(drive, columns=columns))
+
+    def sensors(self, drive: Drive) -> Drive:
+        """Return a drive with the faults of its sensors taken off, and nothing else."""
+        columns = dict(drive.columns)
         for term in self._sensors:
             columns = term.correct(columns, recording_of(drive))
         return replace(drive, columns=columns)

@@ -14,11 +14,11 @@ from split_cli.diagnosis.document import diagnosis_to_text
 from split_cli.diagnosis.result import Diagnosis, GapSeries
 from split_cli.errors import VehicleError
 from split_cli.files import sha256_of_file
-from split_cli.logs.drive import Drive, write_drive
+from split_cli.logs.drive import Drive, read_drive, write_drive
 from split_cli.vehicle.library import library_path
-from split_cli.vehicle.parameters import EffectSpec, read_vehicle, vehicle_file
+from split_cli.vehicle.parameters import EffectSpec, read_vehicle, vehicle_file, write_vehicle
 from split_cli.workflows import diagnose as workflow
-from tests.factories import road_car
+from tests.factories import make_drive, road_car
 
 VERDICTS = {
     "match": Diagnosis("match", 0.4, 0.9, ("brake gain: there is no braking; brake hard once",), summary="Alike."),
@@ -116,3 +116,26 @@ def test_the_gap_stands_beside_labels_that_know_where_effects_act(tmp_path):
     # Resistance is the same on and off the climb: what differs is the weight along the road.
     difference = table["y_vx"][on_it].mean() - table["y_vx"][off_it].mean()
     assert difference == pytest.approx(9.80665 * np.sin(0.05), rel=1e-6)
+
+
+def test_faults_of_sensors_in_the_vehicle_file_are_taken_off_what_they_measured(tmp_path, monkeypatch):
+    """A simulation has no sensors; what `split label` takes off a recording, a diagnosis does too."""
+    car = road_car().with_effects(EffectSpec("sensor_misalignment", {"angle": 0.02}))
+    write_vehicle(car, tmp_path / "car.yaml")
+    for number, name in enumerate(("real", "sim", "held")):
+        write_drive(make_drive(number, 2, 2.0, 0.02, name=f"{name}.parquet"), tmp_path / f"{name}.parquet")
+    given = {}
+
+    def known(real, vehicle, simulated, holdout, **_):
+        given.update(real=real[0], sim=simulated[0], held=holdout[0])
+        return VERDICTS["match"]
+
+    monkeypatch.setattr(workflow, "diagnose", known)
+    paths = {name: [tmp_path / f"{name}.parquet"] for name in ("real", "sim", "held")}
+    workflow.read_and_diagnose(paths["real"], tmp_path / "car.yaml", simulated=paths["sim"], holdout=paths["held"])
+    for name, turned in (("real", 0.02), ("sim", 0.0), ("held", 0.02)):
+        read = read_drive(tmp_path / f"{name}.parquet")
+        speed = np.hypot(read["vx"], read["vy"])
+        np.testing.assert_allclose(np.hypot(given[name]["vx"], given[name]["vy"]), speed, rtol=1e-12)
+        angle = np.arctan2(given[name]["vy"], given[name]["vx"]) - np.arctan2(read["vy"], read["vx"])
+        np.testing.assert_allclose(np.abs(angle), turned, atol=1e-12)
