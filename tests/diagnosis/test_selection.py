@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -42,8 +43,13 @@ INFLATION = 1.5
 NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness")
 
 
-def judge_of(*terms: Term, seed: int = 21) -> Judge:
-    return bare_judge(light_evidence(prepared(noisy(driven(seed, terms), 5))))
+def judge_of(*terms: Term, seed: int = 21, **commands) -> Judge:
+    return bare_judge(light_evidence(prepared(noisy(driven(seed, terms, **commands), 5))))
+
+
+def behind(inputs: np.ndarray, step: float, *, tau: float = 0.0, delay: float = 0.0) -> np.ndarray:
+    """Return inputs (runs, K) behind a lag or a delay."""
+    return first_order(inputs, tau, step) if tau else late(inputs, delay, step)
 
 
 def planted(**values: float) -> tuple[Term, ...]:
@@ -165,12 +171,7 @@ def test_a_further_term_no_larger_than_a_misfit_is_not_named():
 
 def test_two_terms_are_found_behind_one_that_is_the_best_alone():
     """Steering that lags and torque that comes late look like late sensors before they are told apart."""
-    drive = driven(
-        21,
-        steer=lambda inputs, step: first_order(inputs, 0.05, step),
-        torque=lambda inputs, step: late(inputs, 0.12, step),
-    )
-    judge = bare_judge(light_evidence(prepared(noisy(drive, 5))))
+    judge = judge_of(steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12))
     candidates = candidates_of(judge, "drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
     first = explore(judge, nothing(judge), candidates, Rules(), INFLATION)[0]
     assert first.names == ("sensor_delay",)
@@ -183,12 +184,7 @@ def test_two_terms_are_found_behind_one_that_is_the_best_alone():
 
 def test_one_term_is_preferred_to_two_that_say_the_same():
     """Late sensors are late steering and late torque at once; nothing tells them apart but their number."""
-    drive = driven(
-        21,
-        steer=lambda inputs, step: late(inputs, 0.012, step),
-        torque=lambda inputs, step: late(inputs, 0.012, step),
-    )
-    judge = bare_judge(light_evidence(prepared(noisy(drive, 5))))
+    judge = judge_of(steer=partial(behind, delay=0.012), torque=partial(behind, delay=0.012))
     candidates = candidates_of(judge, "drive_delay", "steer_delay", "sensor_delay")
     assert named(select_terms(judge, candidates, INFLATION)) == {"sensor_delay"}
 
