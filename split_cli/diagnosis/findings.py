@@ -12,7 +12,7 @@ from split_cli.diagnosis.estimates import parameter_estimates
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.judge import Judge
 from split_cli.diagnosis.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
-from split_cli.diagnosis.selection import Rival, Rules, Selection, explains_as_well, term_size, without_parts
+from split_cli.diagnosis.selection import Rival, Rules, Selection, explaining_as_well, term_size, without_parts
 from split_cli.diagnosis.sentences import sentence_for, separations
 from split_cli.diagnosis.separation import exact_mimics
 from split_cli.diagnosis.structure import FlexibleFit, Structure
@@ -205,9 +205,7 @@ def _with_variants(
 ) -> dict[str, ParameterEstimate]:
     """Widen a part's intervals by those of its term's other variants, where they explain the data as well."""
     out = dict(own)
-    for sibling in selection.siblings[k]:
-        if not explains_as_well(judge, selection, k, sibling):
-            continue
+    for sibling in explaining_as_well(judge, selection, k, selection.siblings[k]):
         theirs = parameter_estimates(judge, sibling.fit)[-1]
         out = {name: one.covering(theirs[name]) if name in theirs else one for name, one in out.items()}
     return out
@@ -216,11 +214,8 @@ def _with_variants(
 def _alternatives(judge: Judge, selection: Selection, k: int) -> tuple[str, ...]:
     """Return terms that fit as well here, and those that always would: exact degeneracies."""
     own = selection.chosen.parts[k].candidate
-    names = [
-        rival.fit.parts[-1].candidate.term
-        for rival in selection.rivals[k]
-        if explains_as_well(judge, selection, k, rival)
-    ]
+    rivals = explaining_as_well(judge, selection, k, selection.rivals[k])
+    names = [rival.fit.parts[-1].candidate.term for rival in rivals]
     names += exact_mimics(own.term, own.variant)
     taken = {part.candidate.term for part in selection.chosen.parts}
     return tuple(name for name in dict.fromkeys(names) if name not in taken)

@@ -17,7 +17,7 @@ __all__ = [
     "Rival",
     "Rules",
     "Selection",
-    "explains_as_well",
+    "explaining_as_well",
     "nothing",
     "select_terms",
     "term_p",
@@ -231,12 +231,12 @@ def _forward(
         fits = [fit for fit in fits if price_saved(fit) > 0.0]
         if not fits:
             break
-        alone = len(chosen.parts) == aside  # beside what is kept aside: no name to be a misfit of
-        reasons = ["" if alone else _refusal(judge, chosen, fit, rules) for fit in fits[: rules.considered]]
-        best = next((fit for fit, reason in zip(fits, reasons, strict=False) if not reason), None)
+        best = fits[0]
+        if len(chosen.parts) > aside:  # beside what is kept aside there is no name to be a misfit of
+            best, reason = _first_believed(judge, chosen, fits[: rules.considered], rules)
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
-            history.append(f"{label} would save {saved:.0f}, {reasons[0]}")
+            history.append(f"{label} would save {saved:.0f}, {reason}")
             refused = True
             break
         label, saved = best.parts[-1].candidate.label, price_saved(best)
@@ -277,10 +277,26 @@ def without_parts(judge: Judge, base: Fit, fit: Fit) -> tuple[Fit, ...]:
 def block_z(judge: Judge, fit: Fit, other: Fit) -> float:
     """Return what a fit saves against another in standard errors, from differences block by block."""
     difference = judge.block_sums(other.entries**2) - judge.block_sums(fit.entries**2)
-    return float(difference.sum()) / (float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9)
+    return float(difference.sum()) / _error_of_sum(difference)
 
 
-def _refusal(judge: Judge, chosen: Fit, further: Fit, rules: Rules) -> str:
+def _error_of_sum(difference: np.ndarray) -> float:
+    """Return the standard error of a sum over blocks, shape (B,)."""
+    return float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9
+
+
+def _first_believed(judge: Judge, chosen: Fit, fits: Sequence[Fit], rules: Rules) -> tuple[Fit | None, str]:
+    """Return the first further term that is believed; where none is, why not the first of them, in words."""
+    sizes = _sizes(judge, chosen.terms, ())
+    reasons = []
+    for fit in fits:
+        reasons.append(_refusal(judge, chosen, sizes, fit, rules))
+        if not reasons[-1]:
+            return fit, ""
+    return None, reasons[0]
+
+
+def _refusal(judge: Judge, chosen: Fit, sizes: np.ndarray, further: Fit, rules: Rules) -> str:
     """Return why a further term is not believed, in words; nothing where it is.
 
     It may be no larger than what single-track terms leave of a real car's effect. That is measured by prediction
@@ -290,7 +306,7 @@ def _refusal(judge: Judge, chosen: Fit, further: Fit, rules: Rules) -> str:
     """
     size = _sizes(judge, further.terms, chosen.terms)
     channel = int(np.argmax(size))
-    if size[channel] < max(rules.least_severity, rules.misfit * _sizes(judge, chosen.terms, ())[channel]):
+    if size[channel] < max(rules.least_severity, rules.misfit * sizes[channel]):
         return "no more than the others misfit"
     if not further.parts[-1].candidate.located and block_z(judge, further, chosen) < rules.spread:
         return "all in one moment"
@@ -308,18 +324,22 @@ def term_size(judge: Judge, fit: Fit, k: int) -> float:
     return float(_sizes(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :]).max())
 
 
-def explains_as_well(judge: Judge, selection: Selection, k: int, rival: Rival) -> bool:
-    """Return whether a rival of a part may be what acts instead of it.
+def explaining_as_well(judge: Judge, selection: Selection, k: int, rivals: Sequence[Rival]) -> list[Rival]:
+    """Return the rivals of a part that may be what acts instead of it.
 
-    It may where the two differ by chance, and where a misfit that is allowed, or no larger than single tracks
+    They may where the two differ by chance, and where a misfit that is allowed, or no larger than single tracks
     have, could have made the difference.
     """
     rules = Rules()
     saved = selection.without[k].cost - selection.chosen.cost
     share = min(term_allowance(judge) / max(term_size(judge, selection.chosen, k), 1e-9), 1.0) ** 2
-    misfit = max(share, rules.same_misfit) * saved
-    chance = rival.z < rules.same_within and rival.excess < rules.same_share * saved
-    return rival.excess < max(rules.same_excess, misfit) or chance
+    allowed = max(rules.same_excess, max(share, rules.same_misfit) * saved)
+    by_chance = rules.same_share * saved
+    return [
+        rival
+        for rival in rivals
+        if rival.excess < allowed or (rival.z < rules.same_within and rival.excess < by_chance)
+    ]
 
 
 def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> float:
@@ -354,8 +374,7 @@ def _rivals(
     for fit in explore(judge, rest, others, rules, inflation):
         difference = (judge.block_sums(fit.entries**2) - reference) / inflation
         total = float(difference.sum()) + rules.price * (fit.complexity - chosen.complexity)
-        spread = float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9
-        rivals.append(Rival(fit, total, total / spread))
+        rivals.append(Rival(fit, total, total / _error_of_sum(difference)))
     rivals.sort(key=lambda rival: rival.excess)
     of_own = [rival.fit.parts[-1].candidate.term == own.term for rival in rivals]
     return (

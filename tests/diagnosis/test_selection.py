@@ -17,7 +17,7 @@ from split_cli.diagnosis.selection import (
     Selection,
     _other_beginnings,
     block_z,
-    explains_as_well,
+    explaining_as_well,
     explore,
     nothing,
     price,
@@ -225,7 +225,7 @@ def test_what_could_be_misfit_or_chance_explains_as_well(pair, chosen_pair):
     share = max(BARE_ALLOWANCE / term_size(pair, chosen_pair.chosen, k), 0.1) ** 2
 
     def as_well(excess: float, z: float) -> bool:
-        return explains_as_well(pair, chosen_pair, k, replace(rival, excess=excess, z=z))
+        return bool(explaining_as_well(pair, chosen_pair, k, [replace(rival, excess=excess, z=z)]))
 
     # By misfit: whatever the standard error.
     assert as_well(0.99 * share * saved, 50.0) and not as_well(1.01 * share * saved, 50.0)
