@@ -143,6 +143,11 @@ def bare_judge(*evidence: Evidence, kinematics: Sequence[Kinematics] = ()) -> Ju
     return build_judge(evidence, None, common, keep, kinematics)
 
 
+def noisy_judge(drive: Drive, seed: int, disturbance: float = 1e-8) -> Judge:
+    """Return a judge of a noise-free drive with white sensor noise, of a known disturbance."""
+    return bare_judge(light_evidence(prepared(noisy(drive, seed)), disturbance))
+
+
 def candidates_of(judge: Judge, *names: str) -> list[Candidate]:
     """Return the candidates of these terms in all their variants."""
     every = build_candidates(judge.evidence[0].vehicle, judge.evidence[0].series)

@@ -11,7 +11,7 @@ from split_cli.diagnosis.fitting import Part, fit_parts
 from split_cli.diagnosis.judge import Judge
 from split_cli.diagnosis.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE, Term
-from tests.diagnosis.recordings import bare_judge, candidates_of, driven, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import candidates_of, driven, noisy_judge
 
 
 class Drifting(Term):
@@ -29,7 +29,7 @@ class Drifting(Term):
 
 
 def judge_of(*terms: Term) -> Judge:
-    return bare_judge(light_evidence(prepared(noisy(driven(61, terms), 4))))
+    return noisy_judge(driven(61, terms), 4)
 
 
 def fit_of(judge: Judge, term: str = "steer_gain"):

@@ -14,7 +14,7 @@ from split_cli.diagnosis.judge import Judge
 from split_cli.diagnosis.selection import nothing, term_size
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import bare_judge, candidates_of, driven, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import candidates_of, driven, noisy_judge
 
 REPLICATES = 64
 TRUTH = {"scale": 1.1}
@@ -24,10 +24,6 @@ TRUTH = {"scale": 1.1}
 def drive() -> Drive:
     """Thirty seconds of a car whose yaw inertia is a tenth more."""
     return driven(41, (CATALOGUE["yaw_inertia"](TRUTH),), runs=6)
-
-
-def judge_of(drive: Drive, seed: int) -> Judge:
-    return bare_judge(light_evidence(prepared(noisy(drive, seed))))
 
 
 def fitted(judge: Judge, term: str, values: dict[str, float]) -> Fit:
@@ -42,7 +38,7 @@ def replicated(drive):
         patch.setattr(module, "_SYSTEMATIC", 0.0)
         out = []
         for seed in range(REPLICATES):
-            judge = judge_of(drive, 1000 + seed)
+            judge = noisy_judge(drive, 1000 + seed)
             (one,) = parameter_estimates(judge, fitted(judge, "yaw_inertia", TRUTH))
             out.append((one["scale"].value, one["scale"].std_error, *one["scale"].interval_95))
     return np.array(out)
@@ -73,7 +69,7 @@ def test_the_truth_is_in_the_mean(replicated):
 def test_four_times_the_time_halves_the_error():
     errors = []
     for runs in (6, 24):
-        judge = judge_of(driven(42, (CATALOGUE["yaw_inertia"](TRUTH),), runs=runs), 5)
+        judge = noisy_judge(driven(42, (CATALOGUE["yaw_inertia"](TRUTH),), runs=runs), 5)
         (one,) = parameter_estimates(judge, fitted(judge, "yaw_inertia", TRUTH))
         size = term_size(judge, fitted(judge, "yaw_inertia", TRUTH), 0)
         systematic = module._SYSTEMATIC * 0.1 / size
@@ -86,7 +82,7 @@ def test_both_parameters_of_a_pair_lie_in_their_intervals():
     truth = {"front_scale": 0.9, "rear_scale": 1.08}
     drive, held = driven(43, (CATALOGUE["tire_stiffness"](truth),), runs=8), []
     for seed in range(20):
-        judge = judge_of(drive, seed)
+        judge = noisy_judge(drive, seed)
         (one,) = parameter_estimates(judge, fitted(judge, "tire_stiffness", truth))
         held += [one[name].interval_95[0] <= truth[name] <= one[name].interval_95[1] for name in truth]
     # Forty: three misses too many would be 92 %; 85 % is four deviations from 95 %.
@@ -95,7 +91,7 @@ def test_both_parameters_of_a_pair_lie_in_their_intervals():
 
 def test_the_covariance_is_a_bootstrap_over_blocks(drive):
     """Blocks drawn again and again, the estimate moved by one Newton step: the deviation of that."""
-    judge = judge_of(drive, 3)
+    judge = noisy_judge(drive, 3)
     fit = fitted(judge, "yaw_inertia", TRUTH)
     # Twice the noise in every third block: curvature alone would not know.
     louder = np.where(judge.block % 3 == 0, 3.0, 1.0)
@@ -119,7 +115,7 @@ def test_the_covariance_is_a_bootstrap_over_blocks(drive):
 def test_parameters_that_lean_against_each_other_are_known_as_a_bootstrap_says():
     """Front and rear stiffness: what one has too much the other makes up for, in every block alike."""
     truth = {"front_scale": 0.9, "rear_scale": 1.08}
-    judge = judge_of(driven(43, (CATALOGUE["tire_stiffness"](truth),), runs=8), 2)
+    judge = noisy_judge(driven(43, (CATALOGUE["tire_stiffness"](truth),), runs=8), 2)
     fit = fitted(judge, "tire_stiffness", truth)
     louder = np.where(judge.block % 3 == 0, 3.0, 1.0)
     fit = replace(fit, entries=fit.entries * louder)
@@ -144,7 +140,7 @@ def test_parameters_that_lean_against_each_other_are_known_as_a_bootstrap_says()
 def patched() -> tuple[Judge, Fit]:
     """A patch of 90 m on a lap of 400 m, driven over by twelve runs that begin anywhere."""
     truth = {"scale": 0.8, "s_start": 120.0, "s_end": 210.0}
-    judge = judge_of(driven(44, (CATALOGUE["friction_patch"](truth),), runs=12), 6)
+    judge = noisy_judge(driven(44, (CATALOGUE["friction_patch"](truth),), runs=12), 6)
     (one,) = (each for each in candidates_of(judge, "friction_patch") if not each.variant)
     return judge, fit_parts(judge, [Part(one, dict(truth))])
 
@@ -169,7 +165,7 @@ def test_an_end_of_a_stretch_is_known_as_far_as_the_cost_says(patched, name, tru
 
 def test_systematic_error_is_a_share_of_the_effect(drive):
     """With next to no chance left, what is called the same in a car and a single track still is not exactly."""
-    judge = judge_of(drive, 4)
+    judge = noisy_judge(drive, 4)
     fit = fitted(judge, "yaw_inertia", TRUTH)
     certain = replace(fit, sensitivity=1e6 * fit.sensitivity)
     (one,) = parameter_estimates(judge, certain)

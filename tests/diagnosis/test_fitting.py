@@ -12,21 +12,11 @@ from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts, linear_cost, raw_slopes, scan_places
 from split_cli.diagnosis.judge import Judge
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import (
-    LAP,
-    bare_judge,
-    candidates_of,
-    driven,
-    first_order,
-    late,
-    light_evidence,
-    noisy,
-    prepared,
-)
+from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_judge
 
 
 def judge_of(drive, seed: int = 7) -> Judge:
-    return bare_judge(light_evidence(prepared(noisy(drive, seed))))
+    return noisy_judge(drive, seed)
 
 
 def candidate(judge: Judge, term: str, variant: str = "") -> Candidate:
@@ -103,7 +93,7 @@ class TestPlantedTerms:
     def test_a_wave_of_the_road(self):
         truth = {"amplitude": 0.03, "wavelength": LAP / 3.0, "phase": 0.7}
         drive = driven(16, (CATALOGUE["road_grade"](truth, "wave"),))
-        judge = bare_judge(light_evidence(prepared(noisy(drive, 7)), disturbance=1e-4))
+        judge = noisy_judge(drive, 7, disturbance=1e-4)
         one = candidate(judge, "road_grade", "wave")
         start, values = scan_places(judge, (), judge.residual(()), one)[0], best_fit(judge, one).parts[0].values
         s = np.linspace(0.0, LAP, 200)

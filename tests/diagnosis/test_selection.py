@@ -27,24 +27,14 @@ from split_cli.diagnosis.selection import (
 )
 from split_cli.diagnosis.structure import BARE_ALLOWANCE, severities_of
 from split_cli.vehicle.effects import CATALOGUE, Term
-from tests.diagnosis.recordings import (
-    LAP,
-    bare_judge,
-    candidates_of,
-    driven,
-    first_order,
-    late,
-    light_evidence,
-    noisy,
-    prepared,
-)
+from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_judge
 
 INFLATION = 1.5
 NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness")
 
 
 def judge_of(*terms: Term, seed: int = 21, **commands) -> Judge:
-    return bare_judge(light_evidence(prepared(noisy(driven(seed, terms, **commands), 5))))
+    return noisy_judge(driven(seed, terms, **commands), 5)
 
 
 def behind(inputs: np.ndarray, step: float, *, tau: float = 0.0, delay: float = 0.0) -> np.ndarray:

@@ -17,7 +17,7 @@ from split_cli.diagnosis.structure import (
     severity,
 )
 from split_cli.vehicle.effects import CATALOGUE, Term
-from tests.diagnosis.recordings import SIGMA, bare_judge, driven, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import SIGMA, driven, noisy_judge
 
 REPLICATES = 400
 
@@ -151,7 +151,7 @@ def test_a_car_without_anything_shows_nothing(nominal_judge, nominal_structure):
 
 
 def test_a_planted_asymmetry_is_found_in_its_group(common):
-    judge = bare_judge(light_evidence(prepared(noisy(driven(31, (OneSided({"share": 0.1}),)), 2))))
+    judge = noisy_judge(driven(31, (OneSided({"share": 0.1}),)), 2)
     fit = build_structure(judge, common).fit(judge.residual(()), 1.5)
     saved = dict(fit.group_saved)
     assert fit.p_value < 1e-6
@@ -162,7 +162,7 @@ def test_a_planted_asymmetry_is_found_in_its_group(common):
 
 def test_a_symmetric_loss_is_found_at_the_operating_point(common):
     lost = CATALOGUE["friction_scale"]({"scale": 0.9})
-    judge = bare_judge(light_evidence(prepared(noisy(driven(32, (lost,)), 2))))
+    judge = noisy_judge(driven(32, (lost,)), 2)
     fit = build_structure(judge, common).fit(judge.residual(()), 1.5)
     assert fit.group_saved[0][0] == "operating point" and fit.p_value < 1e-6
     # What it makes of noise is taken off its size.
