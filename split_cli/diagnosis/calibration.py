@@ -20,7 +20,7 @@ from split_cli.diagnosis.judge import Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit
 from split_cli.diagnosis.structure import build_structure
 from split_cli.diagnosis.wander import wander_of
-from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = ["SelfTest", "comparable", "self_test"]
 
@@ -174,12 +174,11 @@ def _offers(judge: Judge, candidates: Sequence[Candidate]) -> list[_Offer]:
     base = judge.residual(())
     offers = []
     for candidate in candidates:
-        kind, variant = CATALOGUE[candidate.term], candidate.variant
         if candidate.located:
-            whole = _everywhere(kind, variant)
+            whole, _ = candidate.everywhere()
             offers.append(_Offer(candidate.term, (judge.residual((whole,)) - base)[:, None], candidate.located))
             continue
-        neutral = {name: kind.neutral.get(name) for name in candidate.ranges}
+        neutral = {name: CATALOGUE[candidate.term].neutral.get(name) for name in candidate.ranges}
         for start in candidate.starts:
             shape = {name: value for name, value in start.items() if neutral[name] is None}
             sizes = [name for name in start if neutral[name] is not None]
@@ -190,12 +189,6 @@ def _offers(judge: Judge, candidates: Sequence[Candidate]) -> list[_Offer]:
             ]
             offers.append(_Offer(candidate.term, np.stack(columns, axis=1), ""))
     return offers
-
-
-def _everywhere(kind: type[Term], variant: str) -> Term:
-    if "scale" in kind.units:
-        return kind({"scale": 0.97, "s_start": 0.0, "s_end": 1e12}, variant)
-    return kind({"angle": 0.005}, "")
 
 
 @dataclass(frozen=True)

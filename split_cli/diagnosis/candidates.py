@@ -54,6 +54,13 @@ class Candidate:
         }
         return CATALOGUE[self.term](inside, self.variant)
 
+    def everywhere(self) -> tuple[Term, float]:
+        """Return a located term that acts all along the road, and by how much its size differs from none."""
+        kind = CATALOGUE[self.term]
+        if self.located == "patch":
+            return kind({"scale": 0.97, "s_start": 0.0, "s_end": 1e12}, self.variant), -0.03
+        return kind({"angle": 0.005}, ""), 0.005
+
     @property
     def label(self) -> str:
         """``term`` or ``term (variant)``."""

@@ -10,6 +10,7 @@ import numpy as np
 from split_cli.diagnosis.calibration import SelfTest, self_test
 from split_cli.diagnosis.candidates import build_candidates
 from split_cli.diagnosis.case import Case, gather_case
+from split_cli.diagnosis.exploration import Rules
 from split_cli.diagnosis.findings import Abstention, describe, wanders, with_shares
 from split_cli.diagnosis.fitting import fit_parts
 from split_cli.diagnosis.formula import sparse_formula
@@ -20,7 +21,7 @@ from split_cli.diagnosis.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.place import places_of
 from split_cli.diagnosis.result import Diagnosis, InputFile
 from split_cli.diagnosis.screening import clean_drives, idle, judgeable, moving, tellable, unfit
-from split_cli.diagnosis.selection import Rules, Selection, nothing, select_terms
+from split_cli.diagnosis.selection import Selection, nothing, select_terms
 from split_cli.diagnosis.sentences import summarise
 from split_cli.diagnosis.series import build_series
 from split_cli.diagnosis.spectrum import Line, strongest_line

@@ -190,12 +190,13 @@ def _likely_disturbance(series, jacobian, defect, begins, start) -> np.ndarray:
         )
         return whitener.cost(clipped)
 
+    least = cost(found)
     for width in (2.0, 1.0, 0.5, 0.25):
         for channel in range(3):
-            trials = []
-            for shift in (-width, 0.0, width):
+            trials = [(least, found)]
+            for shift in (-width, width):
                 logs = found.copy()
                 logs[channel] += shift
                 trials.append((cost(logs), logs))
-            found = min(trials, key=lambda trial: trial[0])[1]
+            least, found = min(trials, key=lambda trial: trial[0])
     return 10.0 ** np.clip(found, -9.0, 4.0)

@@ -9,10 +9,11 @@ import numpy as np
 
 from split_cli.diagnosis.constancy import parameter_drifts
 from split_cli.diagnosis.estimates import parameter_estimates
+from split_cli.diagnosis.exploration import Rules
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.judge import Judge
 from split_cli.diagnosis.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
-from split_cli.diagnosis.selection import Rival, Rules, Selection, explaining_as_well, term_size, without_parts
+from split_cli.diagnosis.selection import Rival, Selection, explaining_as_well, term_size, without_parts
 from split_cli.diagnosis.sentences import sentence_for, separations
 from split_cli.diagnosis.separation import exact_mimics
 from split_cli.diagnosis.structure import FlexibleFit, Structure

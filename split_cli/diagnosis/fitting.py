@@ -11,7 +11,7 @@ from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.judge import Judge, alters_inputs
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Fit", "Part", "fit_parts", "linear_cost", "raw_slopes", "scan_places"]
+__all__ = ["Fit", "Part", "Tangent", "effect_everywhere", "fit_parts", "raw_slopes", "scan_places", "tangent"]
 
 _ITERATIONS = 12
 _REFRESHES = 1
@@ -155,25 +155,47 @@ def _slopes(judge: Judge, parts, names, steps, x, upper) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def linear_cost(judge: Judge, fixed: Sequence[Part], part: Part) -> float:
-    """Return the cost that a linear fit around a start promises, without iterating."""
+@dataclass(frozen=True)
+class Tangent:
+    """A part at a start and straight lines from there, on a judge's whitened rows.
+
+    What one term does beside others is taken for what it does alone: good enough to see what promises most.
+
+    Attributes
+    ----------
+    part : Part
+    moved : ndarray, shape (R,)
+        What the part at its start does to entries.
+    slopes : ndarray, shape (R, P)
+        Derivatives by its parameters, a step each.
+    """
+
+    part: Part
+    moved: np.ndarray
+    slopes: np.ndarray
+
+    def cost(self, current: Fit) -> float:
+        """Return the cost that one linear fit of this part and those of an explanation promises."""
+        columns = np.hstack([self.slopes, current.sensitivity])
+        columns = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
+        here = current.entries + self.moved
+        normal, score = columns.T @ columns, columns.T @ here
+        return float(here @ here - score @ np.linalg.solve(normal + 1e-9 * np.eye(len(score)), score))
+
+
+def tangent(judge: Judge, part: Part) -> Tangent:
+    """Return a part's lines at the values it has."""
     names = [(0, name) for name in part.values]
-    limits = [part.candidate.ranges[name] for _, name in names]
-    steps = np.array([limit.step for limit in limits])
-    fixed_terms = [one.term for one in fixed]
-    x = np.array([part.values[name] for _, name in names]) / steps
+    steps = np.array([part.candidate.ranges[name].step for _, name in names])
+    x = np.array(list(part.values.values())) / steps
 
     def at(values: np.ndarray) -> np.ndarray:
-        (moved,) = _with((part,), names, values * steps)
-        return judge.residual([*fixed_terms, moved.term])
+        return judge.residual([one.term for one in _with((part,), names, values * steps)])
 
     here = at(x)
-    columns = [at(x + unit) - here for unit in np.eye(len(x))]
-    whitened = judge.whiten(np.stack([here, *columns], axis=1))
-    entries, slopes = whitened[:, 0], whitened[:, 1:]
-    normal, score = slopes.T @ slopes, slopes.T @ entries
-    normal += 1e-9 * np.trace(normal) * np.eye(len(x)) + 1e-12 * np.eye(len(x))
-    return float(entries @ entries - score @ np.linalg.solve(normal, score))
+    columns = [here - judge.residual(()), *(at(x + unit) - here for unit in np.eye(len(x)))]
+    lines = judge.whiten(np.stack(columns, axis=1))
+    return Tangent(part, np.ascontiguousarray(lines[:, 0]), np.ascontiguousarray(lines[:, 1:]))
 
 
 def _with(parts: tuple[Part, ...], names: list[tuple[int, str]], values: np.ndarray) -> tuple[Part, ...]:
@@ -183,40 +205,40 @@ def _with(parts: tuple[Part, ...], names: list[tuple[int, str]], values: np.ndar
     return tuple(Part(part.candidate, entry) for part, entry in zip(parts, new, strict=True))
 
 
-def scan_places(judge: Judge, fixed: Sequence[Term], base: np.ndarray, candidate: Candidate) -> list[dict]:
+def effect_everywhere(judge: Judge, candidate: Candidate) -> np.ndarray:
+    """Return what one unit of a candidate with a place takes off the entries all along the road, shape (R,)."""
+    whole, size = candidate.everywhere()
+    return (judge.residual(()) - judge.residual((whole,))) / size
+
+
+def scan_places(judge: Judge, entries: np.ndarray, candidate: Candidate, effect: np.ndarray) -> list[dict]:
     """Return starts for a candidate that acts on a stretch or as a wave, from scores place by place.
 
     Parameters
     ----------
     judge : Judge
-    fixed : sequence of Term
-        What is explained already.
-    base : ndarray, shape (R,)
-        Entries left by it, `judge.residual(fixed)`.
+    entries : ndarray, shape (R,)
+        Whitened entries left by what is explained already.
     candidate : Candidate
+    effect : ndarray, shape (R,)
+        Of `effect_everywhere`.
     """
-    amount, step = ("scale", 0.97) if candidate.located == "patch" else ("angle", 0.005)
-    everywhere = {"s_start": 0.0, "s_end": 1e12}
-    neutral = 1.0 if amount == "scale" else 0.0
+    amount, neutral = ("scale", 1.0) if candidate.located == "patch" else ("angle", 0.0)
     # Kinematic rows have no place; what acts on the road does not move them.
-    s = np.zeros(len(base))
+    s = np.zeros(len(entries))
     own = [np.repeat(one.series.s[one.at][keep], 3) for one, keep in zip(judge.evidence, judge.keep, strict=True)]
     s[: sum(map(len, own))] = np.concatenate(own)
     reach = max(
         limit.upper for name, limit in candidate.ranges.items() if name in ("s_start", "s_end", "wavelength")
     )
+    left = judge.whiten(entries)
+    closed = judge.evidence[0].series.lap_length is not None
     if candidate.located == "wave":
-        return _scan_waves(judge, fixed, base, candidate, s, reach / 4.0)
-    from split_cli.vehicle.effects import CATALOGUE
-
-    whole = CATALOGUE[candidate.term]({amount: step, **everywhere}, candidate.variant)
-    effect = (base - judge.residual((*fixed, whole))) / (step - neutral)
+        return _scan_waves(left, effect, s, reach / 4.0, closed)
     bins = int(np.clip(reach / (0.02 * reach), 20, 60))
     place = np.minimum((s / reach * bins).astype(int), bins - 1)
-    left = judge.whiten(judge.whiten(base))
     score = np.bincount(place, effect * left, minlength=bins)
     information = np.bincount(place, effect**2, minlength=bins)
-    closed = judge.evidence[0].series.lap_length is not None
     found = []
     for begin in range(bins):
         total_score = total_information = 0.0
@@ -247,13 +269,7 @@ def scan_places(judge: Judge, fixed: Sequence[Term], base: np.ndarray, candidate
     ]
 
 
-def _scan_waves(judge: Judge, fixed, base, candidate: Candidate, s: np.ndarray, reach: float) -> list[dict]:
-    from split_cli.vehicle.effects import CATALOGUE
-
-    whole = CATALOGUE[candidate.term]({"angle": 0.005}, "")
-    effect = (base - judge.residual((*fixed, whole))) / 0.005
-    left = judge.whiten(judge.whiten(base))
-    closed = judge.evidence[0].series.lap_length is not None
+def _scan_waves(left: np.ndarray, effect: np.ndarray, s: np.ndarray, reach: float, closed: bool) -> list[dict]:
     waves = reach / np.arange(1, 13) if closed else reach * np.geomspace(2.0, 0.05, 24)
     found = []
     for wavelength in waves:

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.candidates import Candidate
-from split_cli.diagnosis.fitting import Fit, Part, fit_parts, linear_cost, scan_places
-from split_cli.diagnosis.judge import Judge, alters_inputs
+from split_cli.diagnosis.exploration import Explorer, Rules, price
+from split_cli.diagnosis.fitting import Fit, fit_parts
+from split_cli.diagnosis.judge import Judge
 from split_cli.diagnosis.structure import TERM_FLOOR, minimum_effect_p, severities_of, term_allowance
 from split_cli.vehicle.effects import Term
 
 __all__ = [
     "Rival",
-    "Rules",
     "Selection",
     "explaining_as_well",
     "nothing",
@@ -24,30 +24,6 @@ __all__ = [
     "term_size",
     "without_parts",
 ]
-
-
-@dataclass(frozen=True)
-class Rules:
-    """Settings of the selection, one for all cases."""
-
-    price: float = 8.0  # cost a searched parameter has to save, before inflation
-    most_terms: int = 3
-    most_aside: int = 2  # terms that save more than chance but are too small to name
-    most_of_lap: float = 0.75  # a stretch that is longer is no stretch
-    full_fits: int = 9
-    followed: int = 5  # of the best, in which the common physics follows the inputs they change
-    same_within: float = 2.5  # standard errors of the paired block difference
-    same_excess: float = 9.0  # cost above the chosen one, after inflation
-    same_share: float = 0.15  # of what the chosen term saves: beyond it, a rival is worse whatever its error
-    same_misfit: float = 0.01  # of what the chosen term saves: no single track fits better than that
-    least_severity: float = 0.15  # of a further term
-    misfit: float = 0.30  # of the severity of the chosen terms, in the channel where a further one is largest
-    considered: int = 3  # of the further terms that save most
-    spread: float = 1.5  # standard errors, from differences block by block, that a further term has to save
-    swaps: int = 2
-    least_swap: float = 1.0  # cost that another term has to save in the place of one; terms that tie stay
-    beginnings: int = 2  # other first terms from which the search begins anew where the best leaves something
-    level: float = 0.01  # of the minimum-effect test, after counting the terms that were tried
 
 
 @dataclass(frozen=True)
@@ -111,61 +87,6 @@ def nothing(judge: Judge) -> Fit:
     return Fit((), float(entries @ entries), entries, np.empty((len(entries), 0)))
 
 
-def price(fit: Fit, inflation: float, rules: Rules) -> float:
-    """Return a fit's cost with the price of its parameters."""
-    return fit.cost / inflation + rules.price * fit.complexity
-
-
-def explore(
-    judge: Judge, current: Fit, candidates: Sequence[Candidate], rules: Rules, inflation: float
-) -> list[Fit]:
-    """Add each candidate to the current explanation; return the promising ones fitted, best first."""
-    taken = {part.candidate.term for part in current.parts}
-    base = judge.residual(current.terms)
-    promises = []
-    for candidate in candidates:
-        if candidate.term in taken:
-            continue
-        starts = candidate.starts or scan_places(judge, current.terms, base, candidate)
-        for start in starts:
-            part = Part(candidate, dict(start))
-            promises.append((linear_cost(judge, current.parts, part), part))
-    promises.sort(key=lambda promise: promise[0] / inflation + rules.price * promise[1].candidate.complexity)
-    fits: list[Fit] = []
-    seen: dict[tuple[str, str], list[float]] = {}
-    settled = any(alters_inputs(one.term) for one in current.parts)
-    for promised, part in promises:
-        key = (part.candidate.term, part.candidate.variant)
-        if key not in seen and len(seen) >= rules.full_fits:
-            continue
-        costs = seen.setdefault(key, [])
-        if len(costs) >= 2 or min(costs, default=np.inf) < promised:
-            continue  # another start has kept more than this one promises
-        fits.append(fit_parts(judge, (*current.parts, part), refreshes=int(settled)))
-        costs.append(fits[-1].cost)
-    fits = [fit for fit in fits if not _is_everywhere(fit.parts[-1], rules)]
-    fits.sort(key=lambda fit: price(fit, inflation, rules))
-    best, done = [], set()
-    for fit in fits:
-        key = (fit.parts[-1].candidate.term, fit.parts[-1].candidate.variant)
-        if key in done:
-            continue
-        done.add(key)
-        # Only what may win is worth following with the common physics.
-        again = len(done) <= rules.followed and any(alters_inputs(term) for term in fit.terms)
-        best.append(fit_parts(judge, fit.parts) if again else fit)
-    best.sort(key=lambda fit: price(fit, inflation, rules))
-    return best
-
-
-def _is_everywhere(part: Part, rules: Rules) -> bool:
-    """Return whether a stretch covers so much of the track that it is none."""
-    if "s_start" not in part.values:
-        return False
-    reach = part.candidate.ranges["s_end"].upper
-    return (part.values["s_end"] - part.values["s_start"]) % reach > rules.most_of_lap * reach
-
-
 def select_terms(
     judge: Judge, candidates: Sequence[Candidate], inflation: float, rules: Rules | None = None
 ) -> Selection:
@@ -175,17 +96,18 @@ def select_terms(
     be one that is not the best alone.
     """
     rules = rules or Rules()
+    explore = Explorer(judge, tuple(candidates), inflation, rules)
     base = nothing(judge)
-    first = explore(judge, base, candidates, rules, inflation)
-    found = _forward(judge, base, first, candidates, rules, inflation)
+    first = explore(base)
+    found = _forward(explore, base, first)
     # Several terms may imitate one, and fit better by what the one misfits.
     burden = rules.same_misfit * (base.cost - found.chosen.cost) / inflation
 
     def score(fit: Fit) -> float:
-        return price(fit, inflation, rules) + burden * len(fit.parts)
+        return explore.price(fit) + burden * len(fit.parts)
 
     for other in _other_beginnings(first, base, rules) if found.left_something else ():
-        trial = _forward(judge, base, [other], candidates, rules, inflation)
+        trial = _forward(explore, base, [other])
         found = min(found, trial, key=lambda one: score(one.chosen))
     chosen, history = found.chosen, list(found.history)
     for swap in range(1 + rules.swaps):
@@ -195,8 +117,7 @@ def select_terms(
             for k, one in enumerate(without)
         )
         rivals = tuple(
-            _rivals(judge, chosen, k, rest, candidates, inflation, rules) if named[k] else ((), ())
-            for k, rest in enumerate(without)
+            _rivals(explore, chosen, k, rest) if named[k] else ((), ()) for k, rest in enumerate(without)
         )
         better = min((several[0] for several, _ in rivals if several), key=lambda one: one.excess, default=None)
         if swap == rules.swaps or len(chosen.parts) < 2 or better is None or better.excess > -rules.least_swap:
@@ -217,17 +138,16 @@ class _Found:
     left_something: bool
 
 
-def _forward(
-    judge: Judge, base: Fit, first: Sequence[Fit], candidates: Sequence[Candidate], rules: Rules, inflation: float
-) -> _Found:
+def _forward(explore: Explorer, base: Fit, first: Sequence[Fit]) -> _Found:
     """Add terms, beginning with the best of `first`."""
+    judge, rules, inflation = explore.judge, explore.rules, explore.inflation
     chosen, history, first_p, aside, refused = base, [], 1.0, 0, False
 
     def price_saved(fit: Fit) -> float:
-        return price(chosen, inflation, rules) - price(fit, inflation, rules)
+        return explore.price(chosen) - explore.price(fit)
 
     while len(chosen.parts) - aside < rules.most_terms:
-        fits = first if chosen is base else explore(judge, chosen, candidates, rules, inflation)
+        fits = first if chosen is base else explore(chosen)
         fits = [fit for fit in fits if price_saved(fit) > 0.0]
         if not fits:
             break
@@ -240,7 +160,8 @@ def _forward(
             refused = True
             break
         label, saved = best.parts[-1].candidate.label, price_saved(best)
-        p_value = term_p(judge, best, len(best.parts) - 1, chosen.cost - best.cost, inflation) * len(candidates)
+        p_value = term_p(judge, best, len(best.parts) - 1, chosen.cost - best.cost, inflation)
+        p_value *= len(explore.candidates)
         first_p = min(first_p, p_value)
         if p_value >= rules.level:
             history.append(f"{label} saves {saved:.0f}, too small to name")
@@ -363,17 +284,17 @@ def _prune(judge: Judge, fit: Fit, inflation: float, rules: Rules) -> tuple[Fit,
     return fit, history
 
 
-def _rivals(
-    judge: Judge, chosen: Fit, k: int, rest: Fit, candidates: Sequence[Candidate], inflation: float, rules: Rules
-) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
+def _rivals(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
     """Return a part replaced by other terms, and by other variants of its own, best first."""
+    judge, inflation = explore.judge, explore.inflation
     own = chosen.parts[k].candidate
-    others = [one for one in candidates if (one.term, one.variant) != (own.term, own.variant)]
     reference = judge.block_sums(chosen.entries**2)
     rivals = []
-    for fit in explore(judge, rest, others, rules, inflation):
+    for fit in explore(rest):
+        if fit.parts[-1].candidate.label == own.label:
+            continue
         difference = (judge.block_sums(fit.entries**2) - reference) / inflation
-        total = float(difference.sum()) + rules.price * (fit.complexity - chosen.complexity)
+        total = float(difference.sum()) + explore.rules.price * (fit.complexity - chosen.complexity)
         rivals.append(Rival(fit, total, total / _error_of_sum(difference)))
     rivals.sort(key=lambda rival: rival.excess)
     of_own = [rival.fit.parts[-1].candidate.term == own.term for rival in rivals]

@@ -9,8 +9,9 @@ import pytest
 from scipy.optimize import minimize
 
 from split_cli.diagnosis.candidates import Candidate
-from split_cli.diagnosis.fitting import Fit, Part, fit_parts, linear_cost, raw_slopes, scan_places
+from split_cli.diagnosis.fitting import Fit, Part, effect_everywhere, fit_parts, raw_slopes, scan_places, tangent
 from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_judge
 
@@ -24,8 +25,12 @@ def candidate(judge: Judge, term: str, variant: str = "") -> Candidate:
     return one
 
 
+def places(judge: Judge, one: Candidate) -> list[dict]:
+    return scan_places(judge, judge.whiten(judge.residual(())), one, effect_everywhere(judge, one))
+
+
 def best_fit(judge: Judge, one: Candidate) -> Fit:
-    starts = one.starts or scan_places(judge, (), judge.residual(()), one)
+    starts = one.starts or places(judge, one)
     return min((fit_parts(judge, [Part(one, dict(start))]) for start in starts), key=lambda fit: fit.cost)
 
 
@@ -79,7 +84,7 @@ class TestPlantedTerms:
         stretch = {"scale": 0.7, "s_start": 350.0, "s_end": 60.0}
         judge = judge_of(driven(15, (CATALOGUE["friction_patch"](stretch, "curve"),)))
         one = candidate(judge, "friction_patch", "curve")
-        starts = scan_places(judge, (), judge.residual(()), one)
+        starts = places(judge, one)
         # Places are scanned in bins of a fiftieth of the lap; two at either end are forgiven.
         for name in ("s_start", "s_end"):
             away = (starts[0][name] - stretch[name] + LAP / 2) % LAP - LAP / 2
@@ -95,7 +100,7 @@ class TestPlantedTerms:
         drive = driven(16, (CATALOGUE["road_grade"](truth, "wave"),))
         judge = noisy_judge(drive, 7, disturbance=1e-4)
         one = candidate(judge, "road_grade", "wave")
-        start, values = scan_places(judge, (), judge.residual(()), one)[0], best_fit(judge, one).parts[0].values
+        start, values = places(judge, one)[0], best_fit(judge, one).parts[0].values
         s = np.linspace(0.0, LAP, 200)
 
         def profile(one):
@@ -140,15 +145,20 @@ class TestLinearTerms:
     def test_linear_cost_is_that_of_least_squares_from_any_start(self, pushed, solved):
         one = candidate(pushed, "rolling_resistance")
         for force in (-40.0, 10.0, 400.0):
-            assert linear_cost(pushed, (), Part(one, {"force": force})) == pytest.approx(solved[1], rel=1e-6)
+            promised = tangent(pushed, Part(one, {"force": force})).cost(nothing(pushed))
+            assert promised == pytest.approx(solved[1], rel=1e-6)
 
     def test_linear_cost_beside_another_term(self, pushed):
-        fixed = Part(candidate(pushed, "aero_drag"), {"drag": 0.3})
-        base = pushed.residual((fixed.term,))
-        column = pushed.residual((fixed.term, CATALOGUE["rolling_resistance"]({"force": 1.0}))) - base
-        expected = float(np.linalg.lstsq(column[:, None], base, rcond=None)[1][0])
-        got = linear_cost(pushed, (fixed,), Part(candidate(pushed, "rolling_resistance"), {"force": 20.0}))
-        assert got == pytest.approx(expected, rel=1e-6)
+        """Both are linear: least squares of two columns."""
+        drag, push = candidate(pushed, "aero_drag"), candidate(pushed, "rolling_resistance")
+        base = pushed.residual(())
+        columns = np.stack(
+            [pushed.residual((one,)) - base for one in (drag.build({"drag": 1.0}), push.build({"force": 1.0}))],
+            axis=1,
+        )
+        expected = float(np.linalg.lstsq(columns, base, rcond=None)[1][0])
+        current = fit_parts(pushed, [Part(drag, {"drag": 0.3})])
+        assert tangent(pushed, Part(push, {"force": 20.0})).cost(current) == pytest.approx(expected, rel=1e-6)
 
     def test_the_fit_is_that_of_least_squares(self, pushed, solved):
         fit = fit_parts(pushed, [Part(candidate(pushed, "rolling_resistance"), {"force": 10.0})])

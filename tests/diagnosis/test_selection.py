@@ -9,18 +9,15 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.candidates import Candidate
+from split_cli.diagnosis.exploration import Explorer, Rules, price
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.judge import Judge
 from split_cli.diagnosis.selection import (
-    Rules,
     Selection,
     _other_beginnings,
     block_z,
     explaining_as_well,
-    explore,
     nothing,
-    price,
     select_terms,
     term_p,
     term_size,
@@ -88,12 +85,6 @@ def test_a_pair_is_named_as_a_search_of_every_subset_would(pair, chosen_pair):
     assert chosen_pair.chosen.cost == pytest.approx(best.cost, abs=0.05)
 
 
-def test_the_price_of_a_parameter_is_counted_after_inflation(chosen_pair):
-    fit = chosen_pair.chosen
-    assert fit.complexity == 2.0
-    assert price(fit, 2.0, Rules(price=5.0)) == pytest.approx(0.5 * fit.cost + 10.0)
-
-
 def test_rivals_are_in_the_place_of_one_part_and_sorted(pair, chosen_pair):
     fit = chosen_pair.chosen
     for own, rivals in zip(fit.parts, chosen_pair.rivals, strict=True):
@@ -121,7 +112,7 @@ def test_too_small_to_name_is_kept_aside_and_the_search_goes_on():
         < severities_of(evidence, evidence.at, terms[1:]).max()
     )
     candidates = candidates_of(judge, "rolling_resistance", "yaw_inertia", "steer_gain")
-    first = explore(judge, nothing(judge), candidates, Rules(), INFLATION)[0]
+    first = Explorer(judge, candidates, INFLATION)(nothing(judge))[0]
     assert first.names == ("rolling_resistance",)
     selection = select_terms(judge, candidates, INFLATION)
     assert named(selection) == {"yaw_inertia"}
@@ -163,7 +154,7 @@ def test_two_terms_are_found_behind_one_that_is_the_best_alone():
     """Steering that lags and torque that comes late look like late sensors before they are told apart."""
     judge = judge_of(steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12))
     candidates = candidates_of(judge, "drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
-    first = explore(judge, nothing(judge), candidates, Rules(), INFLATION)[0]
+    first = Explorer(judge, candidates, INFLATION)(nothing(judge))[0]
     assert first.names == ("sensor_delay",)
     selection = select_terms(judge, candidates, INFLATION)
     assert named(selection) == {"steer_lag", "drive_delay"}
@@ -180,7 +171,7 @@ def test_one_term_is_preferred_to_two_that_say_the_same():
 
 
 def test_other_beginnings_are_other_terms_that_save_nearly_as_much(pair):
-    first = explore(pair, nothing(pair), candidates_of(pair, *NAMES), Rules(), INFLATION)
+    first = Explorer(pair, candidates_of(pair, *NAMES), INFLATION)(nothing(pair))
     everything = Rules(same_share=1.0, beginnings=9)
     assert _other_beginnings(first, nothing(pair), everything) == first[1:]
     assert len(_other_beginnings(first, nothing(pair), replace(everything, beginnings=2))) == 2
@@ -240,7 +231,7 @@ def test_a_stretch_over_nearly_the_whole_lap_is_none():
     """Grip lost on 380 of 400 m: the whole road has less of it, as far as names go."""
     judge = judge_of(CATALOGUE["friction_patch"]({"scale": 0.8, "s_start": 10.0, "s_end": 390.0}))
     patches = candidates_of(judge, "friction_patch")
-    for fit in explore(judge, nothing(judge), patches, Rules(), INFLATION):
+    for fit in Explorer(judge, patches, INFLATION)(nothing(judge)):
         values = fit.parts[0].values
         assert (values["s_end"] - values["s_start"]) % LAP <= 0.75 * LAP
     selection = select_terms(judge, [*patches, *candidates_of(judge, "friction_scale")], INFLATION)
@@ -288,14 +279,3 @@ def test_size_of_a_term_is_told_with_the_others_in_place(pair, chosen_pair):
         assert term_size(pair, fit, k) == pytest.approx(
             severities_of(pair.evidence[0], pair.evidence[0].at, (term,)).max(), rel=1e-6
         )
-
-
-def test_a_term_is_offered_once(pair, chosen_pair):
-    """Neither a term that is in, nor two variants of one, nor the same variant from two starts."""
-    inside: Candidate = chosen_pair.chosen.parts[0].candidate
-    current = fit_parts(pair, [Part(inside, dict(inside.starts[0]))])
-    fits = explore(pair, current, candidates_of(pair, *NAMES, "steer_lag"), Rules(), INFLATION)
-    last = [(fit.parts[-1].candidate.term, fit.parts[-1].candidate.variant) for fit in fits]
-    assert inside.term not in {term for term, _ in last} and len(last) == len(set(last))
-    costs = [price(fit, INFLATION, Rules()) for fit in fits]
-    assert costs == sorted(costs)

@@ -1,0 +1,138 @@
+"""What every term would add to an explanation: linear promises first, then fits of the best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from split_cli.diagnosis.candidates import Candidate
+from split_cli.diagnosis.fitting import Fit, Part, Tangent, effect_everywhere, fit_parts, scan_places, tangent
+from split_cli.diagnosis.judge import Judge, alters_inputs
+
+__all__ = ["Explorer", "Rules", "price"]
+
+_SAME_COST = 0.5  # explanations of the same terms that differ by less are one
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Settings of the selection, one for all cases."""
+
+    price: float = 8.0  # cost a searched parameter has to save, before inflation
+    most_terms: int = 3
+    most_aside: int = 2  # terms that save more than chance but are too small to name
+    most_of_lap: float = 0.75  # a stretch that is longer is no stretch
+    full_fits: int = 9
+    followed: int = 5  # of the best, in which the common physics follows the inputs they change
+    same_within: float = 2.5  # standard errors of the paired block difference
+    same_excess: float = 9.0  # cost above the chosen one, after inflation
+    same_share: float = 0.15  # of what the chosen term saves: beyond it, a rival is worse whatever its error
+    same_misfit: float = 0.01  # of what the chosen term saves: no single track fits better than that
+    least_severity: float = 0.15  # of a further term
+    misfit: float = 0.30  # of the severity of the chosen terms, in the channel where a further one is largest
+    considered: int = 3  # of the further terms that save most
+    spread: float = 1.5  # standard errors, from differences block by block, that a further term has to save
+    swaps: int = 2
+    least_swap: float = 1.0  # cost that another term has to save in the place of one; terms that tie stay
+    beginnings: int = 2  # other first terms from which the search begins anew where the best leaves something
+    level: float = 0.01  # of the minimum-effect test, after counting the terms that were tried
+
+
+def price(fit: Fit, inflation: float, rules: Rules) -> float:
+    """Return a fit's cost with the price of its parameters."""
+    return fit.cost / inflation + rules.price * fit.complexity
+
+
+@dataclass(frozen=True)
+class Explorer:
+    """Adds each candidate in turn to an explanation; what was worked out for one explanation serves the next.
+
+    Attributes
+    ----------
+    judge : Judge
+    candidates : tuple of Candidate
+    inflation : float
+    rules : Rules
+    """
+
+    judge: Judge
+    candidates: tuple[Candidate, ...]
+    inflation: float
+    rules: Rules = field(default_factory=Rules)
+    _explored: list[tuple[Fit, list[Fit]]] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    def price(self, fit: Fit) -> float:
+        """Return a fit's cost with the price of its parameters."""
+        return price(fit, self.inflation, self.rules)
+
+    def __call__(self, current: Fit) -> list[Fit]:
+        """Return the promising candidates fitted together with an explanation, best first; one fit a variant."""
+        for known, fits in self._explored:
+            if _labels(known) == _labels(current) and abs(known.cost - current.cost) < _SAME_COST * self.inflation:
+                return fits
+        fits = self._followed(self._fits(current))
+        self._explored.append((current, fits))
+        return fits
+
+    @cached_property
+    def _tangents(self) -> list[Tangent]:
+        starts = [Part(one, dict(start)) for one in self.candidates for start in one.starts]
+        return [tangent(self.judge, part) for part in starts]
+
+    @cached_property
+    def _effects(self) -> list[tuple[Candidate, np.ndarray]]:
+        return [(one, effect_everywhere(self.judge, one)) for one in self.candidates if not one.starts]
+
+    def _promises(self, current: Fit) -> list[tuple[float, Part]]:
+        """Return what each start of each candidate promises to cost, price included, best first."""
+        taken = {part.candidate.term for part in current.parts}
+        lines = [one for one in self._tangents if one.part.candidate.term not in taken]
+        for candidate, effect in self._effects:
+            if candidate.term not in taken:
+                starts = scan_places(self.judge, current.entries, candidate, effect)
+                lines += [tangent(self.judge, Part(candidate, start)) for start in starts]
+        promises = [(one.cost(current), one.part) for one in lines]
+        return sorted(
+            promises, key=lambda one: one[0] / self.inflation + self.rules.price * one[1].candidate.complexity
+        )
+
+    def _fits(self, current: Fit) -> list[Fit]:
+        """Return fits of the best promises, with the second start of a variant where it promises more."""
+        fits: list[Fit] = []
+        seen: dict[str, list[float]] = {}
+        settled = any(alters_inputs(one.term) for one in current.parts)
+        for promised, part in self._promises(current):
+            if part.candidate.label not in seen and len(seen) >= self.rules.full_fits:
+                continue
+            costs = seen.setdefault(part.candidate.label, [])
+            if len(costs) >= 2 or min(costs, default=np.inf) < promised:
+                continue  # another start has kept more than this one promises
+            fits.append(fit_parts(self.judge, (*current.parts, part), refreshes=int(settled)))
+            costs.append(fits[-1].cost)
+        return sorted((fit for fit in fits if not self._is_everywhere(fit.parts[-1])), key=self.price)
+
+    def _followed(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Return the best fit of each variant; in the first few the common physics follows what they alter."""
+        best: dict[str, Fit] = {}
+        for fit in fits:
+            label = fit.parts[-1].candidate.label
+            if label in best:
+                continue
+            # Only what may win is worth following with the common physics.
+            again = len(best) < self.rules.followed and any(alters_inputs(term) for term in fit.terms)
+            best[label] = fit_parts(self.judge, fit.parts) if again else fit
+        return sorted(best.values(), key=self.price)
+
+    def _is_everywhere(self, part: Part) -> bool:
+        """Return whether a stretch covers so much of the track that it is none."""
+        if "s_start" not in part.values:
+            return False
+        reach = part.candidate.ranges["s_end"].upper
+        return (part.values["s_end"] - part.values["s_start"]) % reach > self.rules.most_of_lap * reach
+
+
+def _labels(fit: Fit) -> list[str]:
+    return sorted(part.candidate.label for part in fit.parts)
