@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from split_cli.diagnosis.common import CommonPhysics
 from split_cli.diagnosis.series import Series, extended_model
@@ -13,10 +14,14 @@ from split_cli.diagnosis.whitening import Whitener, build_whitener
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Evidence", "gather_evidence", "graded_as"]
+__all__ = ["Evidence", "gather_evidence", "graded_as", "rolling"]
 
 _ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000
+# Of an axle's peak force: asked for more along the car, its wheels may spin or lock, which takes a while to end.
+_ROLLING_SHARE = 0.9
+_ROLLING_SECONDS = 0.2
+_LEAST_ROLLING = 0.5
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,7 @@ class Evidence:
         Sample in the middle of each row.
     disturbance : ndarray, shape (3,)
     weight : ndarray, shape (G,)
-        Root of the robust weight of a row, 0 where it is not compared.
+        Root of the robust weight of a row, 0 where it is not compared: where wheels spin or lock.
     """
 
     vehicle: Vehicle
@@ -115,19 +120,20 @@ def gather_evidence(
     plain = defects(series, rates, jacobian, series.measured, series.smooth)
     columns = integrated(series, common.columns(series))
     group, at = _row_groups(series)
-    begins = series.transitions_begin()
+    begins, rolls = series.transitions_begin(), rolling(series, vehicle)
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
     for _ in range(2):
         whitener = build_whitener(jacobian, series.period, series.told_noise, disturbance, begins, group)
         u, phi = whitener(plain), whitener(columns)
         w = ridge(phi.reshape(-1, phi.shape[2]), u.reshape(-1))
-        disturbance = _likely_disturbance(series, jacobian, plain - columns @ w, begins, disturbance)
+        disturbance = _likely_disturbance(series, jacobian, plain - columns @ w, begins, rolls, disturbance)
         if least_disturbance is not None:
             disturbance = np.maximum(disturbance, least_disturbance)
     whitener = build_whitener(jacobian, series.period, series.told_noise, disturbance, begins, group)
     u, phi = whitener(plain), whitener(columns)
     left = u - phi @ ridge(phi.reshape(-1, phi.shape[2]), u.reshape(-1))
-    return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, _robust_weight(left))
+    weight = _robust_weight(left) * rolls[at]
+    return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight)
 
 
 def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common: CommonPhysics) -> Evidence:
@@ -147,6 +153,17 @@ def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common:
     )
     columns = whitener(integrated(series, common.columns(series)))
     return replace(one, whitener=whitener, plain=whitener(one.left(())), common=columns)
+
+
+def rolling(series: Series, vehicle: Vehicle) -> np.ndarray:
+    """Return where the wheels roll, shape (N,): a single track knows neither spinning nor locked ones."""
+    flow = series.flow(extended_model(vehicle))
+    used = [np.abs(axle.longitudinal_force) / axle.D for axle in (flow.front, flow.rear)]
+    slipping = np.broadcast_to(np.maximum(*used) > _ROLLING_SHARE, series.t.shape)
+    reach = max(1, int(round(_ROLLING_SECONDS / series.period)))
+    rolls = ~maximum_filter1d(slipping, 2 * reach + 1)
+    # A car that asks for more most of the time has other tyres than its file says.
+    return rolls if rolls.mean() > _LEAST_ROLLING else np.ones_like(rolls)
 
 
 def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -175,19 +192,19 @@ def _robust_weight(rows: np.ndarray) -> np.ndarray:
     return np.sqrt(np.minimum(1.0, 4.0 / np.maximum(worst, 1e-12)))
 
 
-def _likely_disturbance(series, jacobian, defect, begins, start) -> np.ndarray:
+def _likely_disturbance(series, jacobian, defect, begins, rolls, start) -> np.ndarray:
     """Maximise the likelihood over the disturbance's variance, channel by channel, on part of a long recording."""
-    n = min(len(defect), _TUNING_ROWS)
-    every = np.arange(n, dtype=np.int64)
-    clipped = defect[:n].copy()
+    used = np.flatnonzero(rolls[1:])[:_TUNING_ROWS]
+    begins = begins[used] | (np.diff(used, prepend=used[0]) > 1)
+    jacobian = jacobian[np.append(used, used[-1] + 1)]
+    every = np.arange(len(used), dtype=np.int64)
+    clipped = defect[used]
     spread = 6.0 * 1.4826 * np.median(np.abs(clipped), axis=0) + 1e-12
     clipped = np.clip(clipped, -spread, spread)
     found = np.log10(np.asarray(start, dtype=float))
 
     def cost(logs: np.ndarray) -> float:
-        whitener = build_whitener(
-            jacobian[: n + 1], series.period, series.told_noise, 10.0**logs, begins[:n], every
-        )
+        whitener = build_whitener(jacobian, series.period, series.told_noise, 10.0**logs, begins, every)
         return whitener.cost(clipped)
 
     least = cost(found)

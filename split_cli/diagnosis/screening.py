@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.common import features
-from split_cli.diagnosis.evidence import Evidence
+from split_cli.diagnosis.evidence import Evidence, rolling
 from split_cli.diagnosis.series import Series
 from split_cli.logs.drive import Drive
 from split_cli.signals import REQUIRED_CHANNELS
@@ -26,6 +26,7 @@ _STUCK_SECONDS = 1.0
 _HELD_SECONDS = 3.0
 _ANSWER_SECONDS = 2.0
 _POSITION_GAP_SECONDS = 0.5
+_MUCH_SLIPPING = 0.02
 # Beyond these no fault of a car, but another car: ratios that recordings and vehicle file should share.
 _STEER_RATIO = (0.6, 1.6)
 _TORQUE_RATIO = (0.5, 2.0)
@@ -170,6 +171,12 @@ def judgeable(real: Sequence[Evidence], vehicle: Vehicle, share: float = 1.0) ->
         out.append(
             f"{1.0 - share:.0%} of the real drive, where the simulation has not been; drive both over the same "
             "speeds, torques and turns"
+        )
+    slipping = 1.0 - np.mean(np.concatenate([rolling(one.series, vehicle) for one in real]))
+    if slipping > _MUCH_SLIPPING:
+        out.append(
+            f"{slipping:.0%} of the real drive, where an axle is asked for more force along the car than its "
+            "tyres have and wheels may spin or lock; drive and brake less hard"
         )
     z = np.concatenate([features(one.series, vehicle)[one.at] for one in real])
     torque = z[:, 2] * vehicle.max_torque
