@@ -31,8 +31,9 @@ class Rules:
     same_excess: float = 9.0  # cost above the chosen one, after inflation
     same_share: float = 0.15  # of what the chosen term saves: beyond it, a rival is worse whatever its error
     same_misfit: float = 0.01  # of what the chosen term saves: no single track fits better than that
-    least_severity: float = 0.15  # of a further term
+    least_severity: float = 0.20  # of a further term
     misfit: float = 0.30  # of the severity of the chosen terms, in the channel where a further one is largest
+    common_misfit: float = 0.10  # of the severity of the common physics, in that channel
     considered: int = 3  # of the further terms that save most
     spread: float = 1.5  # standard errors, from differences block by block, that a further term has to save
     swaps: int = 2

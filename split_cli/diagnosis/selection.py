@@ -11,7 +11,13 @@ from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.exploration import Explorer, Rules, price
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.structure import TERM_FLOOR, minimum_effect_p, severities_of, term_allowance
+from split_cli.diagnosis.structure import (
+    TERM_FLOOR,
+    common_severities,
+    minimum_effect_p,
+    severities_of,
+    term_allowances,
+)
 from split_cli.vehicle.effects import Term
 
 __all__ = [
@@ -226,8 +232,9 @@ def _refusal(judge: Judge, chosen: Fit, sizes: np.ndarray, further: Fit, rules: 
     moment, unless it acts at a place, which is passed once a lap.
     """
     size = _sizes(judge, further.terms, chosen.terms)
+    misfits = np.maximum(rules.misfit * sizes, rules.common_misfit * common_severities(judge))
     channel = int(np.argmax(size))
-    if size[channel] < max(rules.least_severity, rules.misfit * sizes[channel]):
+    if size[channel] < max(rules.least_severity, misfits[channel]):
         return "no more than the others misfit"
     if not further.parts[-1].candidate.located and block_z(judge, further, chosen) < rules.spread:
         return "all in one moment"
@@ -245,6 +252,12 @@ def term_size(judge: Judge, fit: Fit, k: int) -> float:
     return float(_sizes(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :]).max())
 
 
+def _over_allowance(judge: Judge, fit: Fit, k: int) -> float:
+    """Return the size of one part over what is allowed, in the channel where that is most."""
+    sizes = _sizes(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
+    return float(np.max(sizes / term_allowances(judge)))
+
+
 def explaining_as_well(judge: Judge, selection: Selection, k: int, rivals: Sequence[Rival]) -> list[Rival]:
     """Return the rivals of a part that may be what acts instead of it.
 
@@ -253,7 +266,7 @@ def explaining_as_well(judge: Judge, selection: Selection, k: int, rivals: Seque
     """
     rules = Rules()
     saved = selection.without[k].cost - selection.chosen.cost
-    share = min(term_allowance(judge) / max(term_size(judge, selection.chosen, k), 1e-9), 1.0) ** 2
+    share = min(1.0 / max(_over_allowance(judge, selection.chosen, k), 1e-9), 1.0) ** 2
     allowed = max(rules.same_excess, max(share, rules.same_misfit) * saved)
     by_chance = rules.same_share * saved
     return [
@@ -267,8 +280,8 @@ def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> fl
     """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
     candidate = fit.parts[k].candidate
     floor = max(TERM_FLOOR * judge.shared_cost, judge.term_floors.get(candidate.term, 0.0))
-    size = term_size(judge, fit, k)
-    return minimum_effect_p(saved, candidate.complexity, size, inflation, floor, term_allowance(judge))
+    size = _over_allowance(judge, fit, k)
+    return minimum_effect_p(saved, candidate.complexity, size, inflation, floor, allowance=1.0)
 
 
 def _prune(judge: Judge, fit: Fit, inflation: float, rules: Rules) -> tuple[Fit, list[str]]:

@@ -23,11 +23,12 @@ __all__ = [
     "FlexibleFit",
     "Structure",
     "build_structure",
+    "common_severities",
     "minimum_effect_p",
     "severities",
     "severities_of",
     "severity",
-    "term_allowance",
+    "term_allowances",
 ]
 
 _HORIZON = 0.05
@@ -40,6 +41,8 @@ _RIDGE_SHARE = 2e-3
 ALLOWANCE = 0.05
 BARE_ALLOWANCE = 0.09
 NAMELESS_ALLOWANCE = 0.10
+# What a dictionary misses of common physics is larger where there is more of it, in the channel where it is.
+COMMON_SHARE = 0.03
 # And smaller than these shares of what common physics explains: no dictionary fits it exactly. A flexible fit
 # finds more of what is left than a single term can, by so much a parameter.
 STRUCTURE_FLOOR = 1e-4
@@ -172,9 +175,28 @@ def severities_of(
     return severities(evidence.series, evidence.left(terms) - evidence.left(without), rows)
 
 
-def term_allowance(judge: Judge) -> float:
-    """Return the severity below which a term is not named."""
-    return BARE_ALLOWANCE if judge.knowledge is None else ALLOWANCE
+def common_severities(judge: Judge) -> np.ndarray:
+    """Return the severities of the common physics on the compared rows, of v_x, v_y and r, shape (3,)."""
+    if judge.knowledge is None:
+        return np.zeros(3)
+    if "common severities" not in judge.memo:
+        sizes = [
+            severities(
+                one.series,
+                integrated(one.series, judge.common.rates(one.series, judge.knowledge.weights)),
+                one.at[mask],
+            )
+            for one, mask in zip(judge.evidence, judge.keep, strict=True)
+        ]
+        judge.memo["common severities"] = np.max(sizes, axis=0)
+    return judge.memo["common severities"]
+
+
+def term_allowances(judge: Judge) -> np.ndarray:
+    """Return the severities in v_x, v_y and r below which a term is not named, shape (3,)."""
+    if judge.knowledge is None:
+        return np.full(3, BARE_ALLOWANCE)
+    return np.maximum(ALLOWANCE, COMMON_SHARE * common_severities(judge))
 
 
 def minimum_effect_p(
