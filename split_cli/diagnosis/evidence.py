@@ -120,19 +120,21 @@ def gather_evidence(
     plain = defects(series, rates, jacobian, series.measured, series.smooth)
     columns = integrated(series, common.columns(series))
     group, at = _row_groups(series)
-    begins, rolls = series.transitions_begin(), rolling(series, vehicle)
+    rolls = rolling(series, vehicle)
+    begins = _begins_anew(series, rolls)
+    kept = np.ones(len(at), dtype=bool)
+    kept[group[(group >= 0) & ~rolls[:-1]]] = False
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
     for _ in range(2):
         whitener = build_whitener(jacobian, series.period, series.told_noise, disturbance, begins, group)
-        u, phi = whitener(plain), whitener(columns)
-        w = ridge(phi.reshape(-1, phi.shape[2]), u.reshape(-1))
+        w = _common_weights(whitener(plain), whitener(columns), kept)
         disturbance = _likely_disturbance(series, jacobian, plain - columns @ w, begins, rolls, disturbance)
         if least_disturbance is not None:
             disturbance = np.maximum(disturbance, least_disturbance)
     whitener = build_whitener(jacobian, series.period, series.told_noise, disturbance, begins, group)
     u, phi = whitener(plain), whitener(columns)
-    left = u - phi @ ridge(phi.reshape(-1, phi.shape[2]), u.reshape(-1))
-    weight = _robust_weight(left) * rolls[at]
+    left = u - phi @ _common_weights(u, phi, kept)
+    weight = _robust_weight(left) * kept
     return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight)
 
 
@@ -148,7 +150,7 @@ def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common:
         series.period,
         np.maximum(series.told_noise, noise),
         np.maximum(one.disturbance, disturbance),
-        series.transitions_begin(),
+        one.whitener.begins,
         one.whitener.group,
     )
     columns = whitener(integrated(series, common.columns(series)))
@@ -164,6 +166,16 @@ def rolling(series: Series, vehicle: Vehicle) -> np.ndarray:
     rolls = ~maximum_filter1d(slipping, 2 * reach + 1)
     # A car that asks for more most of the time has other tyres than its file says.
     return rolls if rolls.mean() > _LEAST_ROLLING else np.ones_like(rolls)
+
+
+def _begins_anew(series: Series, rolls: np.ndarray) -> np.ndarray:
+    """Return where the filter starts anew, shape (N - 1,): after gaps, and once wheels roll again."""
+    again = np.diff(rolls.astype(np.int8), prepend=1)[:-1] > 0
+    return series.transitions_begin() | again
+
+
+def _common_weights(rows: np.ndarray, columns: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    return ridge(columns[kept].reshape(-1, columns.shape[2]), rows[kept].reshape(-1))
 
 
 def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:

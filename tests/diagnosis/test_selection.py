@@ -11,10 +11,11 @@ import pytest
 
 from split_cli.diagnosis.exploration import Explorer, Rules, price
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts
-from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.judge import CommonKnowledge, Judge
 from split_cli.diagnosis.selection import (
     Selection,
     _other_beginnings,
+    _refusal,
     block_z,
     explaining_as_well,
     nothing,
@@ -22,11 +23,12 @@ from split_cli.diagnosis.selection import (
     term_p,
     term_size,
 )
-from split_cli.diagnosis.structure import BARE_ALLOWANCE, severities_of
+from split_cli.diagnosis.structure import BARE_ALLOWANCE, COMMON_SHARE, severities_of
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_judge
 
 INFLATION = 1.5
+COMMON = "common severities"
 NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness")
 
 
@@ -148,6 +150,40 @@ def test_a_further_term_no_larger_than_a_misfit_is_not_named():
     assert named(select_terms(alone, candidates_of(alone, "yaw_inertia", "steer_offset"), INFLATION)) == {
         "steer_offset"
     }
+
+
+def test_a_further_term_no_larger_than_a_misfit_of_the_common_physics_is_not_named(pair, chosen_pair):
+    """A tenth of what simulation and reality have in common, in its channel: no dictionary is exact."""
+    terms, fit = chosen_pair.chosen.terms, chosen_pair.chosen
+    first = fit_parts(pair, fit.parts[:1])
+    (evidence,) = pair.evidence
+    sizes = severities_of(evidence, evidence.at, terms, first.terms)
+    channel = int(np.argmax(sizes))
+    for others, believed in ((9.0, True), (11.0, False)):
+        common = np.zeros(3)
+        common[channel] = others * sizes[channel]
+        judge = replace(pair, knowledge=CommonKnowledge(np.zeros(0), np.zeros((0, 0))), memo={COMMON: common})
+        assert (not _refusal(judge, first, np.zeros(3), fit, Rules())) == believed
+        common[:] = others * sizes.max()
+        common[channel] = 0.0
+        assert not _refusal(replace(judge, memo={COMMON: common}), first, np.zeros(3), fit, Rules())
+
+
+def test_a_term_is_allowed_a_share_of_the_common_physics_in_its_channel(pair, chosen_pair):
+    fit = chosen_pair.chosen
+    saved = fit_parts(pair, fit.parts[1:]).cost - fit.cost
+    (evidence,) = pair.evidence
+    sizes = severities_of(evidence, evidence.at, fit.terms, fit.terms[1:])
+
+    def p_value(common: np.ndarray) -> float:
+        judge = replace(pair, knowledge=CommonKnowledge(np.zeros(0), np.zeros((0, 0))), memo={COMMON: common})
+        return term_p(judge, fit, 0, saved, INFLATION)
+
+    assert p_value(np.zeros(3)) < 1e-10
+    assert p_value(sizes.max() / COMMON_SHARE * np.ones(3)) > 0.4
+    # Much common physics in another channel is no excuse.
+    elsewhere = np.where(np.arange(3) == np.argmax(sizes), 0.0, 1e3)
+    assert p_value(elsewhere) < 1e-10
 
 
 def test_two_terms_are_found_behind_one_that_is_the_best_alone():

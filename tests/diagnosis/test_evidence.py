@@ -1,0 +1,87 @@
+"""Which rows of a recording are compared at all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.evidence import gather_evidence, rolling
+from split_cli.diagnosis.screening import judgeable
+from split_cli.diagnosis.spectrum import strongest_line
+from tests.diagnosis.recordings import bare_judge, light_evidence, noisy, prepared
+from tests.factories import road_car
+
+FIRST, LAST = 1200, 1300
+
+
+def asked_for(drive, share: float, window: slice = slice(FIRST, LAST)):
+    """Return a drive whose torque asks the rear axle for a share of its peak for a second, at 100 Hz."""
+    car = road_car()
+    force = share * car.rear_tire.D + car.rolling_resistance_rear
+    torque = drive["T"].copy()
+    torque[window] = force * car.wheel_radius / (1.0 - car.drive_split_front)
+    return replace(drive, columns={**drive.columns, "T": torque})
+
+
+@pytest.fixture(scope="module")
+def spinning(noisy_nominal):
+    return prepared(asked_for(noisy_nominal, 0.95))
+
+
+@pytest.fixture(scope="module")
+def noisy_nominal(nominal_drive):
+    return noisy(nominal_drive, 1)
+
+
+def test_wheels_roll_below_nine_tenths_of_an_axles_peak(noisy_nominal):
+    car = road_car()
+    assert rolling(prepared(asked_for(noisy_nominal, 0.88)), car).all()
+    slipping = ~rolling(prepared(asked_for(noisy_nominal, 0.95)), car)
+    # And a fifth of a second before and after.
+    np.testing.assert_array_equal(np.flatnonzero(slipping), np.arange(FIRST - 20, LAST + 20))
+
+
+def test_braking_counts_as_driving_does(noisy_nominal):
+    assert not rolling(prepared(asked_for(noisy_nominal, -1.5)), road_car())[FIRST:LAST].any()
+
+
+def test_a_car_that_asks_for_more_nearly_always_has_other_tyres(noisy_nominal):
+    always = slice(0, int(0.8 * len(noisy_nominal)))
+    assert rolling(prepared(asked_for(noisy_nominal, 0.95, always)), road_car()).all()
+
+
+def test_rows_with_spinning_wheels_are_not_compared(spinning, gathered, common):
+    one = gather_evidence(road_car(), spinning, common)
+    outside = (one.at < FIRST - 25) | (one.at >= LAST + 25)
+    inside = (one.at >= FIRST - 20) & (one.at < LAST + 20)
+    assert (one.weight[outside] > 0.0).all() and not one.weight[inside].any()
+    # Nor do they say how much shakes the car: what was asked for and never arrived is many times its noise.
+    np.testing.assert_allclose(one.disturbance, gathered.disturbance, rtol=3.0)
+    assert np.abs(one.plain[inside, 0]).mean() > 10.0
+    # What follows has forgotten it.
+    compared = one.plain[one.weight > 0.0]
+    assert np.abs(compared).max() < 6.0
+
+
+def test_lines_are_not_sought_where_wheels_spin(noisy_nominal):
+    """A driver who plays with wheelspin for ten seconds, ten times a second."""
+    window = slice(1000, 2000)
+    torque = noisy_nominal["T"].copy()
+    size = asked_for(noisy_nominal, 1.1)["T"][FIRST]
+    torque[window] = size * (1.0 + 0.15 * np.sin(2.0 * np.pi * 10.0 * 0.01 * np.arange(1000)))
+    playing = light_evidence(prepared(replace(noisy_nominal, columns={**noisy_nominal.columns, "T": torque})))
+    assert strongest_line(bare_judge(playing), ()) is None
+
+
+def test_how_much_is_not_compared_is_said(spinning, common):
+    one = light_evidence(spinning)
+    told = [text for text in judgeable([one], road_car()) if "spin or lock" in text]
+    share = 1.0 - rolling(spinning, road_car()).mean()
+    assert (len(told) == 1) == (share > 0.02)
+    longer = asked_for(spinning.drive, 0.95, slice(FIRST, FIRST + 500))
+    (text,) = (
+        text for text in judgeable([light_evidence(prepared(longer))], road_car()) if "spin or lock" in text
+    )
+    assert text.startswith(f"{540 / len(spinning):.0%} of the real drive")
