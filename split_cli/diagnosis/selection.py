@@ -32,6 +32,9 @@ __all__ = [
 ]
 
 
+_ONCE = "nearly all in a few moments"
+
+
 @dataclass(frozen=True)
 class Rival:
     """Another explanation of the same rows, with how it compares.
@@ -120,6 +123,7 @@ def select_terms(
         without = without_parts(judge, base, chosen)
         named = tuple(
             term_p(judge, chosen, k, one.cost - chosen.cost, inflation) * len(candidates) < rules.level
+            and is_spread(judge, chosen, k, one, rules)
             for k, one in enumerate(without)
         )
         rivals = tuple(
@@ -168,9 +172,10 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit]) -> _Found:
         label, saved = best.parts[-1].candidate.label, price_saved(best)
         p_value = term_p(judge, best, len(best.parts) - 1, chosen.cost - best.cost, inflation)
         p_value *= len(explore.candidates)
-        first_p = min(first_p, p_value)
-        if p_value >= rules.level:
-            history.append(f"{label} saves {saved:.0f}, too small to name")
+        small, spread = p_value >= rules.level, is_spread(judge, best, len(best.parts) - 1, chosen, rules)
+        first_p = min(first_p, p_value if spread else 1.0)
+        if small or not spread:
+            history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
             aside += 1
             if aside > rules.most_aside:
                 break
@@ -207,6 +212,11 @@ def block_z(judge: Judge, fit: Fit, other: Fit) -> float:
     return float(difference.sum()) / _error_of_sum(difference)
 
 
+def is_spread(judge: Judge, fit: Fit, k: int, without: Fit, rules: Rules) -> bool:
+    """Return whether one part saves in enough blocks of time to be sure of; a place is passed once a lap."""
+    return bool(fit.parts[k].candidate.located) or block_z(judge, fit, without) > rules.spread
+
+
 def _error_of_sum(difference: np.ndarray) -> float:
     """Return the standard error of a sum over blocks, shape (B,)."""
     return float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9
@@ -228,17 +238,15 @@ def _refusal(judge: Judge, chosen: Fit, sizes: np.ndarray, further: Fit, rules: 
 
     It may be no larger than what single-track terms leave of a real car's effect. That is measured by prediction
     errors over 0.05 s: costs also weigh what builds up slowly, and one term's slow channel would drown another's
-    fast one. What is left of one term is of its own kind, so channels count apart. Or it may save all in one
-    moment, unless it acts at a place, which is passed once a lap.
+    fast one. What is left of one term is of its own kind, so channels count apart. Or it may save all in a few
+    moments, unless it acts at a place, which is passed once a lap.
     """
     size = _sizes(judge, further.terms, chosen.terms)
     misfits = np.maximum(rules.misfit * sizes, rules.common_misfit * common_severities(judge))
     channel = int(np.argmax(size))
     if size[channel] < max(rules.least_severity, misfits[channel]):
         return "no more than the others misfit"
-    if not further.parts[-1].candidate.located and block_z(judge, further, chosen) < rules.spread:
-        return "all in one moment"
-    return ""
+    return "" if is_spread(judge, further, len(further.parts) - 1, chosen, rules) else _ONCE
 
 
 def _sizes(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
