@@ -213,8 +213,27 @@ def block_z(judge: Judge, fit: Fit, other: Fit) -> float:
 
 
 def is_spread(judge: Judge, fit: Fit, k: int, without: Fit, rules: Rules) -> bool:
-    """Return whether one part saves in enough blocks of time to be sure of; a place is passed once a lap."""
-    return bool(fit.parts[k].candidate.located) or block_z(judge, fit, without) > rules.spread
+    """Return whether one part saves in enough blocks of time, or its size is known well enough from them all.
+
+    A place is passed once a lap. What acts in few blocks saves in few; if it is there, those agree about its size,
+    and if it stands for something else they do not.
+    """
+    if fit.parts[k].candidate.located or block_z(judge, fit, without) > rules.spread:
+        return True
+    return block_t(judge, fit, without) > rules.sure
+
+
+def block_t(judge: Judge, fit: Fit, without: Fit) -> float:
+    """Return the size of what a fit adds to another in standard errors, from scores block by block.
+
+    Notes
+    -----
+    With what it adds taken as one direction d, e the entries left: d^T d/sqrt(sum over blocks of (d_b^T e_b)^2),
+    a Wald statistic with the sandwich's variance (Liang and Zeger, 1986).
+    """
+    added = without.entries - fit.entries
+    scores = judge.block_sums(added * fit.entries)
+    return float(added @ added) / (float(np.sqrt(scores @ scores)) + 1e-9)
 
 
 def _error_of_sum(difference: np.ndarray) -> float:
