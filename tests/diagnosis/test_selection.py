@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +17,10 @@ from split_cli.diagnosis.selection import (
     Selection,
     _other_beginnings,
     _refusal,
+    block_t,
     block_z,
     explaining_as_well,
+    is_spread,
     nothing,
     select_terms,
     term_p,
@@ -306,6 +309,35 @@ class TestWithoutRecordings:
         judge = self.judge(20, 10)
         assert block_z(judge, self.fit(once), self.fit(base)) == pytest.approx(1.0, rel=1e-6)
         assert block_z(judge, self.fit(always), self.fit(base)) > 100.0
+
+    def test_block_t_is_a_regression_on_blocks_own_sizes(self):
+        """Each block tells its own size of d: mean 1, and t is what the spread of these means leaves of it."""
+        rng = np.random.default_rng(3)
+        d = rng.standard_normal(120)
+        sizes = 1.0 + 0.3 * rng.standard_normal(12)
+        without = np.repeat(sizes, 10) * d
+        weight = np.array([float(np.sum(d[k : k + 10] ** 2)) for k in range(0, 120, 10)])
+        best = float(weight @ sizes / weight.sum())
+        left = without - best * d
+        error = np.sqrt(np.sum((weight * (sizes - best)) ** 2)) / weight.sum()
+        assert block_t(self.judge(12, 10), self.fit(left), self.fit(without)) == pytest.approx(
+            best / error, rel=1e-6
+        )
+
+    def test_few_blocks_that_agree_are_believed_and_few_that_do_not_are_not(self):
+        """In three blocks of forty: z stays below 3.5 however large it is; t asks whether they say the same."""
+        rng = np.random.default_rng(4)
+        judge, rules = self.judge(40, 25), Rules()
+        noise, acts = 0.2 * rng.standard_normal(1000), np.array([4, 16, 29])
+        for sizes, believed in (((1.0, 1.0, 1.0), True), ((2.6, 0.3, 0.1), False)):
+            d, without = np.zeros((40, 25)), noise.reshape(40, 25).copy()
+            d[acts] = 3.0
+            without[acts] += 3.0 * np.array(sizes)[:, None]
+            d, without = d.ravel(), without.ravel()
+            left = without - float(d @ without / (d @ d)) * d
+            fit = replace(self.fit(left), parts=(Part(SimpleNamespace(located=""), {}),))
+            assert block_z(judge, fit, self.fit(without)) < rules.spread
+            assert is_spread(judge, fit, 0, self.fit(without), rules) == believed
 
 
 def test_size_of_a_term_is_told_with_the_others_in_place(pair, chosen_pair):
