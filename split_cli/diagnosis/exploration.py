@@ -37,6 +37,7 @@ class Rules:
     considered: int = 3  # of the further terms that save most
     spread: float = 3.5  # standard errors, from differences block by block, that a term has to save
     sure: float = 15.0  # or standard errors of its size, from scores block by block
+    plain: float = 1.0  # or severity that it has to have
     swaps: int = 2
     least_swap: float = 1.0  # cost that another term has to save in the place of one; terms that tie stay
     beginnings: int = 2  # other first terms from which the search begins anew where the best leaves something

@@ -216,11 +216,11 @@ def is_spread(judge: Judge, fit: Fit, k: int, without: Fit, rules: Rules) -> boo
     """Return whether one part saves in enough blocks of time, or its size is known well enough from them all.
 
     A place is passed once a lap. What acts in few blocks saves in few; if it is there, those agree about its size,
-    and if it stands for something else they do not.
+    and if it stands for something else they do not. What is larger than the noise is seen however seldom it acts.
     """
     if fit.parts[k].candidate.located or block_z(judge, fit, without) > rules.spread:
         return True
-    return block_t(judge, fit, without) > rules.sure
+    return block_t(judge, fit, without) > rules.sure or term_size(judge, fit, k) > rules.plain
 
 
 def block_t(judge: Judge, fit: Fit, without: Fit) -> float:
