@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import split_cli.diagnosis.selection as selecting
 from split_cli.diagnosis.exploration import Explorer, Rules, price
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.judge import CommonKnowledge, Judge
