@@ -20,6 +20,7 @@ _ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000
 # Of an axle's peak force: asked for more along the car, its wheels may spin or lock, which takes a while to end.
 _ROLLING_SHARE = 0.9
+_WRONG_SHARE = 0.1
 _ROLLING_SECONDS = 0.2
 _LEAST_ROLLING = 0.5
 
@@ -158,10 +159,18 @@ def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common:
 
 
 def rolling(series: Series, vehicle: Vehicle) -> np.ndarray:
-    """Return where the wheels roll, shape (N,): a single track knows neither spinning nor locked ones."""
-    flow = series.flow(extended_model(vehicle))
-    used = [np.abs(axle.longitudinal_force) / axle.D for axle in (flow.front, flow.rear)]
-    slipping = np.broadcast_to(np.maximum(*used) > _ROLLING_SHARE, series.t.shape)
+    """Return where the wheels roll, shape (N,): a single track knows neither spinning nor locked ones.
+
+    They do not about samples where an axle is asked for most of its peak force or more, at the load it stands with,
+    and the car does not get what was asked for: load that moves to an axle gives it more.
+    """
+    model = extended_model(vehicle)
+    flow = series.flow(model)
+    axles = (flow.front, flow.rear)
+    used = np.maximum(*(np.abs(axle.longitudinal_force) / axle.D for axle in axles))
+    asked = np.abs(sum(axle.longitudinal_force for axle in axles))
+    got_wrong = vehicle.mass * np.abs(np.gradient(series.smooth[:, 0], series.period) - model.balance(flow)[0])
+    slipping = np.broadcast_to((used > _ROLLING_SHARE) & (got_wrong > _WRONG_SHARE * asked), series.t.shape)
     reach = max(1, int(round(_ROLLING_SECONDS / series.period)))
     rolls = ~maximum_filter1d(slipping, 2 * reach + 1)
     # A car that asks for more most of the time has other tyres than its file says.
