@@ -161,8 +161,8 @@ def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common:
 def rolling(series: Series, vehicle: Vehicle) -> np.ndarray:
     """Return where the wheels roll, shape (N,): a single track knows neither spinning nor locked ones.
 
-    They do not about samples where an axle is asked for most of its peak force or more, at the load it stands with,
-    and the car does not get what was asked for: load that moves to an axle gives it more.
+    They do not where an axle is asked for most of its peak force, at the load it stands with, and the car does not
+    get what was asked for: load that moves to an axle gives it more.
     """
     model = extended_model(vehicle)
     flow = series.flow(model)
