@@ -45,6 +45,8 @@ class Evidence:
     disturbance : ndarray, shape (3,)
     weight : ndarray, shape (G,)
         Root of the robust weight of a row, 0 where it is not compared: where wheels spin or lock.
+    rolls : ndarray of bool, shape (N,)
+        Where the wheels roll, see `rolling`.
     """
 
     vehicle: Vehicle
@@ -56,6 +58,7 @@ class Evidence:
     at: np.ndarray
     disturbance: np.ndarray
     weight: np.ndarray
+    rolls: np.ndarray
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:
         """Return whitened rows, shape (G, 3), against the nominal model with `terms`."""
@@ -136,7 +139,7 @@ def gather_evidence(
     u, phi = whitener(plain), whitener(columns)
     left = u - phi @ _common_weights(u, phi, kept)
     weight = _robust_weight(left) * kept
-    return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight)
+    return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls)
 
 
 def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common: CommonPhysics) -> Evidence:

@@ -12,7 +12,7 @@ from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.fitting import Fit, Part, Tangent, effect_everywhere, fit_parts, scan_places, tangent
 from split_cli.diagnosis.judge import Judge, alters_inputs
 
-__all__ = ["Explorer", "Rules", "price"]
+__all__ = ["Explorer", "Rules"]
 
 _SAME_COST = 0.5  # explanations of the same terms that differ by less are one
 
@@ -44,11 +44,6 @@ class Rules:
     level: float = 0.01  # of the minimum-effect test, after counting the terms that were tried
 
 
-def price(fit: Fit, inflation: float, rules: Rules) -> float:
-    """Return a fit's cost with the price of its parameters."""
-    return fit.cost / inflation + rules.price * fit.complexity
-
-
 @dataclass(frozen=True)
 class Explorer:
     """Adds each candidate in turn to an explanation; what was worked out for one explanation serves the next.
@@ -69,7 +64,7 @@ class Explorer:
 
     def price(self, fit: Fit) -> float:
         """Return a fit's cost with the price of its parameters."""
-        return price(fit, self.inflation, self.rules)
+        return fit.cost / self.inflation + self.rules.price * fit.complexity
 
     def __call__(self, current: Fit) -> list[Fit]:
         """Return the promising candidates fitted together with an explanation, best first; one fit a variant."""
@@ -81,13 +76,17 @@ class Explorer:
         return fits
 
     @cached_property
+    def _base(self) -> np.ndarray:
+        return self.judge.residual(())
+
+    @cached_property
     def _tangents(self) -> list[Tangent]:
         starts = [Part(one, dict(start)) for one in self.candidates for start in one.starts]
-        return [tangent(self.judge, part) for part in starts]
+        return [tangent(self.judge, self._base, part) for part in starts]
 
     @cached_property
     def _effects(self) -> list[tuple[Candidate, np.ndarray]]:
-        return [(one, effect_everywhere(self.judge, one)) for one in self.candidates if not one.starts]
+        return [(one, effect_everywhere(self.judge, self._base, one)) for one in self.candidates if not one.starts]
 
     def _promises(self, current: Fit) -> list[tuple[float, Part]]:
         """Return what each start of each candidate promises to cost, price included, best first."""
@@ -96,7 +95,7 @@ class Explorer:
         for candidate, effect in self._effects:
             if candidate.term not in taken:
                 starts = scan_places(self.judge, current.entries, candidate, effect)
-                lines += [tangent(self.judge, Part(candidate, start)) for start in starts]
+                lines += [tangent(self.judge, self._base, Part(candidate, start)) for start in starts]
         promises = [(one.cost(current), one.part) for one in lines]
         return sorted(
             promises, key=lambda one: one[0] / self.inflation + self.rules.price * one[1].candidate.complexity

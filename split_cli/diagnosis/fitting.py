@@ -183,8 +183,8 @@ class Tangent:
         return float(here @ here - score @ np.linalg.solve(normal + 1e-9 * np.eye(len(score)), score))
 
 
-def tangent(judge: Judge, part: Part) -> Tangent:
-    """Return a part's lines at the values it has."""
+def tangent(judge: Judge, base: np.ndarray, part: Part) -> Tangent:
+    """Return a part's lines at the values it has; `base` is `judge.residual(())`."""
     names = [(0, name) for name in part.values]
     steps = np.array([part.candidate.ranges[name].step for _, name in names])
     x = np.array(list(part.values.values())) / steps
@@ -193,7 +193,7 @@ def tangent(judge: Judge, part: Part) -> Tangent:
         return judge.residual([one.term for one in _with((part,), names, values * steps)])
 
     here = at(x)
-    columns = [here - judge.residual(()), *(at(x + unit) - here for unit in np.eye(len(x)))]
+    columns = [here - base, *(at(x + unit) - here for unit in np.eye(len(x)))]
     lines = judge.whiten(np.stack(columns, axis=1))
     return Tangent(part, np.ascontiguousarray(lines[:, 0]), np.ascontiguousarray(lines[:, 1:]))
 
@@ -205,10 +205,10 @@ def _with(parts: tuple[Part, ...], names: list[tuple[int, str]], values: np.ndar
     return tuple(Part(part.candidate, entry) for part, entry in zip(parts, new, strict=True))
 
 
-def effect_everywhere(judge: Judge, candidate: Candidate) -> np.ndarray:
-    """Return what one unit of a candidate with a place takes off the entries all along the road, shape (R,)."""
+def effect_everywhere(judge: Judge, base: np.ndarray, candidate: Candidate) -> np.ndarray:
+    """Return what one unit of a candidate with a place takes off `base`, `judge.residual(())`, anywhere."""
     whole, size = candidate.everywhere()
-    return (judge.residual(()) - judge.residual((whole,))) / size
+    return (base - judge.residual((whole,))) / size
 
 
 def scan_places(judge: Judge, entries: np.ndarray, candidate: Candidate, effect: np.ndarray) -> list[dict]:

@@ -113,7 +113,8 @@ class Judge:
     term_floors : mapping of str to float
         The same for terms.
     memo : dict
-        What was computed before: shifts of the common physics, kinematic rows without a fault of the sensors.
+        What was computed before: shifts and severities of the common physics, kinematic rows without faulty
+        sensors.
     """
 
     evidence: tuple[Evidence, ...]

@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.common import features
-from split_cli.diagnosis.evidence import Evidence, rolling
+from split_cli.diagnosis.evidence import Evidence
 from split_cli.diagnosis.series import Series
 from split_cli.logs.drive import Drive
 from split_cli.signals import REQUIRED_CHANNELS
@@ -172,7 +172,7 @@ def judgeable(real: Sequence[Evidence], vehicle: Vehicle, share: float = 1.0) ->
             f"{1.0 - share:.0%} of the real drive, where the simulation has not been; drive both over the same "
             "speeds, torques and turns"
         )
-    slipping = 1.0 - np.mean(np.concatenate([rolling(one.series, vehicle) for one in real]))
+    slipping = 1.0 - np.mean(np.concatenate([one.rolls for one in real]))
     if slipping > _MUCH_SLIPPING:
         out.append(
             f"{slipping:.0%} of the real drive, where an axle is asked for more force along the car than its "

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.candidates import Candidate
-from split_cli.diagnosis.exploration import Explorer, Rules, price
+from split_cli.diagnosis.exploration import Explorer, Rules
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.judge import Judge
 from split_cli.diagnosis.structure import (
@@ -182,7 +182,7 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit]) -> _Found:
             chosen = best
             continue
         history.append(f"added {label}, saves {saved:.0f}")
-        chosen, dropped = _prune(judge, best, inflation, rules)
+        chosen, dropped = _prune(explore, best)
         history += dropped
     return _Found(chosen, tuple(history), first_p, refused or len(chosen.parts) - aside > 1)
 
@@ -274,15 +274,18 @@ def _sizes(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> 
     return np.max([severities_of(one, one.at[mask], terms, without) for one, mask in pairs], axis=0)
 
 
+def _part_sizes(judge: Judge, fit: Fit, k: int) -> np.ndarray:
+    return _sizes(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
+
+
 def term_size(judge: Judge, fit: Fit, k: int) -> float:
     """Return the severity of one part of an explanation, the others in place."""
-    return float(_sizes(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :]).max())
+    return float(_part_sizes(judge, fit, k).max())
 
 
 def _over_allowance(judge: Judge, fit: Fit, k: int) -> float:
     """Return the size of one part over what is allowed, in the channel where that is most."""
-    sizes = _sizes(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
-    return float(np.max(sizes / term_allowances(judge)))
+    return float(np.max(_part_sizes(judge, fit, k) / term_allowances(judge)))
 
 
 def explaining_as_well(judge: Judge, selection: Selection, k: int, rivals: Sequence[Rival]) -> list[Rival]:
@@ -311,12 +314,12 @@ def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> fl
     return minimum_effect_p(saved, candidate.complexity, size, inflation, floor, allowance=1.0)
 
 
-def _prune(judge: Judge, fit: Fit, inflation: float, rules: Rules) -> tuple[Fit, list[str]]:
+def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
     history = []
     while len(fit.parts) > 1:
-        reduced = [fit_parts(judge, fit.parts[:k] + fit.parts[k + 1 :]) for k in range(len(fit.parts) - 1)]
-        best = min(reduced, key=lambda one: price(one, inflation, rules))
-        if price(best, inflation, rules) > price(fit, inflation, rules):
+        reduced = [fit_parts(explore.judge, fit.parts[:k] + fit.parts[k + 1 :]) for k in range(len(fit.parts) - 1)]
+        best = min(reduced, key=explore.price)
+        if explore.price(best) > explore.price(fit):
             break
         gone = set(fit.names) - set(best.names)
         history.append(f"dropped {', '.join(gone)}")

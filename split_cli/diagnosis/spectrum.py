@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
-from split_cli.diagnosis.evidence import Evidence, integrated, rolling
+from split_cli.diagnosis.evidence import Evidence, integrated
 from split_cli.diagnosis.judge import Judge
 from split_cli.diagnosis.structure import severity
 from split_cli.vehicle.effects import Term
@@ -97,7 +97,7 @@ def _left(judge: Judge, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
     """Return the defects that terms and common physics leave, shape (N - 1, 3); 0 where wheels spin or lock."""
     known = judge.knowledge
     left = one.left(terms, None if known is None else judge.common.rates(one.series, known.weights, terms))
-    left[~rolling(one.series, one.vehicle)[1:]] = 0.0
+    left[~one.rolls[1:]] = 0.0
     return left
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.diagnosis.candidates import Candidate, build_candidates
 from split_cli.diagnosis.common import build_common_physics
-from split_cli.diagnosis.evidence import Evidence, gather_evidence
+from split_cli.diagnosis.evidence import Evidence, gather_evidence, rolling
 from split_cli.diagnosis.judge import Judge, build_judge
 from split_cli.diagnosis.kinematics import Kinematics
 from split_cli.diagnosis.series import Series, build_series
@@ -131,7 +131,7 @@ def light_evidence(series: Series, disturbance: float = 1e-8) -> Evidence:
     whitener = build_whitener(jacobian, series.period, series.noise, strength, series.transitions_begin(), group)
     evidence = Evidence(
         car, series, jacobian, whitener, np.zeros((len(at), 3)), np.zeros((len(at), 3, 0)),
-        np.array(at, dtype=np.int64), strength, np.ones(len(at)),
+        np.array(at, dtype=np.int64), strength, np.ones(len(at)), rolling(series, car),
     )  # fmt: skip
     return replace(evidence, plain=evidence.rows(()))
 

@@ -66,20 +66,21 @@ def test_rows_with_spinning_wheels_are_not_compared(spinning, gathered, common):
 
 
 def test_lines_are_not_sought_where_wheels_spin(noisy_nominal):
-    """A driver who plays with wheelspin for ten seconds, ten times a second."""
-    window = slice(1000, 2000)
+    """A driver plays with both pedals for half a minute, ten times a second, and the wheels do not follow."""
+    window = slice(2500, 5500)
     torque = noisy_nominal["T"].copy()
     size = asked_for(noisy_nominal, 1.1)["T"][FIRST]
-    torque[window] = size * (1.0 + 0.15 * np.sin(2.0 * np.pi * 10.0 * 0.01 * np.arange(1000)))
+    torque[window] = size * np.sin(2.0 * np.pi * 10.0 * 0.01 * np.arange(3000))
     playing = light_evidence(prepared(replace(noisy_nominal, columns={**noisy_nominal.columns, "T": torque})))
     assert strongest_line(bare_judge(playing), ()) is None
+    everything = replace(playing, rolls=np.ones_like(playing.rolls))
+    assert strongest_line(bare_judge(everything), ()).channel == "v_x"
 
 
 def test_how_much_is_not_compared_is_said(spinning, common):
     one = light_evidence(spinning)
-    told = [text for text in judgeable([one], road_car()) if "spin or lock" in text]
-    share = 1.0 - rolling(spinning, road_car()).mean()
-    assert (len(told) == 1) == (share > 0.02)
+    assert 0.0 < 1.0 - one.rolls.mean() < 0.02
+    assert not [text for text in judgeable([one], road_car()) if "spin or lock" in text]
     longer = asked_for(spinning.drive, 0.95, slice(FIRST, FIRST + 500))
     (text,) = (
         text for text in judgeable([light_evidence(prepared(longer))], road_car()) if "spin or lock" in text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.exploration import Explorer, Rules, price
+from split_cli.diagnosis.exploration import Explorer, Rules
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts, tangent
 from split_cli.diagnosis.judge import Judge
 from split_cli.diagnosis.selection import nothing
@@ -37,9 +37,9 @@ def label(fit: Fit) -> str:
     return fit.parts[-1].candidate.label
 
 
-def test_the_price_of_a_parameter_is_counted_after_inflation(current):
+def test_the_price_of_a_parameter_is_counted_after_inflation(judge, current):
     assert current.complexity == 1.0
-    assert price(current, 2.0, Rules(price=5.0)) == pytest.approx(0.5 * current.cost + 5.0)
+    assert Explorer(judge, (), 2.0, Rules(price=5.0)).price(current) == pytest.approx(0.5 * current.cost + 5.0)
 
 
 def test_a_term_is_offered_once(explore, current):
@@ -65,7 +65,7 @@ def test_promises_beside_another_term_are_close_to_fits(judge, explore, current)
     """Tangents are taken without the other term: of what a term saves they miss a few hundredths."""
     for fit in explore(current):
         starts = [Part(fit.parts[-1].candidate, dict(start)) for start in fit.parts[-1].candidate.starts]
-        promised = min(tangent(judge, part).cost(current) for part in starts)
+        promised = min(tangent(judge, judge.residual(()), part).cost(current) for part in starts)
         saved = current.cost - fit.cost
         assert current.cost - promised == pytest.approx(saved, rel=0.1, abs=2.0), label(fit)
     best = explore(current)[0]

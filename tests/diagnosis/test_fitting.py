@@ -26,7 +26,8 @@ def candidate(judge: Judge, term: str, variant: str = "") -> Candidate:
 
 
 def places(judge: Judge, one: Candidate) -> list[dict]:
-    return scan_places(judge, judge.whiten(judge.residual(())), one, effect_everywhere(judge, one))
+    base = judge.residual(())
+    return scan_places(judge, judge.whiten(base), one, effect_everywhere(judge, base, one))
 
 
 def best_fit(judge: Judge, one: Candidate) -> Fit:
@@ -145,7 +146,7 @@ class TestLinearTerms:
     def test_linear_cost_is_that_of_least_squares_from_any_start(self, pushed, solved):
         one = candidate(pushed, "rolling_resistance")
         for force in (-40.0, 10.0, 400.0):
-            promised = tangent(pushed, Part(one, {"force": force})).cost(nothing(pushed))
+            promised = tangent(pushed, pushed.residual(()), Part(one, {"force": force})).cost(nothing(pushed))
             assert promised == pytest.approx(solved[1], rel=1e-6)
 
     def test_linear_cost_beside_another_term(self, pushed):
@@ -158,7 +159,8 @@ class TestLinearTerms:
         )
         expected = float(np.linalg.lstsq(columns, base, rcond=None)[1][0])
         current = fit_parts(pushed, [Part(drag, {"drag": 0.3})])
-        assert tangent(pushed, Part(push, {"force": 20.0})).cost(current) == pytest.approx(expected, rel=1e-6)
+        promised = tangent(pushed, base, Part(push, {"force": 20.0})).cost(current)
+        assert promised == pytest.approx(expected, rel=1e-6)
 
     def test_the_fit_is_that_of_least_squares(self, pushed, solved):
         fit = fit_parts(pushed, [Part(candidate(pushed, "rolling_resistance"), {"force": 10.0})])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import split_cli.diagnosis.selection as selecting
-from split_cli.diagnosis.exploration import Explorer, Rules, price
+from split_cli.diagnosis.exploration import Explorer, Rules
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.judge import CommonKnowledge, Judge
 from split_cli.diagnosis.selection import (
@@ -85,7 +85,7 @@ def test_a_pair_is_named_as_a_search_of_every_subset_would(pair, chosen_pair):
         for size in (1, 2, 3)
         for several in combinations(candidates, size)
     ]
-    best = min(fits, key=lambda fit: price(fit, INFLATION, Rules()))
+    best = min(fits, key=Explorer(pair, (), INFLATION).price)
     assert set(best.names) == named(chosen_pair) == {"yaw_inertia", "aero_drag"}
     # Where the fits stop, 0.02 are left at most.
     assert chosen_pair.chosen.cost == pytest.approx(best.cost, abs=0.05)
