@@ -16,9 +16,11 @@ import numpy as np
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.common import CommonPhysics, features
 from split_cli.diagnosis.evidence import Evidence
+from split_cli.diagnosis.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.judge import Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit
 from split_cli.diagnosis.structure import build_structure
+from split_cli.diagnosis.together import together
 from split_cli.diagnosis.wander import wander_of
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -110,9 +112,11 @@ def self_test(
     positions = [one and replace(one, scale=max(one.scale, scale)) for one in positions]
     all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
     offers = _offers(build_judge(graded, None, common, all_rows, [one for one in positions if one]), candidates)
-    sides = _Sides(tuple(graded), tuple(positions), common, inflation, reach)
+    rows = tuple(flexible_rows(one, common) for one in graded)
+    sides = _Sides(tuple(graded), tuple(positions), rows, common, inflation, reach)
     first = _first_half(graded)
-    tests = [_judge_half(sides, [mask ^ turned for mask in first], offers) for turned in (False, True)]
+    halves = [[mask ^ turned for mask in first] for turned in (False, True)]
+    tests = together(lambda teaching: _judge_half(sides, teaching, offers), halves)
     tests = [test for test in tests if test is not None]
     if not tests:
         return SelfTest()
@@ -172,13 +176,13 @@ class _Offer:
 def _offers(judge: Judge, candidates: Sequence[Candidate]) -> list[_Offer]:
     """Linearise every candidate about its starts; one with a place about its being everywhere."""
     base = judge.residual(())
-    offers = []
-    for candidate in candidates:
+
+    def offered(candidate: Candidate) -> list[_Offer]:
         if candidate.located:
             whole, _ = candidate.everywhere()
-            offers.append(_Offer(candidate.term, (judge.residual((whole,)) - base)[:, None], candidate.located))
-            continue
+            return [_Offer(candidate.term, (judge.residual((whole,)) - base)[:, None], candidate.located)]
         neutral = {name: CATALOGUE[candidate.term].neutral.get(name) for name in candidate.ranges}
+        out = []
         for start in candidate.starts:
             shape = {name: value for name, value in start.items() if neutral[name] is None}
             sizes = [name for name in start if neutral[name] is not None]
@@ -187,8 +191,10 @@ def _offers(judge: Judge, candidates: Sequence[Candidate]) -> list[_Offer]:
                 - base
                 for name in sizes
             ]
-            offers.append(_Offer(candidate.term, np.stack(columns, axis=1), ""))
-    return offers
+            out.append(_Offer(candidate.term, np.stack(columns, axis=1), ""))
+        return out
+
+    return [offer for several in together(offered, candidates) for offer in several]
 
 
 @dataclass(frozen=True)
@@ -197,6 +203,7 @@ class _Sides:
 
     graded: tuple[Evidence, ...]
     positions: tuple[Kinematics | None, ...]
+    rows: tuple[FlexibleRows, ...]
     common: CommonPhysics
     inflation: float
     reach: float
@@ -227,7 +234,7 @@ def _judge_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[
     positions, windows = sides.windows(teaching)
     judge = build_judge(graded, learn_common(taught, sides.inflation), common, keep, positions)
     entries = judge.whiten(judge.residual(()))
-    structure = build_structure(judge, common)
+    structure = build_structure(judge, sides.rows)
     fit = structure.fit(entries, sides.inflation)
     chosen = np.concatenate([np.repeat(np.concatenate(keep), 3), windows])
     # Kinematic rows have no place; nothing that has one moves them.

@@ -13,6 +13,7 @@ from split_cli.diagnosis.evidence import Evidence, gather_evidence, graded_as
 from split_cli.diagnosis.judge import CommonKnowledge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, habits
 from split_cli.diagnosis.series import Series
+from split_cli.diagnosis.together import together
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Case", "gather_case"]
@@ -51,7 +52,7 @@ class Case:
         """Return what the simulation knows beyond the nominal model along a recording, shape (N, 3)."""
         if self.knowledge is None:
             return np.zeros_like(evidence.series.measured)
-        return self.common.columns(evidence.series) @ self.knowledge.weights
+        return self.common.rates(evidence.series, self.knowledge.weights)
 
 
 def gather_case(vehicle: Vehicle, series: Sequence[Series], *, inflation: float, reach: float) -> Case:
@@ -68,10 +69,10 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], *, inflation: float,
     """
     by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
     common = build_common_physics(vehicle, (by_role["sim"] or by_role["real"])[0])
-    simulated = [gather_evidence(vehicle, one, common) for one in by_role["sim"]]
+    simulated = together(lambda one: gather_evidence(vehicle, one, common), by_role["sim"])
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
-    real = [gather_evidence(vehicle, one, common, least) for one in by_role["real"]]
-    holdout = [gather_evidence(vehicle, one, common, least) for one in by_role["holdout"]]
+    real = together(lambda one: gather_evidence(vehicle, one, common, least), by_role["real"])
+    holdout = together(lambda one: gather_evidence(vehicle, one, common, least), by_role["holdout"])
     noise = np.median([one.series.told_noise for one in real], axis=0)
     disturbance = np.max([one.disturbance for one in real], axis=0)
     graded = [graded_as(one, noise, disturbance, common) for one in simulated]

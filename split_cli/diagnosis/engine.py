@@ -13,6 +13,7 @@ from split_cli.diagnosis.case import Case, gather_case
 from split_cli.diagnosis.exploration import Rules
 from split_cli.diagnosis.findings import Abstention, describe, wanders, with_shares
 from split_cli.diagnosis.fitting import fit_parts
+from split_cli.diagnosis.flexible import flexible_rows
 from split_cli.diagnosis.formula import sparse_formula
 from split_cli.diagnosis.heldout import HeldOut, explained_shares, hold_out
 from split_cli.diagnosis.improvement import measure_improvement
@@ -130,7 +131,7 @@ def diagnose(
             inflation=settings.inflation, reach=settings.reach,
         )  # fmt: skip
     judge = known.allow(judge)
-    structure = build_structure(judge, case.common)
+    structure = build_structure(judge, [flexible_rows(one, case.common) for one in case.real])
     base = nothing(judge)
     inflation = max(settings.inflation, known.ratio, wander_of(structure, base.entries).ratio)
     gap = structure.fit(base.entries, inflation)

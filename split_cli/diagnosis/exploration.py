@@ -11,6 +11,7 @@ import numpy as np
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.fitting import Fit, Part, Tangent, effect_everywhere, fit_parts, scan_places, tangent
 from split_cli.diagnosis.judge import Judge, alters_inputs
+from split_cli.diagnosis.together import together
 
 __all__ = ["Explorer", "Rules"]
 
@@ -82,7 +83,11 @@ class Explorer:
     @cached_property
     def _tangents(self) -> list[Tangent]:
         starts = [Part(one, dict(start)) for one in self.candidates for start in one.starts]
-        return [tangent(self.judge, self._base, part) for part in starts]
+        return self._tangents_at(starts)
+
+    def _tangents_at(self, parts: Sequence[Part]) -> list[Tangent]:
+        base = self._base
+        return together(lambda part: tangent(self.judge, base, part), parts)
 
     @cached_property
     def _effects(self) -> list[tuple[Candidate, np.ndarray]]:
@@ -95,38 +100,43 @@ class Explorer:
         for candidate, effect in self._effects:
             if candidate.term not in taken:
                 starts = scan_places(self.judge, current.entries, candidate, effect)
-                lines += [tangent(self.judge, self._base, Part(candidate, start)) for start in starts]
-        promises = [(one.cost(current), one.part) for one in lines]
+                lines += self._tangents_at([Part(candidate, start) for start in starts])
+        promises = together(lambda one: (one.cost(current), one.part), lines)
         return sorted(
             promises, key=lambda one: one[0] / self.inflation + self.rules.price * one[1].candidate.complexity
         )
 
     def _fits(self, current: Fit) -> list[Fit]:
         """Return fits of the best promises, with the second start of a variant where it promises more."""
-        fits: list[Fit] = []
-        seen: dict[str, list[float]] = {}
-        settled = any(alters_inputs(one.term) for one in current.parts)
+        starts: dict[str, list[tuple[float, Part]]] = {}
         for promised, part in self._promises(current):
-            if part.candidate.label not in seen and len(seen) >= self.rules.full_fits:
-                continue
-            costs = seen.setdefault(part.candidate.label, [])
-            if len(costs) >= 2 or min(costs, default=np.inf) < promised:
-                continue  # another start has kept more than this one promises
-            fits.append(fit_parts(self.judge, (*current.parts, part), refreshes=int(settled)))
-            costs.append(fits[-1].cost)
+            if part.candidate.label in starts or len(starts) < self.rules.full_fits:
+                starts.setdefault(part.candidate.label, []).append((promised, part))
+        settled = int(any(alters_inputs(one.term) for one in current.parts))
+
+        def fitted(promises: list[tuple[float, Part]]) -> list[Fit]:
+            fits: list[Fit] = []
+            for promised, part in promises:
+                # Another start may have kept more than this one promises.
+                if len(fits) < 2 and all(fit.cost >= promised for fit in fits):
+                    fits.append(fit_parts(self.judge, (*current.parts, part), refreshes=settled))
+            return fits
+
+        fits = [fit for several in together(fitted, starts.values()) for fit in several]
         return sorted((fit for fit in fits if not self._is_everywhere(fit.parts[-1])), key=self.price)
 
     def _followed(self, fits: Sequence[Fit]) -> list[Fit]:
         """Return the best fit of each variant; in the first few the common physics follows what they alter."""
         best: dict[str, Fit] = {}
         for fit in fits:
-            label = fit.parts[-1].candidate.label
-            if label in best:
-                continue
-            # Only what may win is worth following with the common physics.
-            again = len(best) < self.rules.followed and any(alters_inputs(term) for term in fit.terms)
-            best[label] = fit_parts(self.judge, fit.parts) if again else fit
-        return sorted(best.values(), key=self.price)
+            best.setdefault(fit.parts[-1].candidate.label, fit)
+
+        def followed(fit: Fit) -> Fit:
+            return fit_parts(self.judge, fit.parts) if any(alters_inputs(term) for term in fit.terms) else fit
+
+        # Only what may win is worth following with the common physics.
+        first, rest = list(best.values())[: self.rules.followed], list(best.values())[self.rules.followed :]
+        return sorted([*together(followed, first), *rest], key=self.price)
 
     def _is_everywhere(self, part: Part) -> bool:
         """Return whether a stretch covers so much of the track that it is none."""

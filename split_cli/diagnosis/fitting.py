@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,14 +100,15 @@ def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: i
     upper = np.array([limit.upper for limit in limits]) / steps
     x = np.clip(np.array([parts[k].values[name] for k, name in names]) / steps, lower, upper)
 
-    def entries_at(x: np.ndarray) -> np.ndarray:
-        return judge.whiten(judge.residual([part.term for part in _with(parts, names, x * steps)]) - shift)
+    def residual_at(x: np.ndarray) -> np.ndarray:
+        return judge.residual([part.term for part in _with(parts, names, x * steps)])
 
-    entries = entries_at(x)
+    here = residual_at(x)
+    entries = judge.whiten(here - shift)
     cost = float(entries @ entries)
     damping = 1e-3
     for _ in range(iterations):
-        jacobian = judge.whiten(_slopes(judge, parts, names, steps, x, upper))
+        jacobian = judge.whiten(_slopes(residual_at, here, x, upper))
         curvature, slope = jacobian.T @ jacobian, jacobian.T @ entries
         improved = 0.0
         for _ in range(5):
@@ -117,11 +118,12 @@ def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: i
             if free.any():
                 move[free] = -np.linalg.solve(scaled[np.ix_(free, free)], slope[free])
             trial = np.clip(x + move, lower, upper)
-            trial_entries = entries_at(trial)
+            there = residual_at(trial)
+            trial_entries = judge.whiten(there - shift)
             trial_cost = float(trial_entries @ trial_entries)
             if trial_cost < cost:
                 improved = cost - trial_cost
-                x, entries, cost = trial, trial_entries, trial_cost
+                x, here, entries, cost = trial, there, trial_entries, trial_cost
                 damping = max(damping / 5.0, 1e-6)
                 break
             damping *= 8.0
@@ -138,20 +140,22 @@ def raw_slopes(judge: Judge, parts: Sequence[Part]) -> np.ndarray:
     steps = np.array([limit.step for limit in limits])
     upper = np.array([limit.upper for limit in limits]) / steps
     x = np.array([parts[k].values[name] for k, name in names]) / steps
-    return _slopes(judge, parts, names, steps, x, upper)
+
+    def residual_at(x: np.ndarray) -> np.ndarray:
+        return judge.residual([part.term for part in _with(parts, names, x * steps)])
+
+    return _slopes(residual_at, residual_at(x), x, upper)
 
 
-def _slopes(judge: Judge, parts, names, steps, x, upper) -> np.ndarray:
-    """Return derivatives of the entries by x, shape (R, P), by differences of one step."""
-    here = judge.residual([part.term for part in _with(parts, names, x * steps)])
+def _slopes(residual_at: Callable, here: np.ndarray, x: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return derivatives of a residual by x, shape (R, P), by differences of one step; `here` is that at x."""
     columns = []
     for p in range(len(x)):
         # Away from a bound; one step is small against what matters, large against rounding.
         direction = -1.0 if x[p] + 1.0 > upper[p] else 1.0
         moved = x.copy()
         moved[p] += direction
-        there = judge.residual([part.term for part in _with(parts, names, moved * steps)])
-        columns.append((there - here) * direction)
+        columns.append((residual_at(moved) - here) * direction)
     return np.stack(columns, axis=1)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,13 +11,9 @@ from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.exploration import Explorer, Rules
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.structure import (
-    TERM_FLOOR,
-    common_severities,
-    minimum_effect_p,
-    severities_of,
-    term_allowances,
-)
+from split_cli.diagnosis.misfit import cost_beside_misfit
+from split_cli.diagnosis.severity import severities_of
+from split_cli.diagnosis.structure import TERM_FLOOR, common_severities, minimum_effect_p, term_allowances
 from split_cli.vehicle.effects import Term
 
 __all__ = [
@@ -81,8 +77,8 @@ class Selection:
     rivals: tuple[tuple[Rival, ...], ...]
     siblings: tuple[tuple[Rival, ...], ...]
     named: tuple[bool, ...]
-    history: tuple[str, ...]
-    first_p: float
+    history: tuple[str, ...] = ()
+    first_p: float = 1.0
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -119,23 +115,56 @@ def select_terms(
         trial = _forward(explore, base, [other])
         found = min(found, trial, key=lambda one: score(one.chosen))
     chosen, history = found.chosen, list(found.history)
-    for swap in range(1 + rules.swaps):
-        without = without_parts(judge, base, chosen)
-        named = tuple(
-            term_p(judge, chosen, k, one.cost - chosen.cost, inflation) * len(candidates) < rules.level
-            and is_spread(judge, chosen, k, one, rules)
-            for k, one in enumerate(without)
-        )
-        rivals = tuple(
-            _rivals(explore, chosen, k, rest) if named[k] else ((), ()) for k, rest in enumerate(without)
-        )
-        better = min((several[0] for several, _ in rivals if several), key=lambda one: one.excess, default=None)
-        if swap == rules.swaps or len(chosen.parts) < 2 or better is None or better.excess > -rules.least_swap:
+    selection = _examined(explore, base, chosen)
+    for _ in range(rules.swaps):
+        rivals = [several[0] for several in selection.rivals if several]
+        better = min(rivals, key=lambda one: one.excess, default=None)
+        if len(selection.chosen.parts) < 2 or better is None or better.excess > -rules.least_swap:
             break
         history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
-        chosen = better.fit
+        selection = _examined(explore, base, better.fit)
+    for _ in range(rules.swaps):
+        better, saved = _better_beside_misfit(explore, selection)
+        if better is None:
+            break
+        history.append(f"{better.parts[-1].candidate.label} takes a place, saves {saved:.1f} beside misfit")
+        selection = _examined(explore, base, better)
+    return replace(selection, history=tuple(history), first_p=found.first_p)
+
+
+def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
+    """Compare an explanation with what is left without each part, and with what might be there instead."""
+    judge, rules = explore.judge, explore.rules
+    without = without_parts(judge, base, chosen)
+    named = tuple(
+        term_p(judge, chosen, k, one.cost - chosen.cost, explore.inflation) * len(explore.candidates) < rules.level
+        and is_spread(judge, chosen, k, one, rules)
+        for k, one in enumerate(without)
+    )
+    rivals = tuple(_rivals(explore, chosen, k, rest) if named[k] else ((), ()) for k, rest in enumerate(without))
     others, siblings = zip(*rivals, strict=True) if rivals else ((), ())
-    return Selection(base, chosen, without, others, siblings, named, tuple(history), found.first_p)
+    return Selection(base, chosen, without, others, siblings, named)
+
+
+def _better_beside_misfit(explore: Explorer, selection: Selection) -> tuple[Fit | None, float]:
+    """Return the alternative that is best where misfit of every effect is free, and what it saves; else None.
+
+    Alternatives differ from the chosen explanation by less than what a single track gets wrong of either.
+    """
+    alternatives = {}
+    for k, rivals in enumerate(selection.rivals):
+        for rival in explaining_as_well(explore.judge, selection, k, rivals):
+            alternatives.setdefault((k, rival.fit.parts[-1].candidate.term), rival.fit)
+    if not alternatives:
+        return None, 0.0
+
+    def price(fit: Fit) -> float:
+        return cost_beside_misfit(explore.judge, fit) / explore.inflation + explore.rules.price * fit.complexity
+
+    prices = [(price(fit), fit) for fit in alternatives.values()]
+    least, best = min(prices, key=lambda one: one[0])
+    saved = price(selection.chosen) - least
+    return (best, saved) if saved > 0.0 else (None, 0.0)
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,10 @@ class Series:
     def rates(self, model: SingleTrack, velocity: np.ndarray | None = None) -> np.ndarray:
         """Return (v_x', v_y', r') of a model along the recording, shape (N, 3)."""
         rows = model.balance(self.flow(model, velocity))
-        return np.stack([np.broadcast_to(row, self.t.shape) for row in rows], axis=1)
+        out = np.empty((len(self), 3))
+        for channel, row in enumerate(rows):
+            out[:, channel] = row
+        return out
 
     def transitions_begin(self) -> np.ndarray:
         """Return where the filter starts anew, shape (N - 1,), the transition over a gap included."""

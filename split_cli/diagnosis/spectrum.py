@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter
 
 from split_cli.diagnosis.evidence import Evidence, integrated
 from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.structure import severity
+from split_cli.diagnosis.severity import severity
 from split_cli.vehicle.effects import Term
 
 __all__ = ["Line", "strongest_line"]

@@ -103,22 +103,33 @@ def build_whitener(
     return Whitener(gain, root, carry, begins, group, count, float(log_determinant))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, inline="always")
+def _product(a, b, out):
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@njit(cache=True, nogil=True)
 def _gains(carry, onward, R, Q, begins):
     n = carry.shape[0]
     gain = np.empty((n, 3, 3))
     root = np.zeros((n, 3, 3))
     S = R.copy()
     log_determinant = 0.0
-    E = np.empty((3, 3))
-    L = np.empty((3, 3))
+    PR, NS, E, L, told = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
     for k in range(n):
         if begins[k]:
-            S = R.copy()
+            S[:] = R
         N, P = carry[k], onward[k]
-        PR = P @ R
-        E = Q + PR @ P.T + N @ S @ N.T
-        L[:] = 0.0
+        # Products of 3 by 3 are written out: a library's take ten times as long.
+        _product(P, R, PR)
+        _product(N, S, NS)
+        for i in range(3):
+            for j in range(3):
+                E[i, j] = Q[i, j]
+                for m in range(3):
+                    E[i, j] += PR[i, m] * P[j, m] + NS[i, m] * N[j, m]
         for i in range(3):
             for j in range(i + 1):
                 total = E[i, j]
@@ -138,13 +149,23 @@ def _gains(carry, onward, R, Q, begins):
                 for m in range(j, i):
                     total -= L[i, m] * inverse[m, j]
                 inverse[i, j] = total / L[i, i]
-        K = PR.T @ (inverse.T @ inverse)
-        gain[k] = K
-        S = R - K @ PR
+        # K = (P R)^T E^-1, and E^-1 = L^-T L^-1.
+        _product(inverse, PR, told)
+        K = gain[k]
+        for i in range(3):
+            for j in range(3):
+                K[i, j] = 0.0
+                for m in range(3):
+                    K[i, j] += told[m, i] * inverse[m, j]
+        for i in range(3):
+            for j in range(3):
+                S[i, j] = R[i, j]
+                for m in range(3):
+                    S[i, j] -= K[i, m] * PR[m, j]
     return gain, root, log_determinant
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _whiten(z, gain, root, carry, begins, group, rows):
     n, _, columns = z.shape
     out = np.zeros((rows, 3, columns))

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from split_cli.diagnosis.together import use_threads
 from split_cli.errors import SplitError
 from split_cli.files import atomic_write_text
 from split_cli.logs.drive import read_drive
@@ -83,7 +84,7 @@ def identify_cases(root: Path, *, jobs: int = 1, limit: int | None = None, repor
     done = len(cases) - len(open_)
     context = multiprocessing.get_context("spawn")
     # concurrent.futures can hang when it replaces workers (Python 3.11), multiprocessing's own pool does not.
-    with context.Pool(jobs, maxtasksperchild=_CASES_OF_A_PROCESS) as pool:
+    with context.Pool(jobs, use_threads, (1,) if jobs > 1 else (0,), maxtasksperchild=_CASES_OF_A_PROCESS) as pool:
         for _ in pool.imap_unordered(_identify, [(case, results) for case in open_]):
             done += 1
             if report:

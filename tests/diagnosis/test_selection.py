@@ -27,7 +27,8 @@ from split_cli.diagnosis.selection import (
     term_p,
     term_size,
 )
-from split_cli.diagnosis.structure import BARE_ALLOWANCE, COMMON_SHARE, severities_of
+from split_cli.diagnosis.severity import severities_of
+from split_cli.diagnosis.structure import BARE_ALLOWANCE, COMMON_SHARE
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_judge
 

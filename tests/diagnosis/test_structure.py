@@ -9,13 +9,9 @@ import pytest
 from scipy.stats import chi2
 
 from split_cli.diagnosis import structure as module
-from split_cli.diagnosis.structure import (
-    Structure,
-    build_structure,
-    minimum_effect_p,
-    severities_of,
-    severity,
-)
+from split_cli.diagnosis.flexible import flexible_rows
+from split_cli.diagnosis.severity import severities_of, severity, windowed
+from split_cli.diagnosis.structure import Structure, build_structure, minimum_effect_p
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import SIGMA, driven, noisy_judge
 
@@ -77,11 +73,12 @@ class TestFlexibleFit:
         defect[:, 0, :] = 1e-4
         series = SimpleNamespace(period=0.01, noise=SIGMA, told_noise=SIGMA)
         every = np.arange(samples - 5)
+        windows = windowed(series, defect, every)
         one = SimpleNamespace(series=series, at=every)
         judge = SimpleNamespace(knowledge=None, evidence=(one,), keep=(every >= 0,))
         factor = np.linalg.cholesky(columns.T @ columns * (1.0 + module._RIDGE_SHARE * self.rows)).T
         groups = ("a", "a", "b", "b", "b", "c")
-        return Structure(judge, columns, (defect,), groups, factor)
+        return Structure(judge, columns, (windows,), groups, factor)
 
     def test_saving_freedom_and_severity_by_hand(self):
         one = self.structure()
@@ -140,9 +137,13 @@ class OneSided(Term):
         flow.front.lateral_force = force - self.parameters["share"] * np.abs(force)
 
 
+def structure_of(judge, common) -> Structure:
+    return build_structure(judge, [flexible_rows(one, common) for one in judge.evidence])
+
+
 @pytest.fixture(scope="module")
 def nominal_structure(nominal_judge, common):
-    return build_structure(nominal_judge, common)
+    return structure_of(nominal_judge, common)
 
 
 def test_a_car_without_anything_shows_nothing(nominal_judge, nominal_structure):
@@ -152,7 +153,7 @@ def test_a_car_without_anything_shows_nothing(nominal_judge, nominal_structure):
 
 def test_a_planted_asymmetry_is_found_in_its_group(common):
     judge = noisy_judge(driven(31, (OneSided({"share": 0.1}),)), 2)
-    fit = build_structure(judge, common).fit(judge.residual(()), 1.5)
+    fit = structure_of(judge, common).fit(judge.residual(()), 1.5)
     saved = dict(fit.group_saved)
     assert fit.p_value < 1e-6
     assert fit.group_saved[0][0] == "left against right"
@@ -163,7 +164,7 @@ def test_a_planted_asymmetry_is_found_in_its_group(common):
 def test_a_symmetric_loss_is_found_at_the_operating_point(common):
     lost = CATALOGUE["friction_scale"]({"scale": 0.9})
     judge = noisy_judge(driven(32, (lost,)), 2)
-    fit = build_structure(judge, common).fit(judge.residual(()), 1.5)
+    fit = structure_of(judge, common).fit(judge.residual(()), 1.5)
     assert fit.group_saved[0][0] == "operating point" and fit.p_value < 1e-6
     # What it makes of noise is taken off its size.
     assert fit.severity == pytest.approx(

@@ -98,7 +98,7 @@ def _kernels() -> tuple[Any, Any]:
     """Compile the two recursions on first use; numba is not worth loading for models without memory."""
     from numba import njit
 
-    @njit(cache=True)
+    @njit(cache=True, nogil=True)
     def recur(target, kept, drive, starts):
         out = np.empty_like(target)
         upcoming = 0
@@ -110,7 +110,7 @@ def _kernels() -> tuple[Any, Any]:
                 out[k] = kept[k - 1] * out[k - 1] + drive[k - 1]
         return out
 
-    @njit(cache=True)
+    @njit(cache=True, nogil=True)
     def drag(source, half, starts):
         out = np.empty_like(source)
         upcoming = 0

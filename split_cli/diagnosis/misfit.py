@@ -1,0 +1,65 @@
+"""What a single track gets wrong of a term's own effect: a share of it that varies with the operating point.
+
+Physics that is put into a single track acts on two tyres instead of four, so a few hundredths of what it does are
+wrong, and where it does much that is far more than noise. Of two terms that do nearly the same, the one that
+happens to err less would win by it. With that share free, what decides is what they do differently.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from split_cli.diagnosis.common import features
+from split_cli.diagnosis.evidence import Evidence
+from split_cli.diagnosis.fitting import Fit
+from split_cli.diagnosis.judge import Judge
+from split_cli.vehicle.effects import Term
+
+__all__ = ["cost_beside_misfit"]
+
+_SHARE = 0.10  # prior deviation of each function's weight, as a share of the effect
+
+
+def cost_beside_misfit(judge: Judge, fit: Fit) -> float:
+    """Return a fit's cost with a share of each term's effect free, in each channel and by operating point.
+
+    Notes
+    -----
+    M holds the whitened effects times functions of the operating point, times the prior deviation `_SHARE`; e are
+    the entries left. The weights of M are integrated out: e^T (I + M M^T)^-1 e = |e|^2 - |L^-1 M^T e|^2 with
+    L L^T = I + M^T M.
+    """
+    columns = [_SHARE * judge.whiten(_varied(judge, fit.terms, k)) for k in range(len(fit.parts))]
+    if not columns:
+        return fit.cost
+    misfit = np.hstack(columns)
+    score = misfit.T @ fit.entries
+    told = score @ np.linalg.solve(np.eye(len(score)) + misfit.T @ misfit, score)
+    return float(fit.entries @ fit.entries - told)
+
+
+def _varied(judge: Judge, terms: tuple[Term, ...], k: int) -> np.ndarray:
+    """Return what one term adds, channel by channel and times each function, as entries, shape (R, 18)."""
+    others = terms[:k] + terms[k + 1 :]
+    return judge.stack([one.whitener(_variations(one, terms, others)) for one in judge.evidence])
+
+
+def _variations(one: Evidence, terms: Sequence[Term], others: Sequence[Term]) -> np.ndarray:
+    """Return the defects that terms take off beyond others, varied, shape (N - 1, 3, 18)."""
+    effect = one.left(others) - one.left(terms)
+    functions = _functions(one)
+    out = np.zeros((len(effect), 3, 3 * functions.shape[1]))
+    for channel in range(3):
+        columns = slice(channel * functions.shape[1], (channel + 1) * functions.shape[1])
+        out[:, channel, columns] = effect[:, channel, None] * functions
+    return out
+
+
+def _functions(one: Evidence) -> np.ndarray:
+    """Return 1, and slips, torque and speed within about [-1, 1], in the middle of each transition, (N - 1, 6)."""
+    z = features(one.series, one.vehicle)
+    a, b, c, v = np.clip(z / np.maximum(np.quantile(np.abs(z), 0.99, axis=0), 1e-9), -1.5, 1.5).T
+    out = np.stack([np.ones_like(a), a * a, b * b, c, np.abs(c), v], axis=1)
+    return 0.5 * (out[1:] + out[:-1])

@@ -1,0 +1,97 @@
+"""Costs with a share of every effect free: against dense algebra, and on two terms that do nearly the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis import misfit as module
+from split_cli.diagnosis import selection as selecting
+from split_cli.diagnosis.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.misfit import cost_beside_misfit
+from split_cli.diagnosis.selection import nothing, select_terms
+from tests.diagnosis.recordings import candidates_of, driven, late, noisy_judge
+
+
+@pytest.fixture(scope="module")
+def behind() -> Judge:
+    """Steering that arrives 30 ms late."""
+    return noisy_judge(driven(41, steer=lambda inputs, step: late(inputs, 0.03, step)), 3)
+
+
+def fitted(judge: Judge, term: str) -> Fit:
+    (one,) = candidates_of(judge, term)
+    return min((fit_parts(judge, [Part(one, dict(start))]) for start in one.starts), key=lambda fit: fit.cost)
+
+
+@pytest.fixture(scope="module")
+def delay(behind) -> Fit:
+    return fitted(behind, "steer_delay")
+
+
+@pytest.fixture(scope="module")
+def lag(behind) -> Fit:
+    return fitted(behind, "steer_lag")
+
+
+def test_the_cost_is_that_of_the_dense_gaussian(behind, delay):
+    """Noise of unit variance and misfit together: e^T (I + M M^T)^-1 e, on every tenth row to keep it small."""
+    misfit = 0.1 * behind.whiten(module._varied(behind, delay.terms, 0))
+    assert misfit.shape == (len(delay.entries), 18)
+    rows = slice(0, None, 10)
+    few, entries = misfit[rows], delay.entries[rows]
+    expected = entries @ np.linalg.solve(np.eye(len(entries)) + few @ few.T, entries)
+    score = few.T @ entries
+    told = entries @ entries - score @ np.linalg.solve(np.eye(18) + few.T @ few, score)
+    assert told == pytest.approx(expected, rel=1e-9)
+    # And on all rows it is the least of |e - M w|^2 + |w|^2.
+    stacked, target = np.vstack([misfit, np.eye(18)]), np.append(delay.entries, np.zeros(18))
+    left = target - stacked @ np.linalg.lstsq(stacked, target, rcond=None)[0]
+    assert cost_beside_misfit(behind, delay) == pytest.approx(left @ left, rel=1e-9)
+
+
+def test_without_a_term_nothing_is_free(behind):
+    base = nothing(behind)
+    assert cost_beside_misfit(behind, base) == base.cost
+
+
+def test_the_first_column_of_a_channel_is_the_effect_itself(behind, delay):
+    varied = module._varied(behind, delay.terms, 0)
+    effect = behind.residual(()) - behind.residual(delay.terms)
+    assert varied[:, [0, 6, 12]].sum(axis=1) == pytest.approx(effect, abs=1e-9)
+
+
+def test_a_misfit_that_favours_another_term_does_not_decide(behind, delay, lag):
+    """What is wrong of the late steering's effect on v_x happens to look like a lag."""
+    assert delay.cost < lag.cost
+    between = lag.entries - delay.entries
+    columns = behind.whiten(module._varied(behind, delay.terms, 0))
+    column = columns[:, np.argmax(np.abs(columns.T @ between) / np.linalg.norm(columns, axis=0))]
+    size = -1.5 * (lag.cost - delay.cost) / (2.0 * float(column @ between))
+    moved = [
+        replace(fit, entries=fit.entries + size * column, cost=float(np.sum((fit.entries + size * column) ** 2)))
+        for fit in (delay, lag)
+    ]
+    assert abs(size) < 0.5 and moved[0].cost > moved[1].cost
+    assert cost_beside_misfit(behind, moved[0]) < cost_beside_misfit(behind, moved[1])
+
+
+def test_an_alternative_takes_the_place_where_it_is_better_beside_misfit(behind, monkeypatch):
+    candidates = candidates_of(behind, "steer_delay", "steer_lag")
+    plain = select_terms(behind, candidates, 1.5)
+    assert plain.chosen.names == ("steer_delay",)
+    # Alternatives are what may be misfit; here the lag is made one.
+    monkeypatch.setattr(selecting, "explaining_as_well", lambda judge, selection, k, rivals: list(rivals))
+    assert select_terms(behind, candidates, 1.5).chosen.names == ("steer_delay",)
+    monkeypatch.setattr(selecting, "cost_beside_misfit", lambda judge, fit: float("steer_delay" in fit.names))
+    turned = select_terms(behind, candidates, 1.5)
+    assert turned.chosen.names == ("steer_lag",) and turned.named == (True,)
+    assert "beside misfit" in turned.history[-1]
+    # What it was compared with is told as seen from the one that is chosen now.
+    (rival, *_) = turned.rivals[0]
+    assert rival.fit.names == ("steer_delay",) and rival.excess == pytest.approx(
+        -plain.rivals[0][0].excess, rel=1e-6
+    )

@@ -1,0 +1,65 @@
+"""Work in threads gives what work in turn gives."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from split_cli.diagnosis import together as module
+from split_cli.diagnosis.together import together, use_threads
+
+
+@pytest.fixture(params=[1, 3])
+def threads(request):
+    use_threads(request.param)
+    yield request.param
+    use_threads(0)
+
+
+def test_results_are_in_order_and_errors_come_out(threads):
+    assert together(lambda x: x * x, range(7)) == [x * x for x in range(7)]
+    assert together(lambda x: x, []) == []
+
+    def fails(x: int) -> int:
+        if x:
+            raise ValueError(x)
+        return x
+
+    with pytest.raises(ValueError, match="^2$"):
+        together(fails, [0, 2, 5])
+
+
+def test_several_are_under_way_at_once_where_they_may_be(threads):
+    """Each waits for the others: in turn they never meet."""
+    gate = threading.Barrier(3)
+
+    def meets(_) -> bool:
+        try:
+            gate.wait(timeout=0.5 if threads == 1 else 20.0)
+        except threading.BrokenBarrierError:
+            return False
+        return True
+
+    assert together(meets, range(3)) == [threads == 3] * 3
+
+
+def test_there_are_no_more_threads_than_cores_or_four(monkeypatch):
+    seen = []
+    monkeypatch.setattr(module, "ThreadPoolExecutor", lambda count: seen.append(count) or Pool())
+    for cores in (2, 64):
+        monkeypatch.setattr(module, "_cores", lambda cores=cores: cores)
+        together(str, range(9))
+    assert seen == [2, 4]
+
+
+class Pool:
+    """A pool that works in turn."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_) -> None:
+        pass
+
+    map = staticmethod(map)
