@@ -27,6 +27,7 @@ from split_cli.diagnosis.sentences import summarise
 from split_cli.diagnosis.series import build_series
 from split_cli.diagnosis.spectrum import Line, strongest_line
 from split_cli.diagnosis.structure import FlexibleFit, Structure, build_structure
+from split_cli.diagnosis.together import together
 from split_cli.diagnosis.wander import wander_of
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import Term
@@ -104,10 +105,10 @@ def diagnose(
     drives = [moving(drive, vehicle) for drive in drives]
     progress("smoothing")
     places, lap = places_of(drives, vehicle.wheelbase)
-    series = [
-        build_series(drive, role, s, lap_length=lap, place_reference=reference)
-        for drive, role, (s, reference) in zip(drives, roles, places, strict=True)
-    ]
+    series = together(
+        lambda one: build_series(one[0], one[1], one[2][0], lap_length=lap, place_reference=one[2][1]),
+        zip(drives, roles, places, strict=True),
+    )
     progress("whitening")
     case = gather_case(vehicle, series, inflation=settings.inflation, reach=settings.reach)
     kept = sum(int(mask.sum()) for mask in case.keep)
@@ -124,14 +125,17 @@ def diagnose(
         build_candidates(vehicle, case.real[0].series), [one.series for one in case.real], vehicle
     )
     judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
+    rows = together(lambda one: flexible_rows(one, case.common), [*case.real, *case.graded])
+    real_rows, graded_rows = rows[: len(case.real)], rows[len(case.real) :]
     known = SelfTest()
     if case.graded:
         known = self_test(
-            case.graded, case.common, candidates, case.kinematics,
+            case.graded, graded_rows, case.common, candidates, case.kinematics,
             inflation=settings.inflation, reach=settings.reach,
         )  # fmt: skip
     judge = known.allow(judge)
-    structure = build_structure(judge, [flexible_rows(one, case.common) for one in case.real])
+    structure = build_structure(judge, real_rows)
+    del rows, real_rows, graded_rows
     base = nothing(judge)
     inflation = max(settings.inflation, known.ratio, wander_of(structure, base.entries).ratio)
     gap = structure.fit(base.entries, inflation)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from split_cli.diagnosis.common import CommonPhysics
 from split_cli.diagnosis.series import Series, extended_model
@@ -20,7 +21,7 @@ _ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000
 # Of an axle's peak force: asked for more along the car, its wheels may spin or lock, which takes a while to end.
 _ROLLING_SHARE = 0.9
-_WRONG_SHARE = 0.1
+_LOST_SHARE = 0.1
 _ROLLING_SECONDS = 0.2
 _LEAST_ROLLING = 0.5
 
@@ -77,21 +78,24 @@ class Evidence:
         rates = self.series.rates(extended_model(self.vehicle, terms), smooth)
         if common_rates is not None:
             rates = rates + common_rates
-        return defects(self.series, rates, self.jacobian, measured, smooth)
+        plain = measured is self.series.measured and smooth is self.series.smooth
+        moved = self._moved if plain else motion(self.series, self.jacobian, measured, smooth)
+        return moved - integrated(self.series, rates)
+
+    @cached_property
+    def _moved(self) -> np.ndarray:
+        return motion(self.series, self.jacobian, self.series.measured, self.series.smooth)
 
 
-def defects(
-    series: Series, rates: np.ndarray, jacobian: np.ndarray, measured: np.ndarray, smooth: np.ndarray
-) -> np.ndarray:
-    """Return what each sample adds beyond the model, shape (N - 1, 3); 0 over gaps.
+def motion(series: Series, jacobian: np.ndarray, measured: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+    """Return what rates of a model at the smoothed states have to explain, shape (N - 1, 3); 0 over gaps.
 
     Notes
     -----
     The model is evaluated at smoothed states and carried to the measured ones by its Jacobian, so that sensor
     noise enters to first order only, where the whitener knows of it.
     """
-    expected = rates + np.einsum("nij,nj->ni", jacobian, measured - smooth)
-    out = np.diff(measured, axis=0) - 0.5 * series.period * (expected[1:] + expected[:-1])
+    out = np.diff(measured, axis=0) - integrated(series, np.einsum("nij,nj->ni", jacobian, measured - smooth))
     out[~series.inside()] = 0.0
     return out
 
@@ -121,7 +125,7 @@ def gather_evidence(
         *rows, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s
     )
     rates = series.rates(extended_model(vehicle))
-    plain = defects(series, rates, jacobian, series.measured, series.smooth)
+    plain = motion(series, jacobian, series.measured, series.smooth) - integrated(series, rates)
     columns = integrated(series, common.columns(series))
     group, at = _row_groups(series)
     rolls = rolling(series, vehicle)
@@ -164,17 +168,18 @@ def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common:
 def rolling(series: Series, vehicle: Vehicle) -> np.ndarray:
     """Return where the wheels roll, shape (N,): a single track knows neither spinning nor locked ones.
 
-    They do not where an axle is asked for most of its peak force, at the load it stands with, and the car does not
-    get what was asked for: load that moves to an axle gives it more.
+    They do not where an axle is asked for most of its peak force, at the load it stands with, and for a while the
+    car gets less than it was asked for: load that moves to an axle, and downforce, give it more.
     """
     model = extended_model(vehicle)
     flow = series.flow(model)
     axles = (flow.front, flow.rear)
     used = np.maximum(*(np.abs(axle.longitudinal_force) / axle.D for axle in axles))
-    asked = np.abs(sum(axle.longitudinal_force for axle in axles))
-    got_wrong = vehicle.mass * np.abs(np.gradient(series.smooth[:, 0], series.period) - model.balance(flow)[0])
-    slipping = np.broadcast_to((used > _ROLLING_SHARE) & (got_wrong > _WRONG_SHARE * asked), series.t.shape)
+    asked = sum(axle.longitudinal_force for axle in axles) + 0.0 * series.t
+    got = vehicle.mass * (np.gradient(series.smooth[:, 0], series.period) - model.balance(flow)[0])
     reach = max(1, int(round(_ROLLING_SECONDS / series.period)))
+    lost, wanted = (uniform_filter1d(one, reach + 1) for one in (-np.sign(asked) * got, np.abs(asked)))
+    slipping = (used > _ROLLING_SHARE) & (lost > _LOST_SHARE * wanted)
     rolls = ~maximum_filter1d(slipping, 2 * reach + 1)
     # A car that asks for more most of the time has other tyres than its file says.
     return rolls if rolls.mean() > _LEAST_ROLLING else np.ones_like(rolls)

@@ -17,13 +17,15 @@ from split_cli.diagnosis.fitting import Fit
 from split_cli.diagnosis.judge import Judge
 from split_cli.vehicle.effects import Term
 
-__all__ = ["cost_beside_misfit"]
+__all__ = ["costs_beside_misfit"]
 
 _SHARE = 0.10  # prior deviation of each function's weight, as a share of the effect
 
 
-def cost_beside_misfit(judge: Judge, fit: Fit) -> float:
-    """Return a fit's cost with a share of each term's effect free, in each channel and by operating point.
+def costs_beside_misfit(judge: Judge, fits: Sequence[Fit]) -> list[float]:
+    """Return the cost of each fit with a share of every effect of them all free, by channel and operating point.
+
+    What one of them might get wrong is free for the others too: else the one would win that can bend most.
 
     Notes
     -----
@@ -31,13 +33,14 @@ def cost_beside_misfit(judge: Judge, fit: Fit) -> float:
     the entries left. The weights of M are integrated out: e^T (I + M M^T)^-1 e = |e|^2 - |L^-1 M^T e|^2 with
     L L^T = I + M^T M.
     """
-    columns = [_SHARE * judge.whiten(_varied(judge, fit.terms, k)) for k in range(len(fit.parts))]
+    columns = [_SHARE * judge.whiten(_varied(judge, fit.terms, k)) for fit in fits for k in range(len(fit.parts))]
     if not columns:
-        return fit.cost
+        return [fit.cost for fit in fits]
     misfit = np.hstack(columns)
-    score = misfit.T @ fit.entries
-    told = score @ np.linalg.solve(np.eye(len(score)) + misfit.T @ misfit, score)
-    return float(fit.entries @ fit.entries - told)
+    normal = np.eye(misfit.shape[1]) + misfit.T @ misfit
+    scores = misfit.T @ np.stack([fit.entries for fit in fits], axis=1)
+    told = np.sum(scores * np.linalg.solve(normal, scores), axis=0)
+    return [float(fit.entries @ fit.entries - one) for fit, one in zip(fits, told, strict=True)]
 
 
 def _varied(judge: Judge, terms: tuple[Term, ...], k: int) -> np.ndarray:

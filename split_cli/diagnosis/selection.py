@@ -11,7 +11,7 @@ from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.exploration import Explorer, Rules
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.misfit import cost_beside_misfit
+from split_cli.diagnosis.misfit import costs_beside_misfit
 from split_cli.diagnosis.severity import severities_of
 from split_cli.diagnosis.structure import TERM_FLOOR, common_severities, minimum_effect_p, term_allowances
 from split_cli.vehicle.effects import Term
@@ -125,10 +125,11 @@ def select_terms(
         selection = _examined(explore, base, better.fit)
     for _ in range(rules.swaps):
         better, saved = _better_beside_misfit(explore, selection)
-        if better is None:
+        trial = _examined(explore, base, better) if better is not None else selection
+        if better is None or sum(trial.named) < sum(selection.named):
             break
         history.append(f"{better.parts[-1].candidate.label} takes a place, saves {saved:.1f} beside misfit")
-        selection = _examined(explore, base, better)
+        selection = trial
     return replace(selection, history=tuple(history), first_p=found.first_p)
 
 
@@ -155,16 +156,14 @@ def _better_beside_misfit(explore: Explorer, selection: Selection) -> tuple[Fit 
     for k, rivals in enumerate(selection.rivals):
         for rival in explaining_as_well(explore.judge, selection, k, rivals):
             alternatives.setdefault((k, rival.fit.parts[-1].candidate.term), rival.fit)
-    if not alternatives:
-        return None, 0.0
-
-    def price(fit: Fit) -> float:
-        return cost_beside_misfit(explore.judge, fit) / explore.inflation + explore.rules.price * fit.complexity
-
-    prices = [(price(fit), fit) for fit in alternatives.values()]
-    least, best = min(prices, key=lambda one: one[0])
-    saved = price(selection.chosen) - least
-    return (best, saved) if saved > 0.0 else (None, 0.0)
+    best, most = None, 0.0
+    for fit in alternatives.values():
+        here, there = costs_beside_misfit(explore.judge, [selection.chosen, fit])
+        price = explore.rules.price * (fit.complexity - selection.chosen.complexity)
+        saved = (here - there) / explore.inflation - price
+        if saved > most:
+            best, most = fit, saved
+    return best, most
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,17 @@ def test_braking_counts_as_driving_does(noisy_nominal):
     assert not rolling(prepared(asked_for(noisy_nominal, -1.5)), road_car())[FIRST:LAST].any()
 
 
+def test_a_car_that_gets_more_than_it_asks_for_rolls(noisy_nominal):
+    """Downforce or load gives an axle more than its file says; a spinning wheel never does."""
+    asked = asked_for(asked_for(noisy_nominal, 0.85, slice(FIRST - 40, LAST + 40)), 0.95)
+    force = 0.95 * road_car().rear_tire.D / (1.0 - road_car().drive_split_front)
+    faster, begin, end = asked["vx"].copy(), FIRST - 40, LAST + 40
+    faster[begin:end] = asked["vx"][begin] + 1.4 * force / road_car().mass * 0.01 * np.arange(end - begin)
+    faster[end:] += faster[end - 1] - asked["vx"][end - 1]
+    assert not rolling(prepared(asked), road_car()).all()
+    assert rolling(prepared(replace(asked, columns={**asked.columns, "vx": faster})), road_car()).all()
+
+
 def test_a_car_that_asks_for_more_nearly_always_has_other_tyres(noisy_nominal):
     always = slice(0, int(0.8 * len(noisy_nominal)))
     assert rolling(prepared(asked_for(noisy_nominal, 0.95, always)), road_car()).all()

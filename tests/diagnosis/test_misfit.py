@@ -11,7 +11,7 @@ from split_cli.diagnosis import misfit as module
 from split_cli.diagnosis import selection as selecting
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.misfit import cost_beside_misfit
+from split_cli.diagnosis.misfit import costs_beside_misfit
 from split_cli.diagnosis.selection import nothing, select_terms
 from tests.diagnosis.recordings import candidates_of, driven, late, noisy_judge
 
@@ -50,12 +50,12 @@ def test_the_cost_is_that_of_the_dense_gaussian(behind, delay):
     # And on all rows it is the least of |e - M w|^2 + |w|^2.
     stacked, target = np.vstack([misfit, np.eye(18)]), np.append(delay.entries, np.zeros(18))
     left = target - stacked @ np.linalg.lstsq(stacked, target, rcond=None)[0]
-    assert cost_beside_misfit(behind, delay) == pytest.approx(left @ left, rel=1e-9)
+    assert costs_beside_misfit(behind, [delay]) == pytest.approx([left @ left], rel=1e-9)
 
 
 def test_without_a_term_nothing_is_free(behind):
     base = nothing(behind)
-    assert cost_beside_misfit(behind, base) == base.cost
+    assert costs_beside_misfit(behind, [base]) == [base.cost]
 
 
 def test_the_first_column_of_a_channel_is_the_effect_itself(behind, delay):
@@ -76,7 +76,20 @@ def test_a_misfit_that_favours_another_term_does_not_decide(behind, delay, lag):
         for fit in (delay, lag)
     ]
     assert abs(size) < 0.5 and moved[0].cost > moved[1].cost
-    assert cost_beside_misfit(behind, moved[0]) < cost_beside_misfit(behind, moved[1])
+    beside = costs_beside_misfit(behind, moved)
+    assert beside[0] < beside[1]
+
+
+def test_what_one_may_get_wrong_is_free_for_the_others(behind, delay, lag):
+    """Something in v_x that the brakes do, which only a term that acts there could bend to."""
+    (one,) = candidates_of(behind, "drive_gain")
+    bends = fit_parts(behind, [Part(one, {"drive_gain": 0.97, "brake_gain": 0.97})])
+    alone = costs_beside_misfit(behind, [delay])[0]
+    together = costs_beside_misfit(behind, [delay, bends])
+    assert together[0] < alone and together == pytest.approx(costs_beside_misfit(behind, [bends, delay])[::-1])
+    # Of the same entries none is better than another.
+    same = replace(bends, entries=delay.entries)
+    assert np.ptp(costs_beside_misfit(behind, [delay, same])) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_an_alternative_takes_the_place_where_it_is_better_beside_misfit(behind, monkeypatch):
@@ -86,7 +99,9 @@ def test_an_alternative_takes_the_place_where_it_is_better_beside_misfit(behind,
     # Alternatives are what may be misfit; here the lag is made one.
     monkeypatch.setattr(selecting, "explaining_as_well", lambda judge, selection, k, rivals: list(rivals))
     assert select_terms(behind, candidates, 1.5).chosen.names == ("steer_delay",)
-    monkeypatch.setattr(selecting, "cost_beside_misfit", lambda judge, fit: float("steer_delay" in fit.names))
+    monkeypatch.setattr(
+        selecting, "costs_beside_misfit", lambda judge, fits: [float("steer_delay" in fit.names) for fit in fits]
+    )
     turned = select_terms(behind, candidates, 1.5)
     assert turned.chosen.names == ("steer_lag",) and turned.named == (True,)
     assert "beside misfit" in turned.history[-1]
