@@ -16,7 +16,7 @@ import numpy as np
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.common import CommonPhysics, features
 from split_cli.diagnosis.evidence import Evidence
-from split_cli.diagnosis.flexible import FlexibleRows
+from split_cli.diagnosis.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.judge import Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit
 from split_cli.diagnosis.structure import build_structure
@@ -81,7 +81,6 @@ class SelfTest:
 
 def self_test(
     graded: Sequence[Evidence],
-    rows: Sequence[FlexibleRows],
     common: CommonPhysics,
     candidates: Sequence[Candidate],
     kinematics: Sequence[Kinematics] = (),
@@ -95,8 +94,6 @@ def self_test(
     ----------
     graded : sequence of Evidence
         The simulation with the noise and disturbance of the real recordings, see `graded_as`.
-    rows : sequence of FlexibleRows
-        Of the same.
     common : CommonPhysics
     candidates : sequence of Candidate
         Terms that reality will be searched for.
@@ -115,7 +112,8 @@ def self_test(
     positions = [one and replace(one, scale=max(one.scale, scale)) for one in positions]
     all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
     offers = _offers(build_judge(graded, None, common, all_rows, [one for one in positions if one]), candidates)
-    sides = _Sides(tuple(graded), tuple(positions), tuple(rows), common, inflation, reach)
+    rows = tuple(flexible_rows(one, common) for one in graded)
+    sides = _Sides(tuple(graded), tuple(positions), rows, common, inflation, reach)
     first = _first_half(graded)
     halves = [[mask ^ turned for mask in first] for turned in (False, True)]
     tests = together(lambda teaching: _judge_half(sides, teaching, offers), halves)

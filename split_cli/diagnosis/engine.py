@@ -125,17 +125,14 @@ def diagnose(
         build_candidates(vehicle, case.real[0].series), [one.series for one in case.real], vehicle
     )
     judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
-    rows = together(lambda one: flexible_rows(one, case.common), [*case.real, *case.graded])
-    real_rows, graded_rows = rows[: len(case.real)], rows[len(case.real) :]
     known = SelfTest()
     if case.graded:
         known = self_test(
-            case.graded, graded_rows, case.common, candidates, case.kinematics,
+            case.graded, case.common, candidates, case.kinematics,
             inflation=settings.inflation, reach=settings.reach,
         )  # fmt: skip
     judge = known.allow(judge)
-    structure = build_structure(judge, real_rows)
-    del rows, real_rows, graded_rows
+    structure = build_structure(judge, [flexible_rows(one, case.common) for one in case.real])
     base = nothing(judge)
     inflation = max(settings.inflation, known.ratio, wander_of(structure, base.entries).ratio)
     gap = structure.fit(base.entries, inflation)

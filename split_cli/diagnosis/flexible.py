@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -12,6 +11,7 @@ from split_cli.diagnosis.common import CommonPhysics, features
 from split_cli.diagnosis.evidence import Evidence, integrated
 from split_cli.diagnosis.series import Series
 from split_cli.diagnosis.severity import windowed
+from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 
@@ -40,25 +40,26 @@ class FlexibleRows:
 
 
 def flexible_rows(one: Evidence, common: CommonPhysics) -> FlexibleRows:
-    """Return the functions' rows; a block of functions at a time, since all of them fill memory."""
-    whitened, windows, groups = [], [], []
-    for name, rates in _blocks(one, common):
-        defects = integrated(one.series, rates)
-        groups += [name] * rates.shape[2]
-        del rates
-        whitened.append(one.whitener(defects))
-        windows.append(windowed(one.series, defects, one.at))
-    return FlexibleRows(np.concatenate(whitened, axis=2), np.concatenate(windows, axis=2), tuple(groups))
-
-
-def _blocks(one: Evidence, common: CommonPhysics) -> Iterator[tuple[str, np.ndarray]]:
-    """Give the functions' rates, shape (N, 3, .), group by group; those of the common physics first."""
+    """Return the functions' rows; group by group, since the rates of all of them fill memory."""
     series, vehicle = one.series, one.vehicle
-    yield "operating point", common.columns(series)
-    yield "left against right", _asymmetric(series, vehicle)
-    yield "memory", _memory(series, vehicle)
-    yield "time", _time(series, vehicle)
-    yield "place", _place(series, vehicle)
+    groups = {
+        "operating point": lambda: common.columns(series),
+        "left against right": lambda: _asymmetric(series, vehicle),
+        "memory": lambda: _memory(series, vehicle),
+        "time": lambda: _time(series, vehicle),
+        "place": lambda: _place(series, vehicle),
+    }
+
+    def rows(name: str) -> FlexibleRows:
+        defects = integrated(series, groups[name]())
+        return FlexibleRows(one.whitener(defects), windowed(series, defects, one.at), (name,) * defects.shape[2])
+
+    parts = together(rows, groups)
+    return FlexibleRows(
+        np.concatenate([part.whitened for part in parts], axis=2),
+        np.concatenate([part.windows for part in parts], axis=2),
+        tuple(name for part in parts for name in part.groups),
+    )
 
 
 def _forces(vehicle: Vehicle) -> np.ndarray:

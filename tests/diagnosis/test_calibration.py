@@ -14,7 +14,6 @@ from split_cli.diagnosis.case import gather_case
 from split_cli.diagnosis.common import build_common_physics
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.evidence import gather_evidence
-from split_cli.diagnosis.flexible import flexible_rows
 from split_cli.diagnosis.place import places_of
 from split_cli.diagnosis.series import build_series
 from split_cli.logs.drive import Drive
@@ -57,8 +56,7 @@ def against_itself(simulation: Drive, reality: Drive) -> SelfTest:
         build_series(one, role, s) for one, role, (s, _) in zip(drives, ("real", "sim"), places, strict=True)
     )
     case = gather_case(car, [real, sim], inflation=1.5, reach=0.35)
-    rows = [flexible_rows(one, case.common) for one in case.graded]
-    return self_test(case.graded, rows, case.common, build_candidates(car, real), inflation=1.5, reach=0.35)
+    return self_test(case.graded, case.common, build_candidates(car, real), inflation=1.5, reach=0.35)
 
 
 @pytest.fixture(scope="module")
