@@ -1,0 +1,48 @@
+"""A folder with all that a command may be given."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from split_cli.logs.drive import write_drive
+from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows.simulate import SimulateSettings, simulate_log
+from tests.cli.hostile import tool
+from tests.factories import MissingForce, make_drive, road_car
+
+
+@pytest.fixture(scope="module")
+def depot(tmp_path_factory) -> Path:
+    """A folder with a vehicle, two drives, a trained set, a table and a log with messages."""
+    folder = tmp_path_factory.mktemp("depot")
+    car = road_car()
+    write_vehicle(car, folder / "car.yaml")
+    write_vehicle(road_car(mass=1700.0), folder / "other.yaml")
+    for number in range(2):
+        drive = make_drive(
+            number,
+            segments=20,
+            seconds=3.0,
+            vehicle=car,
+            terms=[MissingForce({"front_lateral": 150.0})],
+            name=f"d{number}.parquet",
+        )
+        write_drive(drive, folder / drive.name)
+    assert tool("train", folder / "d0.parquet", "--vehicle", folder / "car.yaml", "-o", folder / "a.split")[0] == 0
+    settings = SimulateSettings(track="small", duration=8.0, seed=1)
+    simulate_log(settings, folder / "lap.csv")
+    simulate_log(settings, folder / "lap.parquet")
+    simulate_log(settings, folder / "lap.mcap")
+    return folder
+
+
+@pytest.fixture
+def here(depot, tmp_path, monkeypatch) -> Path:
+    """The working directory: a fresh copy of the depot, under a name that quoting has to survive."""
+    folder = tmp_path / "my cars ü"
+    shutil.copytree(depot, folder)
+    monkeypatch.chdir(folder)
+    return folder

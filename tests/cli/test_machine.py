@@ -1,0 +1,109 @@
+"""A full disk, a closed stdout and a stop at any moment leave the old file or the new one."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.cli.hostile import state, tool
+
+
+def spawn(*arguments: object, **options) -> subprocess.Popen:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    return subprocess.Popen([sys.executable, "-m", "split_cli", *map(str, arguments)], text=True, **pipes)
+
+
+def no_room() -> None:
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+
+def test_a_full_disk_leaves_the_old_output(here):
+    for output, command in (
+        ("d0.parquet", ("ingest", "lap.csv", "-o", "d0.parquet")),
+        ("z.mcap", ("simulate", "--track", "small", "--duration", 3, "-o", "z.mcap")),
+        ("out", ("export", "a.split", "--target", "npz", "--queries", 200, "-o", "out")),
+    ):
+        before = state(output)
+        run = spawn(*command, preexec_fn=no_room)
+        err = run.communicate(timeout=120)[1].splitlines()
+        assert run.returncode == 1
+        assert "cannot be written" in err[-1] and "Traceback" not in "".join(err)
+        assert state(output) == before
+
+
+def test_a_stdout_that_is_full_or_closed_is_no_error_of_this_program(here):
+    with open("/dev/full", "w") as full:
+        run = spawn("info", "a.split", stdout=full)
+    assert run.communicate(timeout=60)[1] == "split: reading or writing: No space left on device\n"
+    assert run.returncode == 1
+    run = spawn("info", "a.split", stdout=None, preexec_fn=lambda: os.close(1))
+    assert run.communicate(timeout=60)[1] == ""
+    assert run.returncode == 0
+
+
+def test_a_stop_that_comes_while_an_object_is_taken_down_is_not_lost():
+    """Python swallows what is raised in a destructor, and prints it; the run would go on."""
+    program = """
+import os, signal, time
+from split_cli.cli.main import _stop_cleanly
+came = _stop_cleanly()
+class Held:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.05)
+try:
+    held = Held()
+    del held
+    time.sleep(5.0)
+    print("went on")
+except KeyboardInterrupt:
+    print("stopped", came[-1] == signal.SIGTERM)
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (run.stdout, run.stderr) == ("stopped True\n", "")
+
+
+def test_a_stop_inside_the_exec_of_a_library_leaves_with_130(here):
+    """Python notes an interrupt of an `exec`, and would end by SIGINT later; halfway loaded modules make noise."""
+    Path("sitecustomize.py").write_text("""
+import os, signal, sys
+class Late:
+    def find_spec(self, name, path=None, target=None):
+        if name == "split_cli.workflows.info":
+            sys.meta_path.remove(self)
+            exec("os.kill(os.getpid(), signal.SIGTERM)")
+sys.meta_path.insert(0, Late())
+""")
+    run = spawn("info", "a.split", env={**os.environ, "PYTHONPATH": os.pathsep.join([".", *sys.path])})
+    out, err = run.communicate(timeout=60)
+    assert (run.returncode, out) == (130, "")
+    assert err.strip() == "split: stopped; what was being written is left as it was before"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_run_that_is_stopped_leaves_the_old_set_or_the_new_one(here, number):
+    old = state("a.split")
+    shutil.copy("a.split", "whole.split")
+    assert tool("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "whole.split", "--append")[0] == 0
+    new = list(state("whole.split").values())
+    for wait in (0.25, 0.5, 0.8):
+        shutil.copy("whole.split", "scratch.split")
+        shutil.copy("a.split", "b.split")
+        run = spawn("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "b.split", "--append")
+        time.sleep(wait)
+        run.send_signal(number)
+        err = run.communicate(timeout=60)[1]
+        assert list(state("b.split").values()) in (list(old.values()), new)
+        if number != signal.SIGKILL:
+            assert "Traceback" not in err and "an error of this program" not in err
+            assert run.returncode in (0, 130, -number)
+            assert not [name for name in os.listdir(".") if name.endswith(".part")]
