@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,6 +48,14 @@ class Case:
     keep_holdout: tuple[np.ndarray, ...] = ()
     graded: tuple[Evidence, ...] = ()
 
+    def compared(self, reach: float) -> Case:
+        """Return the case with those real rows compared that are within `reach` of a simulated one."""
+        keep, kept_out = (
+            tuple(comparable(one, self.simulated, self.common, reach) for one in several)
+            for several in (self.real, self.holdout)
+        )
+        return replace(self, keep=keep, keep_holdout=kept_out)
+
     def common_rates(self, evidence: Evidence) -> np.ndarray:
         """Return what the simulation knows beyond the nominal model along a recording, shape (N, 3)."""
         if self.knowledge is None:
@@ -77,11 +85,10 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], *, inflation: float,
     disturbance = np.max([one.disturbance for one in real], axis=0)
     graded = [graded_as(one, noise, disturbance, common) for one in simulated]
     knowledge = learn_common(graded, inflation) if graded else None
-    keep = [comparable(one, simulated, common, reach) for one in real]
-    kept_out = [comparable(one, simulated, common, reach) for one in holdout]
     habit = habits(by_role["sim"])
     kinematics = [one for one in (build_kinematics(series, habit) for series in by_role["real"]) if one]
-    return Case(
-        vehicle, tuple(real), tuple(holdout), common, knowledge, tuple(keep), tuple(kinematics), tuple(simulated),
-        tuple(kept_out), tuple(graded),
+    case = Case(
+        vehicle, tuple(real), tuple(holdout), common, knowledge, (), tuple(kinematics), tuple(simulated),
+        graded=tuple(graded),
     )  # fmt: skip
+    return case.compared(reach)

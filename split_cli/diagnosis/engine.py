@@ -35,6 +35,15 @@ from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Settings", "diagnose"]
 
+_FAR = (
+    "what lies near alone: hardly any of the real drive lies where the simulation has been, so rows further off "
+    "than usual are compared; drive both over the same speeds, torques and turns"
+)
+_FAR_AND_NAMELESS = (
+    "Hardly any of the real drive lies where the simulation has been, and what differs further off has no name: "
+    "it may be what the simulation has not shown; drive both over the same speeds, torques and turns."
+)
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -51,6 +60,8 @@ class Settings:
         Share of the real drives' time kept out, at the end, when no drive is given for it.
     reach : float
         How far, in scaled features, a real sample may be from the nearest simulated one.
+    far_reach : float
+        The same where hardly any is nearer. What has no name may then be what the simulation has not shown.
     least_rows : int
         Rows of evidence below which nothing is decided.
     """
@@ -59,6 +70,7 @@ class Settings:
     inflation: float = 1.5
     holdout_share: float = 0.25
     reach: float = 0.35
+    far_reach: float = 0.7
     least_rows: int = 250
 
 
@@ -111,9 +123,15 @@ def diagnose(
     )
     progress("whitening")
     case = gather_case(vehicle, series, inflation=settings.inflation, reach=settings.reach)
-    kept = sum(int(mask.sum()) for mask in case.keep)
+    reach, kept = settings.reach, _rows(case)
+    if kept < settings.least_rows and case.simulated:
+        reach = settings.far_reach
+        case = case.compared(reach)
+        kept = _rows(case)
     share = kept / max(sum(len(one.at) for one in case.real), 1)
     not_judged = (*notes, *judgeable(case.real, vehicle, share))
+    if reach > settings.reach:
+        not_judged += (_FAR,)
     if kept < settings.least_rows:
         reasons = [
             f"Only {share:.0%} of the real drive ({kept} rows of 0.04 s) lies where the simulation has been; "
@@ -128,9 +146,8 @@ def diagnose(
     known = SelfTest()
     if case.graded:
         known = self_test(
-            case.graded, case.common, candidates, case.kinematics,
-            inflation=settings.inflation, reach=settings.reach,
-        )  # fmt: skip
+            case.graded, case.common, candidates, case.kinematics, inflation=settings.inflation, reach=reach
+        )
     judge = known.allow(judge)
     structure = build_structure(judge, [flexible_rows(one, case.common) for one in case.real])
     base = nothing(judge)
@@ -148,7 +165,13 @@ def diagnose(
         )  # fmt: skip
     progress("judging")
     told = _tell(case, structure, found, settings)
+    if reach > settings.reach and not told.findings:
+        return _undecided([_FAR_AND_NAMELESS], share, inputs, described)
     return replace(told, compared_share=share, not_judged=not_judged, inputs=tuple(inputs), settings=described)
+
+
+def _rows(case: Case) -> int:
+    return sum(int(mask.sum()) for mask in case.keep)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.document import diagnosis_to_mapping, diagnosis_to_text, read_schema
-from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.engine import Settings, diagnose
 from split_cli.diagnosis.result import Diagnosis
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Term
@@ -98,3 +98,29 @@ def test_what_is_in_no_catalogue_is_unexplained(simulation):
     assert strange.remainder.p_value < 0.01
     # The lead is the right one: the front axle, by the size of its slip angle.
     assert "front_lateral" in strange.remainder.formula and "|B alpha_f|" in strange.remainder.formula
+
+
+class TestFarFromTheSimulation:
+    """Hardly a row lies near a simulated one: those further off are compared, and told so."""
+
+    near = Settings(reach=1e-6)
+
+    def test_what_has_a_name_is_named(self, reality, simulation, answer):
+        far = diagnose([reality], road_car(), [simulation], settings=self.near)
+        assert [one.term for one in far.findings] == [one.term for one in answer.findings]
+        assert far.compared_share > 0.3 and any("further off" in text for text in far.not_judged)
+        assert not any("further off" in text for text in answer.not_judged)
+
+    def test_what_has_none_may_be_what_the_simulation_has_not_shown(self, simulation):
+        strange = recording(85, Lopsided({"share": 0.3}))
+        far = diagnose([strange], road_car(), [simulation], settings=self.near)
+        assert far.verdict == "undecided" and not far.unexplained
+        assert "has no name" in far.not_judged[0]
+
+    def test_the_same_car_matches(self, simulation):
+        far = diagnose([recording(83)], road_car(), [simulation], settings=self.near)
+        assert far.verdict == "match"
+
+    def test_too_far_is_too_far(self, reality, simulation):
+        far = diagnose([reality], road_car(), [simulation], settings=Settings(reach=1e-6, far_reach=1e-5))
+        assert far.verdict == "undecided" and "where the simulation has been" in far.not_judged[0]
