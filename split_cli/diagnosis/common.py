@@ -164,6 +164,12 @@ def features(series: Series, vehicle: Vehicle) -> np.ndarray:
     return np.stack([flow.front.slip_angle, flow.rear.slip_angle, ratio, series.smooth[:, 0]], axis=1)
 
 
+def scaled_features(series: Series, vehicle: Vehicle) -> np.ndarray:
+    """Return the features over what a hundredth of the recording exceeds of each in size, shape (N, 4)."""
+    z = features(series, vehicle)
+    return z / np.maximum(np.quantile(np.abs(z), 0.99, axis=0), 1e-9)
+
+
 def natural_unit(vehicle: Vehicle, term: str, parameter: str) -> float:
     """Return a size of a parameter that matters for this vehicle: what 1 means in tables written for all cars."""
     weight = vehicle.mass * 9.80665

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from split_cli.diagnosis.common import CommonPhysics, features
+from split_cli.diagnosis.common import CommonPhysics, scaled_features
 from split_cli.diagnosis.evidence import Evidence, integrated
 from split_cli.diagnosis.series import Series
 from split_cli.diagnosis.severity import windowed
@@ -67,11 +67,6 @@ def _forces(vehicle: Vehicle) -> np.ndarray:
     return vehicle.force_matrix() * 0.03 * 0.5 * (vehicle.front_tire.D + vehicle.rear_tire.D)
 
 
-def _scaled(series: Series, vehicle: Vehicle) -> np.ndarray:
-    z = features(series, vehicle)
-    return z / np.maximum(np.quantile(np.abs(z), 0.99, axis=0), 1e-9)
-
-
 def _spread(functions: dict[int, list[np.ndarray]], vehicle: Vehicle) -> np.ndarray:
     """Give functions by force channel (0 to 2) their directions, shape (N, 3, Q)."""
     direction = _forces(vehicle)
@@ -80,7 +75,7 @@ def _spread(functions: dict[int, list[np.ndarray]], vehicle: Vehicle) -> np.ndar
 
 
 def _asymmetric(series: Series, vehicle: Vehicle) -> np.ndarray:
-    a, b, c, v = np.clip(_scaled(series, vehicle), -1.5, 1.5).T
+    a, b, c, v = np.clip(scaled_features(series, vehicle), -1.5, 1.5).T
     odd, even = [], []
     for i, j, k, m in product(range(4), range(4), range(3), range(3)):
         if i + j + k + m <= 3:
@@ -91,7 +86,7 @@ def _asymmetric(series: Series, vehicle: Vehicle) -> np.ndarray:
 
 
 def _memory(series: Series, vehicle: Vehicle) -> np.ndarray:
-    a, b, c, v = _scaled(series, vehicle).T
+    a, b, c, v = scaled_features(series, vehicle).T
     delta = series.steer_angle / max(float(np.quantile(np.abs(series.steer_angle), 0.99)), 1e-6)
     clock = series.recording
     along, front, rear = [], [], []
@@ -116,7 +111,7 @@ def _memory(series: Series, vehicle: Vehicle) -> np.ndarray:
 
 
 def _time(series: Series, vehicle: Vehicle) -> np.ndarray:
-    a, b, c, _ = _scaled(series, vehicle).T
+    a, b, c, _ = scaled_features(series, vehicle).T
     position = series.t / max(series.t[-1], 1e-9) * (_KNOTS - 1)
     hats = [np.maximum(0.0, 1.0 - np.abs(position - k)) for k in range(_KNOTS)]
     up, down = np.maximum(c, 0.0), np.minimum(c, 0.0)
@@ -131,7 +126,7 @@ def _time(series: Series, vehicle: Vehicle) -> np.ndarray:
 
 
 def _place(series: Series, vehicle: Vehicle) -> np.ndarray:
-    a, b, _, _ = _scaled(series, vehicle).T
+    a, b, _, _ = scaled_features(series, vehicle).T
     angle = 2.0 * np.pi * series.s / (series.lap_length or max(float(series.s.max()), 1.0))
     waves = [f(k * angle) for k in range(1, _HARMONICS + 1) for f in (np.sin, np.cos)]
     few = waves[: 2 * (_HARMONICS // 2)]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from split_cli.diagnosis.common import features
+from split_cli.diagnosis.common import scaled_features
 from split_cli.diagnosis.evidence import Evidence
 from split_cli.diagnosis.fitting import Fit
 from split_cli.diagnosis.judge import Judge
@@ -62,7 +62,6 @@ def _variations(one: Evidence, terms: Sequence[Term], others: Sequence[Term]) ->
 
 def _functions(one: Evidence) -> np.ndarray:
     """Return 1, and slips, torque and speed within about [-1, 1], in the middle of each transition, (N - 1, 6)."""
-    z = features(one.series, one.vehicle)
-    a, b, c, v = np.clip(z / np.maximum(np.quantile(np.abs(z), 0.99, axis=0), 1e-9), -1.5, 1.5).T
+    a, b, c, v = np.clip(scaled_features(one.series, one.vehicle), -1.5, 1.5).T
     out = np.stack([np.ones_like(a), a * a, b * b, c, np.abs(c), v], axis=1)
     return 0.5 * (out[1:] + out[:-1])

@@ -80,7 +80,7 @@ def test_a_misfit_that_favours_another_term_does_not_decide(behind, delay, lag):
     assert beside[0] < beside[1]
 
 
-def test_what_one_may_get_wrong_is_free_for_the_others(behind, delay, lag):
+def test_what_one_may_get_wrong_is_free_for_the_others(behind, delay):
     """Something in v_x that the brakes do, which only a term that acts there could bend to."""
     (one,) = candidates_of(behind, "drive_gain")
     bends = fit_parts(behind, [Part(one, {"drive_gain": 0.97, "brake_gain": 0.97})])
