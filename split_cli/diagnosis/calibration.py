@@ -19,7 +19,7 @@ from split_cli.diagnosis.evidence import Evidence
 from split_cli.diagnosis.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.judge import Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit
-from split_cli.diagnosis.structure import build_structure
+from split_cli.diagnosis.structure import FlexibleFit, build_structure
 from split_cli.diagnosis.together import together
 from split_cli.diagnosis.wander import wander_of
 from split_cli.vehicle.effects import CATALOGUE
@@ -77,6 +77,12 @@ class SelfTest:
                 term: _TERM_MARGIN * scale * max(saved, _KINDRED * most) for term, saved in self.terms.items()
             },
         )
+
+    def misfit_of(self, gap: FlexibleFit) -> float:
+        """Return by how much misfit widens what a term saves by chance: as between the halves, but by no more than
+        reality itself shows, whose difference may hold misfit and nothing else.
+        """
+        return _TERM_MARGIN * min(self.ratio, gap.saved / max(gap.freedom, 1.0))
 
 
 def self_test(

@@ -120,7 +120,6 @@ def _tables(vehicle: Vehicle, duration: float, reach: float) -> dict:
         # No car pushes itself: what is taken off is at most what the nominal has.
         ("aero_drag", ""): ({"drag": (-least_drag, 10.0, 0.01)}, [{"drag": 0.1}]),
         ("rolling_resistance", ""): ({"force": (-least_force, 0.3, 0.001)}, [{"force": 0.005}]),
-        ("yaw_moment_differential", ""): ({"yaw_damping": (0.0, 5.0, 0.01)}, [{"yaw_damping": 0.05}]),
         ("road_grade", "wave"): (wave, [], "wave", 6.0),
         ("road_grade", "stretch"): (stretch, [], "stretch", 6.0),
         ("road_bank", ""): ({"angle": (-0.4, 0.4, 0.001)}, [{"angle": 0.005}]),
@@ -155,6 +154,9 @@ def _tables(vehicle: Vehicle, duration: float, reach: float) -> dict:
     for variant in ("", "loaded", "degressive"):
         tables["mass", variant] = ({"scale": (0.4, 2.5, 0.01)}, [{"scale": 1.03}])
         tables["cg_shift", variant] = ({"dx": (-0.3, 0.3, 0.002)}, [{"dx": 0.005}])
+    for variant in ("", "driven"):
+        damping = {"yaw_damping": (0.0, 5.0, 0.01)}
+        tables["yaw_moment_differential", variant] = (damping, [{"yaw_damping": 0.05}])
     for variant in ("", "side", "broadside"):
         tables["wind", variant] = ({"wx": (-2.0, 2.0, 0.01), "wy": (-2.0, 2.0, 0.01)}, [{"wx": 0.1, "wy": 0.1}])
     return {key: (*entry, *("", 0.0)[len(entry) - 2 :]) for key, entry in tables.items()}

@@ -34,6 +34,7 @@ _TANGENTS = (
     ("aero_drag", "", "drag", 0.2),
     ("rolling_resistance", "", "force", 0.01),
     ("yaw_moment_differential", "", "yaw_damping", 0.2),
+    ("yaw_moment_differential", "driven", "yaw_damping", 0.2),
     ("drive_gain", "", "drive_gain", 0.1),
     ("drive_gain", "", "brake_gain", 0.1),
     ("drive_lag", "", "tau", 0.03),

@@ -151,8 +151,10 @@ def diagnose(
     judge = known.allow(judge)
     structure = build_structure(judge, [flexible_rows(one, case.common) for one in case.real])
     base = nothing(judge)
-    inflation = max(settings.inflation, known.ratio, wander_of(structure, base.entries).ratio)
+    inflation = max(settings.inflation, wander_of(structure, base.entries).ratio)
     gap = structure.fit(base.entries, inflation)
+    judge = replace(judge, misfit=known.misfit_of(gap))
+    structure = replace(structure, judge=judge)
     progress("naming")
     selection = select_terms(judge, candidates, inflation)
     found = _compare(

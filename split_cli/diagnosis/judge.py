@@ -112,6 +112,8 @@ class Judge:
         `calibration`.
     term_floors : mapping of str to float
         The same for terms.
+    misfit : float
+        By how much what no dictionary holds widens what a term saves by chance.
     memo : dict
         What was computed before: shifts and severities of the common physics, kinematic rows without faulty
         sensors.
@@ -129,6 +131,7 @@ class Judge:
     kinematics: tuple[Kinematics, ...] = ()
     nameless_floor: float = 0.0
     term_floors: Mapping[str, float] = field(default_factory=dict)
+    misfit: float = 1.0
     memo: dict = field(default_factory=dict, repr=False, compare=False)
 
     def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:

@@ -16,6 +16,7 @@ from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.evidence import gather_evidence
 from split_cli.diagnosis.place import places_of
 from split_cli.diagnosis.series import build_series
+from split_cli.diagnosis.structure import FlexibleFit
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import make_drive, road_car
@@ -120,6 +121,17 @@ def test_forgiveness_goes_with_the_rows(restless):
     once, fourfold = (restless.allow(judge(k * restless.rows)).term_floors["wind"] for k in (1, 4))
     assert fourfold == pytest.approx(2.0 * once)
     assert not SelfTest().allow(judge(10)).term_floors
+
+
+def test_misfit_is_what_the_halves_show_and_reality_does_not_rule_out():
+    def gap(saved: float) -> FlexibleFit:
+        return FlexibleFit(saved, 200.0, 1.0, 0.0, ())
+
+    halves = SelfTest(rows=800, ratio=20.0)
+    assert halves.misfit_of(gap(1600.0)) == pytest.approx(1.5 * 8.0)
+    assert halves.misfit_of(gap(80_000.0)) == pytest.approx(1.5 * 20.0)
+    # Without a simulation to ask, none is known.
+    assert SelfTest().misfit_of(gap(80_000.0)) == pytest.approx(1.5)
 
 
 def test_rows_are_compared_only_where_rows_of_weight_have_been():

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import split_cli.diagnosis.selection as selecting
 from split_cli.diagnosis.exploration import Explorer, Rules
@@ -18,6 +19,7 @@ from split_cli.diagnosis.selection import (
     Selection,
     _other_beginnings,
     _refusal,
+    _rivals,
     block_t,
     block_z,
     explaining_as_well,
@@ -266,6 +268,45 @@ def test_the_p_value_of_a_term_grows_with_what_the_simulation_shows_against_itse
     )
     assert plain < 1e-10 and forgiving > 0.9
     assert other == plain
+
+
+def test_misfit_widens_chance_and_is_not_counted_twice(pair, chosen_pair):
+    fit = chosen_pair.chosen
+    k = next(k for k, part in enumerate(fit.parts) if part.candidate.term == "aero_drag")
+    saved = fit_parts(pair, fit.parts[:k] + fit.parts[k + 1 :]).cost - fit.cost
+    floors = {"aero_drag": 0.5 * saved}
+
+    def p_value(**known) -> float:
+        return term_p(replace(pair, **known), fit, k, saved, INFLATION)
+
+    widened = saved / 30.0
+    # The same as chance that is so wide, unless chance is wider itself.
+    assert p_value(misfit=widened) == pytest.approx(term_p(pair, fit, k, saved, widened), rel=1e-12)
+    assert p_value(misfit=widened) > 1e-8 > p_value(misfit=INFLATION) == p_value()
+    both = p_value(misfit=widened, term_floors=floors)
+    assert both == max(p_value(misfit=widened), p_value(term_floors=floors))
+    assert both < term_p(replace(pair, term_floors=floors), fit, k, saved, widened)
+
+
+def test_the_best_of_many_places_has_to_save_more_where_there_is_misfit():
+    """The stretch with most of what misfits, of many: it saves no more than it is allowed by chance."""
+    rng = np.random.default_rng(3)
+    rows, lengths = 1000, range(5, 100)
+    best = []
+    for _ in range(200):
+        sums = np.concatenate([[0.0], np.cumsum(rng.standard_normal(rows))])
+        best.append(max(float(np.max((sums[n:] - sums[:-n]) ** 2)) / n for n in lengths))
+    assert np.mean(stats.chi2.sf(best, 1.0 + selecting._SEARCHED_PLACES) < 0.05) < 0.08
+    assert np.mean(stats.chi2.sf(best, 6.0) < 0.05) > 0.2
+
+
+def test_rivals_are_as_far_off_as_misfit_lets_them_be(pair, chosen_pair):
+    candidates = tuple(candidates_of(pair, *NAMES))
+    explore = Explorer(replace(pair, misfit=10.0 * INFLATION), candidates, INFLATION, Rules(price=0.0))
+    (near, *_), _ = _rivals(explore, chosen_pair.chosen, 0, chosen_pair.without[0])
+    (far, *_), _ = _rivals(replace(explore, judge=pair), chosen_pair.chosen, 0, chosen_pair.without[0])
+    assert far.excess == pytest.approx(10.0 * near.excess, rel=1e-9) and far.excess > 0.0
+    assert far.z == pytest.approx(near.z, rel=1e-6)
 
 
 def test_a_stretch_over_nearly_the_whole_lap_is_none():

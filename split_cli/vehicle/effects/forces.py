@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
+from split_cli.vehicle.effects.road import GRAVITY
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.flow import Flow
 
@@ -30,8 +31,9 @@ class AeroDrag(Term):
 
 
 class RollingResistance(Term):
-    """A constant force against v_x: F_x gains -force.
+    """A constant force against the wheels' rolling, shared by the axles as their static loads.
 
+    The front one's share points along its wheels, as the nominal resistance does, and turns the car a little less.
     Vehicles drive forward here, so its sign is fixed. Source: Rajamani (2012), section 4.1.2.
     """
 
@@ -39,33 +41,49 @@ class RollingResistance(Term):
     units: ClassVar = {"force": "N"}
     neutral: ClassVar = {"force": 0.0}
     mimics: ClassVar = (
-        Mimic("road_grade", "a constant grade is the same force m g sin(angle)", exact=True),
+        Mimic("road_grade", "a constant grade is the same force m g sin(angle) along the car", exact=True),
         Mimic("aero_drag", "the speed hardly changes", "coasting over a wide range of speed"),
     )
 
     def external(self, flow: Flow) -> None:
-        """Add the resistance."""
-        flow.force_x = flow.force_x - self.parameters["force"]
+        """Add the resistance to the axles; what tyres spend sideways has been told by then."""
+        car = flow.vehicle
+        for axle, lever in ((flow.front, car.cg_to_rear_axle), (flow.rear, car.cg_to_front_axle)):
+            axle.longitudinal_force = axle.longitudinal_force - self.parameters["force"] * lever / car.wheelbase
 
 
 class YawMomentDifferential(Term):
     """A locked axle drags its wheels at different speeds and resists turning: M_z gains -yaw_damping r.
 
-    The wheels' slips are -+ r w/(2 v_x) and saturate like any tyre's; the term is the linear part. Source:
-    Milliken and Milliken (1995), chapter 20.
+    The wheels' slips are -+ r w/(2 v_x) and saturate like any tyre's; the term is the linear part. Variant
+    ``driven``: under the same force the inner wheel, which carries less, slips more, and what is dragged is what
+    that leaves of the difference of speeds: r - v_x (F_x/F_z) (a_y/g)/(4 L) in place of r, with F_x and F_z of the
+    driving axle. The quarter is about 2 h L/(K w^2) of a car h high and w wide on tyres of slip stiffness K F_z.
+    Source: Milliken and Milliken (1995), chapter 20.
     """
 
     id = "yaw_moment_differential"
     through_tires: ClassVar = True
     units: ClassVar = {"yaw_damping": "N m s/rad"}
     neutral: ClassVar = {"yaw_damping": 0.0}
+    variants: ClassVar = ("", "driven")
     mimics: ClassVar = (
         Mimic("cg_shift+tire_stiffness", "steady turns", "steer steps: damping acts at once, slip builds up"),
     )
 
     def external(self, flow: Flow) -> None:
         """Add the moment."""
-        flow.moment = flow.moment - self.parameters["yaw_damping"] * flow.r
+        dragged = flow.r - self._spun(flow) if self.variant == "driven" else flow.r
+        flow.moment = flow.moment - self.parameters["yaw_damping"] * dragged
+
+    @staticmethod
+    def _spun(flow: Flow) -> Any:
+        """Return the yaw rate at which the driving axle's force alone makes its wheels differ in speed [rad/s]."""
+        car = flow.vehicle
+        in_front = car.drive_split_front > 0.5
+        axle, load = (flow.front, car.static_load_front) if in_front else (flow.rear, car.static_load_rear)
+        side = (flow.front.lateral_force + flow.rear.lateral_force) / (car.mass * GRAVITY)
+        return flow.vx * (axle.longitudinal_force / load) * side / (4.0 * car.wheelbase)
 
 
 class Wind(Term):
