@@ -35,7 +35,7 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
     J = fit.sensitivity
     if not J.shape[1]:
         return ()
-    scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
+    scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-150
     normal = np.linalg.pinv((J / scale).T @ (J / scale), rcond=1e-10)
     scores = judge.block_sums((J / scale) * fit.entries[:, None])
     blocks = len(scores)

@@ -11,6 +11,7 @@ import numpy as np
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.fitting import Fit, Part, Tangent, effect_everywhere, fit_parts, scan_places, tangent
 from split_cli.diagnosis.judge import Judge, alters_inputs
+from split_cli.diagnosis.separation import look_alike
 from split_cli.diagnosis.together import together
 
 __all__ = ["Explorer", "Rules"]
@@ -39,6 +40,7 @@ class Rules:
     spread: float = 3.5  # standard errors, from differences block by block, that a term has to save
     sure: float = 15.0  # or standard errors of its size, from scores block by block
     plain: float = 1.0  # or severity that it has to have
+    much_misfit: float = 3.0  # by which chance is widened: beyond it a place is believed like any few moments
     swaps: int = 2
     least_swap: float = 1.0  # cost that another term has to save in the place of one; terms that tie stay
     beginnings: int = 2  # other first terms from which the search begins anew where the best leaves something
@@ -136,7 +138,28 @@ class Explorer:
 
         # Only what may win is worth following with the common physics.
         first, rest = list(best.values())[: self.rules.followed], list(best.values())[self.rules.followed :]
-        return sorted([*together(followed, first), *rest], key=self.price)
+        found = sorted([*together(followed, first), *rest], key=self.price)
+        relatives = {fit.parts[-1].candidate.label: fit for fit in self._relatives(found, first)}
+        others = [fit for fit in found if fit.parts[-1].candidate.label not in relatives]
+        return sorted([*others, *relatives.values()], key=self.price)
+
+    def _relatives(self, found: Sequence[Fit], followed: Sequence[Fit]) -> list[Fit]:
+        """Return what looks like the best term and alters inputs as it does, followed as it was.
+
+        With the common physics held, such a term may save nothing where it is large, and never be followed.
+        """
+        if not found or self.judge.knowledge is None or not alters_inputs(found[0].parts[-1].term):
+            return []
+        *others, own = found[0].parts
+        done = {fit.parts[-1].candidate.label for fit in followed}
+        taken = {part.candidate.term for part in found[0].parts}
+        parts = [
+            Part(one, _nearest_start(one, own))
+            for one in self.candidates
+            if one.label not in done and one.term not in taken and one.starts and look_alike(own.term.id, one.term)
+        ]
+        parts = [part for part in parts if alters_inputs(part.term)]
+        return together(lambda part: fit_parts(self.judge, (*others, part)), parts)
 
     def _is_everywhere(self, part: Part) -> bool:
         """Return whether a stretch covers so much of the track that it is none."""
@@ -144,6 +167,12 @@ class Explorer:
             return False
         reach = part.candidate.ranges["s_end"].upper
         return (part.values["s_end"] - part.values["s_start"]) % reach > self.rules.most_of_lap * reach
+
+
+def _nearest_start(candidate: Candidate, part: Part) -> dict[str, float]:
+    """Return the start of a candidate that is nearest in size to what a part was fitted to."""
+    size = max(abs(next(iter(part.values.values()))), 1e-9)
+    return dict(min(candidate.starts, key=lambda one: abs(np.log(abs(next(iter(one.values()))) / size))))
 
 
 def _labels(fit: Fit) -> list[str]:

@@ -29,6 +29,7 @@ __all__ = [
 
 
 _ONCE = "nearly all in a few moments"
+_USUAL_MISFIT = 1.5
 # Misfit is worst somewhere: the best of some thousand stretches saves of it as much as 2 ln 1000 parameters more.
 _SEARCHED_PLACES = 14.0
 
@@ -248,8 +249,10 @@ def is_spread(judge: Judge, fit: Fit, k: int, without: Fit, rules: Rules) -> boo
 
     A place is passed once a lap. What acts in few blocks saves in few; if it is there, those agree about its size,
     and if it stands for something else they do not. What is larger than the noise is seen however seldom it acts.
+    Where there is much misfit it is worst somewhere, and a place says no more than any few moments.
     """
-    if fit.parts[k].candidate.located or block_z(judge, fit, without) > rules.spread:
+    seldom = fit.parts[k].candidate.located and judge.misfit <= rules.much_misfit
+    if seldom or block_z(judge, fit, without) > rules.spread:
         return True
     return block_t(judge, fit, without) > rules.sure or term_size(judge, fit, k) > rules.plain
 
@@ -326,7 +329,8 @@ def explaining_as_well(judge: Judge, selection: Selection, k: int, rivals: Seque
     have, could have made the difference.
     """
     rules = Rules()
-    saved = selection.without[k].cost - selection.chosen.cost
+    # An excess is told in what misfit makes of chance; so is what it is compared with.
+    saved = (selection.without[k].cost - selection.chosen.cost) / max(judge.misfit / _USUAL_MISFIT, 1.0)
     share = min(1.0 / max(_over_allowance(judge, selection.chosen, k), 1e-9), 1.0) ** 2
     allowed = max(rules.same_excess, max(share, rules.same_misfit) * saved)
     by_chance = rules.same_share * saved

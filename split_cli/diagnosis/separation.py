@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from split_cli.diagnosis.wording import term_name
 from split_cli.vehicle.effects import CATALOGUE, Mimic, Term
 
-__all__ = ["Separation", "exact_mimics", "separation"]
+__all__ = ["Separation", "exact_mimics", "look_alike", "separation"]
 
 _STEERING = frozenset({"steer_offset", "steer_gain", "steer_delay", "steer_lag", "steer_backlash"})
 _TORQUE = frozenset({"drive_gain", "drive_delay", "drive_lag", "aero_drag", "rolling_resistance", "mass"})
@@ -45,6 +45,11 @@ def exact_mimics(term: str, variant: str) -> tuple[str, ...]:
     """Return what explains any recording as well as this term does in this variant."""
     mimics = CATALOGUE[term].mimics
     return tuple(one.terms for one in mimics if one.exact and one.holds(variant) and one.terms != term)
+
+
+def look_alike(term: str, other: str) -> bool:
+    """Return whether one of two terms declares that it looks like the other."""
+    return any(one.terms == b for a, b in ((term, other), (other, term)) for one in CATALOGUE[a].mimics)
 
 
 def separation(term: str, variant: str, alternative: str) -> Separation:
