@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -82,10 +83,24 @@ class Series:
 
     def flow(self, model: SingleTrack, velocity: np.ndarray | None = None) -> Flow:
         """Evaluate a model along the recording, at the smoothed states unless others are given."""
-        vx, vy, r = (self.smooth if velocity is None else velocity).T
-        return model.flow(
-            vx, vy, r, self.torque, self.steer_angle, yaw=self.yaw, t=self.t, s=self.s, recording=self.recording
-        )
+        if velocity is not None and velocity is not self.smooth:
+            return self._flow(model, *velocity.T)
+        return self._flow(model, *self._columns, plain=self._plain(model.vehicle) if model.terms else None)
+
+    def _flow(self, model: SingleTrack, vx, vy, r, plain: Flow | None = None) -> Flow:
+        place = {"yaw": self.yaw, "t": self.t, "s": self.s}
+        return model.flow(vx, vy, r, self.torque, self.steer_angle, **place, recording=self.recording, plain=plain)
+
+    @cached_property
+    def _columns(self) -> tuple[np.ndarray, ...]:
+        return tuple(self.smooth.T)
+
+    def _plain(self, vehicle: Vehicle) -> Flow:
+        """Return the flow without any term, from which all others take what their terms leave as it was."""
+        known = self.__dict__.get("plain flow")
+        if known is None or known.vehicle is not vehicle:
+            known = self.__dict__["plain flow"] = self._flow(SingleTrack(vehicle, ()), *self._columns)
+        return known
 
     def rates(self, model: SingleTrack, velocity: np.ndarray | None = None) -> np.ndarray:
         """Return (v_x', v_y', r') of a model along the recording, shape (N, 3)."""

@@ -40,6 +40,8 @@ class Flow:
         Yaw angle [rad], time [s], track position [m]; 0 where the caller has none.
     mass, yaw_inertia, l_f, l_r : array or symbol
     front, rear : AxleFlow
+    sine, cosine : array or symbol
+        Of `delta` once `actuate` has passed.
     force_x, force_y, moment : array or symbol
         External forces [N] and moment [N m] at the CG.
     states : mapping of str to array, or None
@@ -69,6 +71,8 @@ class Flow:
     l_r: Any
     front: AxleFlow
     rear: AxleFlow
+    sine: Any = 0.0
+    cosine: Any = 1.0
     force_x: Any = 0.0
     force_y: Any = 0.0
     moment: Any = 0.0

@@ -33,6 +33,10 @@ def slip_angles(
     return delta - ops.atan2(vy + l_f * r, vx), -ops.atan2(vy - l_r * r, vx)
 
 
+def _same_curve(axle: AxleFlow, other: AxleFlow) -> bool:
+    return all(getattr(axle, name) is getattr(other, name) for name in ("B", "C", "D", "slip_angle"))
+
+
 class SingleTrack:
     """Continuous single-track model with the terms the vehicle file names.
 
@@ -67,11 +71,13 @@ class SingleTrack:
         ops: Operations = NUMPY,
         states: Mapping[str, Any] | None = None,
         recording: Any = None,
+        plain: Flow | None = None,
     ) -> Flow:
         """Evaluate every stage and return the flow with all forces, before the balance.
 
         Parameters are arrays of one shape, in the units of `Flow`. With `recording` they are a whole recording,
-        shape (N,), and states and delays are solved along it.
+        shape (N,), and states and delays are solved along it. `plain` is a flow of the same vehicle without terms
+        at the very same arrays: what the terms leave as it was is taken from there instead of being computed anew.
         """
         car = self.vehicle
         flow = Flow(
@@ -99,18 +105,37 @@ class SingleTrack:
         for term in self.terms:
             term.body(flow)
         front, rear = flow.front, flow.rear
-        front.slip_angle, rear.slip_angle = slip_angles(vx, vy, r, flow.delta, flow.l_f, flow.l_r, ops)
-        front.longitudinal_force, rear.longitudinal_force = self._longitudinal_forces(flow.T, ops)
+        self._turn(flow, plain)
+        if plain is not None and flow.T is plain.T:
+            front.longitudinal_force = plain.front.longitudinal_force
+            rear.longitudinal_force = plain.rear.longitudinal_force
+        else:
+            front.longitudinal_force, rear.longitudinal_force = self._longitudinal_forces(flow.T, ops)
         for term in self.terms:
             term.tire(flow)
-        for axle in (front, rear):
-            axle.lateral_force = lateral_force(axle.B, axle.C, axle.D, axle.slip_angle, ops)
+        for axle, known in ((front, plain and plain.front), (rear, plain and plain.rear)):
+            if known is not None and _same_curve(axle, known):
+                axle.lateral_force = known.lateral_force
+            else:
+                axle.lateral_force = lateral_force(axle.B, axle.C, axle.D, axle.slip_angle, ops)
         for term in self.terms:
             term.lateral(flow)
         flow.force_x = -car.drag_coefficient * vx * vx
         for term in self.terms:
             term.external(flow)
         return flow
+
+    @staticmethod
+    def _turn(flow: Flow, plain: Flow | None) -> None:
+        """Take where the wheels point: sine and cosine of the steer angle, and slip angles."""
+        ops, same = flow.ops, plain is not None and flow.delta is plain.delta
+        flow.sine, flow.cosine = (plain.sine, plain.cosine) if same else (ops.sin(flow.delta), ops.cos(flow.delta))
+        if same and all(getattr(flow, name) is getattr(plain, name) for name in ("vx", "vy", "r", "l_f", "l_r")):
+            flow.front.slip_angle, flow.rear.slip_angle = plain.front.slip_angle, plain.rear.slip_angle
+        else:
+            flow.front.slip_angle, flow.rear.slip_angle = slip_angles(
+                flow.vx, flow.vy, flow.r, flow.delta, flow.l_f, flow.l_r, ops
+            )
 
     def _longitudinal_forces(self, T: Any, ops: Operations) -> tuple[Any, Any]:
         """Return F_fx and F_rx [N]: SPLIT paper, longitudinal tire forces, with a split of its own for T < 0."""
@@ -140,9 +165,8 @@ class SingleTrack:
     @staticmethod
     def balance(f: Flow) -> tuple:
         """Return (v_x', v_y', r') of an evaluated flow."""
-        sine, cosine = f.ops.sin(f.delta), f.ops.cos(f.delta)
-        front_x = f.front.longitudinal_force * cosine - f.front.lateral_force * sine
-        front_y = f.front.lateral_force * cosine + f.front.longitudinal_force * sine
+        front_x = f.front.longitudinal_force * f.cosine - f.front.lateral_force * f.sine
+        front_y = f.front.lateral_force * f.cosine + f.front.longitudinal_force * f.sine
         dvx = (f.rear.longitudinal_force + front_x + f.force_x) / f.mass + f.vy * f.r
         dvy = (f.rear.lateral_force + front_y + f.force_y) / f.mass - f.vx * f.r
         dr = (front_y * f.l_f - f.rear.lateral_force * f.l_r + f.moment) / f.yaw_inertia

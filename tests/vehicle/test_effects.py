@@ -145,6 +145,36 @@ def test_neutral_parameters_leave_the_nominal_model(name, variant):
 
 
 @pytest.mark.parametrize(("name", "variant"), EXAMPLES)
+def test_what_a_term_leaves_as_it_was_may_be_taken_from_the_plain_flow(name, variant):
+    at = driving()
+    plain = SingleTrack(CAR, ()).flow(**at)
+    for terms in ((), (CATALOGUE[name](EXAMPLES[name, variant], variant),)):
+        model = SingleTrack(CAR, terms)
+        np.testing.assert_array_equal(
+            np.stack(model.balance(model.flow(**at, plain=plain))), np.stack(model.velocity_derivative(**at))
+        )
+
+
+def test_the_plain_flow_spares_what_is_the_same(monkeypatch):
+    """A drag alters no tyre: nothing of the wheels is computed anew; a steering gain alters them all."""
+    import split_cli.vehicle.single_track as module
+
+    at, counted = driving(), []
+    plain = SingleTrack(CAR, ()).flow(**at)
+    for name in ("slip_angles", "lateral_force"):
+        real = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *a, real=real, name=name: counted.append(name) or real(*a))
+    for model, computed in (
+        (term("aero_drag", drag=0.2), []),
+        (term("tire_stiffness", front_scale=0.9, rear_scale=1.2), ["lateral_force"] * 2),
+        (term("steer_gain", gain=0.9), ["slip_angles", "lateral_force", "lateral_force"]),
+    ):
+        counted.clear()
+        SingleTrack(CAR, (model,)).flow(**at, plain=plain)
+        assert counted == computed
+
+
+@pytest.mark.parametrize(("name", "variant"), EXAMPLES)
 def test_mirrored_driving_gives_mirrored_rates(name, variant):
     at = driving()
     mirrored = {**at, "vy": -at["vy"], "r": -at["r"], "delta": -at["delta"]}
