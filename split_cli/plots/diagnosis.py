@@ -84,6 +84,7 @@ def draw_where(diagnosis: Diagnosis) -> Figure:
     *borders, means = gap_map(gaps, force, (first, second))
     mesh = around.pcolormesh(*borders, means.T, cmap="RdBu_r", norm=norm)
     around.set(xlabel=x_name, ylabel=y_name, facecolor="0.95")
+    around.locator_params(axis="x", nbins=5)
     around.set_title("mean over operating points", fontsize="medium", loc="left")
     _draw_track(track, diagnosis, force, norm)
     _draw_strip(strip, diagnosis, force)

@@ -76,5 +76,10 @@ def line_styles(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, str], dict]:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, without the time or version of the writer."""
+    """Write a figure as PNG, without the time or version of the writer; it is laid out and drawn once each."""
+    engine = figure.get_layout_engine()
+    if engine is not None:  # else `savefig` does both twice
+        figure.set_dpi(_DPI)
+        engine.execute(figure)
+        figure.set_layout_engine("none")
     figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})
