@@ -101,26 +101,34 @@ def recording(drives, vehicle_path, output, faults, block, as_json) -> None:
         drives, vehicle_path, output, only=faults.split(",") if faults else None, block=block,
         report=_progress("faults"),
     )  # fmt: skip
-    if as_json:
-        print_json(rows)
-        return
-    header = ["drive", "fault", "put in", "outcome", "said", "found", "interval"]
-    print_table(header, [[r.drive, r.fault, r.value, r.outcome, r.said, r.found, r.interval] for r in rows])
+    _tell_faults(rows, as_json)
 
 
 @command.command("multibody")
 @click.option("--seed", type=int, default=1, show_default=True, help="Of tracks, driver and noise.")
 @click.option("--car", type=click.IntRange(1, 3), default=2, show_default=True, help="Of the foreign package.")
 @click.option("-o", "--output", type=_folder, required=True, help="Folder to write into.")
+@click.option("--faults", help="Put in these, separated by commas, or all; a wrong name lists those there are.")
 @json_option
-def multibody(seed, car, output, as_json) -> None:
+def multibody(seed, car, output, faults, as_json) -> None:
     """Take the multi-body car of commonroad-vehicle-models as reality, a calibrated single track as simulation.
 
-    Needs the extra `proof`. The car is driven hard; what is found is judged on another hard drive.
+    Needs the extra `proof`. The car is driven hard; what is found is judged on another hard drive. With --faults
+    the car gets one known fault at a time, and the car without it, on another track, is the simulation.
+
+    \b
+    Example:
+      split prove multibody -o multibody
+      split prove multibody --faults all -o faults
     """
     from split_cli.diagnosis.document import diagnosis_to_text
-    from split_cli.workflows.prove_multibody import prove_multibody
+    from split_cli.workflows.prove_multibody import prove_multibody, prove_multibody_faults
 
+    if faults:
+        only = None if faults == "all" else faults.split(",")
+        rows = prove_multibody_faults(output, seed=seed, car=car, only=only, report=_progress("faults"))
+        _tell_faults(rows, as_json)
+        return
     result = prove_multibody(output, seed=seed, car=car)
     if as_json:
         click.echo(diagnosis_to_text(result), nl=False)
@@ -136,6 +144,14 @@ def multibody(seed, car, output, as_json) -> None:
             ["persistence", *done.persistence],
         ]
         print_table(["held-out rmse", "v_x m/s^2", "v_y m/s^2", "r rad/s^2"], rows)
+
+
+def _tell_faults(rows, as_json: bool) -> None:
+    if as_json:
+        print_json(rows)
+        return
+    header = ["drive", "fault", "put in", "outcome", "said", "found", "interval"]
+    print_table(header, [[r.drive, r.fault, r.value, r.outcome, r.said, r.found, r.interval] for r in rows])
 
 
 def _tell_seal(seal, as_json: bool) -> None:

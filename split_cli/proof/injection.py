@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.errors import DriveError, SplitError, nearest_names
+from split_cli.errors import DriveError, SplitError
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 
@@ -66,7 +66,9 @@ def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None
     """
     for name in only or ():
         if name not in FAULTS:
-            raise SplitError(f"no fault is called {name!r}", where="--faults", advice=nearest_names(name, FAULTS))
+            raise SplitError(
+                f"no fault is called {name!r}", where="--faults", advice=f"There are {', '.join(FAULTS)}."
+            )
     derived = drive.metadata.kinds.get("T", "").startswith("derived")
     found = [InjectedFault("none", "", ())]
     for name, (term, parameter, sizes) in FAULTS.items():

@@ -138,7 +138,7 @@ def _run(car: MultiBody, inputs, speed: float, seconds: float, pose: tuple[float
             ax, ay = now[_VX] - x[_VY] * x[_R], now[_VY] + x[_VX] * x[_R]
             rows.append([k * _STEP, x[_X], x[_Y], x[_YAW], x[_VX], x[_VY], x[_R],
                          car.mass * p.R_w * acceleration, x[_DELTA], ax, ay])  # fmt: skip
-            if not np.isfinite(x[_VX]) or x[_VX] < 2.0 or abs(x[_VY]) > 0.6 * x[_VX]:
+            if not np.isfinite(x).all() or x[_VX] < 2.0 or abs(x[_VY]) > 0.6 * x[_VX]:
                 raise SplitError(f"the multi-body car was lost at {k * _STEP:.1f} s", advice="Drive it less hard.")
         k2 = np.array(car.derivative(list(x + 0.5 * _STEP * now), [rate, acceleration], p))
         k3 = np.array(car.derivative(list(x + 0.5 * _STEP * k2), [rate, acceleration], p))
@@ -154,8 +154,10 @@ def _run(car: MultiBody, inputs, speed: float, seconds: float, pose: tuple[float
     return columns
 
 
-def _drive(columns: dict[str, np.ndarray], name: str, rng: np.random.Generator) -> Drive:
-    noisy = {c: v + _NOISE.get(c, 0.0) * rng.standard_normal(len(v)) for c, v in columns.items()}
+def _drive(columns: dict[str, np.ndarray], name: str, rng: np.random.Generator | None) -> Drive:
+    noisy = columns
+    if rng is not None:
+        noisy = {c: v + _NOISE.get(c, 0.0) * rng.standard_normal(len(v)) for c, v in columns.items()}
     noise = tuple(estimate_noise(c, noisy[c], [(0, len(noisy["t"]))]) for c in _NOISE)
     kinds = {c: "measured" for c in _NOISE} | {"T": "command", "delta": "measured"}
     length = len(columns["t"])
@@ -163,9 +165,17 @@ def _drive(columns: dict[str, np.ndarray], name: str, rng: np.random.Generator) 
 
 
 def hard_drive(
-    car: MultiBody, track: Track, *, lateral: float, braking: float, seconds: float, seed: int, name: str = "real"
+    car: MultiBody,
+    track: Track,
+    *,
+    lateral: float,
+    braking: float,
+    seconds: float,
+    seed: int,
+    name: str = "real",
+    noisy: bool = True,
 ) -> Drive:
-    """Return a drive round a track with peaks of so many m/s^2 across and in braking, with sensor noise."""
+    """Return a drive round a track with peaks of so many m/s^2 across and in braking, with sensor noise or not."""
     count = len(track.x)
     speed = np.minimum(np.sqrt(lateral / np.maximum(np.abs(track.curvature), 1e-4)), 32.0)
     for i in range(2 * count, 0, -1):
@@ -174,7 +184,8 @@ def hard_drive(
     rng = np.random.default_rng([seed, 5])
     driver = _Driver(track, speed, float(car.parameters.a + car.parameters.b), rng)
     pose = (float(track.x[0]), float(track.y[0]), float(track.direction[0]))
-    return _drive(_run(car, driver.inputs, 0.8 * float(speed[0]), seconds, pose), name, rng)
+    columns = _run(car, driver.inputs, 0.8 * float(speed[0]), seconds, pose)
+    return _drive(columns, name, rng if noisy else None)
 
 
 def circle_drive(car: MultiBody, lateral: float, seconds: float, seed: int, side: float = 1.0) -> Drive:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from split_cli.errors import SplitError
 from split_cli.files import atomic_directory
-from split_cli.logs.drive import write_drive
-from split_cli.proof.multibody import calibrated_vehicle, gentle_drives, hard_drive, load_car
+from split_cli.logs.drive import Drive, write_drive
+from split_cli.proof.multibody import MultiBody, calibrated_vehicle, gentle_drives, hard_drive, load_car
+from split_cli.proof.multibody_faults import multibody_faults
 from split_cli.proof.tracks import random_track
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
+from split_cli.workflows.prove_recording import InjectionResult, diagnose_pair, injection_result
 
-__all__ = ["prove_multibody"]
+__all__ = ["prove_multibody", "prove_multibody_faults"]
 
 
 def prove_multibody(output: Path, *, seed: int = 1, car: int = 2, seconds: float = 120.0):
@@ -56,14 +60,69 @@ def prove_multibody(output: Path, *, seed: int = 1, car: int = 2, seconds: float
     )
 
 
-def _kept_on_track(body, seed: int, first: int, seconds: float, name: str):
-    """Return a hard drive on the first of twelve random tracks on which the car is not lost."""
+def prove_multibody_faults(
+    output: Path,
+    *,
+    seed: int = 1,
+    car: int = 2,
+    seconds: float = 80.0,
+    only: Sequence[str] | None = None,
+    report: Callable[[int, int], None] | None = None,
+) -> list[InjectionResult]:
+    """Put known faults into the car; without them, on another track, it is the simulation.
+
+    The nominal model is the calibrated single track, so that both share what a single track lacks. The simulation
+    has no sensor noise.
+
+    Parameters
+    ----------
+    output : Path
+        Folder; gets ``vehicle.yaml``, the pairs of drives and a diagnosis each.
+    seed, car, seconds
+        As for `prove_multibody`; both drives are `seconds` long.
+    only : sequence of str, optional
+        Names of `multibody_faults.MULTIBODY_FAULTS`.
+
+    Raises
+    ------
+    SplitError
+        As `prove_multibody`, or if a name is no fault.
+    """
+    faults = multibody_faults(only)
+    body = load_car(car)
+    output.mkdir(parents=True, exist_ok=True)
+    write_vehicle(calibrated_vehicle(body, gentle_drives(body, seed)), output / "vehicle.yaml")
+    drive = partial(_kept_on_track, seed=seed, seconds=seconds)
+    reference, used = drive(body, first=100, name="sim.parquet", lateral=6.5, noisy=False)
+    results = []
+    for number, fault in enumerate(faults):
+        another = 20 * [one.name for one in faults if not one.term].index(fault.name) if not fault.term else 0
+        real, _ = drive(fault.alter(body), first=used + 1 + another, name="real.parquet", lateral=5.5)
+        said, words = diagnose_pair(
+            output / f"{number + 1:03d}", output / "vehicle.yaml", reference, fault.record(real)
+        )
+        results.append(
+            injection_result(
+                f"car {car}", fault.name, fault.term, fault.parameters(body), said, words,
+                in_catalogue=fault.in_catalogue,
+            )
+        )  # fmt: skip
+        if report:
+            report(number + 1, len(faults))
+    return results
+
+
+def _kept_on_track(
+    body: MultiBody, seed: int, first: int, seconds: float, name: str, lateral: float = 5.0, noisy: bool = True
+) -> tuple[Drive, int]:
+    """Return a hard drive on the first of twelve random tracks on which the car is not lost, and which it was."""
     for number in range(first, first + 12):
         track = random_track(np.random.default_rng([seed, number]), 1000.0, 0.5, 5.0)
         try:
             return hard_drive(
-                body, track, lateral=5.0, braking=4.0, seconds=seconds, seed=seed + number, name=name
-            ), number
+                body, track, lateral=lateral, braking=4.0, seconds=seconds, seed=seed + number, name=name,
+                noisy=noisy,
+            ), number  # fmt: skip
         except SplitError:
             continue
     raise SplitError("the multi-body car was lost on twelve tracks", advice="Take another seed.")

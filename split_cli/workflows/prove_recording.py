@@ -8,14 +8,14 @@ from pathlib import Path
 
 from split_cli.diagnosis.document import diagnosis_to_mapping
 from split_cli.errors import SplitError
-from split_cli.logs.drive import read_drive, write_drive
+from split_cli.logs.drive import Drive, read_drive, write_drive
 from split_cli.proof.injection import InjectedFault, faults_for, inject, split_in_blocks
 from split_cli.proof.outcome import Statement, judge
 from split_cli.proof.scoring import named_from, words_of
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
 
-__all__ = ["InjectionResult", "prove_recording"]
+__all__ = ["InjectionResult", "diagnose_pair", "injection_result", "prove_recording"]
 
 
 @dataclass(frozen=True)
@@ -88,40 +88,52 @@ def _one(path: Path, fault: InjectedFault, number: int, output: Path, block: flo
     drive = read_drive(path)
     reference, _ = split_in_blocks(drive, block)
     _, faulted = split_in_blocks(inject(drive, fault), block)
-    folder = output / f"{number + 1:03d}"
+    said, words = diagnose_pair(output / f"{number + 1:03d}", output / "vehicle.yaml", reference, faulted)
+    return injection_result(path.name, fault.name, fault.term, fault.parameters, said, words)
+
+
+def diagnose_pair(folder: Path, vehicle_path: Path, reference: Drive, faulted: Drive) -> tuple[Statement, str]:
+    """Write two drives into a folder, diagnose the second by the first, and return what is said, also in words."""
     folder.mkdir(parents=True, exist_ok=True)
     write_drive(replace(reference, name="sim.parquet"), folder / "sim.parquet")
     write_drive(replace(faulted, name="real.parquet"), folder / "real.parquet")
     try:
         told = diagnosis_to_mapping(
             diagnose_files(
-                [folder / "real.parquet"],
-                output / "vehicle.yaml",
-                folder / "diagnosis",
-                simulated=[folder / "sim.parquet"],
+                [folder / "real.parquet"], vehicle_path, folder / "diagnosis", simulated=[folder / "sim.parquet"]
             )
         )
-        said = Statement(
-            told["verdict"], tuple(named_from(f) for f in told["findings"]), bool(told["unexplained"])
-        )
-        words = words_of(said)
     except SplitError as error:
-        said, words = Statement("undecided"), f"error: {error}"
+        return Statement("undecided"), f"error: {error}"
     except Exception as error:
         # A fault of the diagnosis is a result too; the other faults are still tried.
-        said, words = Statement("undecided"), f"failed: {type(error).__name__}: {error}"
-    truth = [fault.term] if fault.term else []
-    found = next((f for f in said.findings if f.term == fault.term), None)
+        return Statement("undecided"), f"failed: {type(error).__name__}: {error}"
+    said = Statement(told["verdict"], tuple(named_from(f) for f in told["findings"]), bool(told["unexplained"]))
+    return said, words_of(said)
+
+
+def injection_result(
+    drive: str,
+    fault: str,
+    term: str,
+    parameters: Sequence[tuple[str, float]],
+    said: Statement,
+    words: str,
+    *,
+    in_catalogue: bool = True,
+) -> InjectionResult:
+    """Return what became of a fault; the first of its parameters that was found is told."""
+    finding = next((f for f in said.findings if f.term == term), None)
     value, low, high = next(
-        (found.parameters[name] for name, _ in fault.parameters if found and name in found.parameters),
+        (finding.parameters[name] for name, _ in parameters if finding and name in finding.parameters),
         (None, None, None),
     )
     return InjectionResult(
-        drive=path.name,
-        fault=fault.name,
-        term=fault.term,
-        value=fault.value if fault.term else None,
-        outcome=judge(truth, said),
+        drive=drive,
+        fault=fault,
+        term=term,
+        value=parameters[0][1] if parameters else None,
+        outcome=judge([term] if term else [], said, in_catalogue=in_catalogue),
         said=words,
         found=value,
         interval="" if low is None else f"{low:.4g} to {high:.4g}",
