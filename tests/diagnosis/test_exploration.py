@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.exploration import Explorer, Rules
+from split_cli.diagnosis.exploration import Explorer, Rules, _nearest_start
 from split_cli.diagnosis.fitting import Fit, Part, fit_parts, tangent
-from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.judge import CommonKnowledge, Judge
 from split_cli.diagnosis.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, noisy_judge
@@ -71,3 +73,31 @@ def test_promises_beside_another_term_are_close_to_fits(judge, explore, current)
     best = explore(current)[0]
     assert label(best) == "yaw_inertia" and current.cost - best.cost > 100.0
     assert np.all(np.diff([fit.cost for fit in explore(current)][:2]) > 0.0)
+
+
+def test_what_looks_like_the_best_and_alters_inputs_is_followed_as_it_was(judge):
+    names = ("steer_lag", "steer_delay", "sensor_delay", "steer_backlash", "yaw_inertia", "aero_drag")
+    candidates = {one.term: one for one in candidates_of(judge, *names)}
+    count = judge.evidence[0].common.shape[2]
+    taught = replace(judge, knowledge=CommonKnowledge(np.zeros(count), np.eye(count)), memo={})
+    fits = {
+        name: fit_parts(judge, [Part(one, dict(one.starts[0]))])
+        for name, one in candidates.items()
+        if name in ("steer_lag", "steer_delay", "aero_drag")
+    }
+    lag, delay, drag = (fits[name] for name in ("steer_lag", "steer_delay", "aero_drag"))
+    explore = Explorer(taught, tuple(candidates.values()), INFLATION)
+    # An inertia looks like a lag too, but alters no input; a play declares to look like a delay alone.
+    assert {label(fit) for fit in explore._relatives([lag, drag], [lag])} == {"steer_delay", "sensor_delay"}
+    assert {label(fit) for fit in explore._relatives([lag, delay], [lag, delay])} == {"sensor_delay"}
+    # Where nothing is common, or the best term leaves the inputs alone, none is held back.
+    assert explore._relatives([drag, lag], [drag]) == [] == explore._relatives([], [])
+    assert Explorer(judge, explore.candidates, INFLATION)._relatives([lag], [lag]) == []
+
+
+def test_a_relative_starts_where_it_is_as_large(judge):
+    (lag,), (delay,) = (candidates_of(judge, name) for name in ("steer_lag", "steer_delay"))
+    starts = [one["delay"] for one in delay.starts]
+    for tau in (1e-4, 0.006, 0.05, 0.4, 0.0):
+        begun = _nearest_start(delay, Part(lag, {"tau": tau}))["delay"]
+        assert abs(np.log(begun / max(tau, 1e-9))) == min(abs(np.log(value / max(tau, 1e-9))) for value in starts)

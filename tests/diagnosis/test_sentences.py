@@ -8,7 +8,7 @@ import pytest
 
 from split_cli.diagnosis.result import Finding, HorizonErrors, Improvement, Location, ParameterEstimate, Place
 from split_cli.diagnosis.sentences import sentence_for, separations, summarise
-from split_cli.diagnosis.separation import exact_mimics, separation
+from split_cli.diagnosis.separation import exact_mimics, look_alike, separation
 from split_cli.diagnosis.wording import amount, number, percent, term_name
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import road_car
@@ -203,3 +203,9 @@ def test_place_does_not_stand_for_what_repeats_every_lap():
     location = Location(shares, (("s", 0.9), ("delta", 0.6)), {"delta": (0.05, 0.2)}, None, None, 1.0, 1.0)
     said = summarise("mismatch", (), True, location)
     assert "goes with steer angle" in said and "a steer angle of 0.0500 to 0.200 rad" in said
+
+
+def test_terms_look_alike_whichever_of_them_declares_it():
+    assert look_alike("steer_lag", "steer_delay") and look_alike("steer_delay", "steer_lag")
+    assert look_alike("steer_backlash", "steer_delay") and look_alike("steer_delay", "steer_backlash")
+    assert not look_alike("steer_lag", "aero_drag")
