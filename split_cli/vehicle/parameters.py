@@ -180,9 +180,12 @@ def read_vehicle(path: str | Path) -> Vehicle:
 
 
 def vehicle_file(path: str | Path) -> Path:
-    """Return the file that `read_vehicle` reads: the path itself, or the library's file of that name."""
+    """Return the file that `read_vehicle` reads: the path itself, or the library's file of that name.
+
+    A folder of that name, such as one that was written for the car, does not stand in the library's way.
+    """
     path = Path(path)
-    return path if path.exists() else library_path(str(path)) or path
+    return path if path.exists() and not path.is_dir() else library_path(str(path)) or path
 
 
 def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") -> Vehicle:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from split_cli.errors import VehicleError
+from split_cli.vehicle.library import library_names
 from split_cli.vehicle.parameters import (
     EffectSpec,
     Vehicle,
@@ -191,6 +192,21 @@ def test_unreadable_files_are_told(tmp_path):
     (tmp_path / "latin.yaml").write_bytes(b"name: caf\xe9\n")
     with pytest.raises(VehicleError, match="cannot be read"):
         read_vehicle(tmp_path / "latin.yaml")
+
+
+def test_a_folder_of_the_name_of_a_library_car_is_not_taken_for_it(tmp_path, monkeypatch):
+    name = library_names()[0]
+    monkeypatch.chdir(tmp_path)
+    library = read_vehicle(name)
+    (tmp_path / name).mkdir()
+    assert read_vehicle(name) == library
+    # A file of that name is; a folder of another name is told.
+    (tmp_path / name).rmdir()
+    (tmp_path / name).write_text(TEXT)
+    assert read_vehicle(name).name == "written by hand"
+    (tmp_path / "nobody").mkdir()
+    with pytest.raises(VehicleError, match="cannot be read"):
+        read_vehicle("nobody")
 
 
 def test_static_loads_balance_weight_and_moment():
