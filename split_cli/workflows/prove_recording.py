@@ -122,7 +122,11 @@ def injection_result(
     *,
     in_catalogue: bool = True,
 ) -> InjectionResult:
-    """Return what became of a fault; the first of its parameters that was found is told."""
+    """Return what became of a fault; the first of its parameters that was found is told.
+
+    Where the catalogue has no name for it (`in_catalogue` is false) it is its own truth.
+    """
+    truth = [term] if term else [] if in_catalogue else [fault]
     finding = next((f for f in said.findings if f.term == term), None)
     value, low, high = next(
         (finding.parameters[name] for name, _ in parameters if finding and name in finding.parameters),
@@ -133,7 +137,7 @@ def injection_result(
         fault=fault,
         term=term,
         value=parameters[0][1] if parameters else None,
-        outcome=judge([term] if term else [], said, in_catalogue=in_catalogue),
+        outcome=judge(truth, said, in_catalogue=in_catalogue),
         said=words,
         found=value,
         interval="" if low is None else f"{low:.4g} to {high:.4g}",

@@ -11,7 +11,9 @@ import pytest
 from split_cli.errors import SplitError
 from split_cli.proof.multibody import MultiBody, load_car
 from split_cli.proof.multibody_faults import MULTIBODY_FAULTS, multibody_faults
+from split_cli.proof.outcome import Statement
 from split_cli.vehicle.effects import CATALOGUE
+from split_cli.workflows.prove_recording import injection_result
 from tests.factories import make_drive
 
 FAULTS = {fault.name: fault for fault in MULTIBODY_FAULTS}
@@ -76,6 +78,24 @@ def test_forces_from_outside_and_what_arrives_of_the_torque():
     assert bank[[10, 15, 20]] == pytest.approx(-9.81 * np.sin(angle)) and bank[3] == 0.0
     weak = FAULTS["weak torque"].alter(stub())
     assert rates(weak, 2.0)[1] == pytest.approx(1.8) and rates(weak, -2.0)[1] == pytest.approx(-1.9)
+
+
+@pytest.mark.parametrize(
+    ("term", "known", "verdict", "unexplained", "outcome"),
+    [
+        ("", True, "match", False, "exact"),
+        ("", True, "mismatch", True, "wrong"),
+        ("", False, "match", False, "missed"),
+        ("", False, "mismatch", True, "exact"),
+        ("", False, "mismatch", False, "wrong"),
+        ("mass", True, "match", False, "missed"),
+    ],
+)
+def test_a_fault_without_a_name_is_right_only_if_something_is_said_to_have_none(
+    term, known, verdict, unexplained, outcome
+):
+    said = Statement(verdict, (), unexplained)
+    assert injection_result("car", "bent", term, (), said, "", in_catalogue=known).outcome == outcome
 
 
 def test_a_wrong_name_lists_those_there_are():
