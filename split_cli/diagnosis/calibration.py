@@ -24,12 +24,12 @@ from split_cli.diagnosis.together import together
 from split_cli.diagnosis.wander import wander_of
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["SelfTest", "comparable", "self_test"]
+__all__ = ["TERM_MARGIN", "SelfTest", "comparable", "self_test"]
 
 _LEAST_ROWS = 150
 # Reality may cover other ground than the simulation's second half did, by chance: it has to show this much more.
 _NAMELESS_MARGIN = 2.0
-_TERM_MARGIN = 1.5
+TERM_MARGIN = 1.5
 # What one term shows between two halves, another may show between two recordings.
 _KINDRED = 0.33
 _BINS = 40
@@ -74,7 +74,7 @@ class SelfTest:
             judge,
             nameless_floor=_NAMELESS_MARGIN * scale * self.nameless,
             term_floors={
-                term: _TERM_MARGIN * scale * max(saved, _KINDRED * most) for term, saved in self.terms.items()
+                term: TERM_MARGIN * scale * max(saved, _KINDRED * most) for term, saved in self.terms.items()
             },
         )
 
@@ -82,7 +82,7 @@ class SelfTest:
         """Return by how much misfit widens what a term saves by chance: as between the halves, but by no more than
         reality itself shows, whose difference may hold misfit and nothing else.
         """
-        return _TERM_MARGIN * min(self.ratio, gap.saved / max(gap.freedom, 1.0))
+        return TERM_MARGIN * min(self.ratio, gap.saved / max(gap.freedom, 1.0))
 
 
 def self_test(

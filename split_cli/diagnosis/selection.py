@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from split_cli.diagnosis.calibration import TERM_MARGIN
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.exploration import Explorer, Rules
 from split_cli.diagnosis.fitting import Fit, fit_parts
@@ -29,7 +30,6 @@ __all__ = [
 
 
 _ONCE = "nearly all in a few moments"
-_USUAL_MISFIT = 1.5
 # Misfit is worst somewhere: the best of some thousand stretches saves of it as much as 2 ln 1000 parameters more.
 _SEARCHED_PLACES = 14.0
 
@@ -330,7 +330,7 @@ def explaining_as_well(judge: Judge, selection: Selection, k: int, rivals: Seque
     """
     rules = Rules()
     # An excess is told in what misfit makes of chance; so is what it is compared with.
-    saved = (selection.without[k].cost - selection.chosen.cost) / max(judge.misfit / _USUAL_MISFIT, 1.0)
+    saved = (selection.without[k].cost - selection.chosen.cost) / max(judge.misfit / TERM_MARGIN, 1.0)
     share = min(1.0 / max(_over_allowance(judge, selection.chosen, k), 1e-9), 1.0) ** 2
     allowed = max(rules.same_excess, max(share, rules.same_misfit) * saved)
     by_chance = rules.same_share * saved

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -56,6 +56,8 @@ class Series:
     noise: np.ndarray
     lap_length: float | None = None
     place_reference: str = "dead_reckoned"
+    # Made anew for a copy with other arrays.
+    _plain_flows: dict[int, Flow] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -97,10 +99,10 @@ class Series:
 
     def _plain(self, vehicle: Vehicle) -> Flow:
         """Return the flow without any term, from which all others take what their terms leave as it was."""
-        known = self.__dict__.get("plain flow")
-        if known is None or known.vehicle is not vehicle:
-            known = self.__dict__["plain flow"] = self._flow(SingleTrack(vehicle, ()), *self._columns)
-        return known
+        # A flow holds its vehicle, so that no other can come to have its id.
+        if id(vehicle) not in self._plain_flows:
+            self._plain_flows[id(vehicle)] = self._flow(SingleTrack(vehicle, ()), *self._columns)
+        return self._plain_flows[id(vehicle)]
 
     def rates(self, model: SingleTrack, velocity: np.ndarray | None = None) -> np.ndarray:
         """Return (v_x', v_y', r') of a model along the recording, shape (N, 3)."""

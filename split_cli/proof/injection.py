@@ -6,7 +6,7 @@ faulty actuator would have needed to do just that is written in place of the one
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from split_cli.errors import DriveError, SplitError
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["FAULTS", "InjectedFault", "faults_for", "inject", "split_in_blocks"]
+__all__ = ["FAULTS", "InjectedFault", "faults_for", "inject", "require_known", "split_in_blocks"]
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,7 @@ def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None
     SplitError
         If a name in `only` is no fault.
     """
-    for name in only or ():
-        if name not in FAULTS:
-            raise SplitError(
-                f"no fault is called {name!r}", where="--faults", advice=f"There are {', '.join(FAULTS)}."
-            )
+    require_known(only or (), FAULTS)
     derived = drive.metadata.kinds.get("T", "").startswith("derived")
     found = [InjectedFault("none", "", ())]
     for name, (term, parameter, sizes) in FAULTS.items():
@@ -81,6 +77,15 @@ def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None
                 parameters += (("brake_gain", value),)
             found.append(InjectedFault(name, term, parameters))
     return found
+
+
+def require_known(names: Iterable[str], known: Collection[str]) -> None:
+    """Raise SplitError, listing those there are, if a name is no fault."""
+    for name in names:
+        if name not in known:
+            raise SplitError(
+                f"no fault is called {name!r}", where="--faults", advice=f"There are {', '.join(known)}."
+            )
 
 
 def inject(drive: Drive, fault: InjectedFault) -> Drive:

@@ -9,9 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from split_cli.errors import SplitError
 from split_cli.logs.drive import Drive
-from split_cli.proof.injection import InjectedFault, inject
+from split_cli.proof.injection import InjectedFault, inject, require_known
 from split_cli.proof.multibody import MultiBody
 
 __all__ = ["MULTIBODY_FAULTS", "MultiBodyFault", "multibody_faults"]
@@ -37,6 +36,10 @@ class MultiBodyFault:
         Car -> car with the fault.
     record : callable
         Drive -> drive as faulty sensors or a faulty actuator would have recorded it.
+    in_catalogue : bool
+        Whether there is nothing to name, or a name for it.
+    track : int
+        Faults of one number are driven on one track.
     """
 
     name: str
@@ -44,11 +47,8 @@ class MultiBodyFault:
     parameters: Callable[[MultiBody], tuple[tuple[str, float], ...]] = lambda car: ()
     alter: Callable[[MultiBody], MultiBody] = lambda car: car
     record: Callable[[Drive], Drive] = lambda drive: drive
-
-    @property
-    def in_catalogue(self) -> bool:
-        """Whether there is nothing to name, or a name for it."""
-        return bool(self.term) or self.name.startswith("none")
+    in_catalogue: bool = True
+    track: int = 0
 
 
 def _with(car: MultiBody, change: Callable[[SimpleNamespace], None]) -> MultiBody:
@@ -134,8 +134,8 @@ def _column(name: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[
 
 MULTIBODY_FAULTS: tuple[MultiBodyFault, ...] = (
     MultiBodyFault("none"),
-    MultiBodyFault("none on another track"),
-    MultiBodyFault("none on a third track"),
+    MultiBodyFault("none on another track", track=1),
+    MultiBodyFault("none on a third track", track=2),
     _altered("payload", "mass", _payload(0.10), ("scale", 1.10)),
     _altered("less grip", "friction_scale", _scaled("tire.p_dx1", "tire.p_dy1", by=0.9), ("scale", 0.9)),
     _altered(
@@ -161,8 +161,10 @@ MULTIBODY_FAULTS: tuple[MultiBodyFault, ...] = (
     _recorded("velocity rotated", "sensor_misalignment", "angle", 0.01),
     _recorded("velocity moved", "sensor_lever_arm", "dx", 0.3),
     _recorded("clocks shifted", "sensor_delay", "delay", 0.03),
-    MultiBodyFault("speed read 3 % high", record=_column("vx", lambda vx: 1.03 * vx)),
-    MultiBodyFault("yaw rate bent", record=_column("r", lambda r: r * (1.0 + 0.1 * np.abs(r)))),
+    MultiBodyFault("speed read 3 % high", record=_column("vx", lambda vx: 1.03 * vx), in_catalogue=False),
+    MultiBodyFault(
+        "yaw rate bent", record=_column("r", lambda r: r * (1.0 + 0.1 * np.abs(r))), in_catalogue=False
+    ),
 )
 """With the true values of their parameters; the last two have no name in the catalogue."""
 
@@ -176,9 +178,5 @@ def multibody_faults(only: Sequence[str] | None = None) -> tuple[MultiBodyFault,
         If a name is no fault.
     """
     known = {fault.name: fault for fault in MULTIBODY_FAULTS}
-    for name in only or ():
-        if name not in known:
-            raise SplitError(
-                f"no fault is called {name!r}", where="--faults", advice=f"There are {', '.join(known)}."
-            )
+    require_known(only or (), known)
     return tuple(known[name] for name in only) if only else MULTIBODY_FAULTS

@@ -20,6 +20,9 @@ from split_cli.workflows.prove_recording import InjectionResult, diagnose_pair, 
 
 __all__ = ["prove_multibody", "prove_multibody_faults"]
 
+_TRIES = 12
+_TRACKS_APART = 20  # more than the tracks that may be tried for one drive
+
 
 def prove_multibody(output: Path, *, seed: int = 1, car: int = 2, seconds: float = 120.0):
     """Calibrate, drive hard, diagnose; everything is written to a folder.
@@ -96,8 +99,8 @@ def prove_multibody_faults(
     reference, used = drive(body, first=100, name="sim.parquet", lateral=6.5, noisy=False)
     results = []
     for number, fault in enumerate(faults):
-        another = 20 * [one.name for one in faults if not one.term].index(fault.name) if not fault.term else 0
-        real, _ = drive(fault.alter(body), first=used + 1 + another, name="real.parquet", lateral=5.5)
+        first = used + 1 + _TRACKS_APART * fault.track
+        real, _ = drive(fault.alter(body), first=first, name="real.parquet", lateral=5.5)
         said, words = diagnose_pair(
             output / f"{number + 1:03d}", output / "vehicle.yaml", reference, fault.record(real)
         )
@@ -116,7 +119,7 @@ def _kept_on_track(
     body: MultiBody, seed: int, first: int, seconds: float, name: str, lateral: float = 5.0, noisy: bool = True
 ) -> tuple[Drive, int]:
     """Return a hard drive on the first of twelve random tracks on which the car is not lost, and which it was."""
-    for number in range(first, first + 12):
+    for number in range(first, first + _TRIES):
         track = random_track(np.random.default_rng([seed, number]), 1000.0, 0.5, 5.0)
         try:
             return hard_drive(
