@@ -26,6 +26,7 @@ class Rules:
     price: float = 8.0  # cost a searched parameter has to save, before inflation
     most_terms: int = 3
     most_aside: int = 2  # terms that save more than chance but are too small to name
+    aside_severity: float = 0.12  # below which what the others may misfit is kept aside, too
     most_of_lap: float = 0.75  # a stretch that is longer is no stretch
     full_fits: int = 9
     followed: int = 5  # of the best, in which the common physics follows the inputs they change

@@ -30,6 +30,7 @@ __all__ = [
 
 
 _ONCE = "nearly all in a few moments"
+_MISFIT = "no more than the others misfit"
 # Misfit is worst somewhere: the best of some thousand stretches saves of it as much as 2 ln 1000 parameters more.
 _SEARCHED_PLACES = 14.0
 
@@ -112,13 +113,16 @@ def select_terms(
     # Several terms may imitate one, and fit better by what the one misfits.
     burden = rules.same_misfit * (base.cost - found.chosen.cost) / inflation
 
-    def score(fit: Fit) -> float:
-        return explore.price(fit) + burden * len(fit.parts)
+    def score(found: _Found) -> float:
+        return explore.price(found.with_refused) + burden * found.names
 
     for other in _other_beginnings(first, base, rules) if found.left_something else ():
-        trial = _forward(explore, base, [other])
-        found = min(found, trial, key=lambda one: score(one.chosen))
+        found = min(found, _forward(explore, base, [other]), key=score)
     chosen, history = found.chosen, list(found.history)
+    if found.with_refused is not chosen and term_size(judge, found.with_refused, -1) < rules.aside_severity:
+        # Too small to be told, it would yet be taken for more or less of the others.
+        chosen = found.with_refused
+        history.append(f"{chosen.parts[-1].candidate.label} kept aside")
     selection = _examined(explore, base, chosen)
     for _ in range(rules.swaps):
         rivals = [several[0] for several in selection.rivals if several]
@@ -141,14 +145,26 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
     """Compare an explanation with what is left without each part, and with what might be there instead."""
     judge, rules = explore.judge, explore.rules
     without = without_parts(judge, base, chosen)
-    named = tuple(
+    sure = [
         term_p(judge, chosen, k, one.cost - chosen.cost, explore.inflation) * len(explore.candidates) < rules.level
         and is_spread(judge, chosen, k, one, rules)
         for k, one in enumerate(without)
-    )
+    ]
+    named = _believed_together(judge, chosen, sure, rules)
     rivals = tuple(_rivals(explore, chosen, k, rest) if named[k] else ((), ()) for k, rest in enumerate(without))
     others, siblings = zip(*rivals, strict=True) if rivals else ((), ())
     return Selection(base, chosen, without, others, siblings, named)
+
+
+def _believed_together(judge: Judge, chosen: Fit, sure: Sequence[bool], rules: Rules) -> tuple[bool, ...]:
+    """Return which parts are named: of those that are sure the largest, and what is no misfit of larger ones."""
+    sizes = [_part_sizes(judge, chosen, k) for k in range(len(chosen.parts))]
+    named: list[int] = []
+    for k in sorted((k for k, one in enumerate(sure) if one), key=lambda k: -sizes[k].max()):
+        larger = _sizes(judge, tuple(chosen.terms[i] for i in named), ())
+        if not named or not _is_misfit(judge, sizes[k], larger, rules):
+            named.append(k)
+    return tuple(k in named for k in range(len(chosen.parts)))
 
 
 def _better_beside_misfit(explore: Explorer, selection: Selection) -> tuple[Fit | None, float]:
@@ -172,18 +188,34 @@ def _better_beside_misfit(explore: Explorer, selection: Selection) -> tuple[Fit 
 
 @dataclass(frozen=True)
 class _Found:
-    """What a search forward ended with, and whether a term it refused shows that something is left."""
+    """What a search forward ended with.
+
+    Attributes
+    ----------
+    chosen, with_refused : Fit
+        As far as it is believed or kept aside, and with the term that was refused last.
+    names : int
+        How many of its parts were added to be named.
+    history : tuple of str
+    first_p : float
+    """
 
     chosen: Fit
+    with_refused: Fit
+    names: int
     history: tuple[str, ...]
     first_p: float
-    left_something: bool
+
+    @property
+    def left_something(self) -> bool:
+        """Whether several terms or a refused one show that the first leaves something."""
+        return self.names > 1 or self.with_refused is not self.chosen
 
 
 def _forward(explore: Explorer, base: Fit, first: Sequence[Fit]) -> _Found:
     """Add terms, beginning with the best of `first`."""
     judge, rules, inflation = explore.judge, explore.rules, explore.inflation
-    chosen, history, first_p, aside, refused = base, [], 1.0, 0, False
+    chosen, history, first_p, aside, refused = base, [], 1.0, 0, None
 
     def price_saved(fit: Fit) -> float:
         return explore.price(chosen) - explore.price(fit)
@@ -199,7 +231,7 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit]) -> _Found:
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
             history.append(f"{label} would save {saved:.0f}, {reason}")
-            refused = True
+            refused = fits[0]
             break
         label, saved = best.parts[-1].candidate.label, price_saved(best)
         p_value = term_p(judge, best, len(best.parts) - 1, chosen.cost - best.cost, inflation)
@@ -216,7 +248,8 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit]) -> _Found:
         history.append(f"added {label}, saves {saved:.0f}")
         chosen, dropped = _prune(explore, best)
         history += dropped
-    return _Found(chosen, tuple(history), first_p, refused or len(chosen.parts) - aside > 1)
+    names = len(chosen.parts) - aside
+    return _Found(chosen, refused or chosen, names, tuple(history), first_p)
 
 
 def _other_beginnings(first: Sequence[Fit], base: Fit, rules: Rules) -> list[Fit]:
@@ -294,12 +327,16 @@ def _refusal(judge: Judge, chosen: Fit, sizes: np.ndarray, further: Fit, rules: 
     fast one. What is left of one term is of its own kind, so channels count apart. Or it may save all in a few
     moments, unless it acts at a place, which is passed once a lap.
     """
-    size = _sizes(judge, further.terms, chosen.terms)
-    misfits = np.maximum(rules.misfit * sizes, rules.common_misfit * common_severities(judge))
-    channel = int(np.argmax(size))
-    if size[channel] < max(rules.least_severity, misfits[channel]):
-        return "no more than the others misfit"
+    if _is_misfit(judge, _sizes(judge, further.terms, chosen.terms), sizes, rules):
+        return _MISFIT
     return "" if is_spread(judge, further, len(further.parts) - 1, chosen, rules) else _ONCE
+
+
+def _is_misfit(judge: Judge, size: np.ndarray, of: np.ndarray, rules: Rules) -> bool:
+    """Return whether severities, shape (3,), are no more than terms with severities `of`, shape (3,), misfit."""
+    misfits = np.maximum(rules.misfit * of, rules.common_misfit * common_severities(judge))
+    channel = int(np.argmax(size))
+    return bool(size[channel] < max(rules.least_severity, misfits[channel]))
 
 
 def _sizes(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
@@ -309,6 +346,7 @@ def _sizes(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> 
 
 
 def _part_sizes(judge: Judge, fit: Fit, k: int) -> np.ndarray:
+    k %= len(fit.parts)
     return _sizes(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 
