@@ -113,13 +113,17 @@ def select_terms(
     # Several terms may imitate one, and fit better by what the one misfits.
     burden = rules.same_misfit * (base.cost - found.chosen.cost) / inflation
 
+    def beside(found: _Found) -> Fit:
+        told = base.cost - found.chosen.cost
+        return found.with_refused if found.refused_saved > rules.same_misfit * told else found.chosen
+
     def score(found: _Found) -> float:
-        return explore.price(found.with_refused) + burden * found.names
+        return explore.price(beside(found)) + burden * found.names
 
     for other in _other_beginnings(first, base, rules) if found.left_something else ():
         found = min(found, _forward(explore, base, [other]), key=score)
     chosen, history = found.chosen, list(found.history)
-    if found.with_refused is not chosen and term_size(judge, found.with_refused, -1) < rules.aside_severity:
+    if beside(found) is not chosen and term_size(judge, found.with_refused, -1) < rules.aside_severity:
         # Too small to be told, it would yet be taken for more or less of the others.
         chosen = found.with_refused
         history.append(f"{chosen.parts[-1].candidate.label} kept aside")
@@ -205,6 +209,11 @@ class _Found:
     names: int
     history: tuple[str, ...]
     first_p: float
+
+    @property
+    def refused_saved(self) -> float:
+        """What the refused term would save."""
+        return self.chosen.cost - self.with_refused.cost
 
     @property
     def left_something(self) -> bool:
