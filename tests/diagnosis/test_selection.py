@@ -159,6 +159,34 @@ def test_a_further_term_no_larger_than_a_misfit_is_not_named():
     }
 
 
+def test_a_refused_term_stands_beside_what_is_named_where_it_saves_more_than_misfit():
+    """10 N along the car are too small to be told, and save a twentieth of what a steering gain does."""
+    for force, aside in ((10.0, True), (1.0, False)):
+        judge = judge_of(*planted(steer_gain=0.95, rolling_resistance=force))
+        selection = select_terms(judge, candidates_of(judge, *NAMES), INFLATION)
+        assert named(selection) == {"steer_gain"}
+        parts = [part.candidate.term for part in selection.chosen.parts]
+        assert parts == ["steer_gain", *["rolling_resistance"] * aside]
+        assert selection.named == (True, *[False] * aside)
+        if aside:
+            assert selection.chosen.parts[1].values["force"] == pytest.approx(force, abs=2.0)
+            assert selection.history[-1] == "rolling_resistance kept aside"
+            rivals = [rival.fit for rival in selection.rivals[0]]
+            assert rivals and all("rolling_resistance" in fit.names for fit in rivals)
+
+
+def test_names_are_given_in_the_order_of_size_not_of_finding():
+    """Half a milliradian of steering, found before half the inertia more, is a misfit of it all the same."""
+    judge = judge_of(*planted(yaw_inertia=1.5, steer_offset=0.0005))
+    candidates = {one.term: one for one in candidates_of(judge, "yaw_inertia", "steer_offset")}
+    parts = [Part(candidates[name], dict(candidates[name].starts[0])) for name in ("steer_offset", "yaw_inertia")]
+    for ordered, expected in ((parts, (False, True)), (parts[::-1], (True, False))):
+        fit = fit_parts(judge, ordered)
+        assert selecting._believed_together(judge, fit, (True, True), Rules()) == expected
+        # What is not sure is no name, and nothing is a misfit of it.
+        assert selecting._believed_together(judge, fit, expected[::-1], Rules()) == expected[::-1]
+
+
 def test_a_further_term_no_larger_than_a_misfit_of_the_common_physics_is_not_named(pair, chosen_pair):
     """A tenth of what simulation and reality have in common, in its channel: no dictionary is exact."""
     terms, fit = chosen_pair.chosen.terms, chosen_pair.chosen
