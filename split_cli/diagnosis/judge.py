@@ -15,7 +15,7 @@ from split_cli.diagnosis.kinematics import Kinematics
 from split_cli.vehicle.effects import Term
 
 _LEAST_TOLD = 2e-3
-_LEAST_NOISE = 1e-3  # variance that a row of simulation is believed to have at least
+_LEAST_NOISE, _MOST_NOISE = 1e-3, 5.0  # variance that a row of simulation is believed to have
 
 __all__ = ["CommonKnowledge", "Judge", "build_judge", "learn_common"]
 
@@ -46,8 +46,9 @@ def learn_common(simulations: Sequence[Evidence], inflation: float = 1.0) -> Com
     Notes
     -----
     Rows are believed as far as the dictionary holds them: their noise is the long-run variance of what it leaves,
-    which is 1 for rows of unit noise and small for a simulation without any, but never 0, since no dictionary
-    holds the physics of a real car.
+    which is 1 for rows of unit noise, small for a simulation without any, but never 0, since no dictionary
+    holds the physics of a real car, and larger where the dictionary misses what rows have in common, up to a
+    bound beyond which nothing would be known.
     """
     columns = np.concatenate(
         [one.common.reshape(-1, one.common.shape[2]) * _entry_weight(one) for one in simulations]
@@ -59,7 +60,7 @@ def learn_common(simulations: Sequence[Evidence], inflation: float = 1.0) -> Com
     for _ in range(2):
         weights = np.linalg.solve(prior + normal / noise, score / noise)
         left = (target - columns @ weights).reshape(-1, 3)
-        noise = inflation * float(np.clip(_long_run_variance(left).max(), _LEAST_NOISE, 1.0))
+        noise = inflation * float(np.clip(_long_run_variance(left).max(), _LEAST_NOISE, _MOST_NOISE))
     precision = prior + normal / noise
     return CommonKnowledge(np.linalg.solve(precision, score / noise), precision)
 
