@@ -74,8 +74,9 @@ def test_the_common_physics_is_learned_by_ridge():
 
 
 def test_a_simulation_is_believed_as_far_as_the_dictionary_holds_it():
-    """Rows of a tenth of the noise teach a hundred times as much, without any noise a thousand times, not more; what
-    the dictionary leaves beyond the noise teaches less.
+    """Rows of a tenth of the noise teach a hundred times as much, without any noise a thousand times, not more.
+
+    What the dictionary leaves beyond the noise teaches less, down to a fifth.
     """
     truth = np.random.default_rng(23).standard_normal(COLUMNS)
     for level, expected in ((0.1, 0.01), (0.0, 1e-3), (1.5, 2.25), (9.0, 5.0)):
