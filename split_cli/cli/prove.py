@@ -107,11 +107,18 @@ def recording(drives, vehicle_path, output, faults, block, as_json) -> None:
 @command.command("multibody")
 @click.option("--seed", type=int, default=1, show_default=True, help="Of tracks, driver and noise.")
 @click.option("--car", type=click.IntRange(1, 3), default=2, show_default=True, help="Of the foreign package.")
+@click.option(
+    "--model",
+    type=click.Choice(["multibody", "drift"]),
+    default="multibody",
+    show_default=True,
+    help="The package's 29-state car, or its single track with combined slip and wheels that spin.",
+)
 @click.option("-o", "--output", type=_folder, required=True, help="Folder to write into.")
 @click.option("--faults", help="Put in these, separated by commas, or all; a wrong name lists those there are.")
 @json_option
-def multibody(seed, car, output, faults, as_json) -> None:
-    """Take the multi-body car of commonroad-vehicle-models as reality, a calibrated single track as simulation.
+def multibody(seed, car, model, output, faults, as_json) -> None:
+    """Take a car of commonroad-vehicle-models as reality, a calibrated single track as simulation.
 
     Needs the extra `proof`. The car is driven hard; what is found is judged on another hard drive. With --faults
     the car gets one known fault at a time, and the car without it, on another track, is the simulation.
@@ -120,16 +127,19 @@ def multibody(seed, car, output, faults, as_json) -> None:
     Example:
       split prove multibody -o multibody
       split prove multibody --faults all -o faults
+      split prove multibody --model drift --faults all -o drift
     """
     from split_cli.diagnosis.document import diagnosis_to_text
     from split_cli.workflows.prove_multibody import prove_multibody, prove_multibody_faults
 
     if faults:
         only = None if faults == "all" else faults.split(",")
-        rows = prove_multibody_faults(output, seed=seed, car=car, only=only, report=_progress("faults"))
+        rows = prove_multibody_faults(
+            output, seed=seed, car=car, model=model, only=only, report=_progress("faults")
+        )
         _tell_faults(rows, as_json)
         return
-    result = prove_multibody(output, seed=seed, car=car)
+    result = prove_multibody(output, seed=seed, car=car, model=model)
     if as_json:
         click.echo(diagnosis_to_text(result), nl=False)
         return

@@ -21,15 +21,23 @@ from split_cli.vehicle.calibration.samples import MotionRun
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import MagicFormula
 
-__all__ = ["MultiBody", "calibrated_vehicle", "circle_drive", "gentle_drives", "hard_drive", "load_car"]
+__all__ = [
+    "MULTIBODY_STATE",
+    "MultiBody",
+    "calibrated_vehicle",
+    "circle_drive",
+    "gentle_drives",
+    "hard_drive",
+    "load_car",
+]
 
 _STEP = 2e-3
 _KEEP = 5
 _LOOK_AHEAD = 0.6
 _NOISE = {"X": 0.01, "Y": 0.01, "yaw": 0.0012, "vx": 0.008, "vy": 0.008, "r": 0.0015, "ax": 0.03, "ay": 0.03}
-# Indices of the multi-body state.
-_X, _Y, _DELTA, _VX, _YAW, _R, _VY = 0, 1, 2, 3, 4, 5, 10
-_SPINS = slice(23, 27)
+MULTIBODY_STATE = SimpleNamespace(X=0, Y=1, delta=2, vx=3, yaw=4, r=5, vy=10, spins=slice(23, 27))
+"""Where in the multi-body state these are; the rest are motions of body and axles. Spins are front, then rear."""
+_AT = MULTIBODY_STATE
 
 
 @dataclass(frozen=True)
@@ -98,26 +106,26 @@ class _Driver:
         track = self.track
         count = len(track.x)
         near = (int(self.s / track.spacing) + np.arange(-10, 60)) % count
-        at = near[np.argmin((track.x[near] - x[_X]) ** 2 + (track.y[near] - x[_Y]) ** 2)]
+        at = near[np.argmin((track.x[near] - x[_AT.X]) ** 2 + (track.y[near] - x[_AT.Y]) ** 2)]
         self.s = at * track.spacing
-        side = np.cos(track.direction[at]) * (x[_Y] - track.y[at]) - np.sin(track.direction[at]) * (
-            x[_X] - track.x[at]
+        side = np.cos(track.direction[at]) * (x[_AT.Y] - track.y[at]) - np.sin(track.direction[at]) * (
+            x[_AT.X] - track.x[at]
         )
-        course = x[_YAW] + np.arctan2(x[_VY], x[_VX]) - track.direction[at]
+        course = x[_AT.yaw] + np.arctan2(x[_AT.vy], x[_AT.vx]) - track.direction[at]
         course = (course + np.pi) % (2.0 * np.pi) - np.pi
-        reach = max(_LOOK_AHEAD * x[_VX], 4.0)
+        reach = max(_LOOK_AHEAD * x[_AT.vx], 4.0)
         ahead = (at + int(0.3 * reach / track.spacing)) % count
         curvature = track.curvature[ahead] - 2.0 * (np.sin(course) * reach + side) / reach**2
-        understeer = 0.0005 * x[_VX] ** 2 * curvature
+        understeer = 0.0005 * x[_AT.vx] ** 2 * curvature
         wanted = np.arctan(self.wheelbase * curvature) + understeer
-        wanted += 0.3 * self.wheelbase / x[_VX] * (x[_VX] * curvature - x[_R])
+        wanted += 0.3 * self.wheelbase / x[_AT.vx] * (x[_AT.vx] * curvature - x[_AT.r])
         wanted += 0.003 * np.sin(2.1 * t + self.unrest[0]) * np.sin(5.3 * t + self.unrest[1])
-        there = (at + int(0.3 * x[_VX] / track.spacing)) % count
+        there = (at + int(0.3 * x[_AT.vx] / track.spacing)) % count
         goal = self.speed[there] * (1.0 + 0.02 * np.sin(0.35 * t + self.unrest[2]))
         # What turning leaves of the grip; driven rear wheels and braked ones would spin the car otherwise.
-        left = np.sqrt(max(0.03, 1.0 - (x[_VX] * x[_R] / self.grip) ** 2))
+        left = np.sqrt(max(0.03, 1.0 - (x[_AT.vx] * x[_AT.r] / self.grip) ** 2))
         return float(wanted), float(
-            np.clip(1.6 * (goal - x[_VX]), -0.8 * self.grip * left, 0.4 * self.grip * left)
+            np.clip(1.6 * (goal - x[_AT.vx]), -0.8 * self.grip * left, 0.4 * self.grip * left)
         )
 
 
@@ -131,21 +139,21 @@ def _run(car: MultiBody, inputs, speed: float, seconds: float, pose: tuple[float
         if k % _KEEP == 0:
             wanted, asked = inputs(x, k * _STEP)
             # The car's steering is a rate; it reaches the wanted angle in two samples unless its limit is met.
-            rate = car.steering_limit(x[_DELTA], (wanted - x[_DELTA]) / (2 * _KEEP * _STEP), p.steering)
-            acceleration = car.acceleration_limit(x[_VX], asked, p.longitudinal)
+            rate = car.steering_limit(x[_AT.delta], (wanted - x[_AT.delta]) / (2 * _KEEP * _STEP), p.steering)
+            acceleration = car.acceleration_limit(x[_AT.vx], asked, p.longitudinal)
         now = np.array(car.derivative(list(x), [rate, acceleration], p))
         if k % _KEEP == 0:
-            ax, ay = now[_VX] - x[_VY] * x[_R], now[_VY] + x[_VX] * x[_R]
-            rows.append([k * _STEP, x[_X], x[_Y], x[_YAW], x[_VX], x[_VY], x[_R],
-                         car.mass * p.R_w * acceleration, x[_DELTA], ax, ay])  # fmt: skip
-            if not np.isfinite(x).all() or x[_VX] < 2.0 or abs(x[_VY]) > 0.6 * x[_VX]:
+            ax, ay = now[_AT.vx] - x[_AT.vy] * x[_AT.r], now[_AT.vy] + x[_AT.vx] * x[_AT.r]
+            rows.append([k * _STEP, x[_AT.X], x[_AT.Y], x[_AT.yaw], x[_AT.vx], x[_AT.vy], x[_AT.r],
+                         car.mass * p.R_w * acceleration, x[_AT.delta], ax, ay])  # fmt: skip
+            if not np.isfinite(x).all() or x[_AT.vx] < 2.0 or abs(x[_AT.vy]) > 0.6 * x[_AT.vx]:
                 raise SplitError(f"the multi-body car was lost at {k * _STEP:.1f} s", advice="Drive it less hard.")
         k2 = np.array(car.derivative(list(x + 0.5 * _STEP * now), [rate, acceleration], p))
         k3 = np.array(car.derivative(list(x + 0.5 * _STEP * k2), [rate, acceleration], p))
         k4 = np.array(car.derivative(list(x + _STEP * k3), [rate, acceleration], p))
         x = x + _STEP / 6.0 * (now + 2.0 * k2 + 2.0 * k3 + k4)
         # The package forbids wheels to turn backwards by altering the list it is given, which is a copy here.
-        x[_SPINS] = np.maximum(x[_SPINS], 0.0)
+        x[_AT.spins] = np.maximum(x[_AT.spins], 0.0)
     table = np.array(rows).T
     names = ("t", "X", "Y", "yaw", "vx", "vy", "r", "T", "delta", "ax", "ay")
     columns = dict(zip(names, table, strict=True))
@@ -194,7 +202,7 @@ def circle_drive(car: MultiBody, lateral: float, seconds: float, seed: int, side
     last = side * (wheelbase * lateral / 400.0 + 0.001 * lateral)
 
     def inputs(x: list[float], t: float) -> tuple[float, float]:
-        return last * min(1.0, t / (0.85 * seconds)), 1.5 * (20.0 - x[_VX])
+        return last * min(1.0, t / (0.85 * seconds)), 1.5 * (20.0 - x[_AT.vx])
 
     return _drive(_run(car, inputs, 20.0, seconds, (0.0, 0.0, 0.0)), "turn", np.random.default_rng([seed, 6]))
 
@@ -205,7 +213,7 @@ def gentle_drives(car: MultiBody, seed: int) -> list[Drive]:
     rng = np.random.default_rng([seed, 8])
 
     def slalom(x: list[float], t: float) -> tuple[float, float]:
-        return 0.02 * np.sin(2.0 * np.pi * (0.2 + 0.04 * t) * t), 1.5 * (20.0 - x[_VX])
+        return 0.02 * np.sin(2.0 * np.pi * (0.2 + 0.04 * t) * t), 1.5 * (20.0 - x[_AT.vx])
 
     def pedals(x: list[float], t: float) -> tuple[float, float]:
         return 0.0, (1.5, 0.0, -2.0, 0.0, 2.5, -1.0)[int(t / 3.0) % 6]

@@ -11,13 +11,13 @@ import numpy as np
 
 from split_cli.logs.drive import Drive
 from split_cli.proof.injection import InjectedFault, inject, require_known
-from split_cli.proof.multibody import MultiBody
+from split_cli.proof.multibody import MULTIBODY_STATE, MultiBody
 
 __all__ = ["MULTIBODY_FAULTS", "MultiBodyFault", "multibody_faults"]
 
 _GRAVITY = 9.81  # the package's
-_VX = 3
-_LATERAL = (10, 15, 20)  # lateral velocity of the body and of either axle
+_VX = MULTIBODY_STATE.vx
+_LATERAL = (MULTIBODY_STATE.vy, 15, 20)  # lateral velocity of the body and of either axle
 _DRAG = 6e-4  # [1/m], of the mass
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from split_cli.errors import SplitError
 from split_cli.files import atomic_directory
 from split_cli.logs.drive import Drive, write_drive
+from split_cli.proof.drift_car import load_drift_car
 from split_cli.proof.multibody import MultiBody, calibrated_vehicle, gentle_drives, hard_drive, load_car
 from split_cli.proof.multibody_faults import multibody_faults
 from split_cli.proof.tracks import random_track
@@ -18,13 +19,18 @@ from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
 from split_cli.workflows.prove_recording import InjectionResult, diagnose_pair, injection_result
 
-__all__ = ["prove_multibody", "prove_multibody_faults"]
+__all__ = ["FOREIGN_MODELS", "prove_multibody", "prove_multibody_faults"]
+
+FOREIGN_MODELS = {"multibody": load_car, "drift": load_drift_car}
+"""Someone else's equations of motion, by name; each takes the number of a car."""
 
 _TRIES = 12
 _TRACKS_APART = 20  # more than the tracks that may be tried for one drive
 
 
-def prove_multibody(output: Path, *, seed: int = 1, car: int = 2, seconds: float = 120.0):
+def prove_multibody(
+    output: Path, *, seed: int = 1, car: int = 2, model: str = "multibody", seconds: float = 120.0
+):
     """Calibrate, drive hard, diagnose; everything is written to a folder.
 
     Parameters
@@ -35,6 +41,8 @@ def prove_multibody(output: Path, *, seed: int = 1, car: int = 2, seconds: float
         Of tracks, driver and noise.
     car : int
         Of the package: 1 Ford Escort, 2 BMW 320i, 3 VW Vanagon.
+    model : str
+        One of `FOREIGN_MODELS`.
     seconds : float
         Length of the hard drive; another half as long on another track is held out [s].
 
@@ -47,7 +55,7 @@ def prove_multibody(output: Path, *, seed: int = 1, car: int = 2, seconds: float
     SplitError
         If the package is not installed or its car cannot be kept on any of twelve tracks.
     """
-    body = load_car(car)
+    body = FOREIGN_MODELS[model](car)
     vehicle = calibrated_vehicle(body, gentle_drives(body, seed))
     real, used = _kept_on_track(body, seed, 0, seconds, "real.parquet")
     holdout, _ = _kept_on_track(body, seed, used + 1, 0.5 * seconds, "holdout.parquet")
@@ -68,6 +76,7 @@ def prove_multibody_faults(
     *,
     seed: int = 1,
     car: int = 2,
+    model: str = "multibody",
     seconds: float = 80.0,
     only: Sequence[str] | None = None,
     report: Callable[[int, int], None] | None = None,
@@ -81,7 +90,7 @@ def prove_multibody_faults(
     ----------
     output : Path
         Folder; gets ``vehicle.yaml``, the pairs of drives and a diagnosis each.
-    seed, car, seconds
+    seed, car, model, seconds
         As for `prove_multibody`; both drives are `seconds` long.
     only : sequence of str, optional
         Names of `multibody_faults.MULTIBODY_FAULTS`.
@@ -92,7 +101,7 @@ def prove_multibody_faults(
         As `prove_multibody`, or if a name is no fault.
     """
     faults = multibody_faults(only)
-    body = load_car(car)
+    body = FOREIGN_MODELS[model](car)
     output.mkdir(parents=True, exist_ok=True)
     write_vehicle(calibrated_vehicle(body, gentle_drives(body, seed)), output / "vehicle.yaml")
     drive = partial(_kept_on_track, seed=seed, seconds=seconds)
