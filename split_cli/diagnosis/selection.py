@@ -113,20 +113,16 @@ def select_terms(
     # Several terms may imitate one, and fit better by what the one misfits.
     burden = rules.same_misfit * (base.cost - found.chosen.cost) / inflation
 
-    def beside(found: _Found) -> Fit:
-        told = base.cost - found.chosen.cost
-        return found.with_refused if found.refused_saved > rules.same_misfit * told else found.chosen
-
     def score(found: _Found) -> float:
-        return explore.price(beside(found)) + burden * found.names
+        return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
     for other in _other_beginnings(first, base, rules) if found.left_something else ():
         found = min(found, _forward(explore, base, [other]), key=score)
-    chosen, history = found.chosen, list(found.history)
-    if beside(found) is not chosen and term_size(judge, found.with_refused, -1) < rules.aside_severity:
-        # Too small to be told, it would yet be taken for more or less of the others.
-        chosen = found.with_refused
+    chosen, history = found.with_what_matters(base, rules), list(found.history)
+    if chosen is not found.chosen and term_size(judge, chosen, -1) < rules.aside_severity:
         history.append(f"{chosen.parts[-1].candidate.label} kept aside")
+    else:
+        chosen = found.chosen
     selection = _examined(explore, base, chosen)
     for _ in range(rules.swaps):
         rivals = [several[0] for several in selection.rivals if several]
@@ -210,10 +206,13 @@ class _Found:
     history: tuple[str, ...]
     first_p: float
 
-    @property
-    def refused_saved(self) -> float:
-        """What the refused term would save."""
-        return self.chosen.cost - self.with_refused.cost
+    def with_what_matters(self, base: Fit, rules: Rules) -> Fit:
+        """Return the explanation with the refused term, if that saves more than a single track misfits.
+
+        Too small to be told, it would yet be taken for more or less of the others.
+        """
+        refused, told = self.chosen.cost - self.with_refused.cost, base.cost - self.chosen.cost
+        return self.with_refused if refused > rules.same_misfit * told else self.chosen
 
     @property
     def left_something(self) -> bool:
