@@ -11,7 +11,7 @@ from split_cli.diagnosis.calibration import comparable
 from split_cli.diagnosis.common import CommonPhysics, build_common_physics
 from split_cli.diagnosis.evidence import Evidence, gather_evidence, graded_as
 from split_cli.diagnosis.judge import CommonKnowledge, learn_common
-from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, habits
+from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit
 from split_cli.diagnosis.series import Series
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.parameters import Vehicle
@@ -32,7 +32,8 @@ class Case:
         None where the nominal model is the simulation.
     keep, keep_holdout : tuple of ndarray of bool, shape (G,)
         Rows of each real and held-out recording that are compared.
-    kinematics : tuple of Kinematics
+    kinematics, simulated_kinematics : tuple of Kinematics
+        Of the real and the simulated recordings that have position and yaw.
     graded : tuple of Evidence
         The simulated recordings as if they had the noise and disturbance of the real ones.
     """
@@ -44,6 +45,7 @@ class Case:
     knowledge: CommonKnowledge | None
     keep: tuple[np.ndarray, ...]
     kinematics: tuple[Kinematics, ...]
+    simulated_kinematics: tuple[Kinematics, ...] = ()
     simulated: tuple[Evidence, ...] = ()
     keep_holdout: tuple[np.ndarray, ...] = ()
     graded: tuple[Evidence, ...] = ()
@@ -85,10 +87,11 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], *, inflation: float,
     disturbance = np.max([one.disturbance for one in real], axis=0)
     graded = [graded_as(one, noise, disturbance, common) for one in simulated]
     knowledge = learn_common(graded, inflation) if graded else None
-    habit = habits(by_role["sim"])
+    theirs = [one for one in map(build_kinematics, by_role["sim"]) if one]
+    habit = common_habit(theirs)
     kinematics = [one for one in (build_kinematics(series, habit) for series in by_role["real"]) if one]
     case = Case(
-        vehicle, tuple(real), tuple(holdout), common, knowledge, (), tuple(kinematics), tuple(simulated),
-        graded=tuple(graded),
+        vehicle, tuple(real), tuple(holdout), common, knowledge, (), tuple(kinematics), tuple(theirs),
+        tuple(simulated), graded=tuple(graded),
     )  # fmt: skip
     return case.compared(reach)

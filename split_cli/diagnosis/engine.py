@@ -21,6 +21,7 @@ from split_cli.diagnosis.judge import build_judge
 from split_cli.diagnosis.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.place import places_of
 from split_cli.diagnosis.result import Diagnosis, InputFile
+from split_cli.diagnosis.scales import out_of_scale
 from split_cli.diagnosis.screening import clean_drives, idle, judgeable, moving, tellable, unfit
 from split_cli.diagnosis.selection import Selection, nothing, select_terms
 from split_cli.diagnosis.sentences import summarise
@@ -132,10 +133,13 @@ def diagnose(
     not_judged = (*notes, *judgeable(case.real, vehicle, share))
     if reach > settings.reach:
         not_judged += (_FAR,)
+    contradictions = out_of_scale(case.kinematics, case.simulated_kinematics)
+    not_judged += contradictions
     if kept < settings.least_rows:
         reasons = [
             f"Only {share:.0%} of the real drive ({kept} rows of 0.04 s) lies where the simulation has been; "
-            "drive both over the same speeds, torques and turns."
+            "drive both over the same speeds, torques and turns.",
+            *(f"The recording contradicts itself: {one}." for one in contradictions),
         ]
         return _undecided(reasons, share, inputs, described)
     progress("comparing")
@@ -160,14 +164,14 @@ def diagnose(
     found = _compare(
         structure, gap, selection, strongest_line(judge, selection.terms, case.simulated), inflation, known
     )
-    if found.p_value >= settings.level:
+    if found.p_value >= settings.level and not contradictions:
         return Diagnosis(
             "match", found.p_value, share, not_judged, inputs=tuple(inputs), settings=described,
             history=selection.history, summary=summarise("match"), gaps=_gaps(case),
         )  # fmt: skip
     progress("judging")
-    told = _tell(case, structure, found, settings)
-    if reach > settings.reach and not told.findings:
+    told = _tell(case, structure, found, settings, contradictions)
+    if reach > settings.reach and not told.findings and not contradictions:
         return _undecided([_FAR_AND_NAMELESS], share, inputs, described)
     return replace(told, compared_share=share, not_judged=not_judged, inputs=tuple(inputs), settings=described)
 
@@ -224,12 +228,17 @@ def _compare(
     return _Comparison(gap, selection, line, inflation, known.wander, p_value)
 
 
-def _tell(case: Case, structure: Structure, found: _Comparison, settings: Settings) -> Diagnosis:
-    """Say where the difference is, what it is, and whether naming it helps."""
+def _tell(
+    case: Case, structure: Structure, found: _Comparison, settings: Settings, contradictions: Sequence[str]
+) -> Diagnosis:
+    """Say where the difference is, what it is, and whether naming it helps.
+
+    A sensor that contradicts position or yaw is a difference without a name, however small the rest.
+    """
     selection, findings, remainder, unexplained = describe(
         structure, found.gap, found.selection, found.inflation, found.usual_wander, Abstention()
     )
-    unexplained = unexplained or found.line is not None
+    unexplained = unexplained or found.line is not None or bool(contradictions)
     shared = [case.common_rates(one) for one in case.real]
     forces = [gap_forces(one, (), rates) for one, rates in zip(case.real, shared, strict=True)]
     after = [gap_forces(one, selection.terms, rates) for one, rates in zip(case.real, shared, strict=True)]
@@ -248,7 +257,7 @@ def _tell(case: Case, structure: Structure, found: _Comparison, settings: Settin
     improvement = _improvement(case, split, named)
     return Diagnosis(
         "mismatch",
-        found.p_value,
+        0.0 if contradictions else found.p_value,
         0.0,
         location=location,
         findings=findings,
@@ -257,7 +266,9 @@ def _tell(case: Case, structure: Structure, found: _Comparison, settings: Settin
         improvement=improvement,
         gaps=tuple(map(gap_series, case.real, case.keep, forces, after)),
         history=selection.history,
-        summary=summarise("mismatch", findings, unexplained, location, remainder, (), improvement, case.vehicle),
+        summary=summarise(
+            "mismatch", findings, unexplained, location, remainder, contradictions, improvement, case.vehicle
+        ),
     )
 
 

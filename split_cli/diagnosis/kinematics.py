@@ -1,8 +1,8 @@
-"""A recording against itself: position and yaw know the true lateral velocity, whatever the tyres do.
+"""A recording against itself: position and yaw know the true velocities, whatever the tyres do.
 
 Over windows of half a second the displacement across the car, from X, Y and yaw, is compared with the integral of
 the recorded velocities. A velocity sensor that is turned or displaced contradicts its own position; no missing
-physics does.
+physics does. Displacement along the car and the turn of yaw tell the scales of v_x and r.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from split_cli.diagnosis.series import Series
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Kinematics", "build_kinematics", "common_habit", "habits"]
+__all__ = ["Kinematics", "build_kinematics", "common_habit"]
 
 _WINDOW_SECONDS = 0.5
 _EDGE_SECONDS = 0.1
@@ -32,8 +32,8 @@ class Kinematics:
     series : Series
     begin, end : ndarray of int64, shape (W,)
         First and last row of every window.
-    across : ndarray, shape (W,)
-        Displacement to the car's left at mid-window, from positions [m].
+    across, along : ndarray, shape (W,)
+        Displacement to the car's left and ahead at mid-window, from positions [m].
     angle : ndarray, shape (N,)
         Yaw, quiet [rad].
     scale : float
@@ -46,6 +46,7 @@ class Kinematics:
     begin: np.ndarray
     end: np.ndarray
     across: np.ndarray
+    along: np.ndarray
     angle: np.ndarray
     scale: float
     habit: np.ndarray
@@ -56,13 +57,19 @@ class Kinematics:
 
     def left(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what the velocities leave of the displacements [m], shape (W,)."""
-        _, velocity = self.series.corrected(terms)
-        middle = self.angle[(self.begin + self.end) // 2]
-        sine, cosine = np.sin(self.angle), np.cos(self.angle)
-        # In the world frame once, then into the car's frame of each window.
-        x = self._integral(velocity[:, 0] * cosine - velocity[:, 1] * sine)
-        y = self._integral(velocity[:, 0] * sine + velocity[:, 1] * cosine)
-        return self.across - (-np.sin(middle) * x + np.cos(middle) * y)
+        return self.across - self._travelled(terms)[1]
+
+    def scales(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return, for v_x [m] and r [rad], what they make of every window and what position or yaw does, (W,).
+
+        The ways from velocities are made as quiet as positions and yaw are, which takes as much off quick turns.
+        """
+        _, velocity = self.series.corrected(())
+        turned = self.angle[self.end] - self.angle[self.begin]
+        return {
+            "v_x": (self._travelled((), quiet=True)[0], self.along),
+            "r": (self._integral(velocity[:, 2], quiet=True), turned),
+        }
 
     def causes(self) -> np.ndarray:
         """Return the yaw angle [rad] and the distance [m] of every window, shape (W, 2)."""
@@ -71,10 +78,22 @@ class Kinematics:
 
     def select(self, windows: np.ndarray) -> Kinematics:
         """Return these windows alone."""
-        return replace(self, begin=self.begin[windows], end=self.end[windows], across=self.across[windows])
+        chosen = {name: getattr(self, name)[windows] for name in ("begin", "end", "across", "along")}
+        return replace(self, **chosen)
 
-    def _integral(self, rate: np.ndarray) -> np.ndarray:
+    def _travelled(self, terms: Sequence[Term], quiet: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Return displacements ahead and to the left at mid-window, from velocities [m], shape (W,) each."""
+        _, velocity = self.series.corrected(terms)
+        middle = self.angle[(self.begin + self.end) // 2]
+        sine, cosine = np.sin(self.angle), np.cos(self.angle)
+        # In the world frame once, then into the car's frame of each window.
+        x = self._integral(velocity[:, 0] * cosine - velocity[:, 1] * sine, quiet)
+        y = self._integral(velocity[:, 0] * sine + velocity[:, 1] * cosine, quiet)
+        return _into(middle, x, y)
+
+    def _integral(self, rate: np.ndarray, quiet: bool = False) -> np.ndarray:
         total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))]) * self.series.period
+        total = _quiet(total, self.series.period) if quiet else total
         return total[self.end] - total[self.begin]
 
 
@@ -84,7 +103,7 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
     if not drive.has_position:
         return None
     size = max(4, int(round(_WINDOW_SECONDS / series.period)))
-    edge = max(1, int(round(_EDGE_SECONDS / series.period)))
+    edge = _edge(series.period)
     begins = [
         np.arange(first + edge, end - size - edge, size)
         for first, end in series.recording.segments
@@ -94,22 +113,28 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
         return None
     begin = np.concatenate(begins).astype(np.int64)
     end = begin + size
-    # The mean over an odd window is that of its middle but for curvature, alike at both ends.
-    x, y, angle = (
-        uniform_filter1d(values, 2 * edge + 1, mode="nearest") for values in (drive["X"], drive["Y"], series.yaw)
-    )
+    x, y, angle = (_quiet(values, series.period) for values in (drive["X"], drive["Y"], series.yaw))
     middle = angle[(begin + end) // 2]
-    across = -np.sin(middle) * (x[end] - x[begin]) + np.cos(middle) * (y[end] - y[begin])
-    plain = Kinematics(series, begin, end, across, angle, 1.0, np.zeros(2) if habit is None else habit)
+    along, across = _into(middle, x[end] - x[begin], y[end] - y[begin])
+    plain = Kinematics(series, begin, end, across, along, angle, 1.0, np.zeros(2) if habit is None else habit)
     left, causes = plain.left(()), plain.causes()
     left = left - causes @ np.linalg.lstsq(causes, left, rcond=None)[0]
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-9
-    return Kinematics(series, begin, end, across, angle, scale, plain.habit)
+    return replace(plain, scale=scale)
 
 
-def habits(simulated: Sequence[Series]) -> np.ndarray:
-    """Return what simulated recordings leave of displacements, by yaw angle [m] and distance [1], shape (2,)."""
-    return common_habit([one for one in map(build_kinematics, simulated) if one is not None])
+def _edge(period: float) -> int:
+    return max(1, int(round(_EDGE_SECONDS / period)))
+
+
+def _quiet(values: np.ndarray, period: float) -> np.ndarray:
+    """Return means over an odd window, which are those of its middle but for curvature, alike at both ends."""
+    return uniform_filter1d(values, 2 * _edge(period) + 1, mode="nearest")
+
+
+def _into(angle: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return components of displacements ahead and to the left of cars at these angles."""
+    return np.cos(angle) * x + np.sin(angle) * y, -np.sin(angle) * x + np.cos(angle) * y
 
 
 def common_habit(several: Sequence[Kinematics]) -> np.ndarray:

@@ -1,0 +1,75 @@
+"""Speed and yaw rate against position and yaw: a sensor out of scale is told, and no physics is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jsonschema
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.document import diagnosis_to_mapping, read_schema
+from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.kinematics import Kinematics, build_kinematics
+from split_cli.diagnosis.scales import out_of_scale, scale_of
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects import CATALOGUE
+from tests.diagnosis.recordings import driven, noisy, prepared
+from tests.factories import road_car
+
+
+def recording(seed: int, *terms, **scales: float) -> Drive:
+    drive = noisy(driven(seed, terms, runs=8, seconds=8.0, spaced=9.0), seed + 500, position=0.01)
+    columns = {name: by * drive[name] for name, by in scales.items()}
+    return replace(drive, columns={**drive.columns, **columns}, sha256="")
+
+
+def kinematics_of(seed: int, *terms, **scales: float) -> Kinematics:
+    return build_kinematics(prepared(recording(seed, *terms, **scales)))
+
+
+@pytest.mark.parametrize(("channel", "name"), [("vx", "v_x"), ("r", "r")])
+def test_a_scale_is_recovered(channel, name):
+    for by in (1.0, 1.03, 0.98):
+        scale, error = scale_of(name, [kinematics_of(21, **{channel: by})])
+        assert error < 2e-3 and abs(scale - by) < 4.0 * error + 2e-4
+
+
+def test_a_scale_is_the_ratio_of_sums_of_a_single_stretch():
+    kinematics = kinematics_of(22, r=1.05)
+    made, true = kinematics.scales()["r"]
+    scale, error = scale_of("r", [kinematics])
+    assert scale == pytest.approx(float(made @ true / (true @ true)), abs=4.0 * error)
+
+
+def test_what_is_out_of_scale_is_told_with_its_size():
+    (sentence,) = out_of_scale([kinematics_of(23, vx=1.03)], [kinematics_of(24)])
+    assert "v_x covers 3 % more ground" in sentence and "in the simulation they agree" in sentence
+    (sentence,) = out_of_scale([kinematics_of(23, r=0.95)], [])
+    assert "r turns 5 % less" in sentence and "simulation" not in sentence
+
+
+def test_neither_physics_nor_a_habit_of_both_is_out_of_scale():
+    terms = [CATALOGUE["mass"]({"scale": 1.2}), CATALOGUE["sensor_misalignment"]({"angle": 0.02})]
+    assert not out_of_scale([kinematics_of(25, *terms)], [kinematics_of(26)])
+    assert not out_of_scale([kinematics_of(25, vx=1.03)], [kinematics_of(26, vx=1.03)])
+    assert not out_of_scale([kinematics_of(25, vx=1.008)], [kinematics_of(26)])
+    assert not out_of_scale([], [])
+
+
+def test_a_car_that_does_not_turn_tells_no_scale_of_its_yaw_rate():
+    kinematics = kinematics_of(27)
+    still = replace(kinematics, angle=np.zeros_like(kinematics.angle))
+    assert scale_of("r", [still]) is None
+
+
+def test_a_speed_out_of_scale_is_a_difference_without_a_name():
+    """Alone it would be a match or a mass: 3 % of speed are 3 % of every force."""
+    simulation = recording(81)
+    said = diagnose([recording(83, vx=1.03)], road_car(), [simulation])
+    assert said.verdict == "mismatch" and said.unexplained
+    assert any("v_x covers 3 % more ground" in reason for reason in said.not_judged)
+    assert "The recording contradicts itself: speed against position" in said.summary
+    jsonschema.validate(diagnosis_to_mapping(said), read_schema())
+    right = diagnose([recording(83)], road_car(), [simulation])
+    assert right.verdict == "match" and not any("ground" in reason for reason in right.not_judged)
