@@ -236,9 +236,15 @@ def _tell(
     A sensor that contradicts position or yaw is a difference without a name, however small the rest.
     """
     selection, findings, remainder, unexplained = describe(
-        structure, found.gap, found.selection, found.inflation, found.usual_wander, Abstention()
+        structure,
+        found.gap,
+        found.selection,
+        found.inflation,
+        found.usual_wander,
+        Abstention(),
+        bool(contradictions),
     )
-    unexplained = unexplained or found.line is not None or bool(contradictions)
+    unexplained = unexplained or found.line is not None
     shared = [case.common_rates(one) for one in case.real]
     forces = [gap_forces(one, (), rates) for one, rates in zip(case.real, shared, strict=True)]
     after = [gap_forces(one, selection.terms, rates) for one, rates in zip(case.real, shared, strict=True)]

@@ -62,6 +62,7 @@ def describe(
     inflation: float,
     usual_wander: float,
     rules: Abstention,
+    contradicted: bool = False,
 ) -> tuple[Selection, tuple[Finding, ...], RemainderTest, bool]:
     """Return what is trusted of a selection, its findings, what is left, and whether that has no name.
 
@@ -75,6 +76,8 @@ def describe(
     usual_wander : float
         How much the simulation's own rows vary together.
     rules : Abstention
+    contradicted : bool
+        Whether speed or yaw rate is out of scale: then physics is not named, which might stand for it.
     """
     judge = structure.judge
     remainder = _remainder(structure, selection, inflation)
@@ -82,7 +85,9 @@ def describe(
     wander = wander_of(structure, selection.chosen.entries)
     unexplained = not findings or _is_unexplained(findings, remainder, wander, gap, usual_wander, rules)
     kept = {one.term for one in findings}
-    if unexplained:
+    if contradicted:
+        unexplained, kept = True, {one.term for one in findings if not one.exported}
+    elif unexplained:
         # Where something is left, terms that explain less than it does imitate what has no name.
         explained = 1.0 - remainder.share
         kept = {one.term for one in findings if one.gap_explained * explained > remainder.share}

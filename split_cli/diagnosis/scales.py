@@ -21,7 +21,7 @@ _WORDS = {
     "v_x": "speed against position: v_x covers {share} {more} ground than X and Y do",
     "r": "yaw rate against yaw: r turns {share} {more} than yaw does",
 }
-_ADVICE = "; check that sensor's scale first, what is named may stand for it"
+_ADVICE = "; mend that sensor's scale and diagnose again, physics is not named before"
 
 
 def out_of_scale(real: Sequence[Kinematics], simulated: Sequence[Kinematics]) -> tuple[str, ...]:

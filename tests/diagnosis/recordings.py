@@ -152,3 +152,10 @@ def candidates_of(judge: Judge, *names: str) -> list[Candidate]:
     """Return the candidates of these terms in all their variants."""
     every = build_candidates(judge.evidence[0].vehicle, judge.evidence[0].series)
     return [one for one in every if one.term in names]
+
+
+def faulty(drive: Drive, *, angle: float = 0.0, dx: float = 0.0) -> Drive:
+    """Return a drive whose velocity sensor is turned by `angle` and sits `dx` ahead, by the geometry alone."""
+    vx, vy = drive["vx"], drive["vy"] + dx * drive["r"]
+    turned = {"vx": np.cos(angle) * vx + np.sin(angle) * vy, "vy": np.cos(angle) * vy - np.sin(angle) * vx}
+    return replace(drive, columns={**drive.columns, **turned})

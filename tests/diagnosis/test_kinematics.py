@@ -10,16 +10,9 @@ import pytest
 from split_cli.diagnosis.kinematics import build_kinematics, common_habit
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import bare_judge, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import bare_judge, faulty, light_evidence, noisy, prepared
 
 POSITION = 0.01  # standard deviation of X and Y [m]
-
-
-def faulty(drive: Drive, *, angle: float = 0.0, dx: float = 0.0) -> Drive:
-    """Return a drive whose velocity sensor is turned by `angle` and sits `dx` ahead, by the geometry alone."""
-    vx, vy = drive["vx"], drive["vy"] + dx * drive["r"]
-    turned = {"vx": np.cos(angle) * vx + np.sin(angle) * vy, "vy": np.cos(angle) * vy - np.sin(angle) * vx}
-    return replace(drive, columns={**drive.columns, **turned})
 
 
 def series_of(drive: Drive, seed: int = 3, **fault: float):

@@ -14,7 +14,7 @@ from split_cli.diagnosis.kinematics import Kinematics, build_kinematics
 from split_cli.diagnosis.scales import out_of_scale, scale_of
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import driven, noisy, prepared
+from tests.diagnosis.recordings import driven, faulty, noisy, prepared
 from tests.factories import road_car
 
 
@@ -50,8 +50,8 @@ def test_what_is_out_of_scale_is_told_with_its_size():
 
 
 def test_neither_physics_nor_a_habit_of_both_is_out_of_scale():
-    terms = [CATALOGUE["mass"]({"scale": 1.2}), CATALOGUE["sensor_misalignment"]({"angle": 0.02})]
-    assert not out_of_scale([kinematics_of(25, *terms)], [kinematics_of(26)])
+    heavy = faulty(recording(25, CATALOGUE["mass"]({"scale": 1.2})), angle=0.02, dx=0.5)
+    assert not out_of_scale([build_kinematics(prepared(heavy))], [kinematics_of(26)])
     assert not out_of_scale([kinematics_of(25, vx=1.03)], [kinematics_of(26, vx=1.03)])
     assert not out_of_scale([kinematics_of(25, vx=1.008)], [kinematics_of(26)])
     assert not out_of_scale([], [])
@@ -67,9 +67,12 @@ def test_a_speed_out_of_scale_is_a_difference_without_a_name():
     """Alone it would be a match or a mass: 3 % of speed are 3 % of every force."""
     simulation = recording(81)
     said = diagnose([recording(83, vx=1.03)], road_car(), [simulation])
-    assert said.verdict == "mismatch" and said.unexplained
+    assert said.verdict == "mismatch" and said.unexplained and not said.findings
     assert any("v_x covers 3 % more ground" in reason for reason in said.not_judged)
     assert "The recording contradicts itself: speed against position" in said.summary
     jsonschema.validate(diagnosis_to_mapping(said), read_schema())
+    # A fault that position tells too is named beside it.
+    turned = faulty(recording(83, vx=1.03), angle=0.02)
+    assert [one.term for one in diagnose([turned], road_car(), [simulation]).findings] == ["sensor_misalignment"]
     right = diagnose([recording(83)], road_car(), [simulation])
     assert right.verdict == "match" and not any("ground" in reason for reason in right.not_judged)
