@@ -21,7 +21,7 @@ from split_cli.diagnosis.judge import build_judge
 from split_cli.diagnosis.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.place import places_of
 from split_cli.diagnosis.result import Diagnosis, InputFile
-from split_cli.diagnosis.scales import out_of_scale
+from split_cli.diagnosis.scales import in_sentences, out_of_scale
 from split_cli.diagnosis.screening import clean_drives, idle, judgeable, moving, tellable, unfit
 from split_cli.diagnosis.selection import Selection, nothing, select_terms
 from split_cli.diagnosis.sentences import summarise
@@ -139,7 +139,7 @@ def diagnose(
         reasons = [
             f"Only {share:.0%} of the real drive ({kept} rows of 0.04 s) lies where the simulation has been; "
             "drive both over the same speeds, torques and turns.",
-            *(f"The recording contradicts itself: {one}." for one in contradictions),
+            *in_sentences(contradictions),
         ]
         return _undecided(reasons, share, inputs, described)
     progress("comparing")
@@ -161,16 +161,15 @@ def diagnose(
     structure = replace(structure, judge=judge)
     progress("naming")
     selection = select_terms(judge, candidates, inflation)
-    found = _compare(
-        structure, gap, selection, strongest_line(judge, selection.terms, case.simulated), inflation, known
-    )
-    if found.p_value >= settings.level and not contradictions:
+    line = strongest_line(judge, selection.terms, case.simulated)
+    found = _compare(structure, gap, selection, line, inflation, known, contradictions)
+    if found.p_value >= settings.level:
         return Diagnosis(
             "match", found.p_value, share, not_judged, inputs=tuple(inputs), settings=described,
             history=selection.history, summary=summarise("match"), gaps=_gaps(case),
         )  # fmt: skip
     progress("judging")
-    told = _tell(case, structure, found, settings, contradictions)
+    told = _tell(case, structure, found, settings)
     if reach > settings.reach and not told.findings and not contradictions:
         return _undecided([_FAR_AND_NAMELESS], share, inputs, described)
     return replace(told, compared_share=share, not_judged=not_judged, inputs=tuple(inputs), settings=described)
@@ -192,6 +191,8 @@ class _Comparison:
         In the spectrum, if it is large enough.
     inflation, usual_wander : float
     p_value : float
+    contradictions : tuple of str
+        Sensors out of scale, see `out_of_scale`.
     """
 
     gap: FlexibleFit
@@ -200,6 +201,7 @@ class _Comparison:
     inflation: float
     usual_wander: float
     p_value: float
+    contradictions: tuple[str, ...]
 
 
 def _compare(
@@ -209,8 +211,12 @@ def _compare(
     line: Line | None,
     inflation: float,
     known: SelfTest,
+    contradictions: tuple[str, ...],
 ) -> _Comparison:
-    """Ask four ways whether there is a difference: a name, a smooth function, a line, or what wanders."""
+    """Ask four ways whether there is a difference: a name, a smooth function, a line, or what wanders.
+
+    A sensor that contradicts position or yaw is one, however small the rest.
+    """
     rules = Abstention()
     nameless = gap
     if selection.chosen.parts and not any(selection.named):
@@ -224,17 +230,12 @@ def _compare(
         line.p_value if line else 1.0,
         wander.p_value(known.wander) if wanders(wander, known.wander, rules) else 1.0,
     ]
-    p_value = min(1.0, len(ways) * min(ways))
-    return _Comparison(gap, selection, line, inflation, known.wander, p_value)
+    p_value = 0.0 if contradictions else min(1.0, len(ways) * min(ways))
+    return _Comparison(gap, selection, line, inflation, known.wander, p_value, contradictions)
 
 
-def _tell(
-    case: Case, structure: Structure, found: _Comparison, settings: Settings, contradictions: Sequence[str]
-) -> Diagnosis:
-    """Say where the difference is, what it is, and whether naming it helps.
-
-    A sensor that contradicts position or yaw is a difference without a name, however small the rest.
-    """
+def _tell(case: Case, structure: Structure, found: _Comparison, settings: Settings) -> Diagnosis:
+    """Say where the difference is, what it is, and whether naming it helps."""
     selection, findings, remainder, unexplained = describe(
         structure,
         found.gap,
@@ -242,7 +243,7 @@ def _tell(
         found.inflation,
         found.usual_wander,
         Abstention(),
-        bool(contradictions),
+        bool(found.contradictions),
     )
     unexplained = unexplained or found.line is not None
     shared = [case.common_rates(one) for one in case.real]
@@ -263,7 +264,7 @@ def _tell(
     improvement = _improvement(case, split, named)
     return Diagnosis(
         "mismatch",
-        0.0 if contradictions else found.p_value,
+        found.p_value,
         0.0,
         location=location,
         findings=findings,
@@ -273,7 +274,14 @@ def _tell(
         gaps=tuple(map(gap_series, case.real, case.keep, forces, after)),
         history=selection.history,
         summary=summarise(
-            "mismatch", findings, unexplained, location, remainder, contradictions, improvement, case.vehicle
+            "mismatch",
+            findings,
+            unexplained,
+            location,
+            remainder,
+            in_sentences(found.contradictions),
+            improvement,
+            case.vehicle,
         ),
     )
 

@@ -59,17 +59,15 @@ class Kinematics:
         """Return what the velocities leave of the displacements [m], shape (W,)."""
         return self.across - self._travelled(terms)[1]
 
-    def scales(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return, for v_x [m] and r [rad], what they make of every window and what position or yaw does, (W,).
+    def against_position(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return what v_x [m] or r [rad] makes of every window, and what position or yaw does, shape (W,) each.
 
-        The ways from velocities are made as quiet as positions and yaw are, which takes as much off quick turns.
+        The way from velocities is made as quiet as positions and yaw are, which takes as much off quick turns.
         """
+        if name == "v_x":
+            return self._travelled((), quiet=True)[0], self.along
         _, velocity = self.series.corrected(())
-        turned = self.angle[self.end] - self.angle[self.begin]
-        return {
-            "v_x": (self._travelled((), quiet=True)[0], self.along),
-            "r": (self._integral(velocity[:, 2], quiet=True), turned),
-        }
+        return self._integral(velocity[:, 2], quiet=True), self.angle[self.end] - self.angle[self.begin]
 
     def causes(self) -> np.ndarray:
         """Return the yaw angle [rad] and the distance [m] of every window, shape (W, 2)."""

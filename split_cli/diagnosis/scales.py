@@ -12,7 +12,7 @@ import numpy as np
 
 from split_cli.diagnosis.kinematics import Kinematics
 
-__all__ = ["out_of_scale", "scale_of"]
+__all__ = ["in_sentences", "out_of_scale", "scale_of"]
 
 _LEAST = 0.01  # of the scale; wheels wear and gyroscopes drift by less
 _SURE = 6.0  # standard errors
@@ -46,6 +46,11 @@ def out_of_scale(real: Sequence[Kinematics], simulated: Sequence[Kinematics]) ->
     return tuple(out)
 
 
+def in_sentences(contradictions: Sequence[str]) -> list[str]:
+    """Return what `out_of_scale` tells as sentences of a summary."""
+    return [f"The recording contradicts itself: {one}." for one in contradictions]
+
+
 def scale_of(name: str, several: Sequence[Kinematics]) -> tuple[float, float] | None:
     """Return what a channel makes over what position or yaw does, and its standard error; None if nothing moves.
 
@@ -54,7 +59,7 @@ def scale_of(name: str, several: Sequence[Kinematics]) -> tuple[float, float] | 
     The median over blocks of time of sum(a b)/sum(b^2), b from position or yaw; its error from their median
     absolute deviation. Noise of b is left in: that of positions is far below half a second's way.
     """
-    pairs = [one.scales()[name] for one in several]
+    pairs = [one.against_position(name) for one in several]
     if not pairs:
         return None
     made, true = (np.concatenate(columns) for columns in zip(*pairs, strict=True))

@@ -119,7 +119,7 @@ def select_terms(
     for other in _other_beginnings(first, base, rules) if found.left_something else ():
         found = min(found, _forward(explore, base, [other]), key=score)
     chosen, history = found.with_what_matters(base, rules), list(found.history)
-    if chosen is not found.chosen and term_size(judge, chosen, -1) < rules.aside_severity:
+    if chosen is not found.chosen and term_size(judge, chosen, len(chosen.parts) - 1) < rules.aside_severity:
         history.append(f"{chosen.parts[-1].candidate.label} kept aside")
     else:
         chosen = found.chosen
@@ -158,9 +158,11 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
 
 def _believed_together(judge: Judge, chosen: Fit, sure: Sequence[bool], rules: Rules) -> tuple[bool, ...]:
     """Return which parts are named: of those that are sure the largest, and what is no misfit of larger ones."""
-    sizes = [_part_sizes(judge, chosen, k) for k in range(len(chosen.parts))]
+    if sum(sure) < 2:
+        return tuple(sure)
+    sizes = {k: _part_sizes(judge, chosen, k) for k, one in enumerate(sure) if one}
     named: list[int] = []
-    for k in sorted((k for k, one in enumerate(sure) if one), key=lambda k: -sizes[k].max()):
+    for k in sorted(sizes, key=lambda k: -sizes[k].max()):
         larger = _sizes(judge, tuple(chosen.terms[i] for i in named), ())
         if not named or not _is_misfit(judge, sizes[k], larger, rules):
             named.append(k)
@@ -354,7 +356,6 @@ def _sizes(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> 
 
 
 def _part_sizes(judge: Judge, fit: Fit, k: int) -> np.ndarray:
-    k %= len(fit.parts)
     return _sizes(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 

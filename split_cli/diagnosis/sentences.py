@@ -77,14 +77,14 @@ def summarise(
 ) -> str:
     """Return the diagnosis in one paragraph: what differs, where, whether it helps, and what has no name.
 
-    `reasons` are why nothing is decided; with a mismatch, where the recording contradicts itself.
+    `reasons` are sentences: why nothing is decided, or what casts doubt on a mismatch.
     """
     if verdict == "undecided":
         return "It cannot be decided whether simulation and reality differ: " + " ".join(reasons)
     if verdict == "match":
         return "Simulation and reality agree within noise wherever both have been."
     parts = ["Simulation and reality differ."]
-    parts += [f"The recording contradicts itself: {one}." for one in reasons]
+    parts += reasons
     for finding in findings:
         statement = statement_for(finding.term, finding.variant, finding.parameters, vehicle)
         others = " or ".join(term_with_id(one) for one in finding.alternatives)

@@ -37,7 +37,7 @@ def test_a_scale_is_recovered(channel, name):
 
 def test_a_scale_is_the_ratio_of_sums_of_a_single_stretch():
     kinematics = kinematics_of(22, r=1.05)
-    made, true = kinematics.scales()["r"]
+    made, true = kinematics.against_position("r")
     scale, error = scale_of("r", [kinematics])
     assert scale == pytest.approx(float(made @ true / (true @ true)), abs=4.0 * error)
 
