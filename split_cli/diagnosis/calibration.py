@@ -14,17 +14,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from split_cli.diagnosis.candidates import Candidate
-from split_cli.diagnosis.common import CommonPhysics, features
+from split_cli.diagnosis.common import CommonPhysics
+from split_cli.diagnosis.comparable import comparable
 from split_cli.diagnosis.evidence import Evidence
+from split_cli.diagnosis.fitting import left_by
 from split_cli.diagnosis.flexible import FlexibleRows, flexible_rows
-from split_cli.diagnosis.judge import Judge, build_judge, learn_common
+from split_cli.diagnosis.judge import CommonKnowledge, Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit
 from split_cli.diagnosis.structure import FlexibleFit, build_structure
 from split_cli.diagnosis.together import together
 from split_cli.diagnosis.wander import wander_of
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["TERM_MARGIN", "SelfTest", "comparable", "self_test"]
+__all__ = ["TERM_MARGIN", "SelfTest", "self_test"]
 
 _LEAST_ROWS = 150
 # Reality may cover other ground than the simulation's second half did, by chance: it has to show this much more.
@@ -93,6 +95,7 @@ def self_test(
     *,
     inflation: float,
     reach: float,
+    knowledge: CommonKnowledge | None = None,
 ) -> SelfTest:
     """Judge each half of a simulation by the other.
 
@@ -107,6 +110,8 @@ def self_test(
         Of the real recordings; nothing but their noise is taken.
     inflation, reach : float
         As for reality.
+    knowledge : CommonKnowledge, optional
+        Of the whole simulation: then halves are believed to the letter.
 
     Notes
     -----
@@ -117,9 +122,10 @@ def self_test(
     positions = [build_kinematics(one.series) if np.isfinite(scale) else None for one in graded]
     positions = [one and replace(one, scale=max(one.scale, scale)) for one in positions]
     all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
-    offers = _offers(build_judge(graded, None, common, all_rows, [one for one in positions if one]), candidates)
+    judge = build_judge(graded, knowledge, common, all_rows, [one for one in positions if one])
+    offers = _offers(judge.believed_to_the_letter() if knowledge else judge, candidates)
     rows = tuple(flexible_rows(one, common) for one in graded)
-    sides = _Sides(tuple(graded), tuple(positions), rows, common, inflation, reach)
+    sides = _Sides(tuple(graded), tuple(positions), rows, common, inflation, reach, knowledge is not None)
     first = _first_half(graded)
     halves = [[mask ^ turned for mask in first] for turned in (False, True)]
     tests = together(lambda teaching: _judge_half(sides, teaching, offers), halves)
@@ -134,32 +140,6 @@ def self_test(
         {term: max(test.terms[term] for test in tests) for term in names},
         max(test.wander for test in tests),
     )
-
-
-def comparable(one: Evidence, simulated: Sequence[Evidence], common: CommonPhysics, reach: float) -> np.ndarray:
-    """Return the rows of a recording that are fast enough and near where a simulation has been, shape (G,).
-
-    Parameters
-    ----------
-    one : Evidence
-    simulated : sequence of Evidence
-        None, if the nominal model is the simulation; only rows of positive weight count.
-    common : CommonPhysics
-    reach : float
-        How far a row may be from the nearest simulated one, in scaled features.
-    """
-    fast = one.series.smooth[one.at, 0] >= 0.6 * one.vehicle.minimum_speed
-    usable = fast & (one.weight > 0.0)
-    if not simulated:
-        return usable
-    from scipy.spatial import cKDTree
-
-    def scaled(evidence: Evidence) -> np.ndarray:
-        return (features(evidence.series, evidence.vehicle)[evidence.at] - common.center) / common.width
-
-    tree = cKDTree(np.concatenate([scaled(evidence)[evidence.weight > 0.0] for evidence in simulated]))
-    distance, _ = tree.query(scaled(one), k=1, distance_upper_bound=reach)
-    return usable & np.isfinite(distance)
 
 
 def _first_half(graded: Sequence[Evidence]) -> list[np.ndarray]:
@@ -186,14 +166,14 @@ def _offers(judge: Judge, candidates: Sequence[Candidate]) -> list[_Offer]:
     def offered(candidate: Candidate) -> list[_Offer]:
         if candidate.located:
             whole, _ = candidate.everywhere()
-            return [_Offer(candidate.term, (judge.residual((whole,)) - base)[:, None], candidate.located)]
+            return [_Offer(candidate.term, (left_by(judge, (whole,)) - base)[:, None], candidate.located)]
         neutral = {name: CATALOGUE[candidate.term].neutral.get(name) for name in candidate.ranges}
         out = []
         for start in candidate.starts:
             shape = {name: value for name, value in start.items() if neutral[name] is None}
             sizes = [name for name in start if neutral[name] is not None]
             columns = [
-                judge.residual((candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),))
+                left_by(judge, (candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),))
                 - base
                 for name in sizes
             ]
@@ -213,6 +193,7 @@ class _Sides:
     common: CommonPhysics
     inflation: float
     reach: float
+    to_the_letter: bool = False
 
     def windows(self, teaching: Sequence[np.ndarray]) -> tuple[list[Kinematics], np.ndarray]:
         """Return kinematic windows outside the teaching half, with its habits, and which of all they are."""
@@ -239,6 +220,8 @@ def _judge_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[
         return None
     positions, windows = sides.windows(teaching)
     judge = build_judge(graded, learn_common(taught, sides.inflation), common, keep, positions)
+    if sides.to_the_letter:
+        judge = judge.believed_to_the_letter()
     entries = judge.whiten(judge.residual(()))
     structure = build_structure(judge, sides.rows)
     fit = structure.fit(entries, sides.inflation)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Candidate", "Range", "build_candidates"]
+
+_WIDE = (1.0, 4.0, 12.0, -1.0, -4.0, -12.0)
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,23 @@ class Candidate:
         if self.located == "patch":
             return kind({"scale": 0.97, "s_start": 0.0, "s_end": 1e12}, self.variant), -0.03
         return kind({"angle": 0.005}, ""), 0.005
+
+    def widely_started(self) -> Candidate:
+        """Return the candidate with starts to both sides and up to a dozen times as far, if it has but one."""
+        if len(self.starts) != 1:
+            return self
+        (start,) = self.starts
+        neutral = {name: CATALOGUE[self.term].neutral[name] for name in start}
+        wide = [
+            {name: neutral[name] + factor * (value - neutral[name]) for name, value in start.items()}
+            for factor in _WIDE
+        ]
+        inside = [
+            one
+            for one in wide
+            if all(self.ranges[name].lower <= one[name] <= self.ranges[name].upper for name in one)
+        ]
+        return replace(self, starts=tuple(inside))
 
     @property
     def label(self) -> str:

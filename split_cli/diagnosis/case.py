@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.diagnosis.calibration import comparable
 from split_cli.diagnosis.common import CommonPhysics, build_common_physics
+from split_cli.diagnosis.comparable import comparable
 from split_cli.diagnosis.evidence import Evidence, gather_evidence, graded_as
 from split_cli.diagnosis.judge import CommonKnowledge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit

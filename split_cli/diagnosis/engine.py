@@ -7,27 +7,23 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from split_cli.diagnosis.calibration import SelfTest, self_test
 from split_cli.diagnosis.candidates import build_candidates
 from split_cli.diagnosis.case import Case, gather_case
 from split_cli.diagnosis.exploration import Rules
 from split_cli.diagnosis.findings import Abstention, describe, wanders, with_shares
 from split_cli.diagnosis.fitting import fit_parts
-from split_cli.diagnosis.flexible import flexible_rows
 from split_cli.diagnosis.formula import sparse_formula
 from split_cli.diagnosis.heldout import HeldOut, explained_shares, hold_out
 from split_cli.diagnosis.improvement import measure_improvement
-from split_cli.diagnosis.judge import build_judge
 from split_cli.diagnosis.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.place import places_of
+from split_cli.diagnosis.reading import Reading, read
 from split_cli.diagnosis.result import Diagnosis, InputFile
 from split_cli.diagnosis.scales import in_sentences, out_of_scale
 from split_cli.diagnosis.screening import clean_drives, idle, judgeable, moving, tellable, unfit
-from split_cli.diagnosis.selection import Selection, nothing, select_terms
 from split_cli.diagnosis.sentences import summarise
 from split_cli.diagnosis.series import build_series
 from split_cli.diagnosis.spectrum import Line, strongest_line
-from split_cli.diagnosis.structure import FlexibleFit, Structure, build_structure
 from split_cli.diagnosis.together import together
 from split_cli.diagnosis.wander import wander_of
 from split_cli.logs.drive import Drive
@@ -142,34 +138,18 @@ def diagnose(
             *in_sentences(contradictions),
         ]
         return _undecided(reasons, share, inputs, described)
-    progress("comparing")
     candidates = tellable(
         build_candidates(vehicle, case.real[0].series), [one.series for one in case.real], vehicle
     )
-    judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
-    known = SelfTest()
-    if case.graded:
-        known = self_test(
-            case.graded, case.common, candidates, case.kinematics, inflation=settings.inflation, reach=reach
-        )
-    judge = known.allow(judge)
-    structure = build_structure(judge, [flexible_rows(one, case.common) for one in case.real])
-    base = nothing(judge)
-    inflation = max(settings.inflation, wander_of(structure, base.entries).ratio)
-    gap = structure.fit(base.entries, inflation)
-    judge = replace(judge, misfit=known.misfit_of(gap))
-    structure = replace(structure, judge=judge)
-    progress("naming")
-    selection = select_terms(judge, candidates, inflation)
-    line = strongest_line(judge, selection.terms, case.simulated)
-    found = _compare(structure, gap, selection, line, inflation, known, contradictions)
+    reading = read(case, candidates, inflation=settings.inflation, reach=reach, progress=progress)
+    found = _compare(case, reading, contradictions)
     if found.p_value >= settings.level:
         return Diagnosis(
             "match", found.p_value, share, not_judged, inputs=tuple(inputs), settings=described,
-            history=selection.history, summary=summarise("match"), gaps=_gaps(case),
+            history=reading.selection.history, summary=summarise("match"), gaps=_gaps(case),
         )  # fmt: skip
     progress("judging")
-    told = _tell(case, structure, found, settings)
+    told = _tell(case, found, settings)
     if reach > settings.reach and not told.findings and not contradictions:
         return _undecided([_FAR_AND_NAMELESS], share, inputs, described)
     return replace(told, compared_share=share, not_judged=not_judged, inputs=tuple(inputs), settings=described)
@@ -185,66 +165,47 @@ class _Comparison:
 
     Attributes
     ----------
-    gap : FlexibleFit
-    selection : Selection
+    reading : Reading
     line : Line or None
         In the spectrum, if it is large enough.
-    inflation, usual_wander : float
     p_value : float
     contradictions : tuple of str
         Sensors out of scale, see `out_of_scale`.
     """
 
-    gap: FlexibleFit
-    selection: Selection
+    reading: Reading
     line: Line | None
-    inflation: float
-    usual_wander: float
     p_value: float
     contradictions: tuple[str, ...]
 
 
-def _compare(
-    structure: Structure,
-    gap: FlexibleFit,
-    selection: Selection,
-    line: Line | None,
-    inflation: float,
-    known: SelfTest,
-    contradictions: tuple[str, ...],
-) -> _Comparison:
+def _compare(case: Case, reading: Reading, contradictions: tuple[str, ...]) -> _Comparison:
     """Ask four ways whether there is a difference: a name, a smooth function, a line, or what wanders.
 
     A sensor that contradicts position or yaw is one, however small the rest.
     """
     rules = Abstention()
-    nameless = gap
+    structure, selection, usual_wander = reading.structure, reading.selection, reading.known.wander
+    nameless = reading.gap
     if selection.chosen.parts and not any(selection.named):
         # Physics that has a name, and is too small to be called by it, is no difference.
-        nameless = structure.fit(selection.chosen.entries, inflation)
+        nameless = structure.fit(selection.chosen.entries, reading.inflation)
+    line = strongest_line(structure.judge, selection.terms, case.simulated)
     line = line if line is not None and line.severity > rules.severity else None
     wander = wander_of(structure, selection.chosen.entries)
     ways = [
         nameless.p_value,
         selection.first_p if any(selection.named) else 1.0,
         line.p_value if line else 1.0,
-        wander.p_value(known.wander) if wanders(wander, known.wander, rules) else 1.0,
+        wander.p_value(usual_wander) if wanders(wander, usual_wander, rules) else 1.0,
     ]
     p_value = 0.0 if contradictions else min(1.0, len(ways) * min(ways))
-    return _Comparison(gap, selection, line, inflation, known.wander, p_value, contradictions)
+    return _Comparison(reading, line, p_value, contradictions)
 
 
-def _tell(case: Case, structure: Structure, found: _Comparison, settings: Settings) -> Diagnosis:
+def _tell(case: Case, found: _Comparison, settings: Settings) -> Diagnosis:
     """Say where the difference is, what it is, and whether naming it helps."""
-    selection, findings, remainder, unexplained = describe(
-        structure,
-        found.gap,
-        found.selection,
-        found.inflation,
-        found.usual_wander,
-        Abstention(),
-        bool(found.contradictions),
-    )
+    selection, findings, remainder, unexplained = describe(found.reading, Abstention(), bool(found.contradictions))
     unexplained = unexplained or found.line is not None
     shared = [case.common_rates(one) for one in case.real]
     forces = [gap_forces(one, (), rates) for one, rates in zip(case.real, shared, strict=True)]
@@ -255,7 +216,7 @@ def _tell(case: Case, structure: Structure, found: _Comparison, settings: Settin
     location = locate(case.real, forces, after, case.keep)
     split = hold_out(
         case.real, case.keep, case.holdout, case.keep_holdout, case.knowledge, case.common, case.kinematics,
-        settings.holdout_share,
+        settings.holdout_share, to_the_letter=found.reading.structure.judge.to_the_letter,
     )  # fmt: skip
     chosen = selection.chosen
     trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen

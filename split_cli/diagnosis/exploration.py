@@ -36,6 +36,7 @@ class Rules:
     same_misfit: float = 0.01  # of what the chosen term saves: no single track fits better than that
     least_severity: float = 0.20  # of a further term
     misfit: float = 0.30  # of the severity of the chosen terms, in the channel where a further one is largest
+    misfit_across: float = 0.07  # of the same in any other channel
     common_misfit: float = 0.10  # of the severity of the common physics, in that channel
     considered: int = 3  # of the further terms that save most
     spread: float = 3.5  # standard errors, from differences block by block, that a term has to save

@@ -12,11 +12,12 @@ from split_cli.diagnosis.estimates import parameter_estimates
 from split_cli.diagnosis.exploration import Rules
 from split_cli.diagnosis.fitting import Fit, fit_parts
 from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.reading import Reading
 from split_cli.diagnosis.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.selection import Rival, Selection, explaining_as_well, term_size, without_parts
 from split_cli.diagnosis.sentences import sentence_for, separations
 from split_cli.diagnosis.separation import exact_mimics
-from split_cli.diagnosis.structure import FlexibleFit, Structure
+from split_cli.diagnosis.structure import Structure
 from split_cli.diagnosis.wander import Wander, wander_of
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -56,34 +57,23 @@ class Abstention:
 
 
 def describe(
-    structure: Structure,
-    gap: FlexibleFit,
-    selection: Selection,
-    inflation: float,
-    usual_wander: float,
-    rules: Abstention,
-    contradicted: bool = False,
+    reading: Reading, rules: Abstention, contradicted: bool = False
 ) -> tuple[Selection, tuple[Finding, ...], RemainderTest, bool]:
-    """Return what is trusted of a selection, its findings, what is left, and whether that has no name.
+    """Return what is trusted of a reading's selection, its findings, what is left, and whether that has no name.
 
     Parameters
     ----------
-    structure : Structure
-    gap : FlexibleFit
-        Of the whole gap.
-    selection : Selection
-    inflation : float
-    usual_wander : float
-        How much the simulation's own rows vary together.
+    reading : Reading
     rules : Abstention
     contradicted : bool
         Whether speed or yaw rate is out of scale: then physics is not named, which might stand for it.
     """
+    structure, selection, inflation = reading.structure, reading.selection, reading.inflation
     judge = structure.judge
     remainder = _remainder(structure, selection, inflation)
     findings = _findings(judge, selection)
     wander = wander_of(structure, selection.chosen.entries)
-    unexplained = not findings or _is_unexplained(findings, remainder, wander, gap, usual_wander, rules)
+    unexplained = not findings or _is_unexplained(findings, remainder, wander, reading, rules)
     kept = {one.term for one in findings}
     if contradicted:
         unexplained, kept = True, {one.term for one in findings if not one.exported}
@@ -120,15 +110,14 @@ def _is_unexplained(
     findings: Sequence[Finding],
     remainder: RemainderTest,
     wander: Wander,
-    gap: FlexibleFit,
-    usual_wander: float,
+    reading: Reading,
     rules: Abstention,
 ) -> bool:
     """Return whether what is left is structured and large, or wanders."""
     large = 2.0 * rules.severity
     if len(findings) < Rules().most_terms:  # as many names as there may be, and yet something left: no name is
-        large = max(large, min(rules.size * gap.severity, rules.most))
-    if wanders(wander, usual_wander, rules) and wander.severity > large:
+        large = max(large, min(rules.size * reading.gap.severity, rules.most))
+    if wanders(wander, reading.known.wander, rules) and wander.severity > large:
         return True
     if remainder.p_value >= rules.level or remainder.severity < rules.severity:
         return False

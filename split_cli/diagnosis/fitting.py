@@ -11,7 +11,17 @@ from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.judge import Judge, alters_inputs
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Fit", "Part", "Tangent", "effect_everywhere", "fit_parts", "raw_slopes", "scan_places", "tangent"]
+__all__ = [
+    "Fit",
+    "Part",
+    "Tangent",
+    "effect_everywhere",
+    "fit_parts",
+    "left_by",
+    "raw_slopes",
+    "scan_places",
+    "tangent",
+]
 
 _ITERATIONS = 12
 _REFRESHES = 1
@@ -78,7 +88,7 @@ def fit_parts(judge: Judge, parts: Sequence[Part], *, refreshes: int = _REFRESHE
         puts it, for a first look at many candidates.
     """
     parts = tuple(parts)
-    if not refreshes or not any(alters_inputs(part.term) for part in parts):
+    if judge.to_the_letter or not refreshes or not any(alters_inputs(part.term) for part in parts):
         return _fit(judge, parts, np.zeros(len(judge.weight)), _ITERATIONS)
     fit = _fit(judge, parts, judge.shift([part.term for part in parts]), _ITERATIONS)
     for _ in range(refreshes):
@@ -101,7 +111,7 @@ def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: i
     x = np.clip(np.array([parts[k].values[name] for k, name in names]) / steps, lower, upper)
 
     def residual_at(x: np.ndarray) -> np.ndarray:
-        return judge.residual([part.term for part in _with(parts, names, x * steps)])
+        return left_by(judge, [part.term for part in _with(parts, names, x * steps)])
 
     here = residual_at(x)
     entries = judge.whiten(here - shift)
@@ -132,6 +142,12 @@ def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: i
     return Fit(_with(parts, names, x * steps), cost, entries, jacobian / steps)
 
 
+def left_by(judge: Judge, terms: Sequence[Term]) -> np.ndarray:
+    """Return what terms leave, shape (R,); to the letter, the common physics follows them at every step."""
+    left = judge.residual(terms)
+    return left - judge.shift(terms) if judge.to_the_letter else left
+
+
 def raw_slopes(judge: Judge, parts: Sequence[Part]) -> np.ndarray:
     """Return derivatives of the entries by each parameter's step, common physics still in, shape (R, P)."""
     parts = tuple(parts)
@@ -142,7 +158,7 @@ def raw_slopes(judge: Judge, parts: Sequence[Part]) -> np.ndarray:
     x = np.array([parts[k].values[name] for k, name in names]) / steps
 
     def residual_at(x: np.ndarray) -> np.ndarray:
-        return judge.residual([part.term for part in _with(parts, names, x * steps)])
+        return left_by(judge, [part.term for part in _with(parts, names, x * steps)])
 
     return _slopes(residual_at, residual_at(x), x, upper)
 
@@ -194,7 +210,7 @@ def tangent(judge: Judge, base: np.ndarray, part: Part) -> Tangent:
     x = np.array(list(part.values.values())) / steps
 
     def at(values: np.ndarray) -> np.ndarray:
-        return judge.residual([one.term for one in _with((part,), names, values * steps)])
+        return left_by(judge, [one.term for one in _with((part,), names, values * steps)])
 
     here = at(x)
     columns = [here - base, *(at(x + unit) - here for unit in np.eye(len(x)))]

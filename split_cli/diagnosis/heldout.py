@@ -45,6 +45,8 @@ def hold_out(
     common: CommonPhysics,
     kinematics: Sequence[Kinematics],
     share: float,
+    *,
+    to_the_letter: bool = False,
 ) -> HeldOut:
     """Keep out the recordings named for it, else the last share of the time of every real one.
 
@@ -57,20 +59,27 @@ def hold_out(
     knowledge, common, kinematics
         As for `build_judge`.
     share : float
+    to_the_letter : bool
+        Whether the simulation is believed without reserve.
     """
+
+    def judge_of(recordings: Sequence[Evidence], rows: Sequence[np.ndarray], *positions) -> Judge:
+        judge = build_judge(recordings, knowledge, common, rows, *positions)
+        return judge.believed_to_the_letter() if to_the_letter else judge
+
     if others:
         masks = tuple(np.zeros(len(one.series), dtype=bool) for one in real)
     else:
         masks = tuple(one.series.t > (1.0 - share) * one.series.t[-1] for one in real)
     before = [mask & ~held[one.at] for one, mask, held in zip(real, keep, masks, strict=True)]
-    training = build_judge(real, knowledge, common, before, kinematics)
+    training = judge_of(real, before, kinematics)
     pairs = list(zip(others, keep_others, strict=True)) if others else []
     if not others:
         pairs = [(one, mask & held[one.at]) for one, mask, held in zip(real, keep, masks, strict=True)]
     pairs = [(one, mask) for one, mask in pairs if mask.any()]
     if sum(int(mask.sum()) for _, mask in pairs) < _LEAST_ROWS:
         return HeldOut(training, None, masks)
-    judging = build_judge([one for one, _ in pairs], knowledge, common, [mask for _, mask in pairs])
+    judging = judge_of([one for one, _ in pairs], [mask for _, mask in pairs])
     return HeldOut(training, judging, masks)
 
 

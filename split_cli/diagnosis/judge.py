@@ -115,6 +115,8 @@ class Judge:
         The same for terms.
     misfit : float
         By how much what no dictionary holds widens what a term saves by chance.
+    to_the_letter : bool
+        Whether the simulation is believed without reserve, see `believed_to_the_letter`.
     memo : dict
         What was computed before: shifts and severities of the common physics, kinematic rows without faulty
         sensors.
@@ -133,6 +135,7 @@ class Judge:
     nameless_floor: float = 0.0
     term_floors: Mapping[str, float] = field(default_factory=dict)
     misfit: float = 1.0
+    to_the_letter: bool = False
     memo: dict = field(default_factory=dict, repr=False, compare=False)
 
     def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:
@@ -142,6 +145,15 @@ class Judge:
         extra = sum(len(one.begin) for one in self.kinematics)
         flat = np.concatenate([flat, np.zeros((extra, *flat.shape[1:]))])
         return flat * (self.weight if flat.ndim == 1 else self.weight[:, None])
+
+    def believed_to_the_letter(self) -> Judge:
+        """Return a judge to whom the common physics is what the simulation taught, and nothing of it free.
+
+        What the simulation leaves open is much where no dictionary holds its physics. All that brings a recording
+        back to where the simulation has been is open, too, and saves nothing. To the letter it saves what it
+        brings back.
+        """
+        return replace(self, basis=np.zeros((len(self.weight), 0)), root=np.zeros(0), to_the_letter=True)
 
     def residual(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what terms and the simulation's common physics leave, shape (R,)."""

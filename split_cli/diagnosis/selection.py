@@ -344,7 +344,8 @@ def _refusal(judge: Judge, chosen: Fit, sizes: np.ndarray, further: Fit, rules: 
 
 def _is_misfit(judge: Judge, size: np.ndarray, of: np.ndarray, rules: Rules) -> bool:
     """Return whether severities, shape (3,), are no more than terms with severities `of`, shape (3,), misfit."""
-    misfits = np.maximum(rules.misfit * of, rules.common_misfit * common_severities(judge))
+    own = np.maximum(rules.misfit * of, rules.misfit_across * of.max())
+    misfits = np.maximum(own, rules.common_misfit * common_severities(judge))
     channel = int(np.argmax(size))
     return bool(size[channel] < max(rules.least_severity, misfits[channel]))
 

@@ -8,12 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.calibration import SelfTest, comparable, self_test
+from split_cli.diagnosis.calibration import SelfTest, self_test
 from split_cli.diagnosis.candidates import build_candidates
 from split_cli.diagnosis.case import gather_case
-from split_cli.diagnosis.common import build_common_physics
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.evidence import gather_evidence
 from split_cli.diagnosis.place import places_of
 from split_cli.diagnosis.series import build_series
 from split_cli.diagnosis.structure import FlexibleFit
@@ -132,15 +130,3 @@ def test_misfit_is_what_the_halves_show_and_reality_does_not_rule_out():
     assert halves.misfit_of(gap(80_000.0)) == pytest.approx(1.5 * 20.0)
     # Without a simulation to ask, none is known.
     assert SelfTest().misfit_of(gap(80_000.0)) == pytest.approx(1.5)
-
-
-def test_rows_are_compared_only_where_rows_of_weight_have_been():
-    car = road_car()
-    series = build_series(drive(1), "sim", np.zeros(len(drive(1))))
-    common = build_common_physics(car, series)
-    one = gather_evidence(car, series, common)
-    assert comparable(one, [one], common, 0.35)[one.series.smooth[one.at, 0] > 4.0].all()
-    first = np.arange(len(one.at)) < 100
-    near = comparable(one, [replace(one, weight=one.weight * first)], common, 0.35)
-    assert near[:100].mean() > 0.9
-    assert 0.0 < near.mean() < 0.9

@@ -1,0 +1,147 @@
+"""What is read from the real recordings: the gap and its names, with reserve and, if need be, to the letter.
+
+With reserve, what the simulation leaves open of the common physics explains a gap before any term does. That is
+just where a dictionary holds the simulation. Where it does not, as in real recordings, next to everything is open
+off the simulation's own path, and a fault that takes a drive off that path hides in it: a steering scaled by 0.8
+too. Read to the letter, a term saves what it brings back to where the simulation has been. Only terms that alter
+inputs or sensors do, and where misfit is much only this reading names them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from split_cli.diagnosis.calibration import SelfTest, self_test
+from split_cli.diagnosis.candidates import Candidate
+from split_cli.diagnosis.case import Case
+from split_cli.diagnosis.exploration import Rules
+from split_cli.diagnosis.flexible import FlexibleRows, flexible_rows
+from split_cli.diagnosis.judge import Judge, alters_inputs, build_judge
+from split_cli.diagnosis.selection import Selection, nothing, select_terms
+from split_cli.diagnosis.structure import FlexibleFit, Structure, build_structure
+from split_cli.diagnosis.wander import wander_of
+
+__all__ = ["Reading", "read"]
+
+# To the letter, halves of one recording differ by up to a ninth of the cost that one term could save.
+_LEAST_SHARE = 0.2
+# What is small beside a name is misfit here, and would share a delay's savings with its like.
+_LETTER = Rules(most_aside=0)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a judge makes of the real recordings.
+
+    Attributes
+    ----------
+    structure : Structure
+        With the judge.
+    gap : FlexibleFit
+        Of the whole gap.
+    selection : Selection
+    known : SelfTest
+        What the simulation shows against itself, read alike.
+    inflation : float
+        By which what wanders widens chi squared.
+    """
+
+    structure: Structure
+    gap: FlexibleFit
+    selection: Selection
+    known: SelfTest
+    inflation: float
+
+
+def read(
+    case: Case,
+    candidates: Sequence[Candidate],
+    *,
+    inflation: float,
+    reach: float,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Reading:
+    """Read with reserve; to the letter where misfit is much and no term but inputs' and sensors' is named.
+
+    Parameters
+    ----------
+    case : Case
+    candidates : sequence of Candidate
+    inflation, reach : float
+        See `Settings`.
+    progress : callable
+        Called with the name of each step.
+    """
+    progress("comparing")
+    judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
+    known = _known(case, candidates, inflation, reach)
+    rows = [flexible_rows(one, case.common) for one in case.real]
+    progress("naming")
+    reading = _read(judge, rows, candidates, known, inflation)
+    altering = [alters_inputs(term) for term in reading.selection.terms]
+    if known.ratio <= Rules().much_misfit or (altering and not any(altering)):
+        return reading
+    progress("naming to the letter")
+    known = _known(case, candidates, inflation, reach, to_the_letter=True)
+    # The common physics follows at every step, and costs have more than one valley.
+    wide = [one.widely_started() if _alters(one) else one for one in candidates]
+    again = _read(judge.believed_to_the_letter(), rows, wide, known, inflation, _LETTER)
+    if _brings_back(again.selection):
+        return again
+    return replace(reading, selection=_without_names(reading.selection)) if any(altering) else reading
+
+
+def _alters(candidate: Candidate) -> bool:
+    return bool(candidate.starts) and alters_inputs(candidate.build(candidate.starts[0]))
+
+
+def _brings_back(selection: Selection) -> bool:
+    """Return whether what is named alters inputs or sensors, and a fair share of the cost goes with it."""
+    saved = selection.base.cost - selection.chosen.cost
+    return (
+        bool(selection.terms)
+        and all(map(alters_inputs, selection.terms))
+        and (saved > _LEAST_SHARE * selection.base.cost)
+    )
+
+
+def _without_names(selection: Selection) -> Selection:
+    aside = tuple(False for _ in selection.named)
+    nobody = tuple(() for _ in selection.named)
+    return replace(selection, named=aside, rivals=nobody, siblings=nobody)
+
+
+def _known(
+    case: Case, candidates: Sequence[Candidate], inflation: float, reach: float, *, to_the_letter: bool = False
+) -> SelfTest:
+    if not case.graded:
+        return SelfTest()
+    knowledge = case.knowledge if to_the_letter else None
+    return self_test(
+        case.graded,
+        case.common,
+        candidates,
+        case.kinematics,
+        inflation=inflation,
+        reach=reach,
+        knowledge=knowledge,
+    )
+
+
+def _read(
+    judge: Judge,
+    rows: Sequence[FlexibleRows],
+    candidates: Sequence[Candidate],
+    known: SelfTest,
+    inflation: float,
+    rules: Rules | None = None,
+) -> Reading:
+    judge = known.allow(judge)
+    structure = build_structure(judge, rows)
+    base = nothing(judge)
+    inflation = max(inflation, wander_of(structure, base.entries).ratio)
+    gap = structure.fit(base.entries, inflation)
+    judge = replace(judge, misfit=known.misfit_of(gap))
+    structure = replace(structure, judge=judge)
+    return Reading(structure, gap, select_terms(judge, candidates, inflation, rules), known, inflation)
