@@ -40,6 +40,10 @@ _FAR_AND_NAMELESS = (
     "Hardly any of the real drive lies where the simulation has been, and what differs further off has no name: "
     "it may be what the simulation has not shown; drive both over the same speeds, torques and turns."
 )
+_MUCH_MISFIT = (
+    "small effects: halves of the simulation differ by far more than noise, and what is small beside that is not "
+    "told; calibrate the vehicle file (split calibrate), or drive both more alike"
+)
 
 
 @dataclass(frozen=True)
@@ -142,6 +146,8 @@ def diagnose(
         build_candidates(vehicle, case.real[0].series), [one.series for one in case.real], vehicle
     )
     reading = read(case, candidates, inflation=settings.inflation, reach=reach, progress=progress)
+    if reading.known.ratio > Rules().much_misfit:
+        not_judged += (_MUCH_MISFIT,)
     found = _compare(case, reading, contradictions)
     if found.p_value >= settings.level:
         return Diagnosis(

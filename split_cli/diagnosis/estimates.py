@@ -29,6 +29,8 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
     The covariance is the sandwich (J^T J)^-1 (sum over blocks of s_b s_b^T) (J^T J)^-1, s_b a block's score: what
     a bootstrap over blocks converges to, with the simulation's uncertainty inside J. Where misfit widens what
     terms save, it widens their errors by its root: it acts alike in block after block. Systematic error is added.
+    To the letter J knows nothing of the simulation's uncertainty; what was learned from a recording with as much
+    misfit is as uncertain as what is found on this one.
     """
     from scipy.stats import t as student
 
@@ -43,6 +45,8 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
     covariance = normal @ middle @ normal / np.outer(scale, scale)
     plain = np.diag(normal) / scale**2
     variance = np.maximum(np.diag(covariance), plain * max(judge.misfit, 1.0))
+    if judge.to_the_letter:
+        variance = 2.0 * variance
     wide = float(student.ppf(0.975, max(blocks - J.shape[1], 2)))
     out, column = [], 0
     for k, part in enumerate(fit.parts):

@@ -24,8 +24,6 @@ from split_cli.diagnosis.wander import wander_of
 
 __all__ = ["Reading", "read"]
 
-# To the letter, halves of one recording differ by up to a ninth of the cost that one term could save.
-_LEAST_SHARE = 0.2
 # What is small beside a name is misfit here, and would share a delay's savings with its like.
 _LETTER = Rules(most_aside=0)
 
@@ -99,11 +97,8 @@ def _alters(candidate: Candidate) -> bool:
 def _brings_back(selection: Selection) -> bool:
     """Return whether what is named alters inputs or sensors, and a fair share of the cost goes with it."""
     saved = selection.base.cost - selection.chosen.cost
-    return (
-        bool(selection.terms)
-        and all(map(alters_inputs, selection.terms))
-        and (saved > _LEAST_SHARE * selection.base.cost)
-    )
+    fair = saved > _LETTER.letter_share * selection.base.cost
+    return bool(selection.terms) and all(map(alters_inputs, selection.terms)) and fair
 
 
 def _without_names(selection: Selection) -> Selection:

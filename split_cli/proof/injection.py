@@ -41,20 +41,20 @@ class InjectedFault:
         return self.parameters[0][1] if self.parameters else 0.0
 
 
-FAULTS: dict[str, tuple[str, str, tuple[float, float]]] = {
-    "steering late": ("steer_delay", "delay", (0.08, 0.04)),
-    "steering scaled": ("steer_gain", "gain", (0.90, 0.95)),
-    "steering offset": ("steer_offset", "offset", (0.010, 0.005)),
-    "velocity rotated": ("sensor_misalignment", "angle", (0.02, 0.01)),
-    "velocity moved": ("sensor_lever_arm", "dx", (0.8, 0.4)),
-    "clocks shifted": ("sensor_delay", "delay", (0.08, 0.04)),
-    "torque scaled": ("drive_gain", "drive_gain", (0.80, 0.90)),
+FAULTS: dict[str, tuple[str, str, tuple[float, float, float]]] = {
+    "steering late": ("steer_delay", "delay", (0.16, 0.08, 0.04)),
+    "steering scaled": ("steer_gain", "gain", (0.80, 0.90, 0.95)),
+    "steering offset": ("steer_offset", "offset", (0.020, 0.010, 0.005)),
+    "velocity rotated": ("sensor_misalignment", "angle", (0.04, 0.02, 0.01)),
+    "velocity moved": ("sensor_lever_arm", "dx", (1.6, 0.8, 0.4)),
+    "clocks shifted": ("sensor_delay", "delay", (0.16, 0.08, 0.04)),
+    "torque scaled": ("drive_gain", "drive_gain", (0.60, 0.80, 0.90)),
 }
-"""Name: the term, its parameter, and two sizes [s], [1], [rad], [rad], [m] for a wheelbase of 2.7 m, [s], [1]."""
+"""Name: term, parameter, and three sizes [s], [1], [rad], [rad], [m] for a wheelbase of 2.7 m, [s], [1]."""
 
 
 def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None) -> list[InjectedFault]:
-    """Return the faults to put into a drive, each in two sizes, and none as the first.
+    """Return the faults to put into a drive, each in three sizes, and none as the first.
 
     A torque that was derived from acceleration is neither scaled nor shifted: it would say nothing of the car, and
     clocks that are late for the steering alone are a steering that is late.
