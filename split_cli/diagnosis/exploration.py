@@ -44,6 +44,7 @@ class Rules:
     plain: float = 1.0  # or severity that it has to have
     much_misfit: float = 3.0  # by which chance is widened: beyond it a place is believed like any few moments
     letter_share: float = 0.2  # of the cost, to be saved to the letter; halves of one recording save a ninth
+    sure_level: float = 1e-12  # of the minimum-effect test: names that need no second reading
     swaps: int = 2
     least_swap: float = 1.0  # cost that another term has to save in the place of one; terms that tie stay
     beginnings: int = 2  # other first terms from which the search begins anew where the best leaves something

@@ -4,7 +4,7 @@ With reserve, what the simulation leaves open of the common physics explains a g
 just where a dictionary holds the simulation. Where it does not, as in real recordings, next to everything is open
 off the simulation's own path, and a fault that takes a drive off that path hides in it: a steering scaled by 0.8
 too. Read to the letter, a term saves what it brings back to where the simulation has been. Only terms that alter
-inputs or sensors do, and where misfit is much only this reading names them.
+inputs or sensors do, and where misfit is much only this reading names them, unless they are beyond all doubt.
 """
 
 from __future__ import annotations
@@ -87,7 +87,9 @@ def read(
     again = _read(judge.believed_to_the_letter(), rows, wide, known, inflation, _LETTER)
     if _brings_back(again.selection):
         return again
-    return replace(reading, selection=_without_names(reading.selection)) if any(altering) else reading
+    if not any(altering) or reading.selection.first_p < Rules().sure_level:
+        return reading
+    return replace(reading, selection=_without_names(reading.selection))
 
 
 def _alters(candidate: Candidate) -> bool:
