@@ -17,7 +17,6 @@ from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.common import CommonPhysics
 from split_cli.diagnosis.comparable import comparable
 from split_cli.diagnosis.evidence import Evidence
-from split_cli.diagnosis.fitting import left_by
 from split_cli.diagnosis.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.judge import CommonKnowledge, Judge, build_judge, learn_common
 from split_cli.diagnosis.kinematics import Kinematics, build_kinematics, common_habit
@@ -166,14 +165,14 @@ def _offers(judge: Judge, candidates: Sequence[Candidate]) -> list[_Offer]:
     def offered(candidate: Candidate) -> list[_Offer]:
         if candidate.located:
             whole, _ = candidate.everywhere()
-            return [_Offer(candidate.term, (left_by(judge, (whole,)) - base)[:, None], candidate.located)]
+            return [_Offer(candidate.term, (judge.left_by((whole,)) - base)[:, None], candidate.located)]
         neutral = {name: CATALOGUE[candidate.term].neutral.get(name) for name in candidate.ranges}
         out = []
         for start in candidate.starts:
             shape = {name: value for name, value in start.items() if neutral[name] is None}
             sizes = [name for name in start if neutral[name] is not None]
             columns = [
-                left_by(judge, (candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),))
+                judge.left_by((candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),))
                 - base
                 for name in sizes
             ]

@@ -17,7 +17,6 @@ __all__ = [
     "Tangent",
     "effect_everywhere",
     "fit_parts",
-    "left_by",
     "raw_slopes",
     "scan_places",
     "tangent",
@@ -111,7 +110,7 @@ def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: i
     x = np.clip(np.array([parts[k].values[name] for k, name in names]) / steps, lower, upper)
 
     def residual_at(x: np.ndarray) -> np.ndarray:
-        return left_by(judge, [part.term for part in _with(parts, names, x * steps)])
+        return judge.left_by([part.term for part in _with(parts, names, x * steps)])
 
     here = residual_at(x)
     entries = judge.whiten(here - shift)
@@ -142,12 +141,6 @@ def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: i
     return Fit(_with(parts, names, x * steps), cost, entries, jacobian / steps)
 
 
-def left_by(judge: Judge, terms: Sequence[Term]) -> np.ndarray:
-    """Return what terms leave, shape (R,); to the letter, the common physics follows them at every step."""
-    left = judge.residual(terms)
-    return left - judge.shift(terms) if judge.to_the_letter else left
-
-
 def raw_slopes(judge: Judge, parts: Sequence[Part]) -> np.ndarray:
     """Return derivatives of the entries by each parameter's step, common physics still in, shape (R, P)."""
     parts = tuple(parts)
@@ -158,7 +151,7 @@ def raw_slopes(judge: Judge, parts: Sequence[Part]) -> np.ndarray:
     x = np.array([parts[k].values[name] for k, name in names]) / steps
 
     def residual_at(x: np.ndarray) -> np.ndarray:
-        return left_by(judge, [part.term for part in _with(parts, names, x * steps)])
+        return judge.left_by([part.term for part in _with(parts, names, x * steps)])
 
     return _slopes(residual_at, residual_at(x), x, upper)
 
@@ -210,7 +203,7 @@ def tangent(judge: Judge, base: np.ndarray, part: Part) -> Tangent:
     x = np.array(list(part.values.values())) / steps
 
     def at(values: np.ndarray) -> np.ndarray:
-        return left_by(judge, [one.term for one in _with((part,), names, values * steps)])
+        return judge.left_by([one.term for one in _with((part,), names, values * steps)])
 
     here = at(x)
     columns = [here - base, *(at(x + unit) - here for unit in np.eye(len(x)))]

@@ -192,6 +192,14 @@ class Judge:
             rows.append(one.whitener(integrated(one.series, rates)))
         return self.stack(rows)
 
+    def left_by(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return what terms leave while they are fitted, shape (R,).
+
+        To the letter the common physics follows them at every step; else it is moved along in between.
+        """
+        left = self.residual(terms)
+        return left - self.shift(terms) if self.to_the_letter else left
+
     def whiten(self, rows: np.ndarray) -> np.ndarray:
         """Return entries from which the still free part of the common physics is taken out, shape as given.
 

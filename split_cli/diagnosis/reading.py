@@ -114,7 +114,6 @@ def _known(
 ) -> SelfTest:
     if not case.graded:
         return SelfTest()
-    knowledge = case.knowledge if to_the_letter else None
     return self_test(
         case.graded,
         case.common,
@@ -122,7 +121,7 @@ def _known(
         case.kinematics,
         inflation=inflation,
         reach=reach,
-        knowledge=knowledge,
+        knowledge=case.knowledge if to_the_letter else None,
     )
 
 
