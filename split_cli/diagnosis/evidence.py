@@ -24,6 +24,9 @@ _ROLLING_SHARE = 0.9
 _LOST_SHARE = 0.1
 _ROLLING_SECONDS = 0.2
 _LEAST_ROLLING = 0.5
+# Back and forth within this time by this share of the peak, that is a slip control at work.
+_CYCLING_SECONDS = 0.3
+_CYCLING_SHARE = 0.8
 
 
 @dataclass(frozen=True)
@@ -169,7 +172,8 @@ def rolling(series: Series, vehicle: Vehicle) -> np.ndarray:
     """Return where the wheels roll, shape (N,): a single track knows neither spinning nor locked ones.
 
     They do not where an axle is asked for most of its peak force, at the load it stands with, and for a while the
-    car gets less than it was asked for: load that moves to an axle, and downforce, give it more.
+    car gets less than it was asked for: load that moves to an axle, and downforce, give it more. Nor where what is
+    asked for goes up to there and back within moments, as a slip control makes it: wheels answer by spinning.
     """
     model = extended_model(vehicle)
     flow = series.flow(model)
@@ -180,9 +184,22 @@ def rolling(series: Series, vehicle: Vehicle) -> np.ndarray:
     reach = max(1, int(round(_ROLLING_SECONDS / series.period)))
     lost, wanted = (uniform_filter1d(one, reach + 1) for one in (-np.sign(asked) * got, np.abs(asked)))
     slipping = (used > _ROLLING_SHARE) & (lost > _LOST_SHARE * wanted)
+    slipping |= _cycling([np.asarray(axle.longitudinal_force) / axle.D for axle in axles], used, series.period)
     rolls = ~maximum_filter1d(slipping, 2 * reach + 1)
     # A car that asks for more most of the time has other tyres than its file says.
     return rolls if rolls.mean() > _LEAST_ROLLING else np.ones_like(rolls)
+
+
+def _cycling(asked: Sequence[np.ndarray], used: np.ndarray, period: float) -> np.ndarray:
+    """Return where an axle's force along the car [of its peak] swings as far up as down around the limit, (N,)."""
+    window = max(3, int(round(_CYCLING_SECONDS / period)))
+
+    def travel(steps: np.ndarray) -> np.ndarray:
+        return window * uniform_filter1d(np.maximum(steps, 0.0), window)
+
+    steps = [np.diff(one, prepend=one[0]) for one in asked]
+    swing = np.maximum(*(np.minimum(travel(one), travel(-one)) for one in steps))
+    return (swing > _CYCLING_SHARE) & (maximum_filter1d(used, window) > _ROLLING_SHARE)
 
 
 def _begins_anew(series: Series, rolls: np.ndarray) -> np.ndarray:

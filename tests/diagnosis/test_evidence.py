@@ -16,8 +16,8 @@ from tests.factories import road_car
 FIRST, LAST = 1200, 1300
 
 
-def asked_for(drive, share: float, window: slice = slice(FIRST, LAST)):
-    """Return a drive whose torque asks the rear axle for a share of its peak for a second, at 100 Hz."""
+def asked_for(drive, share, window: slice = slice(FIRST, LAST)):
+    """Return a drive whose torque asks the rear axle for shares of its peak for a second, at 100 Hz."""
     car = road_car()
     force = share * car.rear_tire.D + car.rolling_resistance_rear
     torque = drive["T"].copy()
@@ -56,6 +56,26 @@ def test_a_car_that_gets_more_than_it_asks_for_rolls(noisy_nominal):
     faster[end:] += faster[end - 1] - asked["vx"][end - 1]
     assert not rolling(prepared(asked), road_car()).all()
     assert rolling(prepared(replace(asked, columns={**asked.columns, "vx": faster})), road_car()).all()
+
+
+def swinging(drive, least: float, most: float, hertz: float):
+    """Return a drive whose torque swings between shares of the rear axle's peak, and a car that gets it all."""
+    car, t = road_car(), 0.01 * np.arange(LAST - FIRST)
+    shares = 0.5 * (most + least) + 0.5 * (most - least) * np.sin(2.0 * np.pi * hertz * t)
+    asked = asked_for(drive, shares)
+    faster = asked["vx"].copy()
+    force = shares * car.rear_tire.D / (1.0 - car.drive_split_front)
+    faster[FIRST:LAST] = asked["vx"][FIRST] + np.cumsum(force / car.mass * 0.01)
+    faster[LAST:] += faster[LAST - 1] - asked["vx"][LAST - 1]
+    return replace(asked, columns={**asked.columns, "vx": faster})
+
+
+def test_wheels_do_not_roll_under_a_slip_control(noisy_nominal):
+    """Eight times a second up to the limit and back; not far below it, nor so slowly that a driver may do it."""
+    middle = slice(FIRST + 10, LAST - 10)
+    assert not rolling(prepared(swinging(noisy_nominal, 0.2, 1.0, 8.0)), road_car())[middle].any()
+    assert rolling(prepared(swinging(noisy_nominal, 0.0, 0.8, 8.0)), road_car()).all()
+    assert rolling(prepared(swinging(noisy_nominal, 0.2, 1.0, 1.0)), road_car()).all()
 
 
 def test_a_car_that_asks_for_more_nearly_always_has_other_tyres(noisy_nominal):
