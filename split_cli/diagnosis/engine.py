@@ -37,8 +37,8 @@ _FAR = (
     "than usual are compared; drive both over the same speeds, torques and turns"
 )
 _FAR_AND_NAMELESS = (
-    "Hardly any of the real drive lies where the simulation has been, and what differs further off has no name: "
-    "it may be what the simulation has not shown; drive both over the same speeds, torques and turns."
+    "Hardly any of the real drive lies where the simulation has been, and what differs has no name: it may be "
+    "what the simulation has not shown; drive both over the same speeds, torques and turns."
 )
 _MUCH_MISFIT = (
     "small effects: halves of the simulation differ by far more than noise, and what is small beside that is not "
@@ -65,6 +65,8 @@ class Settings:
         The same where hardly any is nearer. What has no name may then be what the simulation has not shown.
     least_rows : int
         Rows of evidence below which nothing is decided.
+    least_share : float
+        Of the real drive to be compared, below which what has no name is not decided.
     """
 
     level: float = 0.001
@@ -73,6 +75,7 @@ class Settings:
     reach: float = 0.35
     far_reach: float = 0.7
     least_rows: int = 250
+    least_share: float = 0.1
 
 
 def diagnose(
@@ -156,7 +159,8 @@ def diagnose(
         )  # fmt: skip
     progress("judging")
     told = _tell(case, found, settings)
-    if reach > settings.reach and not told.findings and not contradictions:
+    hardly = reach > settings.reach or share < settings.least_share
+    if hardly and not told.findings and not contradictions:
         return _undecided([_FAR_AND_NAMELESS], share, inputs, described)
     return replace(told, compared_share=share, not_judged=not_judged, inputs=tuple(inputs), settings=described)
 

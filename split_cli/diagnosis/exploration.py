@@ -37,6 +37,8 @@ class Rules:
     least_severity: float = 0.20  # of a further term
     misfit: float = 0.30  # of the severity of the chosen terms, in the channel where a further one is largest
     misfit_across: float = 0.07  # of the same in any other channel
+    settled: float = 0.8  # of what is left in a channel: what takes that is no misfit of others,
+    settled_noise: float = 4.0  # where that was by so much more than noise
     common_misfit: float = 0.10  # of the severity of the common physics, in that channel
     considered: int = 3  # of the further terms that save most
     spread: float = 3.5  # standard errors, from differences block by block, that a term has to save

@@ -71,7 +71,7 @@ def describe(
     structure, selection, inflation = reading.structure, reading.selection, reading.inflation
     judge = structure.judge
     remainder = _remainder(structure, selection, inflation)
-    findings = _findings(judge, selection)
+    findings = _findings(judge, selection, remainder.share)
     wander = wander_of(structure, selection.chosen.entries)
     unexplained = not findings or _is_unexplained(findings, remainder, wander, reading, rules)
     kept = {one.term for one in findings}
@@ -86,7 +86,7 @@ def describe(
         unexplained = True
         selection = _only(judge, selection, kept)
         remainder = _remainder(structure, selection, inflation)
-        findings = _findings(judge, selection)
+        findings = _findings(judge, selection, remainder.share)
     return selection, findings, remainder, unexplained
 
 
@@ -141,10 +141,8 @@ def with_shares(findings: Sequence[Finding], chosen: Fit, shares: Sequence[float
 def _remainder(structure: Structure, selection: Selection, inflation: float) -> RemainderTest:
     left = structure.fit(selection.chosen.entries, inflation)
     named = selection.base.cost - selection.chosen.cost
-    chance = inflation * left.freedom + structure.allowed(left.freedom)
-    nameless = max(left.saved - chance, 0.0)
     drifts = tuple((one.variable, one.saved) for one in parameter_drifts(structure.judge, selection.chosen)[:3])
-    share = nameless / max(nameless + named, 1e-9)
+    share = structure.nameless_share(selection.chosen.entries, named, inflation)
     return RemainderTest(left.p_value, share, left.severity, left.group_saved, drifts=drifts)
 
 
@@ -167,7 +165,7 @@ def _only(judge: Judge, selection: Selection, terms: set[str]) -> Selection:
     )
 
 
-def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
+def _findings(judge: Judge, selection: Selection, nameless: float) -> tuple[Finding, ...]:
     chosen = selection.chosen
     estimates = parameter_estimates(judge, chosen)
     total = max(selection.base.cost - chosen.cost, 1e-9)
@@ -177,7 +175,7 @@ def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
             continue
         term, variant = part.candidate.term, part.candidate.variant
         alternatives = _alternatives(judge, selection, k)
-        parameters = _with_variants(judge, selection, k, estimates[k])
+        parameters = _with_variants(judge, selection, k, estimates[k], nameless)
         out.append(
             Finding(
                 term,
@@ -196,11 +194,14 @@ def _findings(judge: Judge, selection: Selection) -> tuple[Finding, ...]:
 
 
 def _with_variants(
-    judge: Judge, selection: Selection, k: int, own: Mapping[str, ParameterEstimate]
+    judge: Judge, selection: Selection, k: int, own: Mapping[str, ParameterEstimate], nameless: float
 ) -> dict[str, ParameterEstimate]:
-    """Widen a part's intervals by those of its term's other variants, where they explain the data as well."""
+    """Widen a part's intervals by those of its term's other variants, where they explain the data as well.
+
+    Of variants that differ by less than the share of the gap that is `nameless`, either may be the better one.
+    """
     out = dict(own)
-    for sibling in explaining_as_well(judge, selection, k, selection.siblings[k]):
+    for sibling in explaining_as_well(judge, selection, k, selection.siblings[k], nameless):
         theirs = parameter_estimates(judge, sibling.fit)[-1]
         out = {name: one.covering(theirs[name]) if name in theirs else one for name, one in out.items()}
     return out

@@ -18,6 +18,7 @@ from split_cli.diagnosis.case import Case
 from split_cli.diagnosis.exploration import Rules
 from split_cli.diagnosis.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.judge import Judge, alters_inputs, build_judge
+from split_cli.diagnosis.running import with_variants_that_run
 from split_cli.diagnosis.selection import Selection, nothing, select_terms
 from split_cli.diagnosis.structure import FlexibleFit, Structure, build_structure
 from split_cli.diagnosis.wander import wander_of
@@ -140,4 +141,7 @@ def _read(
     gap = structure.fit(base.entries, inflation)
     judge = replace(judge, misfit=known.misfit_of(gap))
     structure = replace(structure, judge=judge)
-    return Reading(structure, gap, select_terms(judge, candidates, inflation, rules), known, inflation)
+    rules = rules or Rules()
+    selection = select_terms(judge, candidates, inflation, rules)
+    selection = with_variants_that_run(structure, candidates, selection, inflation, rules)
+    return Reading(structure, gap, selection, known, inflation)

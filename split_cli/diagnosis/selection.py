@@ -25,6 +25,7 @@ __all__ = [
     "select_terms",
     "term_p",
     "term_size",
+    "with_chosen",
     "without_parts",
 ]
 
@@ -150,13 +151,21 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
         and is_spread(judge, chosen, k, one, rules)
         for k, one in enumerate(without)
     ]
-    named = _believed_together(judge, chosen, sure, rules)
+    named = _believed_together(judge, chosen, without, sure, rules)
     rivals = tuple(_rivals(explore, chosen, k, rest) if named[k] else ((), ()) for k, rest in enumerate(without))
     others, siblings = zip(*rivals, strict=True) if rivals else ((), ())
     return Selection(base, chosen, without, others, siblings, named)
 
 
-def _believed_together(judge: Judge, chosen: Fit, sure: Sequence[bool], rules: Rules) -> tuple[bool, ...]:
+def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selection:
+    """Return a selection with another explanation in the place of the chosen one, compared afresh."""
+    found = _examined(explore, selection.base, chosen)
+    return replace(found, history=selection.history, first_p=selection.first_p)
+
+
+def _believed_together(
+    judge: Judge, chosen: Fit, without: Sequence[Fit], sure: Sequence[bool], rules: Rules
+) -> tuple[bool, ...]:
     """Return which parts are named: of those that are sure the largest, and what is no misfit of larger ones."""
     if sum(sure) < 2:
         return tuple(sure)
@@ -164,7 +173,7 @@ def _believed_together(judge: Judge, chosen: Fit, sure: Sequence[bool], rules: R
     named: list[int] = []
     for k in sorted(sizes, key=lambda k: -sizes[k].max()):
         larger = _sizes(judge, tuple(chosen.terms[i] for i in named), ())
-        if not named or not _is_misfit(judge, sizes[k], larger, rules):
+        if not named or not _is_misfit(judge, sizes[k], larger, without[k], chosen, rules):
             named.append(k)
     return tuple(k in named for k in range(len(chosen.parts)))
 
@@ -337,17 +346,36 @@ def _refusal(judge: Judge, chosen: Fit, sizes: np.ndarray, further: Fit, rules: 
     fast one. What is left of one term is of its own kind, so channels count apart. Or it may save all in a few
     moments, unless it acts at a place, which is passed once a lap.
     """
-    if _is_misfit(judge, _sizes(judge, further.terms, chosen.terms), sizes, rules):
+    if _is_misfit(judge, _sizes(judge, further.terms, chosen.terms), sizes, chosen, further, rules):
         return _MISFIT
     return "" if is_spread(judge, further, len(further.parts) - 1, chosen, rules) else _ONCE
 
 
-def _is_misfit(judge: Judge, size: np.ndarray, of: np.ndarray, rules: Rules) -> bool:
-    """Return whether severities, shape (3,), are no more than terms with severities `of`, shape (3,), misfit."""
-    own = np.maximum(rules.misfit * of, rules.misfit_across * of.max())
-    misfits = np.maximum(own, rules.common_misfit * common_severities(judge))
+def _is_misfit(judge: Judge, size: np.ndarray, of: np.ndarray, before: Fit, after: Fit, rules: Rules) -> bool:
+    """Return whether severities, shape (3,), are no more than terms with severities `of`, shape (3,), misfit.
+
+    What large terms misfit in a channel they hardly act in has no simple shape: a term that takes nearly all that
+    was left there, and much was, is none of it.
+    """
     channel = int(np.argmax(size))
-    return bool(size[channel] < max(rules.least_severity, misfits[channel]))
+    across = 0.0 if _settles(judge, channel, before, after, rules) else rules.misfit_across * of.max()
+    common = rules.common_misfit * common_severities(judge)[channel]
+    return bool(size[channel] < max(rules.least_severity, rules.misfit * of[channel], across, common))
+
+
+def _settles(judge: Judge, channel: int, before: Fit, after: Fit, rules: Rules) -> bool:
+    """Return whether a fit leaves next to noise in a channel where another leaves much more.
+
+    Notes
+    -----
+    Noise is half the mean square of successive differences (von Neumann, 1941), which what varies slowly hardly
+    adds to.
+    """
+    rows = sum(int(mask.sum()) for mask in judge.keep)
+    left, still = (fit.entries[: 3 * rows].reshape(rows, 3)[:, channel] for fit in (before, after))
+    noise = 0.5 * np.mean(np.diff(still) ** 2)
+    much, little = np.mean(left**2) - noise, np.mean(still**2) - noise
+    return bool(much > rules.settled_noise * noise and little < (1.0 - rules.settled) * much)
 
 
 def _sizes(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
@@ -370,17 +398,19 @@ def _over_allowance(judge: Judge, fit: Fit, k: int) -> float:
     return float(np.max(_part_sizes(judge, fit, k) / term_allowances(judge)))
 
 
-def explaining_as_well(judge: Judge, selection: Selection, k: int, rivals: Sequence[Rival]) -> list[Rival]:
+def explaining_as_well(
+    judge: Judge, selection: Selection, k: int, rivals: Sequence[Rival], misfit: float = 0.0
+) -> list[Rival]:
     """Return the rivals of a part that may be what acts instead of it.
 
     They may where the two differ by chance, and where a misfit that is allowed, or no larger than single tracks
-    have, could have made the difference.
+    have, or than a share `misfit` of the part's savings, could have made the difference.
     """
     rules = Rules()
     # An excess is told in what misfit makes of chance; so is what it is compared with.
     saved = (selection.without[k].cost - selection.chosen.cost) / max(judge.misfit / TERM_MARGIN, 1.0)
     share = min(1.0 / max(_over_allowance(judge, selection.chosen, k), 1e-9), 1.0) ** 2
-    allowed = max(rules.same_excess, max(share, rules.same_misfit) * saved)
+    allowed = max(rules.same_excess, max(share, rules.same_misfit, misfit / TERM_MARGIN) * saved)
     by_chance = rules.same_share * saved
     return [
         rival

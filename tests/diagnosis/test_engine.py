@@ -117,6 +117,13 @@ class TestFarFromTheSimulation:
         assert far.verdict == "undecided" and not far.unexplained
         assert "has no name" in far.not_judged[0]
 
+    def test_nor_is_it_told_from_that_in_a_tenth_of_the_drive(self, reality, simulation, answer):
+        strange, little = recording(85, Lopsided({"share": 0.3})), Settings(least_share=1.1)
+        near = diagnose([strange], road_car(), [simulation], settings=little)
+        assert near.verdict == "undecided" and "has no name" in near.not_judged[0]
+        named = diagnose([reality], road_car(), [simulation], settings=little)
+        assert [one.term for one in named.findings] == [one.term for one in answer.findings]
+
     def test_the_same_car_matches(self, simulation):
         far = diagnose([recording(83)], road_car(), [simulation], settings=self.near)
         assert far.verdict == "match"

@@ -28,6 +28,7 @@ from split_cli.diagnosis.selection import (
     select_terms,
     term_p,
     term_size,
+    without_parts,
 )
 from split_cli.diagnosis.severity import severities_of
 from split_cli.diagnosis.structure import BARE_ALLOWANCE, COMMON_SHARE
@@ -182,9 +183,10 @@ def test_names_are_given_in_the_order_of_size_not_of_finding():
     parts = [Part(candidates[name], dict(candidates[name].starts[0])) for name in ("steer_offset", "yaw_inertia")]
     for ordered, expected in ((parts, (False, True)), (parts[::-1], (True, False))):
         fit = fit_parts(judge, ordered)
-        assert selecting._believed_together(judge, fit, (True, True), Rules()) == expected
+        without = without_parts(judge, nothing(judge), fit)
+        assert selecting._believed_together(judge, fit, without, (True, True), Rules()) == expected
         # What is not sure is no name, and nothing is a misfit of it.
-        assert selecting._believed_together(judge, fit, expected[::-1], Rules()) == expected[::-1]
+        assert selecting._believed_together(judge, fit, without, expected[::-1], Rules()) == expected[::-1]
 
 
 def test_a_further_term_no_larger_than_a_misfit_of_the_common_physics_is_not_named(pair, chosen_pair):
@@ -202,6 +204,23 @@ def test_a_further_term_no_larger_than_a_misfit_of_the_common_physics_is_not_nam
         common[:] = others * sizes.max()
         common[channel] = 0.0
         assert not _refusal(replace(judge, memo={COMMON: common}), first, np.zeros(3), fit, Rules())
+
+
+def test_a_term_that_settles_a_channel_is_no_misfit_of_a_large_one_elsewhere(pair):
+    """What was left in v_x is a slow wave of five times the noise: taken wholly, or but half of it."""
+    rng, count = np.random.default_rng(4), len(pair.weight)
+    noise, wave = rng.standard_normal(count).reshape(-1, 3), np.zeros((count // 3, 3))
+    wave[:, 0] = 5.0 * np.sin(np.arange(count // 3) / 50.0)
+
+    def left(share: float) -> Fit:
+        return Fit((), 0.0, (noise + share * wave).ravel(), np.empty((count, 0)))
+
+    size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 10.0])
+    for before, after, refused in ((1.0, 0.0, False), (1.0, 0.4, False), (1.0, 0.5, True), (0.3, 0.0, True)):
+        assert selecting._is_misfit(pair, size, other, left(before), left(after), Rules()) == refused
+    # Not larger than a misfit in that channel anyway, or of what acts in the same.
+    assert not selecting._is_misfit(pair, size, 0.7 * other, left(1.0), left(1.0), Rules())
+    assert selecting._is_misfit(pair, size, other[::-1], left(1.0), left(0.0), Rules())
 
 
 def test_a_term_is_allowed_a_share_of_the_common_physics_in_its_channel(pair, chosen_pair):

@@ -1,0 +1,94 @@
+"""Variants of a term that one step does not tell apart, told by running freely."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import split_cli.diagnosis.running as running
+from split_cli.diagnosis.exploration import Explorer, Rules
+from split_cli.diagnosis.fitting import Part, fit_parts
+from split_cli.diagnosis.flexible import flexible_rows
+from split_cli.diagnosis.judge import Judge
+from split_cli.diagnosis.rollouts import HORIZONS, RolloutErrors
+from split_cli.diagnosis.running import free_running_errors, with_variants_that_run
+from split_cli.diagnosis.selection import Selection, nothing, select_terms, with_chosen
+from split_cli.diagnosis.structure import Structure, build_structure
+from tests.diagnosis.recordings import candidates_of
+from tests.diagnosis.test_selection import judge_of, planted
+
+INFLATION = 1.5
+ANY_SHARE = Rules(same_misfit=-1.0)
+
+
+@pytest.fixture(scope="module")
+def judge() -> Judge:
+    return judge_of(*planted(load_transfer=0.9))
+
+
+@pytest.fixture(scope="module")
+def structure(judge) -> Structure:
+    return build_structure(judge, [flexible_rows(one, judge.common) for one in judge.evidence])
+
+
+@pytest.fixture(scope="module")
+def variants(judge) -> list:
+    return candidates_of(judge, "load_transfer")
+
+
+@pytest.fixture(scope="module")
+def wrong(judge, variants) -> Selection:
+    """A selection that has taken the variant that moves the peak alone."""
+    selection = select_terms(judge, variants, INFLATION)
+    peak = next(one for one in variants if one.variant == "peak")
+    fit = fit_parts(judge, (Part(peak, dict(peak.starts[0])),))
+    return with_chosen(Explorer(judge, tuple(variants), INFLATION), selection, fit)
+
+
+def test_the_truth_runs_freely_as_far_as_noise_lets_it(judge, variants, wrong):
+    selection = select_terms(judge, variants, INFLATION)
+    assert selection.chosen.parts[0].candidate.variant == ""
+    base, true, peak = free_running_errors(judge, [nothing(judge), selection.chosen, wrong.chosen])
+    assert 0.8 < true < 1.2
+    assert base > 1.5 * true and peak > 1.1 * true
+
+
+def test_an_error_is_the_geometric_mean_of_rms_over_what_noise_makes(judge, monkeypatch):
+    """Twice the noise in every channel at every horizon is two, whatever the units."""
+    floor = np.ones((7, 3, 3)) * np.array([1.0, 1e-4, 1e-6])
+
+    def errors(one, stages, held):
+        squared = {name: (4.0 if name == "0" else 9.0) * floor for name in stages}
+        return RolloutErrors(HORIZONS, np.arange(7.0), squared, floor)
+
+    monkeypatch.setattr(running, "roll_out_stages", errors)
+    np.testing.assert_allclose(free_running_errors(judge, [nothing(judge), nothing(judge)]), [2.0, 3.0])
+
+
+def test_the_variant_that_runs_takes_the_place_of_one_that_does_not(structure, variants, wrong):
+    """The wrong variant leaves something without a name; the right one is among what explains the data as well."""
+    found = with_variants_that_run(structure, variants, wrong, INFLATION, Rules())
+    assert found.chosen.parts[0].candidate.variant == ""
+    assert found.named == (True,) and found.chosen.cost < wrong.chosen.cost
+    assert "runs freely with" in found.history[-1] and found.first_p == wrong.first_p
+
+
+def test_where_nothing_is_left_without_a_name_one_step_decides(judge, structure, variants):
+    selection = select_terms(judge, variants, INFLATION)
+    assert with_variants_that_run(structure, variants, selection, INFLATION, Rules()) is selection
+
+
+def test_a_variant_that_runs_as_well_takes_no_place(structure, variants, wrong, monkeypatch):
+    for error, taken in ((0.95, False), (0.85, True)):
+        monkeypatch.setattr(
+            running, "free_running_errors", lambda judge, fits, e=error: [1.0, *[e] * len(fits[1:])]
+        )
+        found = with_variants_that_run(structure, variants, wrong, INFLATION, ANY_SHARE)
+        assert (found is not wrong) == taken
+
+
+def test_no_variant_takes_a_place_that_would_lose_a_name(structure, variants, wrong):
+    named_twice = replace(wrong, named=(True, True))
+    assert with_variants_that_run(structure, variants, named_twice, INFLATION, ANY_SHARE) is named_twice
