@@ -23,6 +23,7 @@ __all__ = ["free_running_errors", "with_variants_that_run"]
 
 # Of the error of the variant that is best in one step: a rollout's error is no finer.
 _BETTER = 0.9
+_TINY = 1e-30
 
 
 def with_variants_that_run(
@@ -78,8 +79,9 @@ def free_running_errors(judge: Judge, fits: Sequence[Fit]) -> list[float]:
         errors = roll_out_stages(one, stages, np.ones(len(one.series), dtype=bool))
         if errors is None or not len(errors.t):
             continue
-        floor = errors.floor.mean(axis=0)
-        logs = [0.5 * np.mean(np.log(errors.squared[str(k)].mean(axis=0) / floor)) for k in range(len(fits))]
-        totals += len(errors.t) * np.array(logs)
+        floor = np.maximum(errors.floor.mean(axis=0), _TINY)  # of a recording without noise
+        means = np.maximum([errors.squared[str(k)].mean(axis=0) for k in range(len(fits))], _TINY)
+        logs = 0.5 * np.log(means / floor).mean(axis=(1, 2))
+        totals += len(errors.t) * logs
         weight += len(errors.t)
     return list(np.exp(totals / max(weight, 1)))
