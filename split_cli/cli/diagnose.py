@@ -65,6 +65,15 @@ def _tell(result) -> None:
             for name, p in f.parameters.items()
         ]
         print_table(["term", "parameter", "value", "std error", "unit", "or"], rows)
+    if result.verdict == "match" and result.detectable:
+        click.echo("alone, an effect would have been named from about this size on")
+        rows = [
+            [one.term, name, f"{value:.3g}", unit]
+            for one in result.detectable
+            for name, (value, unit) in one.parameters.items()
+        ]
+        rows += [[one.term, "", "at no size", ""] for one in result.detectable if not one.parameters]
+        print_table(["term", "parameter", "from", "unit"], rows)
     if result.improvement is not None and result.improvement.rollouts:
         last = result.improvement.rollouts[-1]
         named = ", ".join(one.name for one in result.inputs if one.role == "holdout")

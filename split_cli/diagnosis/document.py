@@ -8,7 +8,7 @@ from importlib.resources import files
 from typing import Any
 
 from split_cli import __version__
-from split_cli.diagnosis.result import Diagnosis, Finding, Improvement, Location
+from split_cli.diagnosis.result import Detectable, Diagnosis, Finding, Improvement, Location
 
 __all__ = ["diagnosis_to_mapping", "diagnosis_to_text", "read_schema"]
 
@@ -36,6 +36,7 @@ def diagnosis_to_mapping(diagnosis: Diagnosis) -> dict[str, Any]:
         "findings": [_finding(finding) for finding in diagnosis.findings],
         "unexplained": diagnosis.unexplained,
         "improvement": _improvement(diagnosis.improvement),
+        "detectable": [_detectable(one) for one in diagnosis.detectable],
         "inputs": [{"name": f.name, "sha256": f.sha256, "role": f.role} for f in diagnosis.inputs],
         "settings": _plain(diagnosis.settings),
     }
@@ -81,6 +82,11 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "alternatives": list(finding.alternatives),
         "sentence": finding.sentence,
     }
+
+
+def _detectable(one: Detectable) -> dict[str, Any]:
+    parameters = {name: {"value": value, "unit": unit} for name, (value, unit) in one.parameters.items()}
+    return {"term": one.term, "parameters": parameters}
 
 
 def _improvement(improvement: Improvement | None) -> dict[str, Any] | None:

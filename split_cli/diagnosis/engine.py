@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.diagnosis.candidates import build_candidates
 from split_cli.diagnosis.case import Case, gather_case
+from split_cli.diagnosis.detectable import smallest_named
 from split_cli.diagnosis.exploration import Rules
 from split_cli.diagnosis.findings import Abstention, describe, wanders, with_shares
 from split_cli.diagnosis.fitting import fit_parts
@@ -44,6 +45,7 @@ _MUCH_MISFIT = (
     "small effects: halves of the simulation differ by far more than noise, and what is small beside that is not "
     "told; calibrate the vehicle file (split calibrate), or drive both more alike"
 )
+_WAYS = 4  # to differ, see `_compare`
 
 
 @dataclass(frozen=True)
@@ -152,17 +154,20 @@ def diagnose(
     if reading.known.ratio > Rules().much_misfit:
         not_judged += (_MUCH_MISFIT,)
     found = _compare(case, reading, contradictions)
+    progress("sizing")
+    detectable = smallest_named(reading.judges, candidates, reading.inflation, settings.level / _WAYS)
     if found.p_value >= settings.level:
         return Diagnosis(
             "match", found.p_value, share, not_judged, inputs=tuple(inputs), settings=described,
-            history=reading.selection.history, summary=summarise("match"), gaps=_gaps(case),
+            history=reading.selection.history, summary=summarise("match"), gaps=_gaps(case), detectable=detectable,
         )  # fmt: skip
     progress("judging")
     told = _tell(case, found, settings)
     hardly = reach > settings.reach or share < settings.least_share
     if hardly and not told.findings and not contradictions:
         return _undecided([_FAR_AND_NAMELESS], share, inputs, described)
-    return replace(told, compared_share=share, not_judged=not_judged, inputs=tuple(inputs), settings=described)
+    told = replace(told, compared_share=share, not_judged=not_judged, detectable=detectable)
+    return replace(told, inputs=tuple(inputs), settings=described)
 
 
 def _rows(case: Case) -> int:
@@ -209,7 +214,7 @@ def _compare(case: Case, reading: Reading, contradictions: tuple[str, ...]) -> _
         line.p_value if line else 1.0,
         wander.p_value(usual_wander) if wanders(wander, usual_wander, rules) else 1.0,
     ]
-    p_value = 0.0 if contradictions else min(1.0, len(ways) * min(ways))
+    p_value = 0.0 if contradictions else min(1.0, _WAYS * min(ways))
     return _Comparison(reading, line, p_value, contradictions)
 
 

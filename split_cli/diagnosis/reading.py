@@ -44,6 +44,8 @@ class Reading:
         What the simulation shows against itself, read alike.
     inflation : float
         By which what wanders widens chi squared.
+    judges : tuple of Judge
+        With reserve, and to the letter where it was read so, too.
     """
 
     structure: Structure
@@ -51,6 +53,7 @@ class Reading:
     selection: Selection
     known: SelfTest
     inflation: float
+    judges: tuple[Judge, ...] = ()
 
 
 def read(
@@ -86,11 +89,12 @@ def read(
     # The common physics follows at every step, and costs have more than one valley.
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
     again = _read(judge.believed_to_the_letter(), rows, wide, known, inflation, _LETTER)
+    judges = (reading.structure.judge, again.structure.judge)
     if _brings_back(again.selection):
-        return again
+        return replace(again, judges=judges)
     if not any(altering) or reading.selection.first_p < Rules().sure_level:
-        return reading
-    return replace(reading, selection=_without_names(reading.selection))
+        return replace(reading, judges=judges)
+    return replace(reading, selection=_without_names(reading.selection), judges=judges)
 
 
 def _alters(candidate: Candidate) -> bool:
@@ -144,4 +148,4 @@ def _read(
     rules = rules or Rules()
     selection = select_terms(judge, candidates, inflation, rules)
     selection = with_variants_that_run(structure, candidates, selection, inflation, rules)
-    return Reading(structure, gap, selection, known, inflation)
+    return Reading(structure, gap, selection, known, inflation, (judge,))

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 __all__ = [
+    "Detectable",
     "Diagnosis",
     "Finding",
     "HorizonErrors",
@@ -249,6 +250,21 @@ class Improvement:
 
 
 @dataclass(frozen=True)
+class Detectable:
+    """From which size on a term would have been named, alone.
+
+    Attributes
+    ----------
+    term : str
+    parameters : mapping of str to (float, str)
+        Value and unit, those that vanish without the effect moved together; empty where no size would be named.
+    """
+
+    term: str
+    parameters: Mapping[str, tuple[float, str]]
+
+
+@dataclass(frozen=True)
 class InputFile:
     """A file that was read: name without folder, SHA-256, and role."""
 
@@ -314,6 +330,8 @@ class Diagnosis:
         Steps of the selection, in words.
     summary : str
         One paragraph a reader can act on.
+    detectable : tuple of Detectable
+        What a silence about each term is worth; none where nothing was decided.
     """
 
     verdict: Verdict
@@ -330,3 +348,4 @@ class Diagnosis:
     gaps: tuple[GapSeries, ...] = ()
     history: tuple[str, ...] = ()
     summary: str = ""
+    detectable: tuple[Detectable, ...] = ()

@@ -22,6 +22,7 @@ __all__ = [
     "Selection",
     "explaining_as_well",
     "nothing",
+    "p_of_effect",
     "select_terms",
     "term_p",
     "term_size",
@@ -420,14 +421,17 @@ def explaining_as_well(
 
 
 def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> float:
-    """Return the minimum-effect p value of one part of an explanation that saves `saved`, the larger of two.
+    """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
+    return p_of_effect(judge, fit.parts[k].candidate, _over_allowance(judge, fit, k), saved, inflation)
+
+
+def p_of_effect(judge: Judge, candidate: Candidate, size: float, saved: float, inflation: float) -> float:
+    """Return the minimum-effect p value of a term of `size`, over what is allowed, that saves `saved`.
 
     What misfit may save is told twice, as what it is known to save and as what it adds to chance. A term has to
-    stand against each; both at once would count it double.
+    stand against each, so the larger of two is returned; both at once would count it double.
     """
-    candidate = fit.parts[k].candidate
     floor = max(TERM_FLOOR * judge.shared_cost, judge.term_floors.get(candidate.term, 0.0))
-    size = _over_allowance(judge, fit, k)
 
     def p_value(freedom: float, widened: float, spared: float) -> float:
         return minimum_effect_p(saved, freedom, size, widened, spared, allowance=1.0)

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from split_cli.cli.main import group
 from split_cli.diagnosis.document import diagnosis_to_text
-from split_cli.diagnosis.result import Diagnosis, GapSeries
+from split_cli.diagnosis.result import Detectable, Diagnosis, GapSeries
 from split_cli.errors import VehicleError
 from split_cli.files import sha256_of_file
 from split_cli.logs.drive import Drive, read_drive, write_drive
@@ -21,7 +21,14 @@ from split_cli.workflows import diagnose as workflow
 from tests.factories import make_drive, road_car
 
 VERDICTS = {
-    "match": Diagnosis("match", 0.4, 0.9, ("brake gain: there is no braking; brake hard once",), summary="Alike."),
+    "match": Diagnosis(
+        "match",
+        0.4,
+        0.9,
+        ("brake gain: there is no braking; brake hard once",),
+        summary="Alike.",
+        detectable=(Detectable("steer_delay", {"delay": (0.01372, "s")}), Detectable("wind", {})),
+    ),
     "mismatch": Diagnosis("mismatch", 1e-9, 0.9, summary="They differ."),
     "undecided": Diagnosis("undecided", None, 0.1, ("too short",), summary="Too short."),
 }
@@ -73,6 +80,12 @@ def test_what_was_not_judged_is_a_note_not_a_result(monkeypatch):
     told = run(monkeypatch, "match")
     assert "brake hard once" in told.stderr and "brake hard once" not in told.stdout
     assert told.stdout.splitlines()[1] == "Alike."
+
+
+def test_a_match_tells_what_would_have_been_named(monkeypatch):
+    lines = [line.split() for line in run(monkeypatch, "match").stdout.splitlines()]
+    assert ["steer_delay", "delay", "0.0137", "s"] in lines and ["wind", "at", "no", "size"] in lines
+    assert "steer_delay" not in run(monkeypatch, "mismatch").stdout
 
 
 def test_a_vehicle_of_the_library_is_named_and_hashed_by_its_file(tmp_path):

@@ -9,6 +9,7 @@ from jsonschema import Draft202012Validator
 
 from split_cli.diagnosis.document import diagnosis_to_text, read_schema
 from split_cli.diagnosis.result import (
+    Detectable,
     Diagnosis,
     Finding,
     Improvement,
@@ -49,7 +50,9 @@ FULL = Diagnosis(
     Improvement(ROW, ROW, ROW, ROW, ROW, None, {"before": [[0.1, 0.2]] * 3}),
     (InputFile("lap.parquet", "ab" * 32, "real"),),
     {"level": 0.01},
+    detectable=(Detectable("drive_lag", {"tau": (0.004, "s")}), Detectable("wind", {})),
 )
+ADDED = {"detectable"}  # to the contract, which leaves room for more
 
 
 @pytest.mark.parametrize(
@@ -64,7 +67,16 @@ def test_the_shipped_schema_is_strict_about_what_readers_rely_on():
     """Dropping any required key, or a wrong enumeration, must be caught by the schema we ship."""
     schema = Draft202012Validator(read_schema())
     content = json.loads(diagnosis_to_text(FULL))
-    assert set(content) == set(read_schema()["required"]) | {"schema"}
-    for key in content:
+    assert set(content) == set(read_schema()["required"]) | {"schema"} | ADDED
+    for key in set(content) - ADDED:
         assert list(schema.iter_errors({k: v for k, v in content.items() if k != key}))
     assert list(schema.iter_errors({**content, "verdict": "different"}))
+
+
+def test_what_would_have_been_named_is_told_with_units():
+    content = json.loads(diagnosis_to_text(FULL))
+    assert content["detectable"] == [
+        {"term": "drive_lag", "parameters": {"tau": {"value": 0.004, "unit": "s"}}},
+        {"term": "wind", "parameters": {}},
+    ]
+    assert not json.loads(diagnosis_to_text(Diagnosis("undecided", None, 0.0, ("too short",))))["detectable"]

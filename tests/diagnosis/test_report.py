@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.result import (
+    Detectable,
     Diagnosis,
     Finding,
     GapSeries,
@@ -38,6 +39,7 @@ from split_cli.proof.plan import plan_case
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.report.page import report_page
 from split_cli.workflows.report.payload import chart_numbers, embedded_json
+from split_cli.workflows.report.sections import all_sections
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, readable
 
 HOSTILE = "</script><script>window.taken = 1</script><img src=x onerror='window.taken = 2'>\u202e\u2028&\".parquet"
@@ -473,3 +475,18 @@ def test_that_report_opens(written, browser, tmp_path):
     assert one(browser, "#verdict").text == "Simulation and reality differ."
     assert len(browser.find_elements("css selector", "#plot-map svg g rect")) > 20
     assert "longitudinal" in label_of(browser, "track")
+
+
+class TestWhatWouldHaveBeenNamed:
+    told = (Detectable("steer_delay", {"delay": (0.0137, "s")}), Detectable("wind", {}))
+
+    def test_a_match_shows_it(self):
+        page = all_sections(Diagnosis("match", 0.5, 1.0, detectable=self.told))
+        assert "<details open><summary>Effect by effect" in page
+        assert "<th scope=row>Steer delay</th><td>delay 0.0137 s</td>" in page
+        assert "<th scope=row>Wind</th><td>at no size</td>" in page
+
+    def test_a_mismatch_has_it_folded_and_an_abstention_not_at_all(self):
+        page = all_sections(Diagnosis("mismatch", 0.0, 1.0, unexplained=True, detectable=self.told))
+        assert "<details><summary>Effect by effect" in page
+        assert "Effect by effect" not in all_sections(Diagnosis("undecided", None, 0.0, ("too short",)))

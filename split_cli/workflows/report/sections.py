@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from split_cli.diagnosis.result import Diagnosis, HorizonErrors, Improvement, Location
+from split_cli.diagnosis.result import Detectable, Diagnosis, HorizonErrors, Improvement, Location
 from split_cli.workflows.report.findings import what_section
 from split_cli.workflows.report.markup import bar_row, section, table
 from split_cli.workflows.report.words import (
@@ -55,6 +55,7 @@ def all_sections(diagnosis: Diagnosis) -> str:
         parts.append(_help(diagnosis, diagnosis.improvement))
     if diagnosis.verdict != "undecided":
         parts.append(_not_judged(diagnosis))
+        parts.append(_would_show(diagnosis))
     parts.append(_provenance(diagnosis))
     return "\n".join(parts)
 
@@ -271,6 +272,29 @@ def _not_judged(diagnosis: Diagnosis) -> str:
     items = "".join(f"<li>{escape(note) if undecided else _advice(note)}</li>" for note in diagnosis.not_judged)
     title = "Why, and what would allow it" if undecided else "What could not be judged"
     return section("not-judged", title, f'<ul class="advice">{items}</ul>')
+
+
+def _would_show(diagnosis: Diagnosis) -> str:
+    """Return the section on what a silence is worth; folded where there is no silence."""
+    if not diagnosis.detectable:
+        return ""
+    rows = [
+        f"<tr><th scope=row>{escape(term_title(one.term))}</th><td>{_size(one)}</td></tr>"
+        for one in diagnosis.detectable
+    ]
+    words = (
+        "<p>Alone on these drives, an effect would have been named from about this size on. A smaller one would "
+        "be no difference here, or one without a name; what looks the same may be named in its stead.</p>"
+    )
+    unfolded = " open" if diagnosis.verdict == "match" else ""
+    listed = table(("Effect", "Named from"), rows)
+    body = f"<details{unfolded}><summary>Effect by effect</summary>{listed}</details>"
+    return section("would-show", "What these drives would have shown", words + body)
+
+
+def _size(one: Detectable) -> str:
+    sizes = [f"{escape(name.replace('_', ' '))} {quantity(*told)}" for name, told in one.parameters.items()]
+    return ", ".join(sizes) or "at no size"
 
 
 def _advice(note: str) -> str:
