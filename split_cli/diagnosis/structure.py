@@ -195,4 +195,9 @@ def minimum_effect_p(
         return 1.0
     ratio = saved / inflation
     allowed = max(ratio - freedom, 0.0) * min(allowance / size, 1.0) ** 2
-    return float(np.clip(ncx2.sf(ratio, max(freedom, 1.0), max(allowed, floor / inflation)), 0.0, 1.0))
+    noncentrality = max(allowed, floor / inflation)
+    try:
+        chance = ncx2.sf(ratio, max(freedom, 1.0), noncentrality)
+    except OverflowError:  # far out on either side the series' terms are beyond any number
+        chance = 1.0 if ratio < freedom + noncentrality else 0.0
+    return float(np.clip(chance, 0.0, 1.0))

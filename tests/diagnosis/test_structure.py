@@ -187,3 +187,8 @@ def test_the_fit_is_ridge_regression(nominal_judge, nominal_structure):
     # Effective parameters: the trace of the hat matrix.
     trace = np.trace(columns @ np.linalg.solve(stacked.T @ stacked, columns.T))
     assert fit.freedom == pytest.approx(trace, rel=1e-6)
+
+
+def test_next_to_nothing_saved_is_no_effect_however_much_is_allowed():
+    """There the series of the non-central chi squared overflows."""
+    assert minimum_effect_p(6e-9, 1.0, 1e-6, 1.5, floor=735.0, allowance=1.0) == 1.0
