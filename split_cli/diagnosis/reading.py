@@ -4,7 +4,8 @@ With reserve, what the simulation leaves open of the common physics explains a g
 just where a dictionary holds the simulation. Where it does not, as in real recordings, next to everything is open
 off the simulation's own path, and a fault that takes a drive off that path hides in it: a steering scaled by 0.8
 too. Read to the letter, a term saves what it brings back to where the simulation has been. Only terms that alter
-inputs or sensors do, and where misfit is much only this reading names them, unless they are beyond all doubt.
+inputs or sensors do, and where misfit is much only this reading names them, unless the first is beyond all doubt:
+what the simulation's function gets wrong off its path would go into their values.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def read(
     reach: float,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Reading:
-    """Read with reserve; to the letter where misfit is much and no term but inputs' and sensors' is named.
+    """Read with reserve; to the letter where misfit is much, and what is named alters inputs and is in doubt.
 
     Parameters
     ----------
@@ -82,7 +83,8 @@ def read(
     progress("naming")
     reading = _read(judge, rows, candidates, known, inflation)
     altering = [alters_inputs(term) for term in reading.selection.terms]
-    if known.ratio <= Rules().much_misfit or (altering and not any(altering)):
+    sure = bool(altering) and reading.selection.first_p < Rules().sure_level
+    if known.ratio <= Rules().much_misfit or sure or (altering and not any(altering)):
         return reading
     progress("naming to the letter")
     known = _known(case, candidates, inflation, reach, to_the_letter=True)
@@ -92,7 +94,7 @@ def read(
     judges = (reading.structure.judge, again.structure.judge)
     if _brings_back(again.selection):
         return replace(again, judges=judges)
-    if not any(altering) or reading.selection.first_p < Rules().sure_level:
+    if not any(altering):
         return replace(reading, judges=judges)
     return replace(reading, selection=_without_names(reading.selection), judges=judges)
 

@@ -8,9 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import split_cli.diagnosis.reading as reading_module
 from split_cli.diagnosis.candidates import build_candidates
 from split_cli.diagnosis.case import Case, gather_case
 from split_cli.diagnosis.evidence import integrated
+from split_cli.diagnosis.exploration import Rules
 from split_cli.diagnosis.fitting import Part, fit_parts
 from split_cli.diagnosis.judge import build_judge
 from split_cli.diagnosis.place import places_of
@@ -81,13 +83,30 @@ def test_to_the_letter_a_fit_is_where_a_scan_finds_the_least(restless):
     assert best == pytest.approx(0.75, abs=0.03)
 
 
-def test_what_brings_reality_back_is_named_where_misfit_is_much():
+def test_what_brings_reality_back_is_named_where_misfit_is_much(monkeypatch):
+    never = replace(Rules(), sure_level=0.0)
+    monkeypatch.setattr(reading_module, "Rules", lambda: never)
     simulation = recorded(drive(1), 1, restless=0.1)
     same = read_it(recorded(drive(2), 2, restless=0.1), simulation)
     assert same.known.ratio > 3.0
     assert not any(same.selection.named)
     reading = read_it(recorded(commanded(drive(2), 0.75), 2, restless=0.1), simulation)
     assert reading.structure.judge.to_the_letter
+    assert [one.id for one in reading.selection.terms] == ["steer_gain"]
+    assert reading.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
+
+
+def test_a_name_beyond_all_doubt_is_not_read_again():
+    """With reserve its value is as near the truth, and its interval knows what the simulation leaves open."""
+    steps: list[str] = []
+    case = case_of(
+        recorded(commanded(drive(2), 0.75), 2, restless=0.1),
+        recorded(drive(1), 1, restless=0.1),
+    )
+    candidates = build_candidates(road_car(), case.real[0].series)
+    reading = read(case, candidates, inflation=1.5, reach=0.35, progress=steps.append)
+    assert reading.known.ratio > 3.0 and reading.selection.first_p < Rules().sure_level
+    assert steps == ["comparing", "naming"] and len(reading.judges) == 1
     assert [one.id for one in reading.selection.terms] == ["steer_gain"]
     assert reading.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
 
