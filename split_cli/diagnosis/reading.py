@@ -5,7 +5,8 @@ just where a dictionary holds the simulation. Where it does not, as in real reco
 off the simulation's own path, and a fault that takes a drive off that path hides in it: a steering scaled by 0.8
 too. Read to the letter, a term saves what it brings back to where the simulation has been. Only terms that alter
 inputs or sensors do, and where misfit is much only this reading names them, unless the first is beyond all doubt:
-what the simulation's function gets wrong off its path would go into their values.
+what the simulation's function gets wrong off its path would go into their values. What the second reading confirms
+stays as the first has it.
 """
 
 from __future__ import annotations
@@ -92,11 +93,16 @@ def read(
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
     again = _read(judge.believed_to_the_letter(), rows, wide, known, inflation, _LETTER)
     judges = (reading.structure.judge, again.structure.judge)
+    confirmed = bool(altering) and _ids(reading.selection) <= _ids(again.selection)
     if _brings_back(again.selection):
-        return replace(again, judges=judges)
+        return replace(reading if confirmed else again, judges=judges)
     if not any(altering):
         return replace(reading, judges=judges)
     return replace(reading, selection=_without_names(reading.selection), judges=judges)
+
+
+def _ids(selection: Selection) -> set[str]:
+    return {term.id for term in selection.terms}
 
 
 def _alters(candidate: Candidate) -> bool:

@@ -90,10 +90,17 @@ def test_what_brings_reality_back_is_named_where_misfit_is_much(monkeypatch):
     same = read_it(recorded(drive(2), 2, restless=0.1), simulation)
     assert same.known.ratio > 3.0
     assert not any(same.selection.named)
-    reading = read_it(recorded(commanded(drive(2), 0.75), 2, restless=0.1), simulation)
+    reality = recorded(commanded(drive(2), 0.75), 2, restless=0.1)
+    confirmed = read_it(reality, simulation)
+    # The second reading names it too, and the first one's value stays.
+    assert len(confirmed.judges) == 2 and not confirmed.structure.judge.to_the_letter
+    assert [one.id for one in confirmed.selection.terms] == ["steer_gain"]
+    monkeypatch.setattr(reading_module, "_ids", lambda selection: {id(selection)})
+    reading = read_it(reality, simulation)
     assert reading.structure.judge.to_the_letter
     assert [one.id for one in reading.selection.terms] == ["steer_gain"]
-    assert reading.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
+    for one in (confirmed, reading):
+        assert one.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
 
 
 def test_a_name_beyond_all_doubt_is_not_read_again():
