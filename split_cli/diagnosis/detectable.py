@@ -21,6 +21,8 @@ __all__ = ["smallest_named"]
 
 _ROUNDS = 3  # an effect of twice the size saves nearly four times as much, and what is left of that is learned
 _FURTHEST = 1e4
+# Steps after which what alters inputs, and what does not, is as told.
+_NEAR, _PROPORTIONAL = np.log(1.2), np.log(4.0)
 
 
 def smallest_named(
@@ -59,6 +61,7 @@ def smallest_named(
 def _smallest(judge: Judge, candidate: Candidate, inflation: float, level: float) -> Detectable:
     kind, start = CATALOGUE[candidate.term], dict(candidate.starts[len(candidate.starts) // 2])
     neutral = {name: kind.neutral[name] for name in start if kind.neutral.get(name) is not None}
+    altering = alters_inputs(candidate.build(start))
     nothing = judge.residual(())
     left = judge.whiten(nothing)
     own = float(left @ left)
@@ -91,10 +94,11 @@ def _smallest(judge: Judge, candidate: Candidate, inflation: float, level: float
         if not saved > 0.0 or passes(far) < 0.0:
             inside = False
             break
-        size *= float(np.exp(far if passes(-far) > 0.0 else brentq(passes, -far, far, xtol=0.01)))
+        log = -far if passes(-far) > 0.0 else brentq(passes, -far, far, xtol=0.01)
+        size *= float(np.exp(log))
         values = values_at(size)
         inside = all(limit.lower <= values[name] <= limit.upper for name, limit in candidate.ranges.items())
-        if not inside:
+        if not inside or abs(log) < (_NEAR if altering else _PROPORTIONAL):
             break
     units = kind.parameter_units(candidate.variant)
     found = {name: (value, units[name]) for name, value in values_at(size).items()} if inside else {}
