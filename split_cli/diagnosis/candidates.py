@@ -68,17 +68,20 @@ class Candidate:
         if len(self.starts) != 1:
             return self
         (start,) = self.starts
-        neutral = {name: CATALOGUE[self.term].neutral[name] for name in start}
-        wide = [
-            {name: neutral[name] + factor * (value - neutral[name]) for name, value in start.items()}
-            for factor in _WIDE
-        ]
-        inside = [
-            one
-            for one in wide
-            if all(self.ranges[name].lower <= one[name] <= self.ranges[name].upper for name in one)
-        ]
-        return replace(self, starts=tuple(inside))
+        wide = [self.moved(start, factor) for factor in _WIDE]
+        return replace(self, starts=tuple(one for one in wide if self.allows(one)))
+
+    def moved(self, start: Mapping[str, float], factor: float) -> dict[str, float]:
+        """Return a start so many times as far from no effect; what no effect leaves open stays."""
+        neutral = CATALOGUE[self.term].neutral
+        return {
+            name: value if neutral.get(name) is None else neutral[name] + factor * (value - neutral[name])
+            for name, value in start.items()
+        }
+
+    def allows(self, values: Mapping[str, float]) -> bool:
+        """Return whether values are inside the ranges."""
+        return all(limit.lower <= values[name] <= limit.upper for name, limit in self.ranges.items())
 
     @property
     def label(self) -> str:

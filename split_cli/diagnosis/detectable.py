@@ -9,11 +9,10 @@ from scipy.optimize import brentq
 
 from split_cli.diagnosis.candidates import Candidate
 from split_cli.diagnosis.exploration import Rules
+from split_cli.diagnosis.fitting import Fit
 from split_cli.diagnosis.judge import Judge, alters_inputs
 from split_cli.diagnosis.result import Detectable
-from split_cli.diagnosis.selection import p_of_effect
-from split_cli.diagnosis.severity import severities_of
-from split_cli.diagnosis.structure import term_allowances
+from split_cli.diagnosis.selection import nothing, over_allowance, p_of_effect
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -51,55 +50,45 @@ def smallest_named(
         if one.starts:
             first.setdefault(one.term, one)
 
+    bare = [nothing(judge) for judge in judges]
+
     def smallest(candidate: Candidate) -> Detectable:
-        altering = alters_inputs(candidate.build(candidate.starts[0]))
-        return _smallest(judges[-1 if altering else 0], candidate, inflation, level / len(candidates))
+        last = -1 if alters_inputs(candidate.build(candidate.starts[0])) else 0
+        return _smallest(judges[last], bare[last], candidate, inflation, level / len(candidates))
 
     return tuple(together(smallest, first.values()))
 
 
-def _smallest(judge: Judge, candidate: Candidate, inflation: float, level: float) -> Detectable:
-    kind, start = CATALOGUE[candidate.term], dict(candidate.starts[len(candidate.starts) // 2])
-    neutral = {name: kind.neutral[name] for name in start if kind.neutral.get(name) is not None}
-    altering = alters_inputs(candidate.build(start))
-    nothing = judge.residual(())
-    left = judge.whiten(nothing)
-    own = float(left @ left)
+def _smallest(judge: Judge, bare: Fit, candidate: Candidate, inflation: float, level: float) -> Detectable:
+    start = candidate.starts[len(candidate.starts) // 2]
+    near = _NEAR if alters_inputs(candidate.build(start)) else _PROPORTIONAL
 
-    def values_at(size: float) -> dict[str, float]:
-        moved = {name: value + size * (start[name] - value) for name, value in neutral.items()}
-        return {**start, **moved}
-
-    def excess(size: float, saved: float, severity: np.ndarray) -> float:
-        """Return by how much a size passes, above 0, or fails, below."""
-        p_value = p_of_effect(judge, candidate, float(np.max(severity / term_allowances(judge))), saved, inflation)
+    def excess(size: float, saved: float) -> float:
+        """Return by how much an effect, its size over what is allowed, passes, above 0, or fails, below."""
+        p_value = p_of_effect(judge, candidate, size, saved, inflation)
         margin = np.log(level) - np.log(max(p_value, 1e-300))
         if judge.to_the_letter:
-            margin = min(margin, np.log(saved / (saved + own)) - np.log(Rules().letter_share))
+            margin = min(margin, np.log(saved / (saved + bare.cost)) - np.log(Rules().letter_share))
         return float(margin)
 
-    size, inside = 1.0, True
+    values, factor, inside = dict(start), 1.0, True
     for _ in range(_ROUNDS):
-        term = candidate.build(values_at(size))
-        moved = judge.whiten(judge.residual((term,)) - judge.shift((term,)) - nothing)
-        saved = float(moved @ moved)
-        rows = zip(judge.evidence, judge.keep, strict=True)
-        severity = np.max([severities_of(one, one.at[mask], (term,)) for one, mask in rows], axis=0)
+        term = candidate.build(values)
+        moved = judge.whiten(judge.residual((term,)) - judge.shift((term,))) - bare.entries
+        saved, size = float(moved @ moved), over_allowance(judge, (term,), ())
 
-        def passes(log: float, size=size, saved=saved, severity=severity) -> float:
-            more = np.exp(log)
-            return excess(size * more, more**2 * saved, more * severity)
+        def passes(log: float, saved=saved, size=size) -> float:
+            return excess(np.exp(log) * size, np.exp(2.0 * log) * saved)
 
         far = np.log(_FURTHEST)
         if not saved > 0.0 or passes(far) < 0.0:
             inside = False
             break
         log = -far if passes(-far) > 0.0 else brentq(passes, -far, far, xtol=0.01)
-        size *= float(np.exp(log))
-        values = values_at(size)
-        inside = all(limit.lower <= values[name] <= limit.upper for name, limit in candidate.ranges.items())
-        if not inside or abs(log) < (_NEAR if altering else _PROPORTIONAL):
+        factor *= float(np.exp(log))
+        values = candidate.moved(start, factor)
+        inside = candidate.allows(values)
+        if not inside or abs(log) < near:
             break
-    units = kind.parameter_units(candidate.variant)
-    found = {name: (value, units[name]) for name, value in values_at(size).items()} if inside else {}
-    return Detectable(candidate.term, found)
+    units = CATALOGUE[candidate.term].parameter_units(candidate.variant)
+    return Detectable(candidate.term, {name: (values[name], units[name]) for name in values if inside})

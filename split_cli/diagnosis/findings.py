@@ -142,7 +142,7 @@ def _remainder(structure: Structure, selection: Selection, inflation: float) -> 
     left = structure.fit(selection.chosen.entries, inflation)
     named = selection.base.cost - selection.chosen.cost
     drifts = tuple((one.variable, one.saved) for one in parameter_drifts(structure.judge, selection.chosen)[:3])
-    share = structure.nameless_share(selection.chosen.entries, named, inflation)
+    share = structure.nameless_share(left, named, inflation)
     return RemainderTest(left.p_value, share, left.severity, left.group_saved, drifts=drifts)
 
 

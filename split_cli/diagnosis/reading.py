@@ -92,13 +92,13 @@ def read(
     # The common physics follows at every step, and costs have more than one valley.
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
     again = _read(judge.believed_to_the_letter(), rows, wide, known, inflation, _LETTER)
-    judges = (reading.structure.judge, again.structure.judge)
-    confirmed = bool(altering) and _ids(reading.selection) <= _ids(again.selection)
+    kept = reading
     if _brings_back(again.selection):
-        return replace(reading if confirmed else again, judges=judges)
-    if not any(altering):
-        return replace(reading, judges=judges)
-    return replace(reading, selection=_without_names(reading.selection), judges=judges)
+        confirmed = bool(altering) and _ids(reading.selection) <= _ids(again.selection)
+        kept = reading if confirmed else again
+    elif altering:
+        kept = replace(reading, selection=_without_names(reading.selection))
+    return replace(kept, judges=(reading.structure.judge, again.structure.judge))
 
 
 def _ids(selection: Selection) -> set[str]:

@@ -43,7 +43,8 @@ def with_variants_that_run(
     rules : Rules
     """
     judge, chosen = structure.judge, selection.chosen
-    nameless = structure.nameless_share(chosen.entries, selection.base.cost - chosen.cost, inflation)
+    left = structure.fit(chosen.entries, inflation)
+    nameless = structure.nameless_share(left, selection.base.cost - chosen.cost, inflation)
     if nameless <= rules.same_misfit:
         return selection
     others = [

@@ -22,6 +22,7 @@ __all__ = [
     "Selection",
     "explaining_as_well",
     "nothing",
+    "over_allowance",
     "p_of_effect",
     "select_terms",
     "term_p",
@@ -394,9 +395,13 @@ def term_size(judge: Judge, fit: Fit, k: int) -> float:
     return float(_part_sizes(judge, fit, k).max())
 
 
+def over_allowance(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> float:
+    """Return the size of terms against `without` over what is allowed, in the channel where that is most."""
+    return float(np.max(_sizes(judge, terms, without) / term_allowances(judge)))
+
+
 def _over_allowance(judge: Judge, fit: Fit, k: int) -> float:
-    """Return the size of one part over what is allowed, in the channel where that is most."""
-    return float(np.max(_part_sizes(judge, fit, k) / term_allowances(judge)))
+    return over_allowance(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 
 def explaining_as_well(

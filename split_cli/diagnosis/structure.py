@@ -111,9 +111,8 @@ class Structure:
         misfit = MISFIT_A_PARAMETER * freedom + STRUCTURE_FLOOR * self.judge.shared_cost
         return max(misfit, self.judge.nameless_floor)
 
-    def nameless_share(self, entries: np.ndarray, named: float, inflation: float) -> float:
-        """Return which share of a gap has no name, where names save a cost of `named` and leave `entries`."""
-        left = self.fit(entries, inflation)
+    def nameless_share(self, left: FlexibleFit, named: float, inflation: float) -> float:
+        """Return which share of a gap has no name, where names save a cost of `named` and `left` fits the rest."""
         nameless = max(left.saved - inflation * left.freedom - self.allowed(left.freedom), 0.0)
         return nameless / max(nameless + named, 1e-9)
 
