@@ -48,6 +48,14 @@ _TANGENTS = (
     ("yaw_inertia", "", "scale", 0.1),
     ("cg_shift", "", "dx", 0.03),
 )  # fmt: skip
+# Powers of alpha_f, alpha_r, T and v_x in the smooth functions, even and odd in the slip angles.
+_POWERS = [
+    (i, j, k, m)
+    for i, j in product(range(5), range(5))
+    for k, m in product(range(5 - min(i + j, 4)), range(5))
+    if i + j + k + m <= 4
+]
+_EVEN, _ODD = ([powers for powers in _POWERS if (powers[0] + powers[1]) % 2 == odd] for odd in (0, 1))
 _SMOOTH_DEVIATION = 0.03  # prior deviation of a smooth function's weight, as a share of an axle's peak
 
 _MEMORY_SECONDS = (0.03, 0.1, 0.35)  # for a full-size car; times shrink with the root of length
@@ -74,12 +82,15 @@ class CommonPhysics:
 
     def columns(self, series: Series) -> np.ndarray:
         """Return the rates each entry adds along a recording, shape (N, 3, C) [m/s^2], [m/s^2], [rad/s^2]."""
-        plain = series.rates(extended_model(self.vehicle))
-        out = [self._tangent(series, plain, *entry) for entry in _TANGENTS]
-        directions = self._directions()
-        for axis, functions in self._functions(series):
-            out += [f[:, None] * directions[:, axis] for f in functions]
-        return np.stack(out, axis=2)
+        plain, functions = series.rates(extended_model(self.vehicle)), self._functions(series)
+        first, directions = len(_TANGENTS), self._directions()
+        out = np.empty((len(series), 3, first + sum(len(some) for _, some in functions)))
+        for k, entry in enumerate(_TANGENTS):
+            out[:, :, k] = series.rates(self._altered(*entry)) - plain
+        for axis, some in functions:
+            np.multiply(some.T[:, None, :], directions[:, axis, None], out=out[:, :, first : first + len(some)])
+            first += len(some)
+        return out
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return what the weights add along a recording, shape (N, 3), where `terms` alter inputs or sensors.
@@ -88,55 +99,60 @@ class CommonPhysics:
         """
         _, smooth = series.corrected(terms)
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
-        flow = series.flow(SingleTrack(self.vehicle, tuple(terms)), smooth)
-        actual = replace(
-            series, smooth=smooth, torque=flow.T + 0.0 * series.t, steer_angle=flow.delta + 0.0 * series.t
-        )
-        plain = actual.rates(extended_model(self.vehicle))
-        out = np.zeros_like(plain)
-        for entry, weight in zip(_TANGENTS, weights, strict=False):
-            out += weight * self._tangent(actual, plain, *entry)
-        directions, first = self._directions(), len(_TANGENTS)
+        torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), smooth)
+        actual = replace(series, smooth=smooth, torque=torque, steer_angle=steer_angle)
+        tangents, others = np.split(np.asarray(weights, dtype=float), [len(_TANGENTS)])
+        # Row by row, and the plain rates taken off once: a sum over all of them is what costs.
+        out = [-tangents.sum() * row for row in actual.rate_rows(extended_model(self.vehicle))]
+        for entry, weight in zip(_TANGENTS, tangents, strict=True):
+            for row, added in zip(out, actual.rate_rows(self._altered(*entry)), strict=True):
+                row += weight * added
+        directions = self._directions()
         for axis, functions in self._functions(actual):
-            total = np.zeros(len(actual))
-            for weight, f in zip(weights[first:], functions, strict=False):
-                total += weight * f
-            out += total[:, None] * directions[:, axis]
-            first += len(functions)
-        return out
+            here, others = np.split(others, [len(functions)])
+            total = here @ functions
+            for row, direction in zip(out, directions[:, axis], strict=True):
+                row += direction * total
+        return np.stack(out, axis=1)
 
     def _directions(self) -> np.ndarray:
         return self.vehicle.force_matrix() * self._peak * _SMOOTH_DEVIATION
 
-    def _functions(self, series: Series) -> list[tuple[int, list[np.ndarray]]]:
-        """Return smooth functions, (N,) each, with the force they act as: 0 longitudinal, 1 front, 2 rear."""
-        z = _squash(features(series, self.vehicle), self.center, self.width)
+    def _functions(self, series: Series) -> list[tuple[int, np.ndarray]]:
+        """Return smooth functions, (F, N) each, with the force they act as: 0 longitudinal, 1 front, 2 rear."""
+        z = np.ascontiguousarray(_squash(features(series, self.vehicle), self.center, self.width).T)
         return [*self._smooth(z), *self._memory(z, series)]
 
-    def _tangent(self, series, plain, name, variant, parameter, step) -> np.ndarray:
+    def _altered(self, name: str, variant: str, parameter: str, step: float) -> SingleTrack:
         kind, car = CATALOGUE[name], self.vehicle
         scaled = step * natural_unit(car, name, parameter)
         neutral = {key: kind.neutral[key] for key in kind.units}
         term = kind({**neutral, parameter: kind.neutral[parameter] + scaled}, variant)
-        return series.rates(extended_model(car, (term,))) - plain
+        return extended_model(car, (term,))
 
-    def _smooth(self, z: np.ndarray) -> list[tuple[int, list[np.ndarray]]]:
-        a, b, c, v = z.T
-        powers = [_powers(x, 4) for x in (a, b, c, v)]
-        even, odd = [], []
-        for i, j in product(range(5), range(5)):
-            slips = powers[0][i] * powers[1][j]
-            for k, m in product(range(5 - min(i + j, 4)), range(5)):
-                if i + j + k + m <= 4:
-                    (odd if (i + j) % 2 else even).append(slips * (powers[2][k] * powers[3][m]))
+    @staticmethod
+    def _smooth(z: np.ndarray) -> list[tuple[int, np.ndarray]]:
+        a, b, c, v = z
         size = np.abs(c)
-        even.append(size)
-        odd += [a * size, b * size, np.abs(a) * a, np.abs(b) * b]
+        slips, rest = (
+            {(p, q): x * y for (p, x), (q, y) in product(enumerate(_powers(one, 4)), enumerate(_powers(two, 4)))}
+            for one, two in ((a, b), (c, v))
+        )
+
+        def products(powers: Sequence[tuple[int, ...]], *others: np.ndarray) -> np.ndarray:
+            out = np.empty((len(powers) + len(others), len(a)))
+            for row, (i, j, k, m) in zip(out, powers, strict=False):
+                np.multiply(slips[i, j], rest[k, m], out=row)
+            out[len(powers) :] = others
+            return out
+
+        even = products(_EVEN, size)
+        odd = products(_ODD, a * size, b * size, np.abs(a) * a, np.abs(b) * b)
         return [(0, even), (1, odd), (2, odd)]
 
-    def _memory(self, z: np.ndarray, series: Series) -> list[tuple[int, list[np.ndarray]]]:
+    def _memory(self, z: np.ndarray, series: Series) -> list[tuple[int, np.ndarray]]:
         """Slow parts of steering, torque and slip: suspension, actuators and tyres answer late in any real car."""
-        a, b, c, v = z.T
+        a, b, c, v = z
         delta = series.steer_angle / max(float(np.quantile(np.abs(series.steer_angle), 0.99)), 1e-6)
         scale = np.sqrt(self.vehicle.wheelbase / 2.7)
         along, side = [], []
@@ -146,7 +162,8 @@ class CommonPhysics:
             ]
             along += [late[2], late[4]]
             side += [late[0], late[1], late[3], late[2] * a, late[2] * b, late[0] * v]
-        return [(0, along), (1, side), (2, side)]
+        both = np.array(side)
+        return [(0, np.array(along)), (1, both), (2, both)]
 
 
 def build_common_physics(vehicle: Vehicle, series: Series) -> CommonPhysics:

@@ -12,6 +12,7 @@ from split_cli.diagnosis.autocovariance import LAG_ROWS, autocovariances, bartle
 from split_cli.diagnosis.common import CommonPhysics
 from split_cli.diagnosis.evidence import Evidence, integrated
 from split_cli.diagnosis.kinematics import Kinematics
+from split_cli.diagnosis.projection import damped
 from split_cli.vehicle.effects import Term
 
 _LEAST_TOLD = 2e-3
@@ -140,7 +141,7 @@ class Judge:
 
     def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:
         """Return the kept, weighted entries of rows (G, 3, ...) of all recordings, shape (R, ...)."""
-        kept = [part[keep] for part, keep in zip(rows, self.keep, strict=True)]
+        kept = [np.compress(keep, part, axis=0) for part, keep in zip(rows, self.keep, strict=True)]
         flat = np.concatenate([part.reshape(-1, *part.shape[2:]) for part in kept])
         extra = sum(len(one.begin) for one in self.kinematics)
         flat = np.concatenate([flat, np.zeros((extra, *flat.shape[1:]))])
@@ -207,8 +208,7 @@ class Judge:
         """
         if not self.basis.shape[1]:
             return rows
-        told = self.basis.T @ rows
-        return rows - self.basis @ ((self.root * told.T).T)
+        return damped(rows, self.basis, self.root)
 
     def cost(self, terms: Sequence[Term]) -> float:
         """Return the cost of an explanation, common physics moved along; its units are those of chi squared."""

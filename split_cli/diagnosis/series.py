@@ -87,11 +87,20 @@ class Series:
         """Evaluate a model along the recording, at the smoothed states unless others are given."""
         if velocity is not None and velocity is not self.smooth:
             return self._flow(model, *velocity.T)
-        return self._flow(model, *self._columns, plain=self._plain(model.vehicle) if model.terms else None)
+        plain = self._plain(model.vehicle)
+        return self._flow(model, *self._columns, plain=plain) if model.terms else plain
+
+    def inputs(self, model: SingleTrack, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what a model's actuators make of torque [N m] and steer angle [rad] at velocities, (N,) each."""
+        flow = model.actuated(*velocity.T, self.torque, self.steer_angle, **self._situation)
+        return flow.T + 0.0 * self.t, flow.delta + 0.0 * self.t
 
     def _flow(self, model: SingleTrack, vx, vy, r, plain: Flow | None = None) -> Flow:
-        place = {"yaw": self.yaw, "t": self.t, "s": self.s}
-        return model.flow(vx, vy, r, self.torque, self.steer_angle, **place, recording=self.recording, plain=plain)
+        return model.flow(vx, vy, r, self.torque, self.steer_angle, **self._situation, plain=plain)
+
+    @property
+    def _situation(self) -> dict:
+        return {"yaw": self.yaw, "t": self.t, "s": self.s, "recording": self.recording}
 
     @cached_property
     def _columns(self) -> tuple[np.ndarray, ...]:
@@ -106,11 +115,14 @@ class Series:
 
     def rates(self, model: SingleTrack, velocity: np.ndarray | None = None) -> np.ndarray:
         """Return (v_x', v_y', r') of a model along the recording, shape (N, 3)."""
-        rows = model.balance(self.flow(model, velocity))
         out = np.empty((len(self), 3))
-        for channel, row in enumerate(rows):
+        for channel, row in enumerate(self.rate_rows(model, velocity)):
             out[:, channel] = row
         return out
+
+    def rate_rows(self, model: SingleTrack, velocity: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+        """Return v_x', v_y' and r' of a model along the recording, shape (N,) each."""
+        return model.balance(self.flow(model, velocity))
 
     def transitions_begin(self) -> np.ndarray:
         """Return where the filter starts anew, shape (N - 1,), the transition over a gap included."""

@@ -48,11 +48,10 @@ class Whitener:
         Rows are sums of successive innovations over the root of their count: still white and of unit variance;
         what they leave out is faster than the rows.
         """
-        flat = defect.ndim == 2
-        columns = np.ascontiguousarray(defect[:, :, None] if flat else defect)
-        rows = _whiten(columns, self.gain, self.root, self.carry, self.begins, self.group, len(self.count))
-        rows /= np.sqrt(self.count)[:, None, None]
-        return rows[:, :, 0] if flat else rows
+        whiten = _whiten_one if defect.ndim == 2 else _whiten
+        defect = np.ascontiguousarray(defect)
+        rows = whiten(defect, self.gain, self.root, self.carry, self.begins, self.group, len(self.count))
+        return rows / np.sqrt(self.count).reshape(-1, *(1,) * (rows.ndim - 1))
 
     def of_every_sample(self) -> Whitener:
         """Return the whitener that makes a row of every transition."""
@@ -192,4 +191,27 @@ def _whiten(z, gain, root, carry, begins, group, rows):
                     w = W[i, j]
                     for c in range(columns):
                         out[g, i, c] += w * innovation[j, c]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _whiten_one(z, gain, root, carry, begins, group, rows):
+    """The same for one column, (n, 3), which is what a search for parameters asks for again and again."""
+    out = np.zeros((rows, 3))
+    x = y = w = 0.0
+    for k in range(z.shape[0]):
+        if begins[k]:
+            x = y = w = 0.0
+        N, K, W = carry[k], gain[k], root[k]
+        a = z[k, 0] + N[0, 0] * x + N[0, 1] * y + N[0, 2] * w
+        b = z[k, 1] + N[1, 0] * x + N[1, 1] * y + N[1, 2] * w
+        c = z[k, 2] + N[2, 0] * x + N[2, 1] * y + N[2, 2] * w
+        x = K[0, 0] * a + K[0, 1] * b + K[0, 2] * c
+        y = K[1, 0] * a + K[1, 1] * b + K[1, 2] * c
+        w = K[2, 0] * a + K[2, 1] * b + K[2, 2] * c
+        g = group[k]
+        if g >= 0:
+            out[g, 0] += W[0, 0] * a
+            out[g, 1] += W[1, 0] * a + W[1, 1] * b
+            out[g, 2] += W[2, 0] * a + W[2, 1] * b + W[2, 2] * c
     return out

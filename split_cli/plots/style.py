@@ -81,5 +81,5 @@ def save(figure: Figure, path: Path) -> None:
     if engine is not None:  # else `savefig` does both twice
         figure.set_dpi(_DPI)
         engine.execute(figure)
-        figure.set_layout_engine("none")
+        figure.set_layout_engine(None)
     figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})

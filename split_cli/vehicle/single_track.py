@@ -80,28 +80,7 @@ class SingleTrack:
         at the very same arrays: what the terms leave as it was is taken from there instead of being computed anew.
         """
         car = self.vehicle
-        flow = Flow(
-            ops=ops,
-            vehicle=car,
-            vx=vx,
-            vy=vy,
-            r=r,
-            T=T,
-            delta=delta,
-            yaw=yaw,
-            t=t,
-            s=s,
-            mass=car.mass,
-            yaw_inertia=car.yaw_inertia,
-            l_f=car.cg_to_front_axle,
-            l_r=car.cg_to_rear_axle,
-            front=AxleFlow(car.front_tire.B, car.front_tire.C, car.front_tire.D),
-            rear=AxleFlow(car.rear_tire.B, car.rear_tire.C, car.rear_tire.D),
-            states=states,
-            recording=recording,
-        )
-        for term in self.terms:
-            term.actuate(flow)
+        flow = self.actuated(vx, vy, r, T, delta, yaw=yaw, t=t, s=s, ops=ops, states=states, recording=recording)
         for term in self.terms:
             term.body(flow)
         front, rear = flow.front, flow.rear
@@ -125,17 +104,51 @@ class SingleTrack:
             term.external(flow)
         return flow
 
+    def actuated(
+        self, vx: Any, vy: Any, r: Any, T: Any, delta: Any, *, yaw: Any = 0.0, t: Any = 0.0, s: Any = 0.0,
+        ops: Operations = NUMPY, states: Mapping[str, Any] | None = None, recording: Any = None,
+    ) -> Flow:  # fmt: skip
+        """Return the flow as far as its first stage: what has become of the commands; parameters as of `flow`."""
+        car = self.vehicle
+        flow = Flow(
+            ops=ops,
+            vehicle=car,
+            vx=vx,
+            vy=vy,
+            r=r,
+            T=T,
+            delta=delta,
+            yaw=yaw,
+            t=t,
+            s=s,
+            mass=car.mass,
+            yaw_inertia=car.yaw_inertia,
+            l_f=car.cg_to_front_axle,
+            l_r=car.cg_to_rear_axle,
+            front=AxleFlow(car.front_tire.B, car.front_tire.C, car.front_tire.D),
+            rear=AxleFlow(car.rear_tire.B, car.rear_tire.C, car.rear_tire.D),
+            states=states,
+            recording=recording,
+        )
+        for term in self.terms:
+            term.actuate(flow)
+        return flow
+
     @staticmethod
     def _turn(flow: Flow, plain: Flow | None) -> None:
         """Take where the wheels point: sine and cosine of the steer angle, and slip angles."""
         ops, same = flow.ops, plain is not None and flow.delta is plain.delta
         flow.sine, flow.cosine = (plain.sine, plain.cosine) if same else (ops.sin(flow.delta), ops.cos(flow.delta))
-        if same and all(getattr(flow, name) is getattr(plain, name) for name in ("vx", "vy", "r", "l_f", "l_r")):
-            flow.front.slip_angle, flow.rear.slip_angle = plain.front.slip_angle, plain.rear.slip_angle
-        else:
+        alike = ("vx", "vy", "r", "l_f", "l_r")
+        if plain is None or any(getattr(flow, name) is not getattr(plain, name) for name in alike):
             flow.front.slip_angle, flow.rear.slip_angle = slip_angles(
                 flow.vx, flow.vy, flow.r, flow.delta, flow.l_f, flow.l_r, ops
             )
+            return
+        # The axles move as they did: steering turns but the front one.
+        turned = plain.front.slip_angle
+        flow.front.slip_angle = turned if same else turned + (flow.delta - plain.delta)
+        flow.rear.slip_angle = plain.rear.slip_angle
 
     def _longitudinal_forces(self, T: Any, ops: Operations) -> tuple[Any, Any]:
         """Return F_fx and F_rx [N]: SPLIT paper, longitudinal tire forces, with a split of its own for T < 0."""

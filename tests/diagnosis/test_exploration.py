@@ -78,7 +78,7 @@ def test_promises_beside_another_term_are_close_to_fits(judge, explore, current)
 def test_what_looks_like_the_best_and_alters_inputs_is_followed_as_it_was(judge):
     names = ("steer_lag", "steer_delay", "sensor_delay", "steer_backlash", "yaw_inertia", "aero_drag")
     candidates = {one.term: one for one in candidates_of(judge, *names)}
-    count = judge.evidence[0].common.shape[2]
+    count = judge.common.columns(judge.evidence[0].series).shape[2]
     taught = replace(judge, knowledge=CommonKnowledge(np.zeros(count), np.eye(count)), memo={})
     fits = {
         name: fit_parts(judge, [Part(one, dict(one.starts[0]))])

@@ -46,6 +46,15 @@ def test_first_order_response_is_exact_for_ramps():
     np.testing.assert_allclose(y, 2.0 * (t - 0.25 + 0.25 * np.exp(-4.0 * t)), atol=1e-12)
 
 
+def test_a_constant_rate_answers_as_a_rate_that_is_given_at_every_sample():
+    clock = Recording(PERIOD, ((0, 40), (40, 41), (41, 100)))
+    x = np.random.default_rng(2).standard_normal(100)
+    for rate in (0.0, 1e-7, 3.0, 400.0):
+        np.testing.assert_array_equal(
+            first_order_response(x, rate, clock), first_order_response(x, np.full(100, rate), clock)
+        )
+
+
 def test_memory_starts_anew_and_steady_at_a_gap():
     clock = Recording(PERIOD, ((0, 50), (50, 100)))
     x = np.concatenate([np.linspace(0, 1, 50), np.linspace(7, 9, 50)])

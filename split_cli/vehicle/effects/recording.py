@@ -63,11 +63,14 @@ def first_order_response(target: Any, rate: Any, recording: Recording) -> np.nda
     Over one sample with q = rate period: y+ = e^-q y + (1 - e^-q) u + (1 - (1 - e^-q)/q) (u+ - u).
     """
     target = np.ascontiguousarray(target, dtype=float)
-    rate = np.broadcast_to(np.asarray(rate, dtype=float), target.shape)
-    q = np.maximum(0.5 * (rate[1:] + rate[:-1]) * recording.period, 0.0)
+    rate = np.asarray(rate, dtype=float)
+    between = rate if rate.ndim == 0 else 0.5 * (rate[1:] + rate[:-1])
+    q = np.maximum(between * recording.period, 0.0)
     kept = np.exp(-q)
     # (1 - e^-q)/q without cancellation at q near 0.
     mean = np.where(q > 1e-8, -np.expm1(-q) / np.maximum(q, 1e-8), 1.0 - 0.5 * q)
+    if rate.ndim == 0:
+        return _follow(target, float(kept), float(mean), _starts(recording))
     drive = (1.0 - kept) * target[:-1] + (1.0 - mean) * np.diff(target)
     return _recur(target, kept, drive, _starts(recording))
 
@@ -89,13 +92,17 @@ def _recur(target: np.ndarray, kept: np.ndarray, drive: np.ndarray, starts: np.n
     return _kernels()[0](target, kept, drive, starts)
 
 
+def _follow(target: np.ndarray, kept: float, mean: float, starts: np.ndarray) -> np.ndarray:
+    return _kernels()[1](target, kept, mean, starts)
+
+
 def _drag(source: np.ndarray, half: float, starts: np.ndarray) -> np.ndarray:
-    return _kernels()[1](source, half, starts)
+    return _kernels()[2](source, half, starts)
 
 
 @lru_cache(maxsize=1)
-def _kernels() -> tuple[Any, Any]:
-    """Compile the two recursions on first use; numba is not worth loading for models without memory."""
+def _kernels() -> tuple[Any, Any, Any]:
+    """Compile the recursions on first use; numba is not worth loading for models without memory."""
     from numba import njit
 
     @njit(cache=True, nogil=True)
@@ -111,6 +118,20 @@ def _kernels() -> tuple[Any, Any]:
         return out
 
     @njit(cache=True, nogil=True)
+    def follow(target, kept, mean, starts):
+        out = np.empty_like(target)
+        upcoming = 0
+        for k in range(len(target)):
+            if upcoming < len(starts) and starts[upcoming] == k:
+                out[k] = target[k]
+                upcoming += 1
+            else:
+                before = target[k - 1]
+                drive = (1.0 - kept) * before + (1.0 - mean) * (target[k] - before)
+                out[k] = kept * out[k - 1] + drive
+        return out
+
+    @njit(cache=True, nogil=True)
     def drag(source, half, starts):
         out = np.empty_like(source)
         upcoming = 0
@@ -122,4 +143,4 @@ def _kernels() -> tuple[Any, Any]:
                 out[k] = min(max(out[k - 1], source[k] - half), source[k] + half)
         return out
 
-    return recur, drag
+    return recur, follow, drag
