@@ -34,6 +34,7 @@ __all__ = [
 _STEP = 2e-3
 _KEEP = 5
 _LOOK_AHEAD = 0.6
+_MOST_TURNING = 12.0  # [m/s^2]
 _NOISE = {"X": 0.01, "Y": 0.01, "yaw": 0.0012, "vx": 0.008, "vy": 0.008, "r": 0.0015, "ax": 0.03, "ay": 0.03}
 MULTIBODY_STATE = SimpleNamespace(X=0, Y=1, delta=2, vx=3, yaw=4, r=5, vy=10, spins=slice(23, 27))
 """Where in the multi-body state these are; the rest are motions of body and axles. Spins are front, then rear."""
@@ -135,22 +136,27 @@ def _run(car: MultiBody, inputs, speed: float, seconds: float, pose: tuple[float
     x = np.array(car.initial([pose[0], pose[1], 0.0, speed, pose[2], 0.0, 0.0], p), dtype=float)
     rows = []
     rate = acceleration = 0.0
+
+    def rates(x: np.ndarray) -> np.ndarray:
+        with np.errstate(all="ignore"):  # a wheel in the air; the check for a lost car speaks
+            return np.array(car.derivative(list(x), [rate, acceleration], p))
+
     for k in range(int(seconds / _STEP)):
+        if _is_lost(x):
+            raise SplitError(f"the multi-body car was lost at {k * _STEP:.1f} s", advice="Drive it less hard.")
         if k % _KEEP == 0:
             wanted, asked = inputs(x, k * _STEP)
             # The car's steering is a rate; it reaches the wanted angle in two samples unless its limit is met.
             rate = car.steering_limit(x[_AT.delta], (wanted - x[_AT.delta]) / (2 * _KEEP * _STEP), p.steering)
             acceleration = car.acceleration_limit(x[_AT.vx], asked, p.longitudinal)
-        now = np.array(car.derivative(list(x), [rate, acceleration], p))
+        now = rates(x)
         if k % _KEEP == 0:
             ax, ay = now[_AT.vx] - x[_AT.vy] * x[_AT.r], now[_AT.vy] + x[_AT.vx] * x[_AT.r]
             rows.append([k * _STEP, x[_AT.X], x[_AT.Y], x[_AT.yaw], x[_AT.vx], x[_AT.vy], x[_AT.r],
                          car.mass * p.R_w * acceleration, x[_AT.delta], ax, ay])  # fmt: skip
-            if not np.isfinite(x).all() or x[_AT.vx] < 2.0 or abs(x[_AT.vy]) > 0.6 * x[_AT.vx]:
-                raise SplitError(f"the multi-body car was lost at {k * _STEP:.1f} s", advice="Drive it less hard.")
-        k2 = np.array(car.derivative(list(x + 0.5 * _STEP * now), [rate, acceleration], p))
-        k3 = np.array(car.derivative(list(x + 0.5 * _STEP * k2), [rate, acceleration], p))
-        k4 = np.array(car.derivative(list(x + _STEP * k3), [rate, acceleration], p))
+        k2 = rates(x + 0.5 * _STEP * now)
+        k3 = rates(x + 0.5 * _STEP * k2)
+        k4 = rates(x + _STEP * k3)
         x = x + _STEP / 6.0 * (now + 2.0 * k2 + 2.0 * k3 + k4)
         # The package forbids wheels to turn backwards by altering the list it is given, which is a copy here.
         x[_AT.spins] = np.maximum(x[_AT.spins], 0.0)
@@ -160,6 +166,12 @@ def _run(car: MultiBody, inputs, speed: float, seconds: float, pose: tuple[float
     # Torque is stepped every 10 ms; its mean over the sample about an instant is what drives the car there.
     columns["T"] = np.concatenate([columns["T"][:1], 0.5 * (columns["T"][1:] + columns["T"][:-1])])
     return columns
+
+
+def _is_lost(x: np.ndarray) -> bool:
+    """Return whether the car has stopped, slides sideways, turns faster than tyres can make it, or has tipped."""
+    vx, vy, r = x[_AT.vx], x[_AT.vy], x[_AT.r]
+    return not np.isfinite(x).all() or vx < 2.0 or abs(vy) > 0.6 * vx or abs(vx * r) > _MOST_TURNING
 
 
 def _drive(columns: dict[str, np.ndarray], name: str, rng: np.random.Generator | None) -> Drive:
