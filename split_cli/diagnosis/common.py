@@ -13,6 +13,7 @@ from itertools import product
 
 import numpy as np
 
+from split_cli.diagnosis.body import at_another_body
 from split_cli.diagnosis.series import Series, extended_model
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.recording import first_order_response
@@ -93,9 +94,10 @@ class CommonPhysics:
         return out
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
-        """Return what the weights add along a recording, shape (N, 3), where `terms` alter inputs or sensors.
+        """Return what the weights add along a recording, shape (N, 3), where terms alter inputs, sensors or body.
 
-        What the actuators really did, and where the car really was, is what common physics answers to.
+        What the actuators really did, and where the car really was, is what common physics answers to; and its
+        forces move the body that is there.
         """
         _, smooth = series.corrected(terms)
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
@@ -113,7 +115,7 @@ class CommonPhysics:
             total = here @ functions
             for row, direction in zip(out, directions[:, axis], strict=True):
                 row += direction * total
-        return np.stack(out, axis=1)
+        return at_another_body(np.stack(out, axis=1), self.vehicle, terms)
 
     def _directions(self) -> np.ndarray:
         return self.vehicle.force_matrix() * self._peak * _SMOOTH_DEVIATION

@@ -45,21 +45,32 @@ def smallest_named(
     searched where the test that is asked of every name is passed just so. Chance makes it pass a little earlier or
     later; what looks the same may be named in its stead.
     """
-    first: dict[str, Candidate] = {}
+    variants: dict[str, list[Candidate]] = {}
     for one in candidates:
         if one.starts:
-            first.setdefault(one.term, one)
-
+            variants.setdefault(one.term, []).append(one)
     bare = [nothing(judge) for judge in judges]
 
-    def smallest(candidate: Candidate) -> Detectable:
+    def smallest(candidate: Candidate) -> tuple[float, dict[str, float]]:
         last = -1 if alters_inputs(candidate.build(candidate.starts[0])) else 0
         return _smallest(judges[last], bare[last], candidate, inflation, level / len(candidates))
 
-    return tuple(together(smallest, first.values()))
+    every = [one for several in variants.values() for one in several]
+    found = dict(zip((one.label for one in every), together(smallest, every), strict=True))
+    out = []
+    for term, several in variants.items():
+        # Which of them is there nobody knows: what is told holds for all.
+        worst = max(several, key=lambda one: found[one.label][0])
+        units = CATALOGUE[term].parameter_units(worst.variant)
+        values = found[worst.label][1]
+        out.append(Detectable(term, {name: (values[name], units[name]) for name in values}))
+    return tuple(out)
 
 
-def _smallest(judge: Judge, bare: Fit, candidate: Candidate, inflation: float, level: float) -> Detectable:
+def _smallest(
+    judge: Judge, bare: Fit, candidate: Candidate, inflation: float, level: float
+) -> tuple[float, dict[str, float]]:
+    """Return how many times its start an effect has to be, and its values; infinity and none beyond its range."""
     start = candidate.starts[len(candidate.starts) // 2]
     near = _NEAR if alters_inputs(candidate.build(start)) else _PROPORTIONAL
 
@@ -90,5 +101,4 @@ def _smallest(judge: Judge, bare: Fit, candidate: Candidate, inflation: float, l
         inside = candidate.allows(values)
         if not inside or abs(log) < near:
             break
-    units = CATALOGUE[candidate.term].parameter_units(candidate.variant)
-    return Detectable(candidate.term, {name: (values[name], units[name]) for name in values if inside})
+    return (factor, values) if inside else (np.inf, {})

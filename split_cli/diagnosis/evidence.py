@@ -64,9 +64,9 @@ class Evidence:
     weight: np.ndarray
     rolls: np.ndarray
 
-    def rows(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return whitened rows, shape (G, 3), against the nominal model with `terms`."""
-        return self.whitener(self.left(terms))
+    def rows(self, terms: Sequence[Term], common_rates: np.ndarray | None = None) -> np.ndarray:
+        """Return whitened rows, shape (G, 3), of what `left` returns."""
+        return self.whitener(self.left(terms, common_rates))
 
     def left(self, terms: Sequence[Term], common_rates: np.ndarray | None = None) -> np.ndarray:
         """Return the defects that the nominal model with `terms` leaves, shape (N - 1, 3); 0 over gaps.

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from split_cli.diagnosis.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
+from split_cli.diagnosis.body import alters_body, at_another_body
 from split_cli.diagnosis.common import CommonPhysics
 from split_cli.diagnosis.evidence import Evidence, integrated
 from split_cli.diagnosis.kinematics import Kinematics
@@ -158,7 +159,7 @@ class Judge:
 
     def residual(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what terms and the simulation's common physics leave, shape (R,)."""
-        rows = self.stack([evidence.rows(terms) for evidence in self.evidence]) - self.offset
+        rows = self.stack([one.rows(terms, self.carried(one, terms)) for one in self.evidence]) - self.offset
         first = len(rows)
         for one in reversed(self.kinematics):
             rows[first - len(one.begin) : first] = self._kinematic_rows(one, terms)
@@ -192,6 +193,15 @@ class Judge:
             rates = self.common.rates(one.series, self.knowledge.weights, terms)
             rows.append(one.whitener(integrated(one.series, rates)))
         return self.stack(rows)
+
+    def carried(self, one: Evidence, terms: Sequence[Term]) -> np.ndarray | None:
+        """Return how the rates of common physics change where terms alter the body, shape (N, 3), or nothing."""
+        if self.knowledge is None or not any(map(alters_body, terms)):
+            return None
+        key = ("common rates", id(one))
+        if key not in self.memo:
+            self.memo[key] = self.common.rates(one.series, self.knowledge.weights)
+        return at_another_body(self.memo[key], self.common.vehicle, terms) - self.memo[key]
 
     def left_by(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what terms leave while they are fitted, shape (R,).

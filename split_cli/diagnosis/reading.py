@@ -6,7 +6,7 @@ off the simulation's own path, and a fault that takes a drive off that path hide
 too. Read to the letter, a term saves what it brings back to where the simulation has been. Only terms that alter
 inputs or sensors do, and where misfit is much only this reading names them, unless the first is beyond all doubt:
 what the simulation's function gets wrong off its path would go into their values. What the second reading confirms
-stays as the first has it.
+stays as the first has it. Other physics is named to the letter where the first had chosen it, too small to name.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def read(
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
     again = _read(judge.believed_to_the_letter(), rows, wide, known, inflation, _LETTER)
     kept = reading
-    if _brings_back(again.selection):
+    if _brings_back(again.selection, reading.selection):
         confirmed = bool(altering) and _ids(reading.selection) <= _ids(again.selection)
         kept = reading if confirmed else again
     elif altering:
@@ -109,11 +109,16 @@ def _alters(candidate: Candidate) -> bool:
     return bool(candidate.starts) and alters_inputs(candidate.build(candidate.starts[0]))
 
 
-def _brings_back(selection: Selection) -> bool:
-    """Return whether what is named alters inputs or sensors, and a fair share of the cost goes with it."""
+def _brings_back(selection: Selection, reserved: Selection) -> bool:
+    """Return whether a fair share of the cost goes with what is named to the letter, and all of it is believed.
+
+    That is what alters inputs or sensors, and beyond doubt what the reading with reserve chose too, if only to
+    keep it aside: a function that is wrong off its path looks like physics to the letter alone.
+    """
     saved = selection.base.cost - selection.chosen.cost
     fair = saved > _LETTER.letter_share * selection.base.cost
-    return bool(selection.terms) and all(map(alters_inputs, selection.terms)) and fair
+    chosen = {part.candidate.term for part in reserved.chosen.parts if selection.first_p < _LETTER.sure_level}
+    return bool(selection.terms) and fair and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
 
 
 def _without_names(selection: Selection) -> Selection:

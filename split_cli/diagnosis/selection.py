@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -382,8 +383,11 @@ def _settles(judge: Judge, channel: int, before: Fit, after: Fit, rules: Rules) 
 
 def _sizes(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
     """Return severities of terms against those of `without` in v_x, v_y and r, shape (3,)."""
-    pairs = zip(judge.evidence, judge.keep, strict=True)
-    return np.max([severities_of(one, one.at[mask], terms, without) for one, mask in pairs], axis=0)
+    sizes = [
+        severities_of(one, one.at[mask], terms, without, partial(judge.carried, one))
+        for one, mask in zip(judge.evidence, judge.keep, strict=True)
+    ]
+    return np.max(sizes, axis=0)
 
 
 def _part_sizes(judge: Judge, fit: Fit, k: int) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from split_cli.diagnosis.evidence import Evidence
@@ -45,7 +47,15 @@ def rms_over_noise(series: Series, errors: np.ndarray) -> np.ndarray:
 
 
 def severities_of(
-    evidence: Evidence, rows: np.ndarray, terms: tuple[Term, ...], without: tuple[Term, ...] = ()
+    evidence: Evidence,
+    rows: np.ndarray,
+    terms: tuple[Term, ...],
+    without: tuple[Term, ...] = (),
+    common_rates: Callable[[tuple[Term, ...]], np.ndarray | None] = lambda terms: None,
 ) -> np.ndarray:
-    """Return the severities of terms about the samples `rows`, against the model with `without` alone."""
-    return severities(evidence.series, evidence.left(terms) - evidence.left(without), rows)
+    """Return the severities of terms about the samples `rows`, against the model with `without` alone.
+
+    `common_rates` returns what terms make of the common physics, (N, 3), or nothing.
+    """
+    with_all, with_some = (evidence.left(some, common_rates(some)) for some in (terms, without))
+    return severities(evidence.series, with_all - with_some, rows)

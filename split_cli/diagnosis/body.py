@@ -1,0 +1,68 @@
+"""What common physics makes of another body: it was learned as rates, and is forces.
+
+A car with a fifth more yaw inertia turns in a fifth slower under all moments, those included that no single track
+has. Were these left as they are, a single track that misses as much as it holds would say that nothing changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from split_cli.vehicle.effects import Term, build_terms
+from split_cli.vehicle.flow import AxleFlow, Flow
+from split_cli.vehicle.operations import NUMPY
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["alters_body", "at_another_body"]
+
+
+def alters_body(term: Term) -> bool:
+    """Return whether a term changes mass, inertia or the centre of gravity's place."""
+    return type(term).body is not Term.body
+
+
+def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) -> np.ndarray:
+    """Return rates that the same forces give the body that terms make of a vehicle's.
+
+    Parameters
+    ----------
+    rates : ndarray, shape (N, 3)
+        Of v_x, v_y [m/s^2] and r [rad/s^2], at the vehicle's own body, the effects of its file included.
+    vehicle : Vehicle
+    terms : sequence of Term
+        Those that alter no body are passed over.
+
+    Notes
+    -----
+    m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r are solved for the axles' lateral forces.
+    Where a variant says that axles follow their load, these do as their capacity D does.
+    """
+    own = [term for term in build_terms(vehicle) if alters_body(term)]
+    altering = [term for term in terms if alters_body(term)]
+    if not altering:
+        return rates
+    old, new = _standing(vehicle, own), _standing(vehicle, [*own, *altering])
+    along, across, turning = (*(old.mass * rates.T[:2]), old.yaw_inertia * rates[:, 2])
+    wheelbase = old.l_f + old.l_r
+    front = (old.l_r * across + turning) / wheelbase * (new.front.D / old.front.D)
+    rear = (old.l_f * across - turning) / wheelbase * (new.rear.D / old.rear.D)
+    return np.stack(
+        [along / new.mass, (front + rear) / new.mass, (new.l_f * front - new.l_r * rear) / new.yaw_inertia], axis=1
+    )
+
+
+def _standing(vehicle: Vehicle, terms: Sequence[Term]) -> Flow:
+    """Return a flow as far as the body, and the curves of the axles at the loads it stands with."""
+    front, rear = (AxleFlow(tire.B, tire.C, tire.D) for tire in (vehicle.front_tire, vehicle.rear_tire))
+    flow = Flow(
+        ops=NUMPY, vehicle=vehicle, vx=0.0, vy=0.0, r=0.0, T=0.0, delta=0.0, yaw=0.0, t=0.0, s=0.0,
+        mass=vehicle.mass, yaw_inertia=vehicle.yaw_inertia,
+        l_f=vehicle.cg_to_front_axle, l_r=vehicle.cg_to_rear_axle, front=front, rear=rear,
+    )  # fmt: skip
+    for term in terms:
+        term.body(flow)
+    for term in terms:
+        term.tire(flow)
+    return flow
