@@ -27,8 +27,8 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
     Notes
     -----
     The covariance is the sandwich (J^T J)^-1 (sum over blocks of s_b s_b^T) (J^T J)^-1, s_b a block's score: what
-    a bootstrap over blocks converges to, with the simulation's uncertainty inside J. Where misfit widens what
-    terms save, it widens their errors by its root: it acts alike in block after block. Systematic error is added.
+    a bootstrap over blocks converges to, with the simulation's uncertainty inside J. Systematic error is added.
+    Where misfit widens what terms save, it widens both by its root: it acts alike in block after block.
     To the letter J knows nothing of the simulation's uncertainty; what was learned from a recording with as much
     misfit is as uncertain as what is found on this one.
     """
@@ -52,7 +52,8 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
     for k, part in enumerate(fit.parts):
         size = term_size(judge, fit, k)
         term, entries = part.term, {}
-        relative = np.hypot(_SYSTEMATIC / max(size, 1e-9), _THROUGH_TIRES if term.through_tires else 0.0)
+        systematic = _SYSTEMATIC * np.sqrt(max(judge.misfit, 1.0))
+        relative = np.hypot(systematic / max(size, 1e-9), _THROUGH_TIRES if term.through_tires else 0.0)
         for name, unit in term.parameter_units(part.candidate.variant).items():
             value = term.parameters[name]
             away = value - term.neutral.get(name, value)

@@ -86,6 +86,18 @@ def test_what_alters_inputs_is_told_by_the_last_judge(sound, told):
     assert float(moved @ moved) / (float(moved @ moved) + cost) == pytest.approx(0.2, abs=0.01)
 
 
+def test_what_is_told_holds_for_every_variant(sound):
+    candidates = candidates_of(sound, "cg_shift")
+    assert len(candidates) == 3
+
+    def dx(*some) -> float:
+        (one,) = smallest_named((sound,), some, INFLATION, LEVEL * len(some))
+        return one.parameters["dx"][0]
+
+    each = [dx(one) for one in candidates]
+    assert dx(*candidates) == max(each) > 2.0 * min(each)
+
+
 def test_an_effect_that_would_have_to_be_larger_than_any_is_told_at_no_size(sound):
     deaf = replace(sound, misfit=1e9)
     assert all(not one.parameters for one in smallest(deaf).values())

@@ -173,12 +173,12 @@ def test_systematic_error_is_a_share_of_the_effect(drive):
     assert one["scale"].std_error == pytest.approx(module._SYSTEMATIC * away / term_size(judge, fit, 0), rel=1e-3)
 
 
-def test_misfit_widens_what_curvature_says_by_its_root(drive):
+def test_misfit_widens_chance_and_systematic_error_by_its_root(drive):
     judge = noisy_judge(drive, 4)
     fit = fitted(judge, "yaw_inertia", TRUTH)
     (own,), (wide,) = (parameter_estimates(one, fit) for one in (judge, replace(judge, misfit=25.0)))
     away, size = wide["scale"].value - 1.0, term_size(judge, fit, 0)
-    systematic = module._SYSTEMATIC * away / size
+    systematic = 5.0 * module._SYSTEMATIC * away / size
     chance = np.sqrt(wide["scale"].std_error ** 2 - systematic**2)
     assert chance == pytest.approx(5.0 / np.sqrt(np.sum(fit.sensitivity**2)), rel=1e-6)
     assert own["scale"].std_error < wide["scale"].std_error

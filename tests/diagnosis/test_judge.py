@@ -19,7 +19,7 @@ _NEXT_TO_NOTHING = 2e-3  # share of a direction that may be left out
 class WrittenEvidence(SimpleNamespace):
     """Rows that are simply given."""
 
-    def rows(self, terms):
+    def rows(self, terms, common_rates=None):
         return self.plain
 
 
@@ -214,14 +214,24 @@ def test_the_shift_is_zero_at_neutral_and_moves_no_term_of_the_car(gathered, com
     assert np.abs(away).max() > 1e-3 * np.abs(judge.offset).max()
 
 
-def test_costs_follow_the_common_physics_where_a_term_moves_it(gathered, common):
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("steer_lag", {"tau": 0.08}),
+        ("yaw_inertia", {"scale": 1.3}),
+        ("mass", {"scale": 0.8}),
+        ("cg_shift", {"dx": 0.1}),
+    ],
+)
+def test_costs_follow_the_common_physics_where_a_term_moves_it(gathered, common, name, values):
     """The rows of model, term and moved common physics, whitened together, against rows and shift apart."""
     known = learn_common([gathered])
     known = replace(known, weights=known.weights + 0.3)
     judge = build_judge([gathered], known, common, [np.ones(len(gathered.at), dtype=bool)])
-    late = (CATALOGUE["steer_lag"]({"tau": 0.08}),)
-    left = gathered.left(late, common.rates(gathered.series, known.weights, late))
+    terms = (CATALOGUE[name](values),)
+    left = gathered.left(terms, common.rates(gathered.series, known.weights, terms))
     expected = float(np.sum(judge.whiten(judge.stack([gathered.whitener(left)])) ** 2))
-    assert judge.cost(late) == pytest.approx(expected, rel=1e-9)
-    # Common physics that stayed where the commands are would be a different cost, not one by rounding.
-    assert abs(float(np.sum(judge.whiten(judge.residual(late)) ** 2)) / expected - 1.0) > 1e-2
+    assert judge.cost(terms) == pytest.approx(expected, rel=1e-9)
+    # Common physics that stayed as the recording has it would be a different cost, not one by rounding.
+    stayed = judge.whiten(judge.stack([gathered.rows(terms)]) - judge.offset)
+    assert abs(float(np.sum(stayed**2)) / expected - 1.0) > 1e-3

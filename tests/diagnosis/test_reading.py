@@ -125,19 +125,26 @@ def test_without_misfit_the_simulation_is_read_with_reserve():
 
 
 @pytest.mark.parametrize(
-    ("names", "left", "expected"),
+    ("names", "left", "reserved", "p_value", "expected"),
     [
-        (["steer_gain"], 700.0, True),
-        (["steer_gain"], 850.0, False),  # too small a share
-        (["tire_stiffness"], 100.0, False),  # moves nothing back to where the simulation was
-        (["steer_gain", "tire_stiffness"], 100.0, False),
-        ([], 100.0, False),
+        (["steer_gain"], 700.0, [], 1e-3, True),
+        (["steer_gain"], 850.0, [], 1e-3, False),  # too small a share
+        (["tire_stiffness"], 100.0, [], 0.0, False),  # moves nothing back to where the simulation was
+        (["steer_gain", "tire_stiffness"], 100.0, [], 0.0, False),
+        (["tire_stiffness"], 100.0, ["steer_offset", "tire_stiffness"], 0.0, True),  # both readings choose it
+        (["tire_stiffness"], 850.0, ["tire_stiffness"], 0.0, False),
+        (["tire_stiffness"], 100.0, ["tire_stiffness"], 1e-3, False),  # not beyond doubt
+        ([], 100.0, ["tire_stiffness"], 0.0, False),
     ],
 )
-def test_only_inputs_and_sensors_bring_back_and_a_fair_share_goes_with_them(names, left, expected):
+def test_what_is_believed_to_the_letter(names, left, reserved, p_value, expected):
+    def fit(cost: float, terms=()) -> SimpleNamespace:
+        parts = tuple(SimpleNamespace(candidate=SimpleNamespace(term=one)) for one in terms)
+        return SimpleNamespace(cost=cost, parts=parts)
+
     terms = tuple(CATALOGUE[name](dict(CATALOGUE[name].neutral)) for name in names)
-    selection = SimpleNamespace(terms=terms, base=SimpleNamespace(cost=1000.0), chosen=SimpleNamespace(cost=left))
-    assert _brings_back(selection) is expected
+    selection = SimpleNamespace(terms=terms, base=fit(1000.0), chosen=fit(left), first_p=p_value)
+    assert _brings_back(selection, SimpleNamespace(chosen=fit(900.0, reserved))) is expected
 
 
 def test_wide_starts_lie_to_both_sides_and_inside_the_bounds():

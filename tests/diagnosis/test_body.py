@@ -1,0 +1,92 @@
+"""Common physics at another body: forces that stay, and an inertia that is found beside them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import split_cli.diagnosis.judge as judge_module
+from split_cli.diagnosis.body import at_another_body
+from split_cli.diagnosis.candidates import build_candidates
+from split_cli.diagnosis.case import gather_case
+from split_cli.diagnosis.fitting import Part, fit_parts
+from split_cli.diagnosis.judge import build_judge
+from split_cli.diagnosis.place import places_of
+from split_cli.diagnosis.series import build_series
+from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.parameters import EffectSpec
+from tests.diagnosis.test_calibration import drive, recorded
+from tests.factories import road_car
+
+FORCES = np.random.default_rng(5).standard_normal((40, 3)) * 1000.0
+SCALE, TURN, AHEAD = 1.2, 1.3, 0.08
+
+
+def term(name: str, variant: str = "", **values: float) -> Term:
+    return CATALOGUE[name](values, variant)
+
+
+def rates_of(vehicle, forces: np.ndarray) -> np.ndarray:
+    """Return the rates of longitudinal, front and rear lateral forces, (N, 3), by the vehicle's own matrix."""
+    return forces @ vehicle.force_matrix().T
+
+
+def test_forces_stay_and_the_body_changes():
+    car = road_car()
+    other = replace(
+        car, mass=SCALE * car.mass, yaw_inertia=TURN * car.yaw_inertia,
+        cg_to_front_axle=car.cg_to_front_axle - AHEAD, cg_to_rear_axle=car.cg_to_rear_axle + AHEAD,
+    )  # fmt: skip
+    terms = (term("mass", scale=SCALE), term("yaw_inertia", scale=TURN), term("cg_shift", dx=AHEAD))
+    found = at_another_body(rates_of(car, FORCES), car, terms)
+    np.testing.assert_allclose(found, rates_of(other, FORCES), rtol=1e-12, atol=1e-12)
+    # Effects of the vehicle's own file are there already.
+    filed = car.with_effects(EffectSpec("yaw_inertia", {"scale": TURN}))
+    twice = at_another_body(rates_of(car, FORCES), filed, (term("yaw_inertia", scale=SCALE),))
+    np.testing.assert_allclose(twice[:, 2], rates_of(car, FORCES)[:, 2] / SCALE, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("variant", ["loaded", "degressive"])
+def test_axles_that_follow_their_load_take_their_common_forces_with_them(variant):
+    car, power = road_car(), {"loaded": 1.0, "degressive": 0.9}[variant]
+    ratios = np.array([
+        1.0,
+        (1.0 + AHEAD / car.cg_to_rear_axle) ** power,
+        (1.0 - AHEAD / car.cg_to_front_axle) ** power,
+    ])  # fmt: skip
+    other = replace(
+        car, cg_to_front_axle=car.cg_to_front_axle - AHEAD, cg_to_rear_axle=car.cg_to_rear_axle + AHEAD
+    )
+    found = at_another_body(rates_of(car, FORCES), car, (term("cg_shift", variant, dx=AHEAD),))
+    np.testing.assert_allclose(found, rates_of(other, FORCES * ratios), rtol=1e-12, atol=1e-12)
+
+
+def test_what_alters_no_body_leaves_the_rates_alone():
+    rates = rates_of(road_car(), FORCES)
+    terms = (term("steer_gain", gain=0.9), term("friction_scale", scale=0.8), term("sensor_delay", delay=0.01))
+    assert at_another_body(rates, road_car(), terms) is rates
+
+
+def test_an_inertia_is_found_beside_much_that_the_nominal_lacks(monkeypatch):
+    """Tyres that are a third of the nominal's off make moments that only the common physics knows."""
+    lacking = (term("tire_stiffness", front_scale=1.5, rear_scale=0.75),)
+    simulation = drive(1, lacking)
+    reality = recorded(drive(2, (*lacking, term("yaw_inertia", scale=1.2))), 2)
+    places, _ = places_of([reality, simulation], road_car().wheelbase)
+    series = [
+        build_series(one, role, s)
+        for one, role, (s, _) in zip([reality, simulation], ("real", "sim"), places, strict=True)
+    ]
+    case = gather_case(road_car(), series, inflation=1.5, reach=0.35)
+    candidate = next(one for one in build_candidates(road_car(), series[0]) if one.term == "yaw_inertia")
+
+    def fitted() -> float:
+        judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
+        fit = fit_parts(judge.believed_to_the_letter(), (Part(candidate, dict(candidate.starts[0])),))
+        return fit.parts[0].values["scale"]
+
+    assert fitted() == pytest.approx(1.2, abs=0.02)
+    monkeypatch.setattr(judge_module, "at_another_body", lambda rates, vehicle, terms: rates)
+    assert abs(fitted() - 1.2) > 0.05
