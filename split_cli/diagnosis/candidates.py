@@ -14,6 +14,7 @@ from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Candidate", "Range", "build_candidates"]
 
+_ENDS_IN_NATURE = ("drag", "force")  # no car pushes itself: all there is may be taken off
 _WIDE = (1.0, 4.0, 12.0, -1.0, -4.0, -12.0)
 
 
@@ -82,6 +83,16 @@ class Candidate:
     def allows(self, values: Mapping[str, float]) -> bool:
         """Return whether values are inside the ranges."""
         return all(limit.lower <= values[name] <= limit.upper for name, limit in self.ranges.items())
+
+    def at_limit(self, values: Mapping[str, float]) -> bool:
+        """Return whether the size of a value is where the search ends: it wants more than makes sense."""
+        neutral, reach = CATALOGUE[self.term].neutral, 0.1
+        return any(
+            values[name] >= limit.upper - reach * limit.step or values[name] <= limit.lower + reach * limit.step
+            for name, limit in self.ranges.items()
+            if neutral.get(name) is not None and name not in _ENDS_IN_NATURE
+            and abs(values[name] - neutral[name]) > reach * limit.step
+        )  # fmt: skip
 
     @property
     def label(self) -> str:

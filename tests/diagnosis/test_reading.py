@@ -162,3 +162,16 @@ def test_wide_starts_lie_to_both_sides_and_inside_the_bounds():
             assert all(one.ranges[name].lower <= value <= one.ranges[name].upper for name, value in start.items())
     # A delay has starts of its own, of every size.
     assert candidates["steer_delay"].widely_started() is candidates["steer_delay"]
+
+
+def test_values_at_the_end_of_their_search_are_told_from_others():
+    series = build_series(drive(1), "sim", np.zeros(4000))
+    candidates = {one.label: one for one in build_candidates(road_car(), series)}
+    scale, drag, fade = (candidates[name] for name in ("yaw_inertia", "aero_drag", "grip_fade"))
+    delay = candidates["steer_delay"]
+    assert not scale.at_limit({"scale": 2.0})
+    assert scale.at_limit({"scale": 3.0}) and scale.at_limit({"scale": 0.3})
+    # No effect at all, all the drag there is, and a fade that lasts: natural ends.
+    assert not delay.at_limit({"delay": 0.0}) and delay.at_limit({"delay": delay.ranges["delay"].upper})
+    assert not drag.at_limit({"drag": drag.ranges["drag"].lower})
+    assert not fade.at_limit({"final_loss": 0.2, "tau": fade.ranges["tau"].upper})

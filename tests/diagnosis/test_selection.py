@@ -443,3 +443,14 @@ def test_size_of_a_term_is_told_with_the_others_in_place(pair, chosen_pair):
         assert term_size(pair, fit, k) == pytest.approx(
             severities_of(pair.evidence[0], pair.evidence[0].at, (term,)).max(), rel=1e-6
         )
+
+
+def test_what_wants_more_than_makes_sense_is_not_named():
+    """Where the search ends before the truth, a value at its end stands for something else."""
+    judge = noisy_judge(driven(31, (CATALOGUE["yaw_inertia"]({"scale": 1.4}),)), 7)
+    (candidate,) = candidates_of(judge, "yaw_inertia")
+    assert [one.id for one in select_terms(judge, [candidate], INFLATION).terms] == ["yaw_inertia"]
+    short = replace(candidate, ranges={"scale": replace(candidate.ranges["scale"], upper=1.2)})
+    selection = select_terms(judge, [short], INFLATION)
+    assert selection.terms == () and "more of it than makes sense" in selection.history[0]
+    assert selection.first_p == 1.0
