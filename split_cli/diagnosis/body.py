@@ -36,33 +36,27 @@ def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) 
 
     Notes
     -----
-    m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r are solved for the axles' lateral forces.
-    Where a variant says that axles follow their load, these do as their capacity D does.
+    m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r, with arms l_f - dx and l_r + dx. The forces stay
+    where a variant lets the nominal ones follow the load, too: what a single track lacks mostly comes of torque.
     """
     own = [term for term in build_terms(vehicle) if alters_body(term)]
     altering = [term for term in terms if alters_body(term)]
     if not altering:
         return rates
-    old, new = _standing(vehicle, own), _standing(vehicle, [*own, *altering])
+    old, new = _body(vehicle, own), _body(vehicle, [*own, *altering])
     along, across, turning = (*(old.mass * rates.T[:2]), old.yaw_inertia * rates[:, 2])
-    wheelbase = old.l_f + old.l_r
-    front = (old.l_r * across + turning) / wheelbase * (new.front.D / old.front.D)
-    rear = (old.l_f * across - turning) / wheelbase * (new.rear.D / old.rear.D)
-    return np.stack(
-        [along / new.mass, (front + rear) / new.mass, (new.l_f * front - new.l_r * rear) / new.yaw_inertia], axis=1
-    )
+    turning = turning + (new.l_f - old.l_f) * across
+    return np.stack([along / new.mass, across / new.mass, turning / new.yaw_inertia], axis=1)
 
 
-def _standing(vehicle: Vehicle, terms: Sequence[Term]) -> Flow:
-    """Return a flow as far as the body, and the curves of the axles at the loads it stands with."""
-    front, rear = (AxleFlow(tire.B, tire.C, tire.D) for tire in (vehicle.front_tire, vehicle.rear_tire))
+def _body(vehicle: Vehicle, terms: Sequence[Term]) -> Flow:
+    """Return a flow as far as the body."""
     flow = Flow(
         ops=NUMPY, vehicle=vehicle, vx=0.0, vy=0.0, r=0.0, T=0.0, delta=0.0, yaw=0.0, t=0.0, s=0.0,
         mass=vehicle.mass, yaw_inertia=vehicle.yaw_inertia,
-        l_f=vehicle.cg_to_front_axle, l_r=vehicle.cg_to_rear_axle, front=front, rear=rear,
+        l_f=vehicle.cg_to_front_axle, l_r=vehicle.cg_to_rear_axle,
+        front=AxleFlow(0.0, 0.0, 0.0), rear=AxleFlow(0.0, 0.0, 0.0),
     )  # fmt: skip
     for term in terms:
         term.body(flow)
-    for term in terms:
-        term.tire(flow)
     return flow
