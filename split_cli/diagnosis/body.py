@@ -36,8 +36,8 @@ def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) 
 
     Notes
     -----
-    m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r, with arms l_f - dx and l_r + dx. The forces stay
-    where a variant lets the nominal ones follow the load, too: what a single track lacks mostly comes of torque.
+    m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r, with arms l_f - dx and l_r + dx. The forces
+    stay where a variant lets the nominal ones follow the load, too: what a single track lacks is mostly of torque.
     """
     own = [term for term in build_terms(vehicle) if alters_body(term)]
     altering = [term for term in terms if alters_body(term)]
