@@ -34,7 +34,6 @@ __all__ = [
 
 
 _ONCE = "nearly all in a few moments"
-_BEYOND = "more of it than makes sense"
 _MISFIT = "no more than the others misfit"
 # Misfit is worst somewhere: the best of some thousand stretches saves of it as much as 2 ln 1000 parameters more.
 _SEARCHED_PLACES = 14.0
@@ -261,11 +260,9 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit]) -> _Found:
         p_value = term_p(judge, best, len(best.parts) - 1, chosen.cost - best.cost, inflation)
         p_value *= len(explore.candidates)
         small, spread = p_value >= rules.level, is_spread(judge, best, len(best.parts) - 1, chosen, rules)
-        beyond = best.parts[-1].candidate.at_limit(best.parts[-1].values)
-        first_p = min(first_p, p_value if spread and not beyond else 1.0)
-        if small or beyond or not spread:
-            reason = "too small to name" if small else _BEYOND if beyond else _ONCE
-            history.append(f"{label} saves {saved:.0f}, {reason}")
+        first_p = min(first_p, p_value if spread else 1.0)
+        if small or not spread:
+            history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
             aside += 1
             if aside > rules.most_aside:
                 break
