@@ -39,10 +39,10 @@ def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) 
     m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r, with arms l_f - dx and l_r + dx. The forces
     stay where a variant lets the nominal ones follow the load, too: what a single track lacks is mostly of torque.
     """
-    own = [term for term in build_terms(vehicle) if alters_body(term)]
     altering = [term for term in terms if alters_body(term)]
     if not altering:
         return rates
+    own = [term for term in build_terms(vehicle) if alters_body(term)]
     old, new = _body(vehicle, own), _body(vehicle, [*own, *altering])
     along, across, turning = (*(old.mass * rates.T[:2]), old.yaw_inertia * rates[:, 2])
     turning = turning + (new.l_f - old.l_f) * across

@@ -69,10 +69,8 @@ def first_order_response(target: Any, rate: Any, recording: Recording) -> np.nda
     kept = np.exp(-q)
     # (1 - e^-q)/q without cancellation at q near 0.
     mean = np.where(q > 1e-8, -np.expm1(-q) / np.maximum(q, 1e-8), 1.0 - 0.5 * q)
-    if rate.ndim == 0:
-        return _follow(target, float(kept), float(mean), _starts(recording))
-    drive = (1.0 - kept) * target[:-1] + (1.0 - mean) * np.diff(target)
-    return _recur(target, kept, drive, _starts(recording))
+    kept, mean = (np.broadcast_to(one, (max(len(target) - 1, 0),)) for one in (kept, mean))
+    return _recur(target, kept, mean, _starts(recording))
 
 
 def play_response(source: Any, width: float, recording: Recording) -> np.ndarray:
@@ -88,25 +86,21 @@ def _starts(recording: Recording) -> np.ndarray:
     return np.array([begin for begin, _ in recording.segments], dtype=np.int64)
 
 
-def _recur(target: np.ndarray, kept: np.ndarray, drive: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    return _kernels()[0](target, kept, drive, starts)
-
-
-def _follow(target: np.ndarray, kept: float, mean: float, starts: np.ndarray) -> np.ndarray:
-    return _kernels()[1](target, kept, mean, starts)
+def _recur(target: np.ndarray, kept: np.ndarray, mean: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    return _kernels()[0](target, kept, mean, starts)
 
 
 def _drag(source: np.ndarray, half: float, starts: np.ndarray) -> np.ndarray:
-    return _kernels()[2](source, half, starts)
+    return _kernels()[1](source, half, starts)
 
 
 @lru_cache(maxsize=1)
-def _kernels() -> tuple[Any, Any, Any]:
-    """Compile the recursions on first use; numba is not worth loading for models without memory."""
+def _kernels() -> tuple[Any, Any]:
+    """Compile the two recursions on first use; numba is not worth loading for models without memory."""
     from numba import njit
 
     @njit(cache=True, nogil=True)
-    def recur(target, kept, drive, starts):
+    def recur(target, kept, mean, starts):
         out = np.empty_like(target)
         upcoming = 0
         for k in range(len(target)):
@@ -114,21 +108,9 @@ def _kernels() -> tuple[Any, Any, Any]:
                 out[k] = target[k]
                 upcoming += 1
             else:
-                out[k] = kept[k - 1] * out[k - 1] + drive[k - 1]
-        return out
-
-    @njit(cache=True, nogil=True)
-    def follow(target, kept, mean, starts):
-        out = np.empty_like(target)
-        upcoming = 0
-        for k in range(len(target)):
-            if upcoming < len(starts) and starts[upcoming] == k:
-                out[k] = target[k]
-                upcoming += 1
-            else:
-                before = target[k - 1]
-                drive = (1.0 - kept) * before + (1.0 - mean) * (target[k] - before)
-                out[k] = kept * out[k - 1] + drive
+                before, stays = target[k - 1], kept[k - 1]
+                drive = (1.0 - stays) * before + (1.0 - mean[k - 1]) * (target[k] - before)
+                out[k] = stays * out[k - 1] + drive
         return out
 
     @njit(cache=True, nogil=True)
@@ -143,4 +125,4 @@ def _kernels() -> tuple[Any, Any, Any]:
                 out[k] = min(max(out[k - 1], source[k] - half), source[k] + half)
         return out
 
-    return recur, follow, drag
+    return recur, drag
