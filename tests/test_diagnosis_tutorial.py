@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from split_cli.cli.catalogue import catalogue_page
-from split_cli.diagnosis.document import read_schema
+from split_cli.diagnosis.statement.document import read_schema
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import read_drive

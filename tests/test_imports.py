@@ -32,6 +32,8 @@ LAYERS = {
     "workflows": 9,
     "cli": 10,
 }
+# The rooms of the diagnosis, from the ground up: `engine.py` on top, `policy.py` and `together.py` below all.
+ROOMS = ("statement", "recording", "baseline", "innovations", "remainder", "search", "verdict", "engine")
 # diagnosis may see neither the plant that makes test recordings nor the proof that conceals them (one number, so
 # neither may import the other), and the plant nothing but the ground.
 PLANT_MAY_IMPORT = {"plant", "signals", "files", "errors"}
@@ -133,6 +135,31 @@ def test_no_import_points_upward():
     assert not wrong, "\n".join(wrong)
 
 
+def upward_in_diagnosis(found: Import) -> bool:
+    """Tell whether an import inside the diagnosis points to its own or a higher room from a lower one."""
+    here, there = found.file.split("/"), found.module.split(".")
+    if here[0] != "diagnosis" or there[:2] != ["split_cli", "diagnosis"] or len(there) < 3:
+        return False
+    room = here[1].removesuffix(".py")
+    if there[2] not in ROOMS:
+        return False  # the ground
+    return room not in ROOMS or ROOMS.index(there[2]) > ROOMS.index(room)
+
+
+def test_rooms_of_the_diagnosis_import_one_way():
+    rooms = {file.split("/")[1] for file in SOURCES if file.startswith("diagnosis/") and file.count("/") == 2}
+    assert rooms <= set(ROOMS) and len(rooms) <= 7
+    wrong = [f"{found.place} imports {found.module}" for found in ALL if upward_in_diagnosis(found)]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("room", ROOMS[:-1])
+def test_a_room_says_in_two_lines_what_lives_there(room):
+    text = ast.get_docstring(ast.parse(SOURCES[f"diagnosis/{room}/__init__.py"]))
+    first, blank, second = text.split("\n")
+    assert first.endswith(".") and not blank and second.startswith("May import: ")
+
+
 def test_no_relative_imports():
     wrong = [found.place for found in ALL if found.level]
     assert not wrong, "\n".join(wrong)
@@ -192,7 +219,7 @@ def test_importing_a_command_loads_no_heavy_library(file):
         ("plant/car.py", "from split_cli.vehicle.tire import MagicFormula", True),
         ("diagnosis/gap.py", "from split_cli.plant.car import Car", True),
         ("diagnosis/gap.py", "from split_cli.proof.world import World", True),
-        ("proof/world.py", "import split_cli.diagnosis.judge", True),
+        ("proof/world.py", "import split_cli.diagnosis.innovations.judge", True),
         ("proof/world.py", "from split_cli.plant.car import Car", False),
         ("export/c99.py", "from split_cli.plots.base import figure", True),
         ("export/c99.py", "import importlib\nimportlib.import_module('split_cli.cli.main')", True),
@@ -204,3 +231,16 @@ def test_importing_a_command_loads_no_heavy_library(file):
 )
 def test_the_reader_of_arrows_sees_an_upward_one(file, text, expected):
     assert any(upward(found) for found in imports_of(text, file)) is expected
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "expected"),
+    [
+        ("diagnosis/search/fitting.py", "from split_cli.diagnosis.verdict.findings import describe", True),
+        ("diagnosis/verdict/findings.py", "from split_cli.diagnosis.search.fitting import Fit", False),
+        ("diagnosis/together.py", "from split_cli.diagnosis.statement.result import Diagnosis", True),
+        ("diagnosis/recording/series.py", "from split_cli.diagnosis.engine import diagnose", True),
+    ],
+)
+def test_the_reader_of_arrows_sees_one_between_rooms(file, text, expected):
+    assert any(upward_in_diagnosis(found) for found in imports_of(text, file)) is expected

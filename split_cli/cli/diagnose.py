@@ -33,7 +33,7 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, as_json) 
     Example:
       split diagnose --real lap.parquet --sim twin.parquet --vehicle car.yaml --out diagnosis
     """
-    from split_cli.diagnosis.document import diagnosis_to_text
+    from split_cli.diagnosis.statement.document import diagnosis_to_text
     from split_cli.workflows.diagnose import diagnose_files
 
     begin, watched = time.monotonic(), is_watched()

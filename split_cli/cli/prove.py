@@ -129,7 +129,7 @@ def multibody(seed, car, model, output, faults, as_json) -> None:
       split prove multibody --faults all -o faults
       split prove multibody --model drift --faults all -o drift
     """
-    from split_cli.diagnosis.document import diagnosis_to_text
+    from split_cli.diagnosis.statement.document import diagnosis_to_text
     from split_cli.workflows.prove_multibody import prove_multibody, prove_multibody_faults
 
     if faults:

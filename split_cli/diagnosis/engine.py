@@ -7,26 +7,27 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from split_cli.diagnosis.candidates import build_candidates
-from split_cli.diagnosis.case import Case, gather_case
-from split_cli.diagnosis.detectable import smallest_named
-from split_cli.diagnosis.exploration import Rules
-from split_cli.diagnosis.findings import Abstention, describe, wanders, with_shares
-from split_cli.diagnosis.fitting import fit_parts
-from split_cli.diagnosis.formula import sparse_formula
-from split_cli.diagnosis.heldout import HeldOut, explained_shares, hold_out
-from split_cli.diagnosis.improvement import measure_improvement
-from split_cli.diagnosis.location import gap_forces, gap_series, locate
-from split_cli.diagnosis.place import places_of
-from split_cli.diagnosis.reading import Reading, read
-from split_cli.diagnosis.result import Diagnosis, InputFile
-from split_cli.diagnosis.scales import in_sentences, out_of_scale
-from split_cli.diagnosis.screening import clean_drives, idle, judgeable, moving, tellable, unfit
-from split_cli.diagnosis.sentences import summarise
-from split_cli.diagnosis.series import build_series
-from split_cli.diagnosis.spectrum import Line, strongest_line
+from split_cli.diagnosis.innovations.case import Case, gather_case
+from split_cli.diagnosis.recording.place import places_of
+from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale
+from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
+from split_cli.diagnosis.recording.series import build_series
+from split_cli.diagnosis.remainder.formula import sparse_formula
+from split_cli.diagnosis.remainder.location import gap_forces, gap_series, locate
+from split_cli.diagnosis.remainder.spectrum import Line, strongest_line
+from split_cli.diagnosis.remainder.wander import wander_of
+from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.exploration import Rules
+from split_cli.diagnosis.search.fitting import fit_parts
+from split_cli.diagnosis.search.identifiable import judgeable, tellable
+from split_cli.diagnosis.search.reading import Reading, read
+from split_cli.diagnosis.statement.result import Diagnosis, InputFile
+from split_cli.diagnosis.statement.sentences import summarise
 from split_cli.diagnosis.together import together
-from split_cli.diagnosis.wander import wander_of
+from split_cli.diagnosis.verdict.detectable import smallest_named
+from split_cli.diagnosis.verdict.findings import Abstention, describe, wanders, with_shares
+from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
+from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
-from split_cli.diagnosis.result import (
+from split_cli.diagnosis.statement.result import (
     Diagnosis,
     Finding,
     GapSeries,
@@ -17,7 +17,7 @@ from split_cli.diagnosis.result import (
     Improvement,
     ParameterEstimate,
 )
-from split_cli.diagnosis.wording import number, percent, term_name
+from split_cli.diagnosis.statement.wording import number, percent, term_name
 from split_cli.plots.style import EMPTY, LABEL_UNITS, PALETTE, STATES, new_figure, quiet
 
 __all__ = ["diagnosis_figures", "draw_help", "draw_what", "draw_where", "gap_map"]

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from split_cli.diagnosis.document import diagnosis_to_text
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.location import FORCES
-from split_cli.diagnosis.result import Diagnosis, GapSeries, Improvement, InputFile
+from split_cli.diagnosis.remainder.location import FORCES
+from split_cli.diagnosis.statement.document import diagnosis_to_text
+from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, Improvement, InputFile
 from split_cli.files import atomic_directory, refuse_what_cannot_be_written, sha256_of_file
 from split_cli.learning.features import Z2
 from split_cli.learning.label_file import label_columns

@@ -97,7 +97,7 @@ def _identify(task: tuple[ShownCase, Path]) -> None:
     case, results = task
     import resource
 
-    from split_cli.diagnosis.document import diagnosis_to_text
+    from split_cli.diagnosis.statement.document import diagnosis_to_text
     from split_cli.workflows.diagnose import read_and_diagnose
 
     began, failure = time.perf_counter(), ""

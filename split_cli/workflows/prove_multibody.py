@@ -49,7 +49,7 @@ def prove_multibody(
 
     Returns
     -------
-    split_cli.diagnosis.result.Diagnosis
+    split_cli.diagnosis.statement.result.Diagnosis
 
     Raises
     ------

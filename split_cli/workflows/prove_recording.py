@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from split_cli.diagnosis.document import diagnosis_to_mapping
+from split_cli.diagnosis.statement.document import diagnosis_to_mapping
 from split_cli.errors import SplitError
 from split_cli.logs.drive import Drive, read_drive, write_drive
 from split_cli.proof.injection import InjectedFault, faults_for, inject, split_in_blocks

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from split_cli.diagnosis.place import TrackReference, build_reference, track_position
+from split_cli.diagnosis.recording.place import TrackReference, build_reference, track_position
 from split_cli.learning.features import recording_of
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import build_terms

@@ -10,8 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.main import group
-from split_cli.diagnosis.document import diagnosis_to_text
-from split_cli.diagnosis.result import Detectable, Diagnosis, GapSeries
+from split_cli.diagnosis.statement.document import diagnosis_to_text
+from split_cli.diagnosis.statement.result import Detectable, Diagnosis, GapSeries
 from split_cli.errors import VehicleError
 from split_cli.files import sha256_of_file
 from split_cli.logs.drive import Drive, read_drive, write_drive

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from split_cli.diagnosis.common import CommonPhysics, build_common_physics
-from split_cli.diagnosis.evidence import Evidence, gather_evidence
-from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.series import Series
+from split_cli.diagnosis.baseline.common import CommonPhysics, build_common_physics
+from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.recording.series import Series
 from split_cli.logs.drive import Drive
 from tests.diagnosis.recordings import bare_judge, driven, light_evidence, noisy, prepared
 from tests.factories import road_car

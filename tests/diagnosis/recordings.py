@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.diagnosis.candidates import Candidate, build_candidates
-from split_cli.diagnosis.common import build_common_physics
-from split_cli.diagnosis.evidence import Evidence, gather_evidence, rolling
-from split_cli.diagnosis.judge import Judge, build_judge
-from split_cli.diagnosis.kinematics import Kinematics
-from split_cli.diagnosis.series import Series, build_series
-from split_cli.diagnosis.whitening import build_whitener
+from split_cli.diagnosis.baseline.common import build_common_physics
+from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, rolling
+from split_cli.diagnosis.innovations.judge import Judge, build_judge
+from split_cli.diagnosis.innovations.whitening import build_whitener
+from split_cli.diagnosis.recording.kinematics import Kinematics
+from split_cli.diagnosis.recording.series import Series, build_series
+from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import integrate_recorded

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.autocovariance import autocovariances, bartlett_sum
+from split_cli.diagnosis.innovations.autocovariance import autocovariances, bartlett_sum
 
 
 @pytest.mark.parametrize("width", [1, 2, 7])

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.candidates import build_candidates
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.result import Diagnosis
-from split_cli.diagnosis.screening import cleaned, tellable, unfit
-from split_cli.diagnosis.series import build_series
+from split_cli.diagnosis.recording.screening import cleaned, unfit
+from split_cli.diagnosis.recording.series import build_series
+from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.identifiable import tellable
+from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle, read_vehicle

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import split_cli.diagnosis.judge as judge_module
-from split_cli.diagnosis.body import at_another_body
-from split_cli.diagnosis.candidates import build_candidates
-from split_cli.diagnosis.case import gather_case
-from split_cli.diagnosis.fitting import Part, fit_parts
-from split_cli.diagnosis.judge import build_judge
-from split_cli.diagnosis.place import places_of
-from split_cli.diagnosis.series import build_series
+import split_cli.diagnosis.innovations.judge as judge_module
+from split_cli.diagnosis.baseline.body import at_another_body
+from split_cli.diagnosis.innovations.case import gather_case
+from split_cli.diagnosis.innovations.judge import build_judge
+from split_cli.diagnosis.recording.place import places_of
+from split_cli.diagnosis.recording.series import build_series
+from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import EffectSpec
 from tests.diagnosis.test_calibration import drive, recorded

@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.calibration import SelfTest, self_test
-from split_cli.diagnosis.candidates import build_candidates
-from split_cli.diagnosis.case import gather_case
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.place import places_of
-from split_cli.diagnosis.series import build_series
-from split_cli.diagnosis.structure import FlexibleFit
+from split_cli.diagnosis.innovations.case import gather_case
+from split_cli.diagnosis.recording.place import places_of
+from split_cli.diagnosis.recording.series import build_series
+from split_cli.diagnosis.remainder.structure import FlexibleFit
+from split_cli.diagnosis.search.calibration import SelfTest, self_test
+from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import make_drive, road_car
@@ -111,7 +111,7 @@ def test_two_recordings_of_one_restless_car_match_and_a_fault_is_still_named():
 def test_forgiveness_goes_with_the_rows(restless):
     def judge(rows: int):
         car, one = road_car(), SimpleNamespace()
-        from split_cli.diagnosis.judge import Judge
+        from split_cli.diagnosis.innovations.judge import Judge
 
         empty = np.zeros(0)
         return Judge((one,), None, car, (np.ones(rows, dtype=bool),), empty, empty, empty, empty, empty)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.common import _TANGENTS, build_common_physics, natural_unit
-from split_cli.diagnosis.series import extended_model
+from split_cli.diagnosis.baseline.common import _TANGENTS, build_common_physics, natural_unit
+from split_cli.diagnosis.recording.series import extended_model
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from tests.factories import road_car

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.common import CommonPhysics, build_common_physics, features
-from split_cli.diagnosis.comparable import comparable
-from split_cli.diagnosis.evidence import Evidence, gather_evidence
-from split_cli.diagnosis.series import build_series
+from split_cli.diagnosis.baseline.common import CommonPhysics, build_common_physics, features
+from split_cli.diagnosis.innovations.comparable import comparable
+from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence
+from split_cli.diagnosis.recording.series import build_series
 from split_cli.logs.drive import Drive
 from tests.factories import make_drive, road_car
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from split_cli.diagnosis.constancy import parameter_drifts
-from split_cli.diagnosis.fitting import Part, fit_parts
-from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.selection import nothing
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.diagnosis.search.selection import nothing
+from split_cli.diagnosis.verdict.constancy import parameter_drifts
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import candidates_of, driven, noisy_judge
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.detectable import smallest_named
-from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.result import Detectable
-from split_cli.diagnosis.selection import nothing, select_terms
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.search.selection import nothing, select_terms
+from split_cli.diagnosis.statement.result import Detectable
+from split_cli.diagnosis.verdict.detectable import smallest_named
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, faulty, late, noisy_judge
 

@@ -7,8 +7,8 @@ import json
 import pytest
 from jsonschema import Draft202012Validator
 
-from split_cli.diagnosis.document import diagnosis_to_text, read_schema
-from split_cli.diagnosis.result import (
+from split_cli.diagnosis.statement.document import diagnosis_to_text, read_schema
+from split_cli.diagnosis.statement.result import (
     Detectable,
     Diagnosis,
     Finding,

@@ -8,9 +8,9 @@ import jsonschema
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.document import diagnosis_to_mapping, diagnosis_to_text, read_schema
 from split_cli.diagnosis.engine import Settings, diagnose
-from split_cli.diagnosis.result import Diagnosis
+from split_cli.diagnosis.statement.document import diagnosis_to_mapping, diagnosis_to_text, read_schema
+from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import driven, noisy

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis import estimates as module
-from split_cli.diagnosis.estimates import parameter_estimates
-from split_cli.diagnosis.fitting import Fit, Part, fit_parts
-from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.selection import nothing, term_size
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.selection import nothing, term_size
+from split_cli.diagnosis.verdict import estimates as module
+from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, noisy_judge

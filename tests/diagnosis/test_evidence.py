@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.evidence import gather_evidence, rolling
-from split_cli.diagnosis.screening import judgeable
-from split_cli.diagnosis.spectrum import strongest_line
+from split_cli.diagnosis.innovations.evidence import gather_evidence, rolling
+from split_cli.diagnosis.remainder.spectrum import strongest_line
+from split_cli.diagnosis.search.identifiable import judgeable
 from tests.diagnosis.recordings import bare_judge, light_evidence, noisy, prepared
 from tests.factories import road_car
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.exploration import Explorer, Rules, _nearest_start
-from split_cli.diagnosis.fitting import Fit, Part, fit_parts, tangent
-from split_cli.diagnosis.judge import CommonKnowledge, Judge
-from split_cli.diagnosis.selection import nothing
+from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge
+from split_cli.diagnosis.search.exploration import Explorer, Rules, _nearest_start
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
+from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, noisy_judge
 

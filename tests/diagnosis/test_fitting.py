@@ -8,10 +8,18 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from split_cli.diagnosis.candidates import Candidate
-from split_cli.diagnosis.fitting import Fit, Part, effect_everywhere, fit_parts, raw_slopes, scan_places, tangent
-from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.selection import nothing
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.fitting import (
+    Fit,
+    Part,
+    effect_everywhere,
+    fit_parts,
+    raw_slopes,
+    scan_places,
+    tangent,
+)
+from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_judge
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.fitting import Part, fit_parts
-from split_cli.diagnosis.heldout import HeldOut, explained_shares, hold_out
-from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.selection import nothing
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.diagnosis.search.selection import nothing
+from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import bare_judge, candidates_of, driven, light_evidence, noisy, prepared
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import sqrtm
 
-from split_cli.diagnosis.judge import CommonKnowledge, Judge, build_judge, learn_common
+from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge, build_judge, learn_common
 from split_cli.vehicle.effects import CATALOGUE
 
 ROWS, COLUMNS = 40, 6

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.kinematics import build_kinematics, common_habit
+from split_cli.diagnosis.recording.kinematics import build_kinematics, common_habit
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import bare_judge, faulty, light_evidence, noisy, prepared

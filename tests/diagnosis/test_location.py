@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.evidence import Evidence
-from split_cli.diagnosis.location import dependence, force_noise, gap_forces, locate
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.remainder.location import dependence, force_noise, gap_forces, locate
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import recorded
 

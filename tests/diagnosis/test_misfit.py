@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis import misfit as module
-from split_cli.diagnosis import selection as selecting
-from split_cli.diagnosis.fitting import Fit, Part, fit_parts
-from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.misfit import costs_beside_misfit
-from split_cli.diagnosis.selection import nothing, select_terms
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.search import misfit as module
+from split_cli.diagnosis.search import selection as selecting
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.misfit import costs_beside_misfit
+from split_cli.diagnosis.search.selection import nothing, select_terms
 from tests.diagnosis.recordings import candidates_of, driven, late, noisy_judge
 
 

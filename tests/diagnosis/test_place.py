@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from split_cli.diagnosis.place import build_reference, places_of
+from split_cli.diagnosis.recording.place import build_reference, places_of
 from split_cli.logs.drive import Drive
 
 

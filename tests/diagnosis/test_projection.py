@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.projection import damped
+from split_cli.diagnosis.innovations.projection import damped
 
 
 @pytest.mark.parametrize("columns", [(), (1,), (3,), (8,), (9,)])

@@ -8,16 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import split_cli.diagnosis.reading as reading_module
-from split_cli.diagnosis.candidates import build_candidates
-from split_cli.diagnosis.case import Case, gather_case
-from split_cli.diagnosis.evidence import integrated
-from split_cli.diagnosis.exploration import Rules
-from split_cli.diagnosis.fitting import Part, fit_parts
-from split_cli.diagnosis.judge import build_judge
-from split_cli.diagnosis.place import places_of
-from split_cli.diagnosis.reading import Reading, _brings_back, read
-from split_cli.diagnosis.series import build_series
+import split_cli.diagnosis.search.reading as reading_module
+from split_cli.diagnosis.innovations.case import Case, gather_case
+from split_cli.diagnosis.innovations.evidence import integrated
+from split_cli.diagnosis.innovations.judge import build_judge
+from split_cli.diagnosis.recording.place import places_of
+from split_cli.diagnosis.recording.series import build_series
+from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.exploration import Rules
+from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.diagnosis.search.reading import Reading, _brings_back, read
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.test_calibration import drive, recorded

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.result import (
+from split_cli.diagnosis.statement.result import (
     Detectable,
     Diagnosis,
     Finding,

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import split_cli.diagnosis.running as running
-from split_cli.diagnosis.candidates import Range
-from split_cli.diagnosis.exploration import Explorer, Rules
-from split_cli.diagnosis.fitting import Part, fit_parts
-from split_cli.diagnosis.flexible import flexible_rows
-from split_cli.diagnosis.judge import Judge
-from split_cli.diagnosis.rollouts import HORIZONS, RolloutErrors
-from split_cli.diagnosis.running import free_running_errors, with_variants_that_run
-from split_cli.diagnosis.selection import Selection, nothing, select_terms, with_chosen
-from split_cli.diagnosis.structure import Structure, build_structure
+import split_cli.diagnosis.search.running as running
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors
+from split_cli.diagnosis.remainder.flexible import flexible_rows
+from split_cli.diagnosis.remainder.structure import Structure, build_structure
+from split_cli.diagnosis.search.candidates import Range
+from split_cli.diagnosis.search.exploration import Explorer, Rules
+from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.diagnosis.search.running import free_running_errors, with_variants_that_run
+from split_cli.diagnosis.search.selection import Selection, nothing, select_terms, with_chosen
 from tests.diagnosis.recordings import candidates_of
 from tests.diagnosis.test_selection import judge_of, planted
 

@@ -8,10 +8,10 @@ import jsonschema
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.document import diagnosis_to_mapping, read_schema
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.kinematics import Kinematics, build_kinematics
-from split_cli.diagnosis.scales import out_of_scale, scale_of
+from split_cli.diagnosis.recording.kinematics import Kinematics, build_kinematics
+from split_cli.diagnosis.recording.scales import out_of_scale, scale_of
+from split_cli.diagnosis.statement.document import diagnosis_to_mapping, read_schema
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import driven, faulty, noisy, prepared

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import split_cli.diagnosis.selection as selecting
-from split_cli.diagnosis.exploration import Explorer, Rules
-from split_cli.diagnosis.fitting import Fit, Part, fit_parts
-from split_cli.diagnosis.judge import CommonKnowledge, Judge
-from split_cli.diagnosis.selection import (
+import split_cli.diagnosis.search.selection as selecting
+from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge
+from split_cli.diagnosis.innovations.severity import severities_of
+from split_cli.diagnosis.remainder.structure import BARE_ALLOWANCE, COMMON_SHARE
+from split_cli.diagnosis.search.exploration import Explorer, Rules
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.selection import (
     Selection,
     _other_beginnings,
     _refusal,
@@ -30,8 +32,6 @@ from split_cli.diagnosis.selection import (
     term_size,
     without_parts,
 )
-from split_cli.diagnosis.severity import severities_of
-from split_cli.diagnosis.structure import BARE_ALLOWANCE, COMMON_SHARE
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_judge
 

@@ -6,10 +6,17 @@ import re
 
 import pytest
 
-from split_cli.diagnosis.result import Finding, HorizonErrors, Improvement, Location, ParameterEstimate, Place
-from split_cli.diagnosis.sentences import sentence_for, separations, summarise
-from split_cli.diagnosis.separation import exact_mimics, look_alike, separation
-from split_cli.diagnosis.wording import amount, number, percent, term_name
+from split_cli.diagnosis.statement.result import (
+    Finding,
+    HorizonErrors,
+    Improvement,
+    Location,
+    ParameterEstimate,
+    Place,
+)
+from split_cli.diagnosis.statement.sentences import sentence_for, separations, summarise
+from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separation
+from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import road_car
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.series import Series
-from split_cli.diagnosis.spectrum import strongest_line
+from split_cli.diagnosis.recording.series import Series
+from split_cli.diagnosis.remainder.spectrum import strongest_line
 from tests.diagnosis.recordings import SIGMA, bare_judge, driven, light_evidence, noisy, prepared
 
 REPLICATES = 60

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from split_cli.diagnosis import structure as module
-from split_cli.diagnosis.flexible import flexible_rows
-from split_cli.diagnosis.severity import severities_of, severity, windowed
-from split_cli.diagnosis.structure import Structure, build_structure, minimum_effect_p
+from split_cli.diagnosis.innovations.severity import severities_of, severity, windowed
+from split_cli.diagnosis.remainder import structure as module
+from split_cli.diagnosis.remainder.flexible import flexible_rows
+from split_cli.diagnosis.remainder.structure import Structure, build_structure, minimum_effect_p
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import SIGMA, driven, noisy_judge
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from split_cli.diagnosis.structure import Structure
-from split_cli.diagnosis.wander import wander_of
+from split_cli.diagnosis.remainder.structure import Structure
+from split_cli.diagnosis.remainder.wander import wander_of
 
 
 def first_order(rows: int, rho: float, rng: np.random.Generator) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from split_cli.diagnosis.whitening import build_whitener
+from split_cli.diagnosis.innovations.whitening import build_whitener
 
 PERIOD = 0.01
 NOISE = np.array([0.03, 0.02, 0.004])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from split_cli.diagnosis.result import Diagnosis
+from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.plots.diagnosis import diagnosis_figures, draw_help, draw_what, draw_where, gap_map
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.diagnose import FIGURES, write_diagnosis

@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.result import Diagnosis
+from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.errors import SplitError
 from split_cli.proof.generate import generate_cases
 from split_cli.proof.store import check_seal, read_answer, read_heldout, shown_cases

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from split_cli.diagnosis.result import Diagnosis, Finding, ParameterEstimate, RemainderTest, RivalSummary
+from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.workflows.report.markup import bar_row, section, table
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, term_title
 

@@ -8,7 +8,7 @@ from importlib.resources import files
 from string import Template
 
 from split_cli import __version__
-from split_cli.diagnosis.result import Diagnosis
+from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.workflows.report.payload import chart_numbers, embedded_json
 from split_cli.workflows.report.sections import all_sections, headline
 from split_cli.workflows.report.words import escape

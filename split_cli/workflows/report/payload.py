@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from split_cli.diagnosis.result import Diagnosis, GapSeries, HorizonErrors, Improvement, Location
+from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, HorizonErrors, Improvement, Location
 from split_cli.workflows.report.words import CHANNELS, FORCE_IDS, FORCES, readable
 
 __all__ = ["chart_numbers", "embedded_json"]

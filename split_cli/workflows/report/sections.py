@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from split_cli.diagnosis.result import Detectable, Diagnosis, HorizonErrors, Improvement, Location
+from split_cli.diagnosis.statement.result import Detectable, Diagnosis, HorizonErrors, Improvement, Location
 from split_cli.workflows.report.findings import what_section
 from split_cli.workflows.report.markup import bar_row, section, table
 from split_cli.workflows.report.words import (

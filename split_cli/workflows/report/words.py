@@ -7,7 +7,7 @@ import math
 import unicodedata
 from collections.abc import Sequence
 
-from split_cli.diagnosis.wording import variable_name
+from split_cli.diagnosis.statement.wording import variable_name
 
 __all__ = [
     "CHANNELS",

@@ -1,0 +1,229 @@
+"""Physics that simulation and reality share and the nominal model lacks: a dictionary with priors.
+
+Tangents of catalogue terms come first, since what a single track lacks against a real car is mostly of that kind;
+smooth functions of slip angles, torque and speed, mirror-symmetric, take the rest. The weights are learned on the
+simulation; reality is judged with what the simulation leaves uncertain about them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from split_cli.diagnosis.baseline.body import at_another_body
+from split_cli.diagnosis.recording.series import Series, extended_model
+from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.effects.recording import first_order_response
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["CommonPhysics", "build_common_physics"]
+
+# (term, variant, parameter, step from neutral): the step is both the tangent's width and the prior deviation.
+_TANGENTS = (
+    ("combined_slip", "", "strength", 0.5),
+    ("load_transfer", "", "cg_height", 0.2),
+    ("load_transfer", "peak", "cg_height", 0.2),
+    ("friction_scale", "", "scale", -0.15),
+    ("tire_stiffness", "", "front_scale", 0.15),
+    ("tire_stiffness", "", "rear_scale", 0.15),
+    ("aero_downforce", "", "front", 0.3),
+    ("aero_downforce", "", "rear", 0.3),
+    ("aero_drag", "", "drag", 0.2),
+    ("rolling_resistance", "", "force", 0.01),
+    ("yaw_moment_differential", "", "yaw_damping", 0.2),
+    ("yaw_moment_differential", "driven", "yaw_damping", 0.2),
+    ("drive_gain", "", "drive_gain", 0.1),
+    ("drive_gain", "", "brake_gain", 0.1),
+    ("drive_lag", "", "tau", 0.03),
+    ("drive_lag", "", "tau", 0.10),
+    ("steer_gain", "", "gain", 0.05),
+    ("steer_lag", "", "tau", 0.02),
+    ("steer_lag", "", "tau", 0.06),
+    ("tire_relaxation", "", "length", 0.15),
+    ("tire_relaxation", "", "length", 0.5),
+    ("mass", "", "scale", 0.1),
+    ("yaw_inertia", "", "scale", 0.1),
+    ("cg_shift", "", "dx", 0.03),
+)  # fmt: skip
+# Powers of alpha_f, alpha_r, T and v_x in the smooth functions, even and odd in the slip angles.
+_POWERS = [
+    (i, j, k, m)
+    for i, j in product(range(5), range(5))
+    for k, m in product(range(5 - min(i + j, 4)), range(5))
+    if i + j + k + m <= 4
+]
+_EVEN, _ODD = ([powers for powers in _POWERS if (powers[0] + powers[1]) % 2 == odd] for odd in (0, 1))
+_SMOOTH_DEVIATION = 0.03  # prior deviation of a smooth function's weight, as a share of an axle's peak
+
+_MEMORY_SECONDS = (0.03, 0.1, 0.35)  # for a full-size car; times shrink with the root of length
+
+
+@dataclass(frozen=True)
+class CommonPhysics:
+    """The dictionary, scaled so that every weight has a standard normal prior.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+    center, width : ndarray, shape (4,)
+        Of alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s], for the smooth functions.
+    """
+
+    vehicle: Vehicle
+    center: np.ndarray
+    width: np.ndarray
+
+    @property
+    def _peak(self) -> float:
+        return 0.5 * (self.vehicle.front_tire.D + self.vehicle.rear_tire.D)
+
+    def columns(self, series: Series) -> np.ndarray:
+        """Return the rates each entry adds along a recording, shape (N, 3, C) [m/s^2], [m/s^2], [rad/s^2]."""
+        plain, functions = series.rates(extended_model(self.vehicle)), self._functions(series)
+        first, directions = len(_TANGENTS), self._directions()
+        out = np.empty((len(series), 3, first + sum(len(some) for _, some in functions)))
+        for k, entry in enumerate(_TANGENTS):
+            out[:, :, k] = series.rates(self._altered(*entry)) - plain
+        for axis, some in functions:
+            np.multiply(some.T[:, None, :], directions[:, axis, None], out=out[:, :, first : first + len(some)])
+            first += len(some)
+        return out
+
+    def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
+        """Return what the weights add along a recording, shape (N, 3), where terms alter inputs, sensors or body.
+
+        What the actuators really did, and where the car really was, is what common physics answers to; and its
+        forces move the body that is there.
+        """
+        _, smooth = series.corrected(terms)
+        # The vehicle file's own effects act when the rates are taken below, and must not twice.
+        torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), smooth)
+        actual = replace(series, smooth=smooth, torque=torque, steer_angle=steer_angle)
+        tangents, others = np.split(np.asarray(weights, dtype=float), [len(_TANGENTS)])
+        # Row by row, and the plain rates taken off once: a sum over all of them is what costs.
+        out = [-tangents.sum() * row for row in actual.rate_rows(extended_model(self.vehicle))]
+        for entry, weight in zip(_TANGENTS, tangents, strict=True):
+            for row, added in zip(out, actual.rate_rows(self._altered(*entry)), strict=True):
+                row += weight * added
+        directions = self._directions()
+        for axis, functions in self._functions(actual):
+            here, others = np.split(others, [len(functions)])
+            total = here @ functions
+            for row, direction in zip(out, directions[:, axis], strict=True):
+                row += direction * total
+        return at_another_body(np.stack(out, axis=1), self.vehicle, terms)
+
+    def _directions(self) -> np.ndarray:
+        return self.vehicle.force_matrix() * self._peak * _SMOOTH_DEVIATION
+
+    def _functions(self, series: Series) -> list[tuple[int, np.ndarray]]:
+        """Return smooth functions, (F, N) each, with the force they act as: 0 longitudinal, 1 front, 2 rear."""
+        z = np.ascontiguousarray(_squash(features(series, self.vehicle), self.center, self.width).T)
+        return [*self._smooth(z), *self._memory(z, series)]
+
+    def _altered(self, name: str, variant: str, parameter: str, step: float) -> SingleTrack:
+        kind, car = CATALOGUE[name], self.vehicle
+        scaled = step * natural_unit(car, name, parameter)
+        neutral = {key: kind.neutral[key] for key in kind.units}
+        term = kind({**neutral, parameter: kind.neutral[parameter] + scaled}, variant)
+        return extended_model(car, (term,))
+
+    @staticmethod
+    def _smooth(z: np.ndarray) -> list[tuple[int, np.ndarray]]:
+        a, b, c, v = z
+        size = np.abs(c)
+        slips, rest = (
+            {(p, q): x * y for (p, x), (q, y) in product(enumerate(_powers(one, 4)), enumerate(_powers(two, 4)))}
+            for one, two in ((a, b), (c, v))
+        )
+
+        def products(powers: Sequence[tuple[int, ...]], *others: np.ndarray) -> np.ndarray:
+            out = np.empty((len(powers) + len(others), len(a)))
+            for row, (i, j, k, m) in zip(out, powers, strict=False):
+                np.multiply(slips[i, j], rest[k, m], out=row)
+            out[len(powers) :] = others
+            return out
+
+        even = products(_EVEN, size)
+        odd = products(_ODD, a * size, b * size, np.abs(a) * a, np.abs(b) * b)
+        return [(0, even), (1, odd), (2, odd)]
+
+    def _memory(self, z: np.ndarray, series: Series) -> list[tuple[int, np.ndarray]]:
+        """Slow parts of steering, torque and slip: suspension, actuators and tyres answer late in any real car."""
+        a, b, c, v = z
+        delta = series.steer_angle / max(float(np.quantile(np.abs(series.steer_angle), 0.99)), 1e-6)
+        scale = np.sqrt(self.vehicle.wheelbase / 2.7)
+        along, side = [], []
+        for tau in _MEMORY_SECONDS:
+            late = [
+                first_order_response(x, 1.0 / (tau * scale), series.recording) - x for x in (a, b, c, delta, a * a)
+            ]
+            along += [late[2], late[4]]
+            side += [late[0], late[1], late[3], late[2] * a, late[2] * b, late[0] * v]
+        both = np.array(side)
+        return [(0, np.array(along)), (1, both), (2, both)]
+
+
+def build_common_physics(vehicle: Vehicle, series: Series) -> CommonPhysics:
+    """Return the dictionary, its smooth functions scaled to where `series` (a simulation) has been."""
+    z = features(series, vehicle)
+    width = np.maximum(np.quantile(np.abs(z[:, :2]), 0.995, axis=0), 1e-3)
+    low, high = np.quantile(z[:, 2:], [0.005, 0.995], axis=0)
+    center = np.array([0.0, 0.0, *(0.5 * (low + high))])
+    return CommonPhysics(vehicle, center, np.array([*width, *np.maximum(0.5 * (high - low), 1e-3)]))
+
+
+def features(series: Series, vehicle: Vehicle) -> np.ndarray:
+    """Return alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s] at the smoothed states, shape (N, 4)."""
+    flow = series.flow(extended_model(vehicle))
+    ratio = series.torque / vehicle.max_torque
+    return np.stack([flow.front.slip_angle, flow.rear.slip_angle, ratio, series.smooth[:, 0]], axis=1)
+
+
+def scaled_features(series: Series, vehicle: Vehicle) -> np.ndarray:
+    """Return the features over what a hundredth of the recording exceeds of each in size, shape (N, 4)."""
+    z = features(series, vehicle)
+    return z / np.maximum(np.quantile(np.abs(z), 0.99, axis=0), 1e-9)
+
+
+def natural_unit(vehicle: Vehicle, term: str, parameter: str) -> float:
+    """Return a size of a parameter that matters for this vehicle: what 1 means in tables written for all cars."""
+    weight = vehicle.mass * 9.80665
+    length = vehicle.wheelbase / 2.7
+    capacity = vehicle.front_tire.D + vehicle.rear_tire.D
+    speed2 = 400.0 * length  # (20 m/s)^2 for a full-size car; speeds scale with the root of length
+    units = {
+        ("aero_downforce", "front"): 0.5 * weight / speed2,
+        ("aero_downforce", "rear"): 0.5 * weight / speed2,
+        ("aero_drag", "drag"): 0.1 * weight / speed2,
+        ("rolling_resistance", "force"): weight,
+        ("wind", "wx"): np.sqrt(speed2),
+        ("wind", "wy"): np.sqrt(speed2),
+        # Damping that takes a tenth of what the tyres damp at that speed.
+        ("yaw_moment_differential", "yaw_damping"): 0.25 * capacity * vehicle.wheelbase**2 / np.sqrt(speed2),
+        ("load_transfer", "cg_height"): vehicle.wheelbase,
+        ("cg_shift", "dx"): vehicle.wheelbase,
+        ("sensor_lever_arm", "dx"): vehicle.wheelbase,
+        ("tire_relaxation", "length"): vehicle.wheelbase / 2.7,
+        **{(name, "delay"): np.sqrt(length) for name in ("steer_delay", "drive_delay", "sensor_delay")},
+        **{(name, "tau"): np.sqrt(length) for name in ("steer_lag", "drive_lag")},
+    }
+    return float(units.get((term, parameter), 1.0))
+
+
+def _squash(z: np.ndarray, center: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """Scale to about [-1, 1] inside and level off outside, so that nothing is extrapolated."""
+    x = (z - center) / width
+    return np.where(np.abs(x) <= 1.0, x, np.sign(x) * (1.0 + np.tanh(np.abs(x) - 1.0)))
+
+
+def _powers(x: np.ndarray, most: int) -> list[np.ndarray]:
+    """Return x^0 to x^most."""
+    out = [np.ones_like(x)]
+    for _ in range(most):
+        out.append(out[-1] * x)
+    return out

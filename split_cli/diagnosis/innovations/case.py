@@ -1,0 +1,97 @@
+"""Everything whitened: what a diagnosis judges, and what the simulation knows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.diagnosis.baseline.common import CommonPhysics, build_common_physics
+from split_cli.diagnosis.innovations.comparable import comparable
+from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, graded_as
+from split_cli.diagnosis.innovations.judge import CommonKnowledge, learn_common
+from split_cli.diagnosis.recording.kinematics import Kinematics, build_kinematics, common_habit
+from split_cli.diagnosis.recording.series import Series
+from split_cli.diagnosis.together import together
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["Case", "gather_case"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """Recordings and knowledge.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+    real, holdout, simulated : tuple of Evidence
+    common : CommonPhysics
+    knowledge : CommonKnowledge or None
+        None where the nominal model is the simulation.
+    keep, keep_holdout : tuple of ndarray of bool, shape (G,)
+        Rows of each real and held-out recording that are compared.
+    kinematics, simulated_kinematics : tuple of Kinematics
+        Of the real and the simulated recordings that have position and yaw.
+    graded : tuple of Evidence
+        The simulated recordings as if they had the noise and disturbance of the real ones.
+    """
+
+    vehicle: Vehicle
+    real: tuple[Evidence, ...]
+    holdout: tuple[Evidence, ...]
+    common: CommonPhysics
+    knowledge: CommonKnowledge | None
+    keep: tuple[np.ndarray, ...]
+    kinematics: tuple[Kinematics, ...]
+    simulated_kinematics: tuple[Kinematics, ...] = ()
+    simulated: tuple[Evidence, ...] = ()
+    keep_holdout: tuple[np.ndarray, ...] = ()
+    graded: tuple[Evidence, ...] = ()
+
+    def compared(self, reach: float) -> Case:
+        """Return the case with those real rows compared that are within `reach` of a simulated one."""
+        keep, kept_out = (
+            tuple(comparable(one, self.simulated, self.common, reach) for one in several)
+            for several in (self.real, self.holdout)
+        )
+        return replace(self, keep=keep, keep_holdout=kept_out)
+
+    def common_rates(self, evidence: Evidence) -> np.ndarray:
+        """Return what the simulation knows beyond the nominal model along a recording, shape (N, 3)."""
+        if self.knowledge is None:
+            return np.zeros_like(evidence.series.measured)
+        return self.common.rates(evidence.series, self.knowledge.weights)
+
+
+def gather_case(vehicle: Vehicle, series: Sequence[Series], *, inflation: float, reach: float) -> Case:
+    """Whiten every recording and learn the common physics.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    series : sequence of Series
+    inflation : float
+        By which autocorrelation widens chi squared.
+    reach : float
+        How far, in scaled features, a real row may be from the nearest simulated one.
+    """
+    by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
+    common = build_common_physics(vehicle, (by_role["sim"] or by_role["real"])[0])
+    simulated = together(lambda one: gather_evidence(vehicle, one, common), by_role["sim"])
+    least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
+    real = together(lambda one: gather_evidence(vehicle, one, common, least), by_role["real"])
+    holdout = together(lambda one: gather_evidence(vehicle, one, common, least), by_role["holdout"])
+    noise = np.median([one.series.told_noise for one in real], axis=0)
+    disturbance = np.max([one.disturbance for one in real], axis=0)
+    graded = [graded_as(one, noise, disturbance, common) for one in simulated]
+    knowledge = learn_common(graded, inflation) if graded else None
+    theirs = [one for one in map(build_kinematics, by_role["sim"]) if one]
+    habit = common_habit(theirs)
+    kinematics = [one for one in (build_kinematics(series, habit) for series in by_role["real"]) if one]
+    case = Case(
+        vehicle, tuple(real), tuple(holdout), common, knowledge, (), tuple(kinematics), tuple(theirs),
+        tuple(simulated), graded=tuple(graded),
+    )  # fmt: skip
+    return case.compared(reach)

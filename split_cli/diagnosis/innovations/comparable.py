@@ -1,0 +1,82 @@
+"""Which rows of a recording are compared: those where a simulation has been too.
+
+It has been there if it was asked for the same, or if it moved the same. A steering that is scaled, a velocity that
+is turned, take every turn away from where the simulation was asked to be, and the car still moves as it did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from split_cli.diagnosis.baseline.common import CommonPhysics, features
+from split_cli.diagnosis.innovations.evidence import Evidence
+
+__all__ = ["comparable"]
+
+_SMOOTHED_SECONDS = 0.2
+# Of what the tyres have: beyond it the same motion may come of other slips, and a row nearby proves nothing.
+_SURE_SHARE = 0.7
+
+
+def comparable(one: Evidence, simulated: Sequence[Evidence], common: CommonPhysics, reach: float) -> np.ndarray:
+    """Return the rows of a recording that are fast enough and near where a simulation has been, shape (G,).
+
+    Parameters
+    ----------
+    one : Evidence
+    simulated : sequence of Evidence
+        None, if the nominal model is the simulation; only rows of positive weight count.
+    common : CommonPhysics
+    reach : float
+        How far a row may be from the nearest simulated one, in scaled features.
+    """
+    fast = one.series.smooth[one.at, 0] >= 0.6 * one.vehicle.minimum_speed
+    usable = fast & (one.weight > 0.0)
+    if not simulated:
+        return usable
+
+    def asked(evidence: Evidence) -> np.ndarray:
+        return (features(evidence.series, evidence.vehicle)[evidence.at] - common.center) / common.width
+
+    believed = [evidence.weight > 0.0 for evidence in simulated]
+    there = np.concatenate([asked(evidence)[rows] for evidence, rows in zip(simulated, believed, strict=True)])
+    moved = np.concatenate([_forces(evidence)[rows] for evidence, rows in zip(simulated, believed, strict=True)])
+    scale = np.maximum(np.quantile(np.abs(moved), 0.995, axis=0), 1e-9)
+    scale[3] = common.width[3]
+    mine = _forces(one)
+    sure = _share_of_grip(mine, one) < _SURE_SHARE
+    return usable & (_near(asked(one), there, reach) | (sure & _near(mine / scale, moved / scale, reach)))
+
+
+def _near(points: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
+    from scipy.spatial import cKDTree
+
+    distance, _ = cKDTree(others).query(points, k=1, distance_upper_bound=reach)
+    return np.isfinite(distance)
+
+
+def _forces(one: Evidence) -> np.ndarray:
+    """Return what the motion says: lateral force of the axles, force along the car [N], and v_x [m/s], (G, 4)."""
+    series, car = one.series, one.vehicle
+    size = max(1, int(round(_SMOOTHED_SECONDS / series.period)))
+    rates = np.zeros_like(series.smooth)
+    for begin, end in series.recording.segments:
+        if end - begin > 2:
+            slope = np.gradient(series.smooth[begin:end], series.period, axis=0)
+            rates[begin:end] = uniform_filter1d(slope, size, axis=0, mode="nearest")
+    vx, vy, r = series.smooth.T
+    along = car.mass * (rates[:, 0] - vy * r)
+    side = car.mass * (rates[:, 1] + vx * r)
+    turn = car.yaw_inertia * rates[:, 2]
+    front = (side * car.cg_to_rear_axle + turn) / car.wheelbase
+    return np.stack([front, side - front, along, vx], axis=1)[one.at]
+
+
+def _share_of_grip(forces: np.ndarray, one: Evidence) -> np.ndarray:
+    """Return which share of the tyres' peak forces a motion takes, the busier axle's, shape (G,)."""
+    front, rear = one.vehicle.front_tire.D, one.vehicle.rear_tire.D
+    share = np.abs(forces[:, 2]) / (front + rear)
+    return np.hypot(np.maximum(np.abs(forces[:, 0]) / front, np.abs(forces[:, 1]) / rear), share)

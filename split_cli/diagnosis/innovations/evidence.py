@@ -1,0 +1,265 @@
+"""Whitened evidence of a recording: what it says against a model, one row of unit noise after another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+
+from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener
+from split_cli.diagnosis.recording.series import Series, extended_model
+from split_cli.vehicle.effects import Term
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["Evidence", "gather_evidence", "graded_as", "rolling"]
+
+_ROW_SECONDS = 0.04
+_TUNING_ROWS = 9000
+# Of an axle's peak force: asked for more along the car, its wheels may spin or lock, which takes a while to end.
+_ROLLING_SHARE = 0.9
+_LOST_SHARE = 0.1
+_ROLLING_SECONDS = 0.2
+_LEAST_ROLLING = 0.5
+# Back and forth within this time by this share of the peak, that is a slip control at work.
+_CYCLING_SECONDS = 0.3
+_CYCLING_SHARE = 0.8
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One recording's rows.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+    series : Series
+    jacobian : ndarray, shape (N, 3, 3)
+        Nominal velocity Jacobian at the smoothed states.
+    whitener : Whitener
+    plain : ndarray, shape (G, 3)
+        Whitened rows against the nominal model.
+    common : ndarray, shape (G, 3, C)
+        Whitened columns of the common physics.
+    at : ndarray of int64, shape (G,)
+        Sample in the middle of each row.
+    disturbance : ndarray, shape (3,)
+    weight : ndarray, shape (G,)
+        Root of the robust weight of a row, 0 where it is not compared: where wheels spin or lock.
+    rolls : ndarray of bool, shape (N,)
+        Where the wheels roll, see `rolling`.
+    """
+
+    vehicle: Vehicle
+    series: Series
+    jacobian: np.ndarray
+    whitener: Whitener
+    plain: np.ndarray
+    common: np.ndarray
+    at: np.ndarray
+    disturbance: np.ndarray
+    weight: np.ndarray
+    rolls: np.ndarray
+
+    def rows(self, terms: Sequence[Term], common_rates: np.ndarray | None = None) -> np.ndarray:
+        """Return whitened rows, shape (G, 3), of what `left` returns."""
+        return self.whitener(self.left(terms, common_rates))
+
+    def left(self, terms: Sequence[Term], common_rates: np.ndarray | None = None) -> np.ndarray:
+        """Return the defects that the nominal model with `terms` leaves, shape (N - 1, 3); 0 over gaps.
+
+        Parameters
+        ----------
+        terms : sequence of Term
+        common_rates : ndarray, shape (N, 3), optional
+            What common physics adds to the model's rates [m/s^2], [m/s^2], [rad/s^2].
+        """
+        measured, smooth = self.series.corrected(terms)
+        rates = self.series.rates(extended_model(self.vehicle, terms), smooth)
+        if common_rates is not None:
+            rates = rates + common_rates
+        plain = measured is self.series.measured and smooth is self.series.smooth
+        moved = self._moved if plain else motion(self.series, self.jacobian, measured, smooth)
+        return moved - integrated(self.series, rates)
+
+    @cached_property
+    def _moved(self) -> np.ndarray:
+        return motion(self.series, self.jacobian, self.series.measured, self.series.smooth)
+
+
+def motion(series: Series, jacobian: np.ndarray, measured: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+    """Return what rates of a model at the smoothed states have to explain, shape (N - 1, 3); 0 over gaps.
+
+    Notes
+    -----
+    The model is evaluated at smoothed states and carried to the measured ones by its Jacobian, so that sensor
+    noise enters to first order only, where the whitener knows of it.
+    """
+    out = np.diff(measured, axis=0) - integrated(series, np.einsum("nij,nj->ni", jacobian, measured - smooth))
+    out[~series.inside()] = 0.0
+    return out
+
+
+def integrated(series: Series, columns: np.ndarray) -> np.ndarray:
+    """Return what rates (N, ...) add over each transition, shape (N - 1, ...); 0 over gaps."""
+    out = 0.5 * series.period * (columns[1:] + columns[:-1])
+    out[~series.inside()] = 0.0
+    return out
+
+
+def gather_evidence(
+    vehicle: Vehicle, series: Series, common: CommonPhysics, least_disturbance: np.ndarray | None = None
+) -> Evidence:
+    """Whiten a recording, with the strength of nameless disturbances found by maximum likelihood.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    series : Series
+    common : CommonPhysics
+    least_disturbance : ndarray, shape (3,), optional
+        Found on another recording of the same kind; never less is assumed.
+    """
+    rows = series.smooth.T
+    jacobian = extended_model(vehicle).velocity_jacobian(
+        *rows, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s
+    )
+    rates = series.rates(extended_model(vehicle))
+    plain = motion(series, jacobian, series.measured, series.smooth) - integrated(series, rates)
+    columns = integrated(series, common.columns(series))
+    group, at = _row_groups(series)
+    rolls = rolling(series, vehicle)
+    begins = _begins_anew(series, rolls)
+    kept = np.ones(len(at), dtype=bool)
+    kept[group[(group >= 0) & ~rolls[:-1]]] = False
+    disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
+    for _ in range(2):
+        whitener = build_whitener(jacobian, series.period, series.told_noise, disturbance, begins, group)
+        w = _common_weights(whitener(plain), whitener(columns), kept)
+        disturbance = _likely_disturbance(series, jacobian, plain - columns @ w, begins, rolls, disturbance)
+        if least_disturbance is not None:
+            disturbance = np.maximum(disturbance, least_disturbance)
+    whitener = build_whitener(jacobian, series.period, series.told_noise, disturbance, begins, group)
+    u, phi = whitener(plain), whitener(columns)
+    left = u - phi @ _common_weights(u, phi, kept)
+    weight = _robust_weight(left) * kept
+    return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls)
+
+
+def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common: CommonPhysics) -> Evidence:
+    """Whiten a recording as if it had at least this noise and disturbance, shape (3,) each.
+
+    A simulation without noise would otherwise be believed to the last digit, and weighed by other frequencies than
+    the reality it is compared with.
+    """
+    series = one.series
+    whitener = build_whitener(
+        one.jacobian,
+        series.period,
+        np.maximum(series.told_noise, noise),
+        np.maximum(one.disturbance, disturbance),
+        one.whitener.begins,
+        one.whitener.group,
+    )
+    columns = whitener(integrated(series, common.columns(series)))
+    return replace(one, whitener=whitener, plain=whitener(one.left(())), common=columns)
+
+
+def rolling(series: Series, vehicle: Vehicle) -> np.ndarray:
+    """Return where the wheels roll, shape (N,): a single track knows neither spinning nor locked ones.
+
+    They do not where an axle is asked for most of its peak force, at the load it stands with, and for a while the
+    car gets less than it was asked for: load that moves to an axle, and downforce, give it more. Nor where what is
+    asked for goes up to there and back within moments, as a slip control makes it: wheels answer by spinning.
+    """
+    model = extended_model(vehicle)
+    flow = series.flow(model)
+    axles = (flow.front, flow.rear)
+    used = np.maximum(*(np.abs(axle.longitudinal_force) / axle.D for axle in axles))
+    asked = sum(axle.longitudinal_force for axle in axles) + 0.0 * series.t
+    got = vehicle.mass * (np.gradient(series.smooth[:, 0], series.period) - model.balance(flow)[0])
+    reach = max(1, int(round(_ROLLING_SECONDS / series.period)))
+    lost, wanted = (uniform_filter1d(one, reach + 1) for one in (-np.sign(asked) * got, np.abs(asked)))
+    slipping = (used > _ROLLING_SHARE) & (lost > _LOST_SHARE * wanted)
+    slipping |= _cycling([np.asarray(axle.longitudinal_force) / axle.D for axle in axles], used, series.period)
+    rolls = ~maximum_filter1d(slipping, 2 * reach + 1)
+    # A car that asks for more most of the time has other tyres than its file says.
+    return rolls if rolls.mean() > _LEAST_ROLLING else np.ones_like(rolls)
+
+
+def _cycling(asked: Sequence[np.ndarray], used: np.ndarray, period: float) -> np.ndarray:
+    """Return where an axle's force along the car [of its peak] swings as far up as down around the limit, (N,)."""
+    window = max(3, int(round(_CYCLING_SECONDS / period)))
+
+    def travel(steps: np.ndarray) -> np.ndarray:
+        return window * uniform_filter1d(np.maximum(steps, 0.0), window)
+
+    steps = [np.diff(one, prepend=one[0]) for one in asked]
+    swing = np.maximum(*(np.minimum(travel(one), travel(-one)) for one in steps))
+    return (swing > _CYCLING_SHARE) & (maximum_filter1d(used, window) > _ROLLING_SHARE)
+
+
+def _begins_anew(series: Series, rolls: np.ndarray) -> np.ndarray:
+    """Return where the filter starts anew, shape (N - 1,): after gaps, and once wheels roll again."""
+    again = np.diff(rolls.astype(np.int8), prepend=1)[:-1] > 0
+    return series.transitions_begin() | again
+
+
+def _common_weights(rows: np.ndarray, columns: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    return ridge(columns[kept].reshape(-1, columns.shape[2]), rows[kept].reshape(-1))
+
+
+def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return weights of standard normal priors from whitened rows (R, C) and (R,)."""
+    precision = columns.T @ columns + np.eye(columns.shape[1])
+    return np.linalg.solve(precision, columns.T @ target)
+
+
+def _row_groups(series: Series) -> tuple[np.ndarray, np.ndarray]:
+    """Number the rows transitions are summed into; a remainder at a segment's end is left out."""
+    size = max(1, int(round(_ROW_SECONDS / series.period)))
+    group = np.full(len(series) - 1, -1, dtype=np.int64)
+    at, number = [], 0
+    for begin, end in series.recording.segments:
+        rows = (end - 1 - begin) // size
+        group[begin : begin + rows * size] = number + np.repeat(np.arange(rows), size)
+        at.append(begin + size // 2 + size * np.arange(rows))
+        number += rows
+    return group, np.concatenate(at).astype(np.int64)
+
+
+def _robust_weight(rows: np.ndarray) -> np.ndarray:
+    """Return roots of Huber weights of rows (G, 3), each channel scaled by its own spread."""
+    spread = 1.4826 * np.median(np.abs(rows), axis=0) + 1e-12
+    worst = np.max(np.abs(rows) / spread, axis=1)
+    return np.sqrt(np.minimum(1.0, 4.0 / np.maximum(worst, 1e-12)))
+
+
+def _likely_disturbance(series, jacobian, defect, begins, rolls, start) -> np.ndarray:
+    """Maximise the likelihood over the disturbance's variance, channel by channel, on part of a long recording."""
+    used = np.flatnonzero(rolls[1:])[:_TUNING_ROWS]
+    begins = begins[used] | (np.diff(used, prepend=used[0]) > 1)
+    jacobian = jacobian[np.append(used, used[-1] + 1)]
+    every = np.arange(len(used), dtype=np.int64)
+    clipped = defect[used]
+    spread = 6.0 * 1.4826 * np.median(np.abs(clipped), axis=0) + 1e-12
+    clipped = np.clip(clipped, -spread, spread)
+    found = np.log10(np.asarray(start, dtype=float))
+
+    def cost(logs: np.ndarray) -> float:
+        whitener = build_whitener(jacobian, series.period, series.told_noise, 10.0**logs, begins, every)
+        return whitener.cost(clipped)
+
+    least = cost(found)
+    for width in (2.0, 1.0, 0.5, 0.25):
+        for channel in range(3):
+            trials = [(least, found)]
+            for shift in (-width, width):
+                logs = found.copy()
+                logs[channel] += shift
+                trials.append((cost(logs), logs))
+            least, found = min(trials, key=lambda trial: trial[0])
+    return 10.0 ** np.clip(found, -9.0, 4.0)

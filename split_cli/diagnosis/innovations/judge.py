@@ -1,0 +1,291 @@
+"""The court: real recordings against nominal, common physics as the simulation knows it, and named terms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from split_cli.diagnosis.baseline.body import alters_body, at_another_body
+from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
+from split_cli.diagnosis.innovations.evidence import Evidence, integrated
+from split_cli.diagnosis.innovations.projection import damped
+from split_cli.diagnosis.recording.kinematics import Kinematics
+from split_cli.vehicle.effects import Term
+
+_LEAST_TOLD = 2e-3
+_LEAST_NOISE, _MOST_NOISE = 1e-3, 5.0  # variance that a row of simulation is believed to have
+
+__all__ = ["CommonKnowledge", "Judge", "build_judge", "learn_common"]
+
+
+@dataclass(frozen=True)
+class CommonKnowledge:
+    """What the simulation taught about the common physics: weights and their precision.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (C,)
+    precision : ndarray, shape (C, C)
+    """
+
+    weights: np.ndarray
+    precision: np.ndarray
+
+
+def learn_common(simulations: Sequence[Evidence], inflation: float = 1.0) -> CommonKnowledge:
+    """Learn the common physics from whitened simulations.
+
+    Parameters
+    ----------
+    simulations : sequence of Evidence
+    inflation : float
+        By which autocorrelation widens the noise.
+
+    Notes
+    -----
+    Rows are believed as far as the dictionary holds them: their noise is the long-run variance of what it leaves,
+    which is 1 for rows of unit noise, small for a simulation without any, but never 0, since no dictionary
+    holds the physics of a real car, and larger where the dictionary misses what rows have in common, up to a
+    bound beyond which nothing would be known.
+    """
+    columns = np.concatenate(
+        [one.common.reshape(-1, one.common.shape[2]) * _entry_weight(one) for one in simulations]
+    )
+    target = np.concatenate([one.plain.reshape(-1) * _entry_weight(one)[:, 0] for one in simulations])
+    normal, score = columns.T @ columns, columns.T @ target
+    prior = np.eye(len(score))
+    noise = inflation
+    for _ in range(2):
+        weights = np.linalg.solve(prior + normal / noise, score / noise)
+        left = (target - columns @ weights).reshape(-1, 3)
+        noise = inflation * float(np.clip(_long_run_variance(left).max(), _LEAST_NOISE, _MOST_NOISE))
+    precision = prior + normal / noise
+    return CommonKnowledge(np.linalg.solve(precision, score / noise), precision)
+
+
+def _entry_weight(one: Evidence) -> np.ndarray:
+    return np.repeat(one.weight, 3)[:, None]
+
+
+def _long_run_variance(rows: np.ndarray) -> np.ndarray:
+    """Return the Bartlett estimate of rows (G, 3) over a second, at least their variance, shape (3,)."""
+    lags = max(min(LAG_ROWS, len(rows) // 4) - 1, 0)
+    shared = bartlett_sum(autocovariances(rows, lags), LAG_ROWS)
+    return np.mean(rows**2, axis=0) + np.maximum(shared, 0.0)
+
+
+def alters_inputs(term: Term) -> bool:
+    """Return whether a term changes what arrives of the commands, or what is measured."""
+    return not term.exported or type(term).actuate is not Term.actuate
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Costs of explanations on a choice of rows of the real recordings.
+
+    The common physics' weights are integrated out: with r the weighted rows left by the terms and the simulation's
+    weights, the cost is r^T (I + Phi H^-1 Phi^T)^-1 r = |r|^2 - |V^T r|^2.
+
+    Attributes
+    ----------
+    evidence : tuple of Evidence
+    knowledge : CommonKnowledge or None
+        None where the nominal model is the simulation: nothing is common.
+    common : CommonPhysics
+    keep : tuple of ndarray of bool
+        Rows used, of every recording.
+    offset : ndarray, shape (R,)
+        Weighted rows of the common physics at the simulation's weights.
+    basis : ndarray, shape (R, C)
+        V; without columns when nothing is common.
+    block : ndarray of int, shape (R,)
+        Block of time each entry lies in.
+    weight : ndarray, shape (R,)
+        Root of each entry's robust weight.
+    root : ndarray, shape (C,)
+        M, diagonal in the directions of V, with (I - V M V^T)^2 = I - V V^T.
+    kinematics : tuple of Kinematics
+        Recordings against themselves; their rows come last in every stack, and nothing but sensors moves them.
+    nameless_floor : float
+        Cost that a flexible fit may save without a difference: what simulation shows against itself, see
+        `calibration`.
+    term_floors : mapping of str to float
+        The same for terms.
+    misfit : float
+        By how much what no dictionary holds widens what a term saves by chance.
+    to_the_letter : bool
+        Whether the simulation is believed without reserve, see `believed_to_the_letter`.
+    memo : dict
+        What was computed before: shifts and severities of the common physics, kinematic rows without faulty
+        sensors.
+    """
+
+    evidence: tuple[Evidence, ...]
+    knowledge: CommonKnowledge | None
+    common: CommonPhysics
+    keep: tuple[np.ndarray, ...]
+    offset: np.ndarray
+    basis: np.ndarray
+    block: np.ndarray
+    weight: np.ndarray
+    root: np.ndarray
+    kinematics: tuple[Kinematics, ...] = ()
+    nameless_floor: float = 0.0
+    term_floors: Mapping[str, float] = field(default_factory=dict)
+    misfit: float = 1.0
+    to_the_letter: bool = False
+    memo: dict = field(default_factory=dict, repr=False, compare=False)
+
+    def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the kept, weighted entries of rows (G, 3, ...) of all recordings, shape (R, ...)."""
+        kept = [np.compress(keep, part, axis=0) for part, keep in zip(rows, self.keep, strict=True)]
+        flat = np.concatenate([part.reshape(-1, *part.shape[2:]) for part in kept])
+        extra = sum(len(one.begin) for one in self.kinematics)
+        flat = np.concatenate([flat, np.zeros((extra, *flat.shape[1:]))])
+        return flat * (self.weight if flat.ndim == 1 else self.weight[:, None])
+
+    def believed_to_the_letter(self) -> Judge:
+        """Return a judge to whom the common physics is what the simulation taught, and nothing of it free.
+
+        What the simulation leaves open is much where no dictionary holds its physics. All that brings a recording
+        back to where the simulation has been is open, too, and saves nothing. To the letter it saves what it
+        brings back.
+        """
+        return replace(self, basis=np.zeros((len(self.weight), 0)), root=np.zeros(0), to_the_letter=True)
+
+    def residual(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return what terms and the simulation's common physics leave, shape (R,)."""
+        rows = self.stack([one.rows(terms, self.carried(one, terms)) for one in self.evidence]) - self.offset
+        first = len(rows)
+        for one in reversed(self.kinematics):
+            rows[first - len(one.begin) : first] = self._kinematic_rows(one, terms)
+            first -= len(one.begin)
+        return rows
+
+    def _kinematic_rows(self, one: Kinematics, terms: Sequence[Term]) -> np.ndarray:
+        if any(not term.exported for term in terms):
+            return one.rows(terms)
+        key = ("kinematics", id(one))
+        if key not in self.memo:
+            self.memo[key] = one.rows(())
+        return self.memo[key]
+
+    def shift(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return how the common physics' rows change where terms alter inputs or sensors, shape (R,).
+
+        Zero unless one of them does; it is costly and taken as constant while parameters move a little.
+        """
+        altering = [term for term in terms if alters_inputs(term)]
+        if self.knowledge is None or not altering:
+            return np.zeros(len(self.weight))
+        key = tuple((term.id, *sorted(term.parameters.items())) for term in altering)
+        if key not in self.memo:
+            self.memo[key] = self._common_rows(altering) - self.offset
+        return self.memo[key]
+
+    def _common_rows(self, terms: Sequence[Term]) -> np.ndarray:
+        rows = []
+        for one in self.evidence:
+            rates = self.common.rates(one.series, self.knowledge.weights, terms)
+            rows.append(one.whitener(integrated(one.series, rates)))
+        return self.stack(rows)
+
+    def carried(self, one: Evidence, terms: Sequence[Term]) -> np.ndarray | None:
+        """Return how the rates of common physics change where terms alter the body, shape (N, 3), or nothing."""
+        if self.knowledge is None or not any(map(alters_body, terms)):
+            return None
+        key = ("common rates", id(one))
+        if key not in self.memo:
+            self.memo[key] = self.common.rates(one.series, self.knowledge.weights)
+        return at_another_body(self.memo[key], self.common.vehicle, terms) - self.memo[key]
+
+    def left_by(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return what terms leave while they are fitted, shape (R,).
+
+        To the letter the common physics follows them at every step; else it is moved along in between.
+        """
+        left = self.residual(terms)
+        return left - self.shift(terms) if self.to_the_letter else left
+
+    def whiten(self, rows: np.ndarray) -> np.ndarray:
+        """Return entries from which the still free part of the common physics is taken out, shape as given.
+
+        Sums of squares of the result are costs: it applies a symmetric root of (I + Phi H^-1 Phi^T)^-1.
+        """
+        if not self.basis.shape[1]:
+            return rows
+        return damped(rows, self.basis, self.root)
+
+    def cost(self, terms: Sequence[Term]) -> float:
+        """Return the cost of an explanation, common physics moved along; its units are those of chi squared."""
+        entries = self.whiten(self.residual(terms) - self.shift(terms))
+        return float(entries @ entries)
+
+    @property
+    def shared_cost(self) -> float:
+        """Cost that the common physics, at the simulation's weights, explains of the real recordings."""
+        plain = self.stack([evidence.plain for evidence in self.evidence])
+        return max(float(plain @ plain - np.sum((plain - self.offset) ** 2)), 0.0)
+
+    def channel_sums(self, entries: np.ndarray) -> np.ndarray:
+        """Return sums over the rows of v_x, v_y and r, and over kinematic rows, shape (4,)."""
+        rows = len(entries) - sum(len(one.begin) for one in self.kinematics)
+        return np.append(entries[:rows].reshape(-1, 3).sum(axis=0), entries[rows:].sum())
+
+    def block_sums(self, entries: np.ndarray) -> np.ndarray:
+        """Return sums over blocks of time, shape (B, ...)."""
+        total = np.zeros((int(self.block.max()) + 1, *entries.shape[1:]))
+        np.add.at(total, self.block, entries)
+        return total
+
+
+def build_judge(
+    evidence: Sequence[Evidence],
+    knowledge: CommonKnowledge | None,
+    common: CommonPhysics,
+    keep: Sequence[np.ndarray],
+    kinematics: Sequence[Kinematics] = (),
+    block_seconds: float = 2.0,
+) -> Judge:
+    """Set up the costs on the kept rows; blocks are stretches of `block_seconds` of a recording."""
+    numbers, first = [], 0
+    for one, mask in zip(evidence, keep, strict=True):
+        number = (one.series.t[one.at] // block_seconds).astype(np.int64)
+        number = first + np.unique(number, return_inverse=True)[1]
+        first = int(number.max(initial=first - 1)) + 1
+        numbers.append(np.repeat(number[mask], 3))
+    for one in kinematics:
+        number = (one.series.t[one.begin] // block_seconds).astype(np.int64)
+        numbers.append(first + np.unique(number, return_inverse=True)[1])
+        first = int(numbers[-1].max(initial=first - 1)) + 1
+    block = np.unique(np.concatenate(numbers), return_inverse=True)[1]
+    weights = [np.repeat(one.weight[mask], 3) for one, mask in zip(evidence, keep, strict=True)]
+    weight = np.concatenate([*weights, *(np.ones(len(one.begin)) for one in kinematics)])
+    judge = Judge(
+        tuple(evidence),
+        knowledge,
+        common,
+        tuple(keep),
+        offset=np.zeros(len(weight)),
+        basis=np.zeros((len(weight), 0)),
+        block=block,
+        weight=weight,
+        root=np.zeros(0),
+        kinematics=tuple(kinematics),
+    )
+    if knowledge is None:
+        return judge
+    columns = judge.stack([one.common for one in evidence])
+    lower = np.linalg.cholesky(knowledge.precision + columns.T @ columns)
+    basis = solve_triangular(lower, columns.T, lower=True).T
+    # With V^T V = U diag(d) U^T the root is U diag(1/(1 + sqrt(1 - d))) U^T; directions that reality says next to
+    # nothing about change no cost and are left out.
+    d, U = np.linalg.eigh(basis.T @ basis)
+    told = d > _LEAST_TOLD
+    root = 1.0 / (1.0 + np.sqrt(np.clip(1.0 - d[told], 0.0, 1.0)))
+    basis = np.ascontiguousarray(basis @ U[:, told])
+    return replace(judge, offset=columns @ knowledge.weights, basis=basis, root=root)

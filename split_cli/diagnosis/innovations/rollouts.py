@@ -1,0 +1,217 @@
+"""Does the named physics help over seconds: open-loop rollouts on held-out time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.innovations.judge import CommonKnowledge
+from split_cli.diagnosis.recording.series import Series, extended_model
+from split_cli.learning.features import Z2, FeatureSet
+from split_cli.learning.region import Grid
+from split_cli.logs.drive import Drive
+from split_cli.prediction import Predictor
+from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, rollout_starts
+from split_cli.vehicle.effects import Term
+from split_cli.vehicle.integration import phi_matrix
+
+__all__ = ["HORIZONS", "RolloutErrors", "SharedRates", "Stage", "rest_of", "roll_out_stages", "shared_rates"]
+
+HORIZONS = (0.5, 1.0, 2.0)  # [s]
+_STEP_SECONDS = 0.05
+_MOST_STARTS = 120
+_FEWEST_STARTS = 5
+# Beside the features SPLIT is learned over: where the model is, and which row of the recording it has reached.
+_FEATURES = FeatureSet((*Z2.names, "vx", "vy", "r", "row"))
+
+
+@dataclass(frozen=True)
+class SharedRates:
+    """What simulation and reality share beyond the nominal model, around a recording.
+
+    Attributes
+    ----------
+    base : ndarray, shape (N, 3)
+        Rates at the recorded states [m/s^2], [m/s^2], [rad/s^2].
+    slope : ndarray, shape (N, 3, 3)
+        Their derivative by (v_x, v_y, r).
+    around : ndarray, shape (N, 3)
+        The recorded states.
+    """
+
+    base: np.ndarray
+    slope: np.ndarray
+    around: np.ndarray
+
+    def ahead(self, window: int) -> SharedRates:
+        """Return the same with rates averaged over the window that each row begins."""
+        total = np.cumsum(np.concatenate([np.zeros((1, 3)), self.base]), axis=0)
+        last = np.minimum(np.arange(len(self.base)) + window + 1, len(self.base))
+        first = np.arange(len(self.base))
+        return replace(self, base=(total[last] - total[first]) / (last - first)[:, None])
+
+    def at(self, rows: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Return rates where a model is, at `velocity` (M, 3) instead of the recorded one.
+
+        The change by the slope is held to what the rates reach along the recording: no more was learned.
+        """
+        most = np.max(np.abs(self.base), axis=0)
+        moved = np.einsum("nij,nj->ni", self.slope[rows], velocity - self.around[rows])
+        return self.base[rows] + np.clip(moved, -most, most)
+
+
+def shared_rates(
+    series: Series, common: CommonPhysics, knowledge: CommonKnowledge | None, terms: Sequence[Term] = ()
+) -> SharedRates | None:
+    """Return what the simulation knows along a recording, with what `terms` do to inputs and sensors."""
+    if knowledge is None:
+        return None
+    base = common.rates(series, knowledge.weights, terms)
+    slope = np.empty((*base.shape, 3))
+    for k in range(3):
+        step = 1e-3 * max(float(np.std(series.smooth[:, k])), 1e-6)
+        moved = replace(series, smooth=series.smooth + step * np.eye(3)[k])
+        slope[:, :, k] = (common.rates(moved, knowledge.weights, terms) - base) / step
+    return SharedRates(base, slope, series.corrected(terms)[1])
+
+
+@dataclass(frozen=True)
+class RolloutErrors:
+    """Squared errors of rollouts on one recording.
+
+    Attributes
+    ----------
+    horizons : tuple of float
+        [s]
+    t : ndarray, shape (S,)
+        When each begins [s].
+    squared : mapping of str to ndarray, shape (S, H, 3)
+        By stage; of v_x, v_y [m^2/s^2] and r [rad^2/s^2].
+    floor : ndarray, shape (S, H, 3)
+        Variance that sensor noise alone makes: at the start, carried along, and at the end.
+    """
+
+    horizons: tuple[float, ...]
+    t: np.ndarray
+    squared: Mapping[str, np.ndarray]
+    floor: np.ndarray
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One of the models that are compared: named terms, what is shared with the simulation, and SPLIT."""
+
+    terms: tuple[Term, ...]
+    shared: SharedRates | None
+    split: Predictor | None = None
+    grid: Grid | None = None
+
+
+def roll_out_stages(evidence: Evidence, stages: Mapping[str, Stage], held: np.ndarray) -> RolloutErrors | None:
+    """Roll out every stage from starts on held-out rows, and hold the velocity for comparison.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    stages : mapping of str to Stage
+    held : ndarray of bool, shape (N,)
+        Rows of the recording.
+
+    Returns
+    -------
+    RolloutErrors or None
+        None where not even the shortest horizon fits into the held-out time.
+    """
+    series = evidence.series
+    window = max(1, round(_STEP_SECONDS / series.period))
+    steps = [round(horizon / (window * series.period)) for horizon in HORIZONS]
+    plain = _drive(series, ())
+    starts = np.empty(0, dtype=np.int64)
+    while steps and len(starts) < _FEWEST_STARTS:
+        length = steps[-1] * window
+        starts = rollout_starts(plain, held, length, evidence.vehicle.minimum_speed, _MOST_STARTS)
+        if len(starts) < _FEWEST_STARTS:
+            steps.pop()
+    if not steps:
+        return None
+    at = np.array(steps) - 1
+    z = _FEATURES.compute(extended_model(evidence.vehicle), plain)
+    squared = {}
+    for name, stage in stages.items():
+        drive = _drive(series, stage.terms)
+        model = extended_model(evidence.vehicle, stage.terms)
+        correction = _correction(stage, z, drive, window)
+        path = roll_out(model, drive, starts, steps[-1], window, correction)
+        squared[name] = _squared(path[:, at], drive, starts, window, at)
+    held_still = hold_velocity(plain, starts, steps[-1], window)
+    squared["persistence"] = _squared(held_still[:, at], plain, starts, window, at)
+    good = np.all([np.isfinite(one).all(axis=(1, 2)) for one in squared.values()], axis=0)
+    floor = _noise_alone(evidence, starts, window, at)
+    squared = {name: one[good] for name, one in squared.items()}
+    return RolloutErrors(HORIZONS[: len(steps)], series.t[starts[good]], squared, floor[good])
+
+
+def _drive(series: Series, terms: Sequence[Term]) -> Drive:
+    """Return a recording for rollouts, the sensors' faults among `terms` taken off."""
+    measured, _ = series.corrected(terms)
+    columns = dict(zip(("vx", "vy", "r"), measured.T, strict=True))
+    columns |= {"t": series.t, "s": series.s, "yaw": series.yaw, "T": series.torque, "delta": series.steer_angle}
+    columns["row"] = np.arange(len(series), dtype=float)
+    return Drive(series.name, columns, series.drive.segment, series.period)
+
+
+def _correction(stage: Stage, z: np.ndarray, drive: Drive, window: int) -> Correction | None:
+    if stage.shared is None and stage.split is None:
+        return None
+    shared = None if stage.shared is None else stage.shared.ahead(window)
+    count = len(Z2.names)
+    recorded = z.copy()
+    recorded[:, count : count + 3] = np.stack([drive[name] for name in ("vx", "vy", "r")], axis=1)
+
+    def residual(at: np.ndarray) -> np.ndarray:
+        out = rest_of(stage.split, stage.grid, at[:, :count])
+        if shared is not None:
+            out = out + shared.at(np.rint(at[:, -1]).astype(np.int64), at[:, count : count + 3])
+        return out
+
+    return Correction(_FEATURES, recorded, residual)
+
+
+def rest_of(split: Predictor | None, grid: Grid | None, z: np.ndarray) -> np.ndarray:
+    """Return what SPLIT predicts at features z (M, 3); nothing outside the grid it was learned on."""
+    out = np.zeros((len(z), 3))
+    if split is not None:
+        inside = grid.index(z)[1]
+        if inside.any():
+            out[inside] = split.mean(z[inside])
+    return out
+
+
+def _squared(path: np.ndarray, drive: Drive, starts: np.ndarray, window: int, at: np.ndarray) -> np.ndarray:
+    rows = starts[:, None] + window * (at + 1)
+    truth = np.stack([drive[name][rows] for name in ("vx", "vy", "r")], axis=2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.square(path - truth)
+
+
+def _noise_alone(evidence: Evidence, starts: np.ndarray, window: int, at: np.ndarray) -> np.ndarray:
+    """Return the variance that noise of the first and the last sample makes, shape (S, H, 3).
+
+    Notes
+    -----
+    The first sample's noise is carried by the product of exp(A h) = I + h A Phi along the recorded states.
+    """
+    horizon = window * evidence.series.period
+    carried = np.tile(np.eye(3), (len(starts), 1, 1))
+    variance = evidence.series.noise**2
+    out = []
+    for step in range(int(at[-1]) + 1):
+        A = evidence.jacobian[starts + step * window]
+        carried = carried + horizon * A @ phi_matrix(A, horizon) @ carried
+        if step in at:
+            out.append(carried**2 @ variance + variance)
+    return np.stack(out, axis=1)

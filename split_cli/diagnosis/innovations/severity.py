@@ -1,0 +1,61 @@
+"""How large an effect is: its prediction error over 0.05 s against sensor noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.recording.series import Series
+from split_cli.vehicle.effects import Term
+
+__all__ = ["rms_over_noise", "severities", "severities_of", "severity", "windowed"]
+
+_HORIZON = 0.05
+
+
+def severity(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> float:
+    """Return the severity of defects in the channel where it is largest; see `severities`."""
+    return float(severities(series, defect, rows).max())
+
+
+def severities(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
+    """Return the rms of defects (N - 1, 3) summed over 0.05 s over that of sensor noise, of v_x, v_y and r.
+
+    Only windows about the samples `rows` count, where they are given: what a function does elsewhere is not known.
+    """
+    return rms_over_noise(series, windowed(series, defect, rows))
+
+
+def windowed(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
+    """Return defects (N - 1, ...) summed over 0.05 s, all windows or those about the samples `rows`."""
+    window = max(1, int(round(_HORIZON / series.period)))
+    total = np.zeros((len(defect) + 1, *defect.shape[1:]))
+    np.cumsum(defect, axis=0, out=total[1:])
+    if rows is None or len(total) <= window:
+        return total[window:] - total[:-window]
+    first = np.clip(rows - window // 2, 0, len(total) - window - 1)
+    return total[first + window] - total[first]
+
+
+def rms_over_noise(series: Series, errors: np.ndarray) -> np.ndarray:
+    """Return the rms of prediction errors (W, 3) over that of the noise of a difference, shape (3,)."""
+    if not len(errors):
+        return np.zeros(3)
+    return np.sqrt(np.mean(errors**2, axis=0)) / (np.sqrt(2.0) * series.told_noise)
+
+
+def severities_of(
+    evidence: Evidence,
+    rows: np.ndarray,
+    terms: tuple[Term, ...],
+    without: tuple[Term, ...] = (),
+    common_rates: Callable[[tuple[Term, ...]], np.ndarray | None] = lambda terms: None,
+) -> np.ndarray:
+    """Return the severities of terms about the samples `rows`, against the model with `without` alone.
+
+    `common_rates` returns what terms make of the common physics, (N, 3), or nothing.
+    """
+    with_all, with_some = (evidence.left(some, common_rates(some)) for some in (terms, without))
+    return severities(evidence.series, with_all - with_some, rows)

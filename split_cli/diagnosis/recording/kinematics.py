@@ -1,0 +1,144 @@
+"""A recording against itself: position and yaw know the true velocities, whatever the tyres do.
+
+Over windows of half a second the displacement across the car, from X, Y and yaw, is compared with the integral of
+the recorded velocities. A velocity sensor that is turned or displaced contradicts its own position; no missing
+physics does. Displacement along the car and the turn of yaw tell the scales of v_x and r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from split_cli.diagnosis.recording.series import Series
+from split_cli.vehicle.effects import Term
+
+__all__ = ["Kinematics", "build_kinematics", "common_habit"]
+
+_WINDOW_SECONDS = 0.5
+_EDGE_SECONDS = 0.1
+_LEAST_WINDOWS = 12
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """Lateral displacements of one recording.
+
+    Attributes
+    ----------
+    series : Series
+    begin, end : ndarray of int64, shape (W,)
+        First and last row of every window.
+    across, along : ndarray, shape (W,)
+        Displacement to the car's left and ahead at mid-window, from positions [m].
+    angle : ndarray, shape (N,)
+        Yaw, quiet [rad].
+    scale : float
+        Spread of what velocities leave of it [m].
+    habit : ndarray, shape (2,)
+        Share of yaw angle [m] and of distance [1] that the simulation's recordings leave too.
+    """
+
+    series: Series
+    begin: np.ndarray
+    end: np.ndarray
+    across: np.ndarray
+    along: np.ndarray
+    angle: np.ndarray
+    scale: float
+    habit: np.ndarray
+
+    def rows(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return what the velocities, sensors corrected, leave of the displacements, in spreads, shape (W,)."""
+        return (self.left(terms) - self.causes() @ self.habit) / self.scale
+
+    def left(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return what the velocities leave of the displacements [m], shape (W,)."""
+        return self.across - self._travelled(terms)[1]
+
+    def against_position(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return what v_x [m] or r [rad] makes of every window, and what position or yaw does, shape (W,) each.
+
+        The way from velocities is made as quiet as positions and yaw are, which takes as much off quick turns.
+        """
+        if name == "v_x":
+            return self._travelled((), quiet=True)[0], self.along
+        _, velocity = self.series.corrected(())
+        return self._integral(velocity[:, 2], quiet=True), self.angle[self.end] - self.angle[self.begin]
+
+    def causes(self) -> np.ndarray:
+        """Return the yaw angle [rad] and the distance [m] of every window, shape (W, 2)."""
+        _, velocity = self.series.corrected(())
+        return np.stack([self._integral(velocity[:, 2]), self._integral(velocity[:, 0])], axis=1)
+
+    def select(self, windows: np.ndarray) -> Kinematics:
+        """Return these windows alone."""
+        chosen = {name: getattr(self, name)[windows] for name in ("begin", "end", "across", "along")}
+        return replace(self, **chosen)
+
+    def _travelled(self, terms: Sequence[Term], quiet: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Return displacements ahead and to the left at mid-window, from velocities [m], shape (W,) each."""
+        _, velocity = self.series.corrected(terms)
+        middle = self.angle[(self.begin + self.end) // 2]
+        sine, cosine = np.sin(self.angle), np.cos(self.angle)
+        # In the world frame once, then into the car's frame of each window.
+        x = self._integral(velocity[:, 0] * cosine - velocity[:, 1] * sine, quiet)
+        y = self._integral(velocity[:, 0] * sine + velocity[:, 1] * cosine, quiet)
+        return _into(middle, x, y)
+
+    def _integral(self, rate: np.ndarray, quiet: bool = False) -> np.ndarray:
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))]) * self.series.period
+        total = _quiet(total, self.series.period) if quiet else total
+        return total[self.end] - total[self.begin]
+
+
+def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinematics | None:
+    """Return the windows of a recording, or None without position and yaw, or with too few windows."""
+    drive = series.drive
+    if not drive.has_position:
+        return None
+    size = max(4, int(round(_WINDOW_SECONDS / series.period)))
+    edge = _edge(series.period)
+    begins = [
+        np.arange(first + edge, end - size - edge, size)
+        for first, end in series.recording.segments
+        if end - first > size + 2 * edge
+    ]
+    if not begins or sum(map(len, begins)) < _LEAST_WINDOWS:
+        return None
+    begin = np.concatenate(begins).astype(np.int64)
+    end = begin + size
+    x, y, angle = (_quiet(values, series.period) for values in (drive["X"], drive["Y"], series.yaw))
+    middle = angle[(begin + end) // 2]
+    along, across = _into(middle, x[end] - x[begin], y[end] - y[begin])
+    plain = Kinematics(series, begin, end, across, along, angle, 1.0, np.zeros(2) if habit is None else habit)
+    left, causes = plain.left(()), plain.causes()
+    left = left - causes @ np.linalg.lstsq(causes, left, rcond=None)[0]
+    scale = 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-9
+    return replace(plain, scale=scale)
+
+
+def _edge(period: float) -> int:
+    return max(1, int(round(_EDGE_SECONDS / period)))
+
+
+def _quiet(values: np.ndarray, period: float) -> np.ndarray:
+    """Return means over an odd window, which are those of its middle but for curvature, alike at both ends."""
+    return uniform_filter1d(values, 2 * _edge(period) + 1, mode="nearest")
+
+
+def _into(angle: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return components of displacements ahead and to the left of cars at these angles."""
+    return np.cos(angle) * x + np.sin(angle) * y, -np.sin(angle) * x + np.cos(angle) * y
+
+
+def common_habit(several: Sequence[Kinematics]) -> np.ndarray:
+    """Return what recordings leave of displacements, by yaw angle [m] and distance [1], shape (2,)."""
+    if not sum(len(one.begin) for one in several):
+        return np.zeros(2)
+    causes = np.concatenate([one.causes() / one.scale for one in several])
+    left = np.concatenate([one.left(()) / one.scale for one in several])
+    return np.linalg.lstsq(causes, left, rcond=None)[0]

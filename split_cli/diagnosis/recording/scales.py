@@ -1,0 +1,77 @@
+"""Whether speed and yaw rate have the scale of position and yaw, in reality as in the simulation.
+
+A sensor out of scale has no name in the catalogue, and what it does to the rest looks like mass, grip or inertia.
+Position and yaw tell: a car that reads 3 % too fast covers 3 % more ground than it does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from split_cli.diagnosis.recording.kinematics import Kinematics
+
+__all__ = ["in_sentences", "out_of_scale", "scale_of"]
+
+_LEAST = 0.01  # of the scale; wheels wear and gyroscopes drift by less
+_SURE = 6.0  # standard errors
+_BLOCKS = 20
+_WORDS = {
+    "v_x": "speed against position: v_x covers {share} {more} ground than X and Y do",
+    "r": "yaw rate against yaw: r turns {share} {more} than yaw does",
+}
+_ADVICE = "; mend that sensor's scale and diagnose again, physics is not named before"
+
+
+def out_of_scale(real: Sequence[Kinematics], simulated: Sequence[Kinematics]) -> tuple[str, ...]:
+    """Return in words which of v_x and r contradict position and yaw in reality, and not so in the simulation.
+
+    Parameters
+    ----------
+    real, simulated : sequence of Kinematics
+        Without any simulated, scales are held against 1.
+    """
+    out = []
+    for name, words in _WORDS.items():
+        theirs = scale_of(name, simulated) if simulated else (1.0, 0.0)
+        ours = scale_of(name, real)
+        if ours is None or theirs is None:
+            continue
+        excess, error = ours[0] - theirs[0], float(np.hypot(ours[1], theirs[1]))
+        if abs(excess) > max(_LEAST, _SURE * error):
+            and_not = ", in the simulation they agree" if simulated and abs(theirs[0] - 1.0) < 0.5 * _LEAST else ""
+            share = f"{100.0 * abs(excess):.2g} %"
+            out.append(words.format(share=share, more="more" if excess > 0.0 else "less") + and_not + _ADVICE)
+    return tuple(out)
+
+
+def in_sentences(contradictions: Sequence[str]) -> list[str]:
+    """Return what `out_of_scale` tells as sentences of a summary."""
+    return [f"The recording contradicts itself: {one}." for one in contradictions]
+
+
+def scale_of(name: str, several: Sequence[Kinematics]) -> tuple[float, float] | None:
+    """Return what a channel makes over what position or yaw does, and its standard error; None if nothing moves.
+
+    Notes
+    -----
+    The median over blocks of time of sum(a b)/sum(b^2), b from position or yaw; its error from their median
+    absolute deviation. Noise of b is left in: that of positions is far below half a second's way.
+    """
+    pairs = [one.against_position(name) for one in several]
+    if not pairs:
+        return None
+    made, true = (np.concatenate(columns) for columns in zip(*pairs, strict=True))
+    blocks = [
+        (float(a @ b), float(b @ b))
+        for a, b in zip(np.array_split(made, _BLOCKS), np.array_split(true, _BLOCKS), strict=True)
+        if len(b)
+    ]
+    least = 0.1 * np.mean([below for _, below in blocks])
+    slopes = np.array([above / below for above, below in blocks if below > max(least, 1e-12)])
+    if len(slopes) < _BLOCKS // 2:
+        return None
+    middle = float(np.median(slopes))
+    spread = 1.4826 * float(np.median(np.abs(slopes - middle)))
+    return middle, 1.2533 * spread / float(np.sqrt(len(slopes)))

@@ -1,0 +1,286 @@
+"""What a recording cannot tell, said before anything is concluded from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from split_cli.logs.drive import Drive
+from split_cli.signals import REQUIRED_CHANNELS
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["clean_drives", "cleaned", "idle", "moving", "torque_is_constant", "torque_is_derived", "unfit"]
+
+_LEAST_SECONDS = 8.0
+_CRAWL = 0.5  # of the speed from which on the nominal model is valid; rows are compared from 0.6 of it
+_SHORTEST_RUN = 0.5
+_LONGEST_PERIOD = 0.1
+_STUCK_SECONDS = 1.0
+_HELD_SECONDS = 3.0
+_ANSWER_SECONDS = 2.0
+_POSITION_GAP_SECONDS = 0.5
+# Beyond these no fault of a car, but another car: ratios that recordings and vehicle file should share.
+_STEER_RATIO = (0.6, 1.6)
+_TORQUE_RATIO = (0.5, 2.0)
+_LEAST_CORRELATION = 0.7
+# A velocity that stands still contradicts what it always moves with.
+_MOVES_WITH = {"vx": ("vy", "r"), "vy": ("r",), "r": ("vy",), "delta": ("r",)}
+
+
+def cleaned(drive: Drive) -> tuple[Drive, tuple[str, ...]]:
+    """Leave out of a drive what is no recording, and say so.
+
+    Parameters
+    ----------
+    drive : Drive
+
+    Returns
+    -------
+    Drive
+        Without rows that are not finite and stretches in which a channel stands still while the car does not; with
+        a new segment wherever the clock jumps; without position where it is not known throughout.
+    tuple of str
+        What was left out.
+    """
+    notes = []
+    finite = np.all([np.isfinite(drive[name]) for name in ("t", *REQUIRED_CHANNELS)], axis=0)
+    if not finite.all():
+        bad = [name for name in ("t", *REQUIRED_CHANNELS) if not np.isfinite(drive[name]).all()]
+        notes.append(f"{drive.name}: {int((~finite).sum())} samples without a number in {', '.join(bad)}")
+        drive = drive.select(finite)
+    if len(drive) < 2:
+        return drive, tuple(notes)
+    step = np.diff(drive["t"])
+    jumps = (np.abs(step - drive.period) > 0.5 * drive.period) & (np.diff(drive.segment) == 0)
+    if jumps.any():
+        first = int(np.flatnonzero(jumps)[0])
+        notes.append(
+            f"{drive.name}: what lies across {int(jumps.sum())} jumps of the clock, the first by "
+            f"{step[first]:.3g} s at t = {drive['t'][first]:.2f} s"
+        )
+        breaks = np.concatenate([[False], jumps | (np.diff(drive.segment) != 0)])
+        drive = replace(drive, segment=np.cumsum(breaks).astype(np.int32))
+    stuck = {name: _stuck(drive, name) for name in _MOVES_WITH}
+    for name, rows in stuck.items():
+        # A channel that never moves is no dropout; `unfit` speaks of it.
+        if rows.any() and np.ptp(drive[name]) > 0.0:
+            where = drive["t"][int(np.argmax(rows))]
+            notes.append(
+                f"{drive.name}: {rows.sum() * drive.period:.1f} s in which {name} stands still while the car "
+                f"turns, from t = {where:.2f} s"
+            )
+    moving = ~np.any([rows for name, rows in stuck.items() if np.ptp(drive[name]) > 0.0] or [[False]], axis=0)
+    if not moving.all():
+        drive = drive.select(np.broadcast_to(moving, (len(drive),)))
+    drive, told = _with_sound_position(drive)
+    return drive, (*notes, *told)
+
+
+def clean_drives(drives: Sequence[Drive]) -> tuple[list[Drive], tuple[str, ...]]:
+    """Clean several drives; return them, and what was left out of all of them."""
+    pairs = [cleaned(drive) for drive in drives]
+    return [drive for drive, _ in pairs], tuple(note for _, notes in pairs for note in notes)
+
+
+def unfit(drive: Drive, vehicle: Vehicle) -> list[str]:
+    """Return why a drive cannot be diagnosed at all; empty when it can."""
+    longest = max((run.stop - run.start for run in drive.segments()), default=0)
+    seconds = longest * drive.period
+    if seconds < _LEAST_SECONDS:
+        return [
+            f"{drive.name} has {seconds:.1f} s without a gap at most; {_LEAST_SECONDS:.0f} s are needed, a minute "
+            "is better."
+        ]
+    if drive.period > _LONGEST_PERIOD:
+        return [f"{drive.name} has {drive.rate:.3g} samples a second; {1 / _LONGEST_PERIOD:.0f} are needed."]
+    frozen = [name for name in ("vx", "vy", "r") if np.ptp(drive[name]) == 0.0]
+    if np.ptp(drive["delta"]) == 0.0 and "r" not in frozen and _turns(drive):
+        frozen.append("delta")
+    if np.ptp(drive["T"]) == 0.0 and "vx" not in frozen and _changes_speed(drive):
+        frozen.append("T")
+    if frozen:
+        return [
+            f"{drive.name}: {', '.join(frozen)} never changes while the car moves; a recorded signal does. Look "
+            "at the map of signals it was ingested with."
+        ]
+    fast = np.mean(drive["vx"] >= 0.6 * vehicle.minimum_speed)
+    if fast < 0.2:
+        return [
+            f"{drive.name} is slower than {0.6 * vehicle.minimum_speed:.1f} m/s for {1 - fast:.0%} of its time; "
+            "slip angles mean little there. Drive faster, or look whether it is a recording of this vehicle."
+        ]
+    return _of_another_car(drive, vehicle)
+
+
+def moving(drive: Drive, vehicle: Vehicle) -> Drive:
+    """Return a drive without its crawling and standing: slip is not defined there, and nothing of it is compared.
+
+    Runs too short for a smoothing window go with it. A drive without such rows is returned as it is.
+    """
+    rows = drive["vx"] >= _CRAWL * vehicle.minimum_speed
+    if rows.all():
+        return drive
+    left = drive.select(rows)
+    long = [run for run in left.segments() if (run.stop - run.start) * drive.period > _SHORTEST_RUN]
+    kept = np.zeros(len(left), dtype=bool)
+    for run in long:
+        kept[run] = True
+    return left.select(kept)
+
+
+def idle(real: Sequence[Drive], vehicle: Vehicle) -> list[str]:
+    """Return why nothing was excited in the real drives; empty when something was."""
+    for drive in real:
+        torque = np.ptp(np.quantile(drive["T"], [0.02, 0.98]))
+        speed = np.ptp(np.quantile(drive["vx"], [0.02, 0.98]))
+        across = np.quantile(np.abs(drive["vx"] * drive["r"]), 0.99)
+        still = torque < 0.05 * vehicle.max_torque and speed < 0.1 * np.mean(drive["vx"])
+        if across > 0.5 or not still:
+            return []
+    return [
+        "The real drive is straight at constant speed and torque. A slalom would show the steering and the tyres, "
+        "torque steps the drive, a coast-down drag and resistance."
+    ]
+
+
+def torque_is_derived(drive: Drive) -> bool:
+    """Return whether the torque was computed from the car's motion."""
+    return drive.metadata.kinds.get("T", "").startswith("derived")
+
+
+def torque_is_constant(torque: np.ndarray, vehicle: Vehicle) -> bool:
+    """Return whether the torque varies by less than a twentieth of what the car has."""
+    return bool(np.ptp(np.quantile(torque, [0.02, 0.98])) < 0.05 * vehicle.max_torque)
+
+
+def _turns(drive: Drive) -> bool:
+    return bool(np.ptp(np.quantile(drive["vx"] * drive["r"], [0.02, 0.98])) > 0.5)
+
+
+def _changes_speed(drive: Drive) -> bool:
+    """Return whether the car gains and loses speed as no coasting car does."""
+    steps = [np.diff(drive["vx"][run][:: max(1, round(0.5 / drive.period))]) / 0.5 for run in drive.segments()]
+    return bool(np.ptp(np.quantile(np.concatenate(steps), [0.05, 0.95])) > 1.0)
+
+
+def _stuck(drive: Drive, name: str) -> np.ndarray:
+    """Return rows of runs in which a channel repeats itself while its companions move, shape (N,)."""
+    values, found = drive[name], np.zeros(len(drive), dtype=bool)
+    least = int(round((_HELD_SECONDS if name == "delta" else _STUCK_SECONDS) / drive.period))
+    for run in drive.segments():
+        same = np.flatnonzero(np.diff(values[run]) != 0.0)
+        edges = np.concatenate([[0], same + 1, [run.stop - run.start]])
+        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+            if end - begin < max(least, 5):
+                continue
+            rows = slice(run.start + int(begin), run.start + int(end))
+            # To a steer angle that is held after a step the car first has to answer.
+            answer = int(round(_ANSWER_SECONDS / drive.period)) if name == "delta" else 0
+            later = slice(rows.start + answer, rows.stop)
+            if any(np.std(drive[other][later]) > 0.1 * np.std(drive[other]) > 0.0 for other in _MOVES_WITH[name]):
+                found[rows] = True
+    return found
+
+
+def _with_sound_position(drive: Drive) -> tuple[Drive, tuple[str, ...]]:
+    """Fill short gaps of position and yaw; leave them off where gaps are long, or where they stand still."""
+    if not drive.has_position:
+        return drive, ()
+    names = ("X", "Y", "yaw")
+    known = np.all([np.isfinite(drive[name]) for name in names], axis=0)
+    columns = dict(drive.columns)
+    gaps = np.diff(np.flatnonzero(np.concatenate([[True], known, [True]])))
+    still = (np.diff(drive["X"]) == 0.0) & (np.diff(drive["Y"]) == 0.0)
+    standing = np.diff(np.flatnonzero(np.concatenate([[True], ~still, [True]])))
+    fast = np.median(drive["vx"]) * _STUCK_SECONDS > 1.0
+    if (gaps.max() - 1) * drive.period > _POSITION_GAP_SECONDS:
+        reason = f"it is not known for {(gaps.max() - 1) * drive.period:.1f} s"
+    elif fast and (standing.max() - 1) * drive.period > _STUCK_SECONDS:
+        reason = f"it stands still for {(standing.max() - 1) * drive.period:.1f} s while the car drives"
+    else:
+        if not known.all():
+            for name in names:
+                values = np.unwrap(drive[name][known]) if name == "yaw" else drive[name][known]
+                columns[name] = np.interp(drive["t"], drive["t"][known], values)
+        return replace(drive, columns=columns), ()
+    for name in names:
+        del columns[name]
+    return replace(drive, columns=columns), (f"{drive.name}: position and yaw: {reason}",)
+
+
+def _of_another_car(drive: Drive, vehicle: Vehicle) -> list[str]:
+    """Return how grossly steering and torque of a recording contradict a vehicle file.
+
+    Notes
+    -----
+    In gentle turns the steer angle is (L + K v_x^2) r / v_x with K the understeer of mass, axles and cornering
+    stiffness (steady-state single track); along the car m R_w (v_x' - v_y r) is the torque, less resistance.
+    Regressions give the ratio of what was recorded to what the file makes of it.
+    """
+    v = {name: _quiet(drive, drive[name]) for name in ("vx", "vy", "r", "delta", "T")}
+    sound = _inner(drive) & (v["vx"] > vehicle.minimum_speed)
+    if sound.sum() < 100:
+        return []
+    front, rear = (tire.B * tire.C * tire.D for tire in (vehicle.front_tire, vehicle.rear_tire))
+    l_f, l_r = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle
+    understeer = vehicle.mass / vehicle.wheelbase * (l_r / front - l_f / rear)
+    grip = (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
+    across = np.abs(v["vx"] * v["r"])
+    gentle = sound & (across < 0.4 * grip) & (across > 0.02 * grip)
+    expected = v["r"] / np.maximum(v["vx"], 1e-3) * (vehicle.wheelbase + understeer * v["vx"] ** 2)
+    reasons = []
+    ratio = _ratio(expected[gentle], v["delta"][gentle])
+    if ratio is not None and not _STEER_RATIO[0] < ratio < _STEER_RATIO[1]:
+        sign = " Its sign may be turned." if ratio < 0.0 else ""
+        reasons.append(
+            f"{drive.name} does not fit this vehicle file: in gentle turns it steers {ratio:.2g} times what a "
+            f"wheelbase of {vehicle.wheelbase:.2f} m needs.{sign} Is it a recording of this car?"
+        )
+    along = np.gradient(v["vx"], drive.period) - v["vy"] * v["r"]
+    ratio = None
+    if not torque_is_derived(drive) and not torque_is_constant(v["T"][sound], vehicle):
+        ratio = _ratio(v["T"][sound], (vehicle.mass * vehicle.wheel_radius * along)[sound], v["vx"][sound] ** 2)
+    if ratio is not None and not _TORQUE_RATIO[0] < ratio < _TORQUE_RATIO[1]:
+        reasons.append(
+            f"{drive.name} does not fit this vehicle file: torque accelerates it {ratio:.2g} times as much as a "
+            f"mass of {vehicle.mass:.4g} kg on wheels of {vehicle.wheel_radius:.3g} m would. Is it a recording of "
+            "this car?"
+        )
+    return reasons
+
+
+def _ratio(expected: np.ndarray, found: np.ndarray, beside: np.ndarray | None = None) -> float | None:
+    """Return the slope of `found` over `expected`; None where too few rows or too loose a relation tell none."""
+    if len(expected) < 100 or np.std(expected) == 0.0 or np.std(found) == 0.0:
+        return None
+    if abs(np.corrcoef(expected, found)[0, 1]) < _LEAST_CORRELATION:
+        return None
+    columns = [expected, np.ones_like(expected)]
+    if beside is not None:
+        columns.append(beside)
+    table = np.stack(columns, axis=1)
+    scale = np.abs(table).max(axis=0) + 1e-300
+    return float(np.linalg.lstsq(table / scale, found, rcond=None)[0][0] / scale[0])
+
+
+def _width(drive: Drive) -> int:
+    return max(3, int(round(0.2 / drive.period)))
+
+
+def _quiet(drive: Drive, values: np.ndarray) -> np.ndarray:
+    from scipy.ndimage import uniform_filter1d
+
+    out = np.array(values, dtype=float)
+    for run in drive.segments():
+        out[run] = uniform_filter1d(out[run], _width(drive), mode="nearest")
+    return out
+
+
+def _inner(drive: Drive) -> np.ndarray:
+    """Return rows away from the ends of segments, shape (N,)."""
+    inner, width = np.zeros(len(drive), dtype=bool), _width(drive)
+    for run in drive.segments():
+        inner[run.start + width : max(run.stop - width, run.start + width)] = True
+    return inner

@@ -1,0 +1,133 @@
+"""Functions of a flexible fit: operating point, its mirror images, memory, time and place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from split_cli.diagnosis.baseline.common import CommonPhysics, scaled_features
+from split_cli.diagnosis.innovations.evidence import Evidence, integrated
+from split_cli.diagnosis.innovations.severity import windowed
+from split_cli.diagnosis.recording.series import Series
+from split_cli.diagnosis.together import together
+from split_cli.vehicle.effects.recording import first_order_response
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["FlexibleRows", "flexible_rows"]
+
+_HARMONICS = 8
+_KNOTS = 9
+
+
+@dataclass(frozen=True)
+class FlexibleRows:
+    """What each function adds to a recording, row by row.
+
+    Attributes
+    ----------
+    whitened : ndarray, shape (G, 3, Q)
+    windows : ndarray, shape (G, 3, Q)
+        Prediction errors over 0.05 s about each row.
+    groups : tuple of str
+        Group of each function.
+    """
+
+    whitened: np.ndarray
+    windows: np.ndarray
+    groups: tuple[str, ...]
+
+
+def flexible_rows(one: Evidence, common: CommonPhysics) -> FlexibleRows:
+    """Return the functions' rows; group by group, since the rates of all of them fill memory."""
+    series, vehicle = one.series, one.vehicle
+    groups = {
+        "operating point": lambda: common.columns(series),
+        "left against right": lambda: _asymmetric(series, vehicle),
+        "memory": lambda: _memory(series, vehicle),
+        "time": lambda: _time(series, vehicle),
+        "place": lambda: _place(series, vehicle),
+    }
+
+    def rows(name: str) -> FlexibleRows:
+        defects = integrated(series, groups[name]())
+        return FlexibleRows(one.whitener(defects), windowed(series, defects, one.at), (name,) * defects.shape[2])
+
+    parts = together(rows, groups)
+    return FlexibleRows(
+        np.concatenate([part.whitened for part in parts], axis=2),
+        np.concatenate([part.windows for part in parts], axis=2),
+        tuple(name for part in parts for name in part.groups),
+    )
+
+
+def _forces(vehicle: Vehicle) -> np.ndarray:
+    """Rates by 3 % of an axle's peak as longitudinal, front and rear lateral force, in columns, shape (3, 3)."""
+    return vehicle.force_matrix() * 0.03 * 0.5 * (vehicle.front_tire.D + vehicle.rear_tire.D)
+
+
+def _spread(functions: dict[int, list[np.ndarray]], vehicle: Vehicle) -> np.ndarray:
+    """Give functions by force channel (0 to 2) their directions, shape (N, 3, Q)."""
+    direction = _forces(vehicle)
+    out = [f[:, None] * direction[:, channel] for channel, fs in functions.items() for f in fs]
+    return np.stack(out, axis=2)
+
+
+def _asymmetric(series: Series, vehicle: Vehicle) -> np.ndarray:
+    a, b, c, v = np.clip(scaled_features(series, vehicle), -1.5, 1.5).T
+    odd, even = [], []
+    for i, j, k, m in product(range(4), range(4), range(3), range(3)):
+        if i + j + k + m <= 3:
+            (odd if (i + j) % 2 else even).append(a**i * b**j * c**k * v**m)
+    even += [np.abs(a), np.abs(b), np.maximum(c, 0.0), np.maximum(-c, 0.0) * np.abs(b)]
+    odd += [a * np.maximum(c, 0.0), a * np.maximum(-c, 0.0)]
+    return _spread({0: odd, 1: even, 2: even}, vehicle)
+
+
+def _memory(series: Series, vehicle: Vehicle) -> np.ndarray:
+    a, b, c, v = scaled_features(series, vehicle).T
+    delta = series.steer_angle / max(float(np.quantile(np.abs(series.steer_angle), 0.99)), 1e-6)
+    clock = series.recording
+    along, front, rear = [], [], []
+    for tau in (0.02, 0.06, 0.2, 0.7):
+        late_delta = first_order_response(delta, 1.0 / tau, clock) - delta
+        late_torque = first_order_response(c, 1.0 / tau, clock) - c
+        along.append(late_torque)
+        front.append(late_delta)
+        rear.append(first_order_response(b, 1.0 / tau, clock) - b)
+    for tau in (2.0, 6.0, 20.0):
+        work = first_order_response(np.abs(c) * v, 1.0 / tau, clock)
+        brake = first_order_response(np.maximum(-c, 0.0) * v, 1.0 / tau, clock)
+        slide = first_order_response(a * a + b * b, 1.0 / tau, clock)
+        along += [work * c, brake * np.minimum(c, 0.0), brake]
+        front += [slide * a, work * a]
+        rear += [slide * b, work * b]
+    braked = first_order_response(np.maximum(-c, 0.0), 1.0, clock)
+    along += [braked, np.gradient(c), np.gradient(delta) * delta]
+    front += [braked, np.gradient(delta), np.tanh(np.gradient(delta) / (np.std(np.gradient(delta)) + 1e-12))]
+    rear += [braked, np.gradient(b)]
+    return _spread({0: along, 1: front, 2: rear}, vehicle)
+
+
+def _time(series: Series, vehicle: Vehicle) -> np.ndarray:
+    a, b, c, _ = scaled_features(series, vehicle).T
+    position = series.t / max(series.t[-1], 1e-9) * (_KNOTS - 1)
+    hats = [np.maximum(0.0, 1.0 - np.abs(position - k)) for k in range(_KNOTS)]
+    up, down = np.maximum(c, 0.0), np.minimum(c, 0.0)
+    return _spread(
+        {
+            0: [h * f for h in hats for f in (1.0, up, down)],
+            1: [h * f for h in hats for f in (1.0, a)],
+            2: [h * f for h in hats for f in (1.0, b)],
+        },
+        vehicle,
+    )
+
+
+def _place(series: Series, vehicle: Vehicle) -> np.ndarray:
+    a, b, _, _ = scaled_features(series, vehicle).T
+    angle = 2.0 * np.pi * series.s / (series.lap_length or max(float(series.s.max()), 1.0))
+    waves = [f(k * angle) for k in range(1, _HARMONICS + 1) for f in (np.sin, np.cos)]
+    few = waves[: 2 * (_HARMONICS // 2)]
+    return _spread({0: waves, 1: waves + [w * a for w in few], 2: waves + [w * b for w in few]}, vehicle)

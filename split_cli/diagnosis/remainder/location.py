@@ -1,0 +1,270 @@
+"""Where the gap is: in which force, depending on what, in which region, place and time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from split_cli.diagnosis.baseline.common import features
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.statement.result import GapSeries, Location, Place
+from split_cli.vehicle.effects import Term
+
+__all__ = ["dependence", "force_noise", "gap_forces", "gap_series", "locate", "variables"]
+
+_AVERAGE_SECONDS = 0.2
+_ALIKE = 5  # rows of 0.04 s that say the same, since each is an average over 0.2 s
+_STEPS = (8, 16, 40)
+_FOLDS = 5
+_LEAST_SCORE = 0.15
+_CLEARLY_MORE = 0.1
+_EVERYWHERE = 0.8  # an interval with more of the samples tells nobody where to look
+FORCES = ("longitudinal", "front_lateral", "rear_lateral")
+
+
+def gap_forces(evidence: Evidence, terms: Sequence[Term], common_rates: np.ndarray) -> np.ndarray:
+    """Return the gap as forces [N], shape (N, 3), averaged over about 0.2 s.
+
+    Notes
+    -----
+    Rates left by model, terms and common physics, through the inverse of the invariant force matrix.
+    """
+    series = evidence.series
+    left = evidence.left(terms, common_rates) / series.period
+    left = np.concatenate([left, left[-1:]])
+    width = max(1, int(round(_AVERAGE_SECONDS / series.period)))
+    total = np.cumsum(np.concatenate([np.zeros((1, 3)), left]), axis=0)
+    # Windows at the ends are as long as all others: shorter ones would be noisier.
+    low = np.clip(np.arange(len(left)) - width // 2, 0, max(len(left) - width, 0))
+    high = np.minimum(low + width, len(left))
+    mean = (total[high] - total[low]) / (high - low)[:, None]
+    return mean @ np.linalg.inv(evidence.vehicle.force_matrix()).T
+
+
+def gap_series(evidence: Evidence, compared: np.ndarray, forces: np.ndarray, remainder: np.ndarray) -> GapSeries:
+    """Return the gap along a recording, thinned to the rows of the evidence, of which some are compared."""
+    series, at = evidence.series, evidence.at
+    nowhere = np.full(len(at), np.nan)
+    position = (series.drive["X"][at], series.drive["Y"][at]) if "X" in series.drive else (nowhere, nowhere)
+    point = features(series, evidence.vehicle)[at]
+    return GapSeries(
+        series.name, series.drive["t"][at], series.s[at], at, *position, point, compared, forces[at], remainder[at]
+    )  # fmt: skip
+
+
+def variables(evidence: Evidence) -> dict[str, np.ndarray]:
+    """Return the variables a gap may depend on, at every sample."""
+    series = evidence.series
+    z = features(series, evidence.vehicle)
+    vx, vy, r = series.smooth.T
+    rates = np.gradient(series.smooth, series.period, axis=0)
+    return {
+        "v_x": vx, "v_y": vy, "r": r, "T": series.torque, "delta": series.steer_angle,
+        "alpha_f": z[:, 0], "alpha_r": z[:, 1], "a_x": rates[:, 0] - vy * r, "a_y": rates[:, 1] + vx * r,
+        "steer_rate": np.gradient(series.steer_angle, series.period), "t": series.drive["t"], "s": series.s,
+    }  # fmt: skip
+
+
+def locate(
+    evidence: Sequence[Evidence],
+    before: Sequence[np.ndarray],
+    after: Sequence[np.ndarray],
+    keep: Sequence[np.ndarray],
+) -> Location:
+    """Describe the gap.
+
+    Parameters
+    ----------
+    evidence : sequence of Evidence
+    before, after : sequence of ndarray, shape (N, 3)
+        Gap forces of each recording [N], and what the findings leave of them.
+    keep : sequence of ndarray of bool, shape (G,)
+        Rows that are compared.
+    """
+    rows = [one.at[mask] for one, mask in zip(evidence, keep, strict=True)]
+    gap = np.concatenate([force[at] for force, at in zip(before, rows, strict=True)])
+    block = np.concatenate([_blocks(one, at, k) for k, (one, at) in enumerate(zip(evidence, rows, strict=True))])
+    variance = [force_noise(one, at) for one, at in zip(evidence, rows, strict=True)]
+    noise = np.average(variance, axis=0, weights=[len(at) for at in rows])
+    # A gap without a pattern in the common physics passes for a disturbance; what the findings leave bounds it.
+    left = np.concatenate([force[at] for force, at in zip(after, rows, strict=True)])
+    mean_square = np.mean(gap**2, axis=0)
+    noise = np.maximum(np.minimum(noise, np.mean(left**2, axis=0)), 1e-9 * mean_square + 1e-18)
+    table = [variables(one) for one in evidence]
+    values = {
+        name: np.concatenate([columns[name][at] for columns, at in zip(table, rows, strict=True)])
+        for name in table[0]
+    }
+    excess = np.maximum(mean_square - noise, 1e-6 * mean_square + 1e-12)
+    shares = excess / excess.sum()
+    scores = {name: dependence(x, gap, noise, block) for name, x in values.items()}
+    ranked = tuple(sorted(scores.items(), key=lambda pair: -pair[1]))
+    size = np.sum(gap**2 / noise - 1.0, axis=1)
+    size += max(_least_above(len(size)) - float(np.mean(size)), 0.0)
+    region = {}
+    for name, score in ranked[:3]:
+        if score > _LEAST_SCORE and name not in ("t", "s"):
+            low, high, of_gap, of_samples = _interval(values[name], size)
+            if of_samples < _EVERYWHERE and of_gap > of_samples:
+                region[name] = (low, high)
+    # What follows from how the car is driven is wherever it is driven so: a place or a time has to tell more.
+    driven = max(score for name, score in ranked if name not in ("t", "s"))
+    place, s_share = _place(evidence, values["s"], size)
+    if s_share and not (scores["s"] > driven + _CLEARLY_MORE or _concentrated(s_share)):
+        place = s_share = None
+    when, t_share = _local(_interval(values["t"], size))
+    if t_share and not (scores["t"] > driven + _CLEARLY_MORE or _concentrated(t_share)):
+        when = t_share = None
+    if s_share and t_share and s_share[0] - s_share[1] > t_share[0] - t_share[1] + _CLEARLY_MORE:
+        when = None  # one of several passes of the place
+    share = s_share or t_share or (1.0, 1.0)
+    return Location(dict(zip(FORCES, shares.tolist(), strict=True)), ranked, region, place, when, *share)
+
+
+def force_noise(evidence: Evidence, at: np.ndarray) -> np.ndarray:
+    """Return the variance of gap forces [N^2], shape (3,), that sensor noise and nameless disturbances make.
+
+    Notes
+    -----
+    Over W transitions of period p the mean of the defects' rates is (n_W - n_0)/(W p) less the mean of A n, with
+    n the noise of a sample and A the velocity Jacobian: the two ends count by (I/(W p) -+ A/(2 W)), the samples
+    between by A/W. Disturbances of variance q a second add q/(W p). Averaged over the rows `at`.
+    """
+    period = evidence.series.period
+    width = max(1, int(round(_AVERAGE_SECONDS / period)))
+    A = evidence.jacobian[at] / width
+    end = np.eye(3) / (width * period)
+    to_force = np.linalg.inv(evidence.vehicle.force_matrix())
+    gains = ((1.0, to_force @ (end - 0.5 * A)), (1.0, to_force @ (end + 0.5 * A)), (width - 1.0, to_force @ A))
+    squared = sum(times * np.mean(gain**2, axis=0) for times, gain in gains)
+    return squared @ evidence.series.noise**2 + to_force**2 @ evidence.disturbance / (width * period)
+
+
+def dependence(x: np.ndarray, gap: np.ndarray, noise: np.ndarray, block: np.ndarray) -> float:
+    """Return the share of a gap's variance above noise that a step function of one variable explains.
+
+    Parameters
+    ----------
+    x : ndarray, shape (G,)
+        The variable.
+    gap : ndarray, shape (G, 3)
+        Gap forces [N]; channels are weighed by their noise.
+    noise : ndarray, shape (3,)
+        Variance of the gap forces that is noise [N^2].
+    block : ndarray of int, shape (G,)
+        Block of time of each row.
+
+    Returns
+    -------
+    float
+        0 for a gap that is the same everywhere: it depends on nothing.
+
+    Notes
+    -----
+    Means over bins of equal counts are learned on four fifths of the blocks of time and judged on the others, with
+    few or many bins, whichever says more. The error of those means is known and added back, so that a gap which is
+    weak against noise, but goes with x alone, is not said to depend on x in part.
+    """
+    scaled = gap / np.sqrt(noise)
+    fold = np.unique(block, return_inverse=True)[1] % _FOLDS
+    gained = max(_gained(x, scaled, fold, steps) for steps in _STEPS)
+    above = float(np.sum(np.var(scaled, axis=0) - 1.0))
+    return float(np.clip(gained / max(above, _least_above(len(x))), 0.0, 1.0))
+
+
+def _gained(x: np.ndarray, scaled: np.ndarray, fold: np.ndarray, steps: int) -> float:
+    """Return what a function of so many steps takes off a held-out row's squared gap, in units of noise."""
+    gained, judged_rows = 0.0, 0
+    for k in range(_FOLDS):
+        learned = fold != k
+        # Rows next to learned ones share part of their average with them.
+        judged = ~np.convolve(learned, np.ones(2 * _ALIKE - 1), "same").astype(bool)
+        if not (judged.any() and learned.any()):
+            continue
+        edges = np.unique(np.quantile(x[learned], np.linspace(0.0, 1.0, steps + 1)[1:-1]))
+        bins = np.searchsorted(edges, x, side="right")
+        mean, error = _bin_means(scaled, bins, learned, len(edges) + 1)
+        level, at = scaled[learned].mean(axis=0), bins[judged]
+        left = (scaled[judged] - mean[at]) ** 2 - error[at]
+        gained += float(np.sum((scaled[judged] - level) ** 2 - left))
+        judged_rows += int(judged.sum())
+    return gained / max(judged_rows, 1)
+
+
+def _least_above(rows: int) -> float:
+    """Return two standard errors of the variance's own estimate: less than that above noise has no shares."""
+    return 2.0 * float(np.sqrt(2.0 * len(FORCES) * _ALIKE / rows))
+
+
+def _bin_means(scaled: np.ndarray, bins: np.ndarray, learned: np.ndarray, count: int):
+    """Return means (B, 3) over learned rows and the variance of each; a bin without rows has the mean of all.
+
+    Rows up to five apart share part of their average: those of them in one bin say less than as many others.
+    """
+    rows = np.bincount(bins[learned], minlength=count)[:, None]
+
+    def mean_of(values: np.ndarray) -> np.ndarray:
+        sums = np.stack([np.bincount(bins[learned], column, minlength=count) for column in values.T], axis=1)
+        return np.where(rows > 0, sums / np.maximum(rows, 1), values.mean(axis=0))
+
+    mean = mean_of(scaled[learned])
+    within = mean_of((scaled - mean[bins])[learned] ** 2)
+    alike = rows.astype(float)
+    for lag in range(1, _ALIKE):
+        pairs = (bins[lag:] == bins[:-lag]) & learned[lag:] & learned[:-lag]
+        alike += 2.0 * (1.0 - lag / _ALIKE) * np.bincount(bins[lag:][pairs], minlength=count)[:, None]
+    share = np.minimum(alike / np.maximum(rows, 1) ** 2, 0.999)
+    return mean, within * share / (1.0 - share)
+
+
+def _blocks(evidence: Evidence, at: np.ndarray, number: int) -> np.ndarray:
+    """Number a recording's blocks of time, short enough that every bin of time is learned from several."""
+    t = evidence.series.t
+    seconds = float(np.clip(t[-1] / (5.0 * _STEPS[1]), 3.0 * _AVERAGE_SECONDS, 2.0))
+    return 1_000_000 * number + (t[at] // seconds).astype(np.int64)
+
+
+def _interval(x: np.ndarray, size: np.ndarray) -> tuple[float, float, float, float]:
+    """Return the interval of x with the most excess over the mean, its share of the gap and of the samples."""
+    order = np.argsort(x, kind="stable")
+    surplus = np.cumsum(size[order] - np.mean(size))
+    low = np.minimum.accumulate(np.concatenate([[0.0], surplus]))
+    end = int(np.argmax(surplus - low[:-1]))
+    begin = int(np.argmin(np.concatenate([[0.0], surplus])[: end + 1]))
+    share = min(float(size[order][begin : end + 1].sum() / size.sum()), 1.0)
+    return float(x[order][begin]), float(x[order][end]), share, (end + 1 - begin) / len(x)
+
+
+def _local(found: tuple[float, float, float, float]):
+    """Return an interval and its shares, or two None where the gap is not much larger there than elsewhere."""
+    low, high, gap, samples = found
+    if gap > 2.0 * samples and samples < 0.4 and gap > 0.3:
+        return (low, high), (gap, samples)
+    return None, None
+
+
+def _concentrated(share: tuple[float, float]) -> bool:
+    """Return whether most of the gap lies in a small part of the samples."""
+    return share[0] > 0.6 and share[0] > 4.0 * share[1]
+
+
+def _place(evidence: Sequence[Evidence], s: np.ndarray, size: np.ndarray):
+    series = evidence[0].series
+    found, lap = _interval(s, size), series.lap_length
+    if lap:
+        # A stretch may lie across the start: with the lap cut half way round it is whole.
+        turned = _interval(np.mod(s + 0.5 * lap, lap), size)
+        if turned[2] - turned[3] > found[2] - found[3]:
+            found = (*np.mod(np.array(turned[:2]) - 0.5 * lap, lap).tolist(), *turned[2:])
+    interval, share = _local(found)
+    if interval is None:
+        return None, None
+    length = interval[1] - interval[0]
+    middle = interval[0] + 0.5 * (np.mod(length, lap) if lap else length)
+    x = y = None
+    if "X" in series.drive:
+        away = series.s - (np.mod(middle, lap) if lap else middle)
+        nearest = int(np.argmin(np.abs(away)))
+        x, y = float(series.drive["X"][nearest]), float(series.drive["Y"][nearest])
+    return Place(*interval, lap, series.place_reference, x, y), share

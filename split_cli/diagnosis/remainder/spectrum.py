@@ -1,0 +1,167 @@
+"""Lines in the spectrum of what is left, over time and over distance: what swings faster than rows can see.
+
+An engine that shakes, a wheel out of balance and a gear tooth leave no trace in smooth functions of the operating
+point. They are lines: over time at a fixed frequency, over distance at a fixed share of a wheel's turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from split_cli.diagnosis.innovations.evidence import Evidence, integrated
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.severity import severity
+from split_cli.vehicle.effects import Term
+
+__all__ = ["Line", "strongest_line"]
+
+_SLOWEST = 3.0  # [Hz] for a full-size car; slower than this, drivers steer
+_LONGEST = 4.0  # wavelengths in wheelbases; longer ones are the track's
+_BACKGROUND = 201  # bins
+_FEWEST = 2048  # samples
+_SHARED = 0.5  # of the amplitude, that the simulation shows too
+_MARGIN = 2.0  # over lines that the simulation has elsewhere
+_CHANNELS = ("v_x", "v_y", "r")
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line.
+
+    Attributes
+    ----------
+    over : str
+        ``time`` or ``distance``.
+    frequency : float
+        [Hz] or [1/m].
+    channel : str
+        v_x, v_y or r.
+    amplitude : float
+        Of its rate, [m/s^2] or [rad/s^2].
+    severity : float
+        Root mean square of its 0.05 s prediction error over that of sensor noise, in the worst channel.
+    p_value : float
+        Of a line as strong as this in noise, all frequencies and channels counted.
+    """
+
+    over: str
+    frequency: float
+    channel: str
+    amplitude: float
+    severity: float
+    p_value: float
+
+    def like(self, other: Line) -> float:
+        """Return another line's amplitude where it is of the same channel and clock, else 0."""
+        return other.amplitude if (other.channel, other.over) == (self.channel, self.over) else 0.0
+
+    def in_words(self) -> str:
+        """Return what swings, and how often."""
+        unit = "rad/s^2" if self.channel == "r" else "m/s^2"
+        often = (
+            f"{self.frequency:.3g} times a second" if self.over == "time" else f"every {1 / self.frequency:.3g} m"
+        )
+        return f"{self.channel}' swings by {self.amplitude:.2g} {unit}, {often}"
+
+
+def strongest_line(judge: Judge, terms: Sequence[Term], simulated: Sequence[Evidence] = ()) -> Line | None:
+    """Return the most significant line that terms leave in the real recordings, and simulations do not show.
+
+    Parameters
+    ----------
+    judge : Judge
+    terms : sequence of Term
+    simulated : sequence of Evidence
+
+    Notes
+    -----
+    Periodograms of whitened samples over their running median: a ratio above x ln 2 has probability exp(-x) in
+    noise of any smooth spectrum (Brockwell and Davis, 1991, section 10.2).
+    """
+    lines = [line for one in judge.evidence for line in _lines(one, _left(judge, one, terms))]
+    lines = [line for line in lines if line.p_value < 1e-3]
+    # A simulation that has lines of its own is a recording: another line of their size is no difference.
+    own = [line for one in simulated for line in _lines(one, _left(judge, one, ()))] if lines else []
+    lines = [line for line in lines if line.amplitude > _MARGIN * max(map(line.like, own), default=0.0)]
+    for line in sorted(lines, key=lambda line: line.p_value):
+        if not any(_shows(judge, one, line) for one in simulated):
+            return line
+    return None
+
+
+def _left(judge: Judge, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
+    """Return the defects that terms and common physics leave, shape (N - 1, 3); 0 where wheels spin or lock."""
+    known = judge.knowledge
+    left = one.left(terms, None if known is None else judge.common.rates(one.series, known.weights, terms))
+    left[~one.rolls[1:]] = 0.0
+    return left
+
+
+def _lines(one: Evidence, left: np.ndarray) -> list[Line]:
+    """Return the strongest line of each channel, over time and over distance."""
+    if len(left) < _FEWEST:
+        return []
+    white = one.whitener.of_every_sample()(left)
+    white = np.clip(white, -6.0, 6.0)
+    found = []
+    for over in ("time", "distance"):
+        clock = _clock(one, over)
+        step = (clock[-1] - clock[0]) / (len(clock) - 1)
+        grid = clock[0] + step * np.arange(len(clock))
+        even = white if over == "time" else np.stack([np.interp(grid, clock, row) for row in white.T], axis=1)
+        power = np.abs(np.fft.rfft(even * np.hanning(len(even))[:, None], axis=0)) ** 2
+        frequency = np.fft.rfftfreq(len(even), step)
+        background = median_filter(power, size=(_BACKGROUND, 1), mode="reflect") / np.log(2.0) + 1e-300
+        ratio = power / background
+        allowed = _fast_enough(one, over, frequency)
+        count = max(3 * int(allowed.sum()), 1)
+        for channel in range(3):
+            strength = np.where(allowed, ratio[:, channel], 0.0)
+            peak = int(np.argmax(strength))
+            p_value = float(min(1.0, 2.0 * count * np.exp(-strength[peak])))
+            if p_value < 1e-3:
+                amplitude, size = _size(one, left, clock, float(frequency[peak]), channel)
+                found.append(Line(over, float(frequency[peak]), _CHANNELS[channel], amplitude, size, p_value))
+    return found
+
+
+def _clock(one: Evidence, over: str) -> np.ndarray:
+    """Return time [s] or the way driven [m] at each transition, shape (N - 1,)."""
+    if over == "time":
+        return one.series.t[:-1]
+    return np.cumsum(np.maximum(one.series.smooth[:-1, 0], 0.0)) * one.series.period
+
+
+def _fast_enough(one: Evidence, over: str, frequency: np.ndarray) -> np.ndarray:
+    wheelbase = one.vehicle.wheelbase
+    if over == "time":
+        return frequency > _SLOWEST * np.sqrt(2.7 / wheelbase)
+    # Shorter waves than a few samples at speed are not seen evenly.
+    shortest = 3.0 * float(np.quantile(one.series.smooth[:, 0], 0.9)) * one.series.period
+    return (frequency > 1.0 / (_LONGEST * wheelbase)) & (frequency < 1.0 / shortest)
+
+
+def _size(
+    one: Evidence, left: np.ndarray, clock: np.ndarray, frequency: float, channel: int
+) -> tuple[float, float]:
+    """Return the amplitude of a line's rate and its severity, by whitened least squares."""
+    angle = 2.0 * np.pi * frequency * np.append(clock, clock[-1])
+    rates = np.zeros((len(angle), 3, 2))
+    rates[:, channel, 0], rates[:, channel, 1] = np.sin(angle), np.cos(angle)
+    columns = integrated(one.series, rates)
+    whiten = one.whitener.of_every_sample()
+    offered = whiten(columns).reshape(-1, 2)
+    weights = np.linalg.lstsq(offered, whiten(left).reshape(-1), rcond=None)[0]
+    return float(np.hypot(*weights)), severity(one.series, columns @ weights)
+
+
+def _shows(judge: Judge, one: Evidence, line: Line) -> bool:
+    """Return whether a simulation shows a line there too."""
+    left, clock = _left(judge, one, ()), _clock(one, line.over)
+    channel = _CHANNELS.index(line.channel)
+    nearby = line.frequency * np.linspace(0.98, 1.02, 9)
+    return max(_size(one, left, clock, f, channel)[0] for f in nearby) > _SHARED * line.amplitude

@@ -1,0 +1,202 @@
+"""Whether what is left is noise: a flexible fit over operating point, its mirror images, memory, time and place.
+
+It needs no name for what it finds. The same test decides whether simulation and reality differ at all, and whether
+named terms left something behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.evidence import integrated
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.severity import rms_over_noise, severities
+from split_cli.diagnosis.remainder.flexible import FlexibleRows
+
+__all__ = [
+    "FlexibleFit",
+    "Structure",
+    "build_structure",
+    "common_severities",
+    "minimum_effect_p",
+    "term_allowances",
+]
+
+_RIDGE_SHARE = 2e-3
+# Differences smaller than these shares of the one-step noise are not called differences: below them, what any
+# nominal model misses in one way of driving and not in another counts as common. A bare nominal model misses more
+# than a simulation that brings its physics along, and what has no name has to be larger than what has.
+ALLOWANCE = 0.05
+BARE_ALLOWANCE = 0.09
+NAMELESS_ALLOWANCE = 0.10
+# What a dictionary misses of common physics is larger where there is more of it, in the channel where it is.
+COMMON_SHARE = 0.03
+# And smaller than these shares of what common physics explains: no dictionary fits it exactly. A flexible fit
+# finds more of what is left than a single term can, by so much a parameter.
+STRUCTURE_FLOOR = 1e-4
+TERM_FLOOR = 1e-5
+MISFIT_A_PARAMETER = 1.8
+
+
+@dataclass(frozen=True)
+class FlexibleFit:
+    """What a flexible fit makes of entries.
+
+    Attributes
+    ----------
+    saved : float
+        Cost it saves.
+    freedom : float
+        Effective number of parameters.
+    severity : float
+        Root mean square of its 0.05 s prediction error over that of sensor noise, in the worst channel.
+    p_value : float
+        Of the hypothesis that the difference does not exceed the allowance.
+    group_saved : tuple of (str, float)
+        What each group of functions saves alone.
+    """
+
+    saved: float
+    freedom: float
+    severity: float
+    p_value: float
+    group_saved: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Whitened columns of the flexible fit on a judge's rows.
+
+    Attributes
+    ----------
+    judge : Judge
+    columns : ndarray, shape (R, Q)
+        Whitened, the common physics' part that is still free taken out.
+    windows : tuple of ndarray, shape (G, 3, Q)
+        What each function adds over 0.05 s about each compared row of each recording.
+    groups : tuple of str
+        Group of each column.
+    """
+
+    judge: Judge
+    columns: np.ndarray
+    windows: tuple[np.ndarray, ...]
+    groups: tuple[str, ...]
+    factor: np.ndarray
+
+    def fit(self, entries: np.ndarray, inflation: float) -> FlexibleFit:
+        """Fit whitened entries, shape (R,)."""
+        score = self.columns.T @ entries
+        weights = np.linalg.solve(self.factor, np.linalg.solve(self.factor.T, score))
+        saved = float(score @ weights)
+        inverse = np.linalg.inv(self.factor)
+        freedom = float(len(score) - _RIDGE_SHARE * len(entries) * np.sum(inverse**2))
+        size = max(
+            float(rms_over_noise(one.series, part @ weights).max())
+            for one, part in zip(self.judge.evidence, self.windows, strict=True)
+        )
+        # The size is overestimated by what the fit makes of noise.
+        size *= np.sqrt(max(1.0 - inflation * freedom / max(saved, 1e-9), 0.0))
+        floor = self.allowed(freedom)
+        p = minimum_effect_p(saved, freedom, size, inflation, floor, NAMELESS_ALLOWANCE)
+        return FlexibleFit(saved, freedom, float(size), p, self._by_group(score))
+
+    def allowed(self, freedom: float) -> float:
+        """Return the saving that a dictionary's misfit may bring with so many parameters."""
+        if self.judge.knowledge is None:
+            return 0.0
+        misfit = MISFIT_A_PARAMETER * freedom + STRUCTURE_FLOOR * self.judge.shared_cost
+        return max(misfit, self.judge.nameless_floor)
+
+    def nameless_share(self, left: FlexibleFit, named: float, inflation: float) -> float:
+        """Return which share of a gap has no name, where names save a cost of `named` and `left` fits the rest."""
+        nameless = max(left.saved - inflation * left.freedom - self.allowed(left.freedom), 0.0)
+        return nameless / max(nameless + named, 1e-9)
+
+    def _by_group(self, score: np.ndarray) -> tuple[tuple[str, float], ...]:
+        out = []
+        normal = self.factor.T @ self.factor
+        for group in dict.fromkeys(self.groups):
+            chosen = np.array([name == group for name in self.groups])
+            part = score[chosen]
+            out.append((group, float(part @ np.linalg.solve(normal[np.ix_(chosen, chosen)], part))))
+        return tuple(sorted(out, key=lambda pair: -pair[1]))
+
+
+def build_structure(judge: Judge, rows: Sequence[FlexibleRows]) -> Structure:
+    """Set up the flexible fit on a judge's rows, from the functions' rows of every recording."""
+    columns = judge.whiten(judge.stack([one.whitened for one in rows]))
+    scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-12
+    # A ridge: sums of nearly collinear columns hold little beside the noise of the smoothed states, which is also
+    # in the entries and would look like structure.
+    scale = np.where(scale > 1e-9, scale, np.inf)
+    columns /= scale
+    penalty = _RIDGE_SHARE * len(columns)
+    factor = np.linalg.cholesky(columns.T @ columns + penalty * np.eye(columns.shape[1])).T
+    windows = tuple(one.windows[mask] / scale for one, mask in zip(rows, judge.keep, strict=True))
+    return Structure(judge, columns, windows, rows[0].groups, factor)
+
+
+def common_severities(judge: Judge) -> np.ndarray:
+    """Return the severities of the common physics on the compared rows, of v_x, v_y and r, shape (3,)."""
+    if judge.knowledge is None:
+        return np.zeros(3)
+    if "common severities" not in judge.memo:
+        sizes = [
+            severities(
+                one.series,
+                integrated(one.series, judge.common.rates(one.series, judge.knowledge.weights)),
+                one.at[mask],
+            )
+            for one, mask in zip(judge.evidence, judge.keep, strict=True)
+        ]
+        judge.memo["common severities"] = np.max(sizes, axis=0)
+    return judge.memo["common severities"]
+
+
+def term_allowances(judge: Judge) -> np.ndarray:
+    """Return the severities in v_x, v_y and r below which a term is not named, shape (3,)."""
+    if judge.knowledge is None:
+        return np.full(3, BARE_ALLOWANCE)
+    return np.maximum(ALLOWANCE, COMMON_SHARE * common_severities(judge))
+
+
+def minimum_effect_p(
+    saved: float, freedom: float, size: float, inflation: float, floor: float = 0.0, allowance: float = ALLOWANCE
+) -> float:
+    """Return the probability of saving this much when the true effect is just the allowance.
+
+    Parameters
+    ----------
+    saved : float
+        Cost saved.
+    freedom : float
+        Parameters that saved it.
+    size : float
+        Severity of the fitted effect.
+    inflation : float
+    floor : float
+        Saving that is allowed whatever the size.
+    allowance : float
+        Severity that is allowed.
+
+    Notes
+    -----
+    A test against a minimum effect (Murphy and Myors, 1999): under the null the saved cost over the inflation is
+    non-central chi squared with the saving that an effect of the allowed size would bring.
+    """
+    from scipy.stats import ncx2
+
+    if saved <= 0.0 or size <= 0.0:
+        return 1.0
+    ratio = saved / inflation
+    allowed = max(ratio - freedom, 0.0) * min(allowance / size, 1.0) ** 2
+    noncentrality = max(allowed, floor / inflation)
+    try:
+        chance = ncx2.sf(ratio, max(freedom, 1.0), noncentrality)
+    except OverflowError:  # far out on either side the series' terms are beyond any number
+        chance = 1.0 if ratio < freedom + noncentrality else 0.0
+    return float(np.clip(chance, 0.0, 1.0))

@@ -1,0 +1,72 @@
+"""What wanders: rows that no smooth function explains, and that still vary together from one to the next.
+
+Gusts, a driver's hand on a loose column, a load that shifts: they have no place in feature space, in time or along
+the track, yet they are no noise. Their slow variance is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
+from split_cli.diagnosis.remainder.structure import Structure
+
+__all__ = ["Wander", "wander_of"]
+
+_NEAR_ROWS = 4
+_MARGIN = 1.5
+
+
+@dataclass(frozen=True)
+class Wander:
+    """How much rows vary together.
+
+    Attributes
+    ----------
+    ratio : float
+        Long-run variance over that of a row, at least 1; the worst of v_x, v_y and r.
+    severity : float
+        Root of the variance that neighbouring rows share, over that of their noise.
+    rows : int
+    """
+
+    ratio: float
+    severity: float
+    rows: int
+
+    def p_value(self, usual: float) -> float:
+        """Return the probability of wandering this much where `usual` is the simulation's own ratio.
+
+        Notes
+        -----
+        The Bartlett estimate of a long-run variance has the relative variance 4 L/(3 n) (Priestley, 1981, section
+        6.2.4).
+        """
+        from scipy.stats import norm
+
+        allowed = _MARGIN * max(usual, 1.0)
+        spread = allowed * np.sqrt(4.0 * LAG_ROWS / (3.0 * max(self.rows, 1)))
+        return float(norm.sf((self.ratio - allowed) / spread))
+
+
+def wander_of(structure: Structure, entries: np.ndarray) -> Wander:
+    """Return how much whitened entries (R,) vary together beyond every flexible fit.
+
+    Notes
+    -----
+    The long-run variance over the plain one (Newey and West, 1987). A flexible fit takes slow parts with it, so
+    that white rows give less than 1. Rows quieter than noise, of a simulation without any, count as noisy ones.
+    """
+    score = structure.columns.T @ entries
+    weights = np.linalg.solve(structure.factor, np.linalg.solve(structure.factor.T, score))
+    left = entries - structure.columns @ weights
+    rows = sum(int(mask.sum()) for mask in structure.judge.keep)
+    left = left[: 3 * rows].reshape(rows, 3)  # kinematic rows come last
+    width = max(min(LAG_ROWS, rows // 4), 2)
+    plain = np.maximum(np.mean(left**2, axis=0), 1.0)
+    shared = autocovariances(left, width - 1) / plain
+    ratio = 1.0 + bartlett_sum(shared, width)
+    near = np.sqrt(np.maximum(shared[:_NEAR_ROWS].mean(axis=0), 0.0))
+    return Wander(float(max(1.0, ratio.max())), float(near.max()), rows)

@@ -1,0 +1,274 @@
+"""What simulation shows against itself: thresholds calibrated on the data at hand.
+
+The common physics is learned on one half of the simulation and judges the other half with reality's noise, just as
+it judges reality. Nothing that this finds is a difference between the two; reality has to show clearly more. Where
+the simulation is clean, next to nothing is found and nothing changes. Where it is a recording itself, or where no
+dictionary holds its physics, it shows how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.innovations.comparable import comparable
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge, build_judge, learn_common
+from split_cli.diagnosis.recording.kinematics import Kinematics, build_kinematics, common_habit
+from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
+from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
+from split_cli.diagnosis.remainder.wander import wander_of
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.together import together
+from split_cli.vehicle.effects import CATALOGUE
+
+__all__ = ["TERM_MARGIN", "SelfTest", "self_test"]
+
+_LEAST_ROWS = 150
+# Reality may cover other ground than the simulation's second half did, by chance: it has to show this much more.
+_NAMELESS_MARGIN = 2.0
+TERM_MARGIN = 1.5
+# What one term shows between two halves, another may show between two recordings.
+_KINDRED = 0.33
+_BINS = 40
+_WAVES = 12
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """What one half of a simulation shows beyond what the other half taught.
+
+    Attributes
+    ----------
+    rows : int
+        Rows that were judged; 0 where the halves have not been in the same places, and nothing is known.
+    ratio : float
+        Cost that a flexible fit saves, noise included, over its freedom; about 1 when nothing is there.
+    nameless : float
+        Cost that a flexible fit saves.
+    terms : mapping of str to float
+        Cost that each term saves alone, in its best variant, start and place.
+    wander : float
+        How much rows vary together, see `wander`.
+    """
+
+    rows: int = 0
+    ratio: float = 1.0
+    nameless: float = 0.0
+    terms: Mapping[str, float] = field(default_factory=dict)
+    wander: float = 1.0
+
+    def allow(self, judge: Judge) -> Judge:
+        """Return a judge that forgives as much, with a margin.
+
+        A misfit saves in proportion to the rows, what wanders saves no more of more rows; the root lies between.
+        """
+        if not self.rows:
+            return judge
+        rows = sum(int(mask.sum()) for mask in judge.keep)
+        scale = float(np.sqrt(max(rows / self.rows, 1.0)))
+        most = max(self.terms.values(), default=0.0)
+        return replace(
+            judge,
+            nameless_floor=_NAMELESS_MARGIN * scale * self.nameless,
+            term_floors={
+                term: TERM_MARGIN * scale * max(saved, _KINDRED * most) for term, saved in self.terms.items()
+            },
+        )
+
+    def misfit_of(self, gap: FlexibleFit) -> float:
+        """Return by how much misfit widens what a term saves by chance: as between the halves, but by no more than
+        reality itself shows, whose difference may hold misfit and nothing else.
+        """
+        return TERM_MARGIN * min(self.ratio, gap.saved / max(gap.freedom, 1.0))
+
+
+def self_test(
+    graded: Sequence[Evidence],
+    common: CommonPhysics,
+    candidates: Sequence[Candidate],
+    kinematics: Sequence[Kinematics] = (),
+    *,
+    inflation: float,
+    reach: float,
+    knowledge: CommonKnowledge | None = None,
+) -> SelfTest:
+    """Judge each half of a simulation by the other.
+
+    Parameters
+    ----------
+    graded : sequence of Evidence
+        The simulation with the noise and disturbance of the real recordings, see `graded_as`.
+    common : CommonPhysics
+    candidates : sequence of Candidate
+        Terms that reality will be searched for.
+    kinematics : sequence of Kinematics
+        Of the real recordings; nothing but their noise is taken.
+    inflation, reach : float
+        As for reality.
+    knowledge : CommonKnowledge, optional
+        Of the whole simulation: then halves are believed to the letter.
+
+    Notes
+    -----
+    Noise is not drawn: rows are whitened as noisy ones are, and what noise of unit variance adds to a saving, one
+    for each parameter, is added.
+    """
+    scale = max((one.scale for one in kinematics), default=np.inf)
+    positions = [build_kinematics(one.series) if np.isfinite(scale) else None for one in graded]
+    positions = [one and replace(one, scale=max(one.scale, scale)) for one in positions]
+    all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
+    judge = build_judge(graded, knowledge, common, all_rows, [one for one in positions if one])
+    offers = _offers(judge.believed_to_the_letter() if knowledge else judge, candidates)
+    rows = tuple(flexible_rows(one, common) for one in graded)
+    sides = _Sides(tuple(graded), tuple(positions), rows, common, inflation, reach, knowledge is not None)
+    first = _first_half(graded)
+    halves = [[mask ^ turned for mask in first] for turned in (False, True)]
+    tests = together(lambda teaching: _judge_half(sides, teaching, offers), halves)
+    tests = [test for test in tests if test is not None]
+    if not tests:
+        return SelfTest()
+    names = dict.fromkeys(term for test in tests for term in test.terms)
+    return SelfTest(
+        max(test.rows for test in tests),
+        max(test.ratio for test in tests),
+        max(test.nameless for test in tests),
+        {term: max(test.terms[term] for test in tests) for term in names},
+        max(test.wander for test in tests),
+    )
+
+
+def _first_half(graded: Sequence[Evidence]) -> list[np.ndarray]:
+    total, before, halves = sum(len(one.at) for one in graded), 0, []
+    for one in graded:
+        halves.append(before + np.arange(len(one.at)) < total / 2)
+        before += len(one.at)
+    return halves
+
+
+@dataclass(frozen=True)
+class _Offer:
+    """Directions, shape (R, P) over all rows of the simulation, that one term offers to explain with."""
+
+    term: str
+    columns: np.ndarray
+    located: str
+
+
+def _offers(judge: Judge, candidates: Sequence[Candidate]) -> list[_Offer]:
+    """Linearise every candidate about its starts; one with a place about its being everywhere."""
+    base = judge.residual(())
+
+    def offered(candidate: Candidate) -> list[_Offer]:
+        if candidate.located:
+            whole, _ = candidate.everywhere()
+            return [_Offer(candidate.term, (judge.left_by((whole,)) - base)[:, None], candidate.located)]
+        neutral = {name: CATALOGUE[candidate.term].neutral.get(name) for name in candidate.ranges}
+        out = []
+        for start in candidate.starts:
+            shape = {name: value for name, value in start.items() if neutral[name] is None}
+            sizes = [name for name in start if neutral[name] is not None]
+            columns = [
+                judge.left_by((candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),))
+                - base
+                for name in sizes
+            ]
+            out.append(_Offer(candidate.term, np.stack(columns, axis=1), ""))
+        return out
+
+    return [offer for several in together(offered, candidates) for offer in several]
+
+
+@dataclass(frozen=True)
+class _Sides:
+    """A simulation with the noise of reality, half of it to teach and half to be judged."""
+
+    graded: tuple[Evidence, ...]
+    positions: tuple[Kinematics | None, ...]
+    rows: tuple[FlexibleRows, ...]
+    common: CommonPhysics
+    inflation: float
+    reach: float
+    to_the_letter: bool = False
+
+    def windows(self, teaching: Sequence[np.ndarray]) -> tuple[list[Kinematics], np.ndarray]:
+        """Return kinematic windows outside the teaching half, with its habits, and which of all they are."""
+        sides = [
+            None if one is None else mask[np.searchsorted(evidence.at, one.begin).clip(max=len(mask) - 1)]
+            for one, evidence, mask in zip(self.positions, self.graded, teaching, strict=True)
+        ]
+        pairs = [(one, side) for one, side in zip(self.positions, sides, strict=True) if one is not None]
+        habit = common_habit([one.select(side) for one, side in pairs])
+        judged = [replace(one.select(~side), habit=habit) for one, side in pairs]
+        return judged, np.concatenate([~side for _, side in pairs]) if pairs else np.zeros(0, dtype=bool)
+
+
+def _judge_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_Offer]) -> SelfTest | None:
+    graded, common = sides.graded, sides.common
+    taught = [replace(one, weight=one.weight * mask) for one, mask in zip(graded, teaching, strict=True)]
+    if not any((one.weight > 0.0).any() for one in taught):
+        return None
+    keep = [
+        comparable(one, taught, common, sides.reach) & ~mask for one, mask in zip(graded, teaching, strict=True)
+    ]
+    rows = sum(int(mask.sum()) for mask in keep)
+    if rows < _LEAST_ROWS:
+        return None
+    positions, windows = sides.windows(teaching)
+    judge = build_judge(graded, learn_common(taught, sides.inflation), common, keep, positions)
+    if sides.to_the_letter:
+        judge = judge.believed_to_the_letter()
+    entries = judge.whiten(judge.residual(()))
+    structure = build_structure(judge, sides.rows)
+    fit = structure.fit(entries, sides.inflation)
+    chosen = np.concatenate([np.repeat(np.concatenate(keep), 3), windows])
+    # Kinematic rows have no place; nothing that has one moves them.
+    s = [np.repeat(one.series.s[one.at][mask], 3) for one, mask in zip(graded, keep, strict=True)]
+    s = np.concatenate([*s, np.zeros(int(windows.sum()))])
+    lap = graded[0].series.lap_length
+    terms = {offer.term: 0.0 for offer in offers}
+    for offer in offers:
+        columns = judge.whiten(offer.columns[chosen])
+        if offer.located:
+            saved = _best_place(columns[:, 0], entries, s, offer.located, lap)
+        else:
+            saved = _saving(columns, entries)
+        terms[offer.term] = max(terms[offer.term], saved)
+    # What the simulation lacks of reality's noise would have added its share.
+    quiet = max(0.0, 1.0 - (float(entries @ entries) - fit.saved) / max(len(entries) - fit.freedom, 1.0))
+    return SelfTest(rows, fit.saved / fit.freedom + quiet, fit.saved, terms, wander_of(structure, entries).ratio)
+
+
+def _saving(columns: np.ndarray, entries: np.ndarray) -> float:
+    scale = np.sqrt(np.sum(columns**2, axis=0))
+    if not scale.max(initial=0.0):
+        return 0.0
+    unit = columns[:, scale > 0.0] / scale[scale > 0.0]
+    score = unit.T @ entries
+    return float(score @ np.linalg.solve(unit.T @ unit + 1e-9 * np.eye(len(score)), score))
+
+
+def _best_place(column: np.ndarray, entries: np.ndarray, s: np.ndarray, kind: str, lap: float | None) -> float:
+    """Return what a column saves on the best stretch, or as the best wave, of the track."""
+    reach = lap or max(float(s.max()), 1e-9)
+    if kind == "wave":
+        angles = 2.0 * np.pi * s[:, None] / reach * np.arange(1, _WAVES + 1)
+        return max(
+            _saving(column[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1), entries)
+            for angle in angles.T
+        )
+    place = np.minimum((s / reach * _BINS).astype(int), _BINS - 1)
+    score = np.bincount(place, column * entries, minlength=_BINS)
+    information = np.bincount(place, column**2, minlength=_BINS)
+    best = 0.0
+    for length in range(1, _BINS):
+        window = np.arange(_BINS)[:, None] + np.arange(length)
+        if lap is None:
+            window = window[: _BINS - length + 1]
+        known = information[window % _BINS].sum(axis=1)
+        gained = score[window % _BINS].sum(axis=1) ** 2 / np.maximum(known, 1e-300)
+        best = max(best, float(gained[known > 0.0].max(initial=0.0)))
+    return best

@@ -1,0 +1,193 @@
+"""What every term would add to an explanation: linear promises first, then fits of the best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.judge import Judge, alters_inputs
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.fitting import (
+    Fit,
+    Part,
+    Tangent,
+    effect_everywhere,
+    fit_parts,
+    scan_places,
+    tangent,
+)
+from split_cli.diagnosis.statement.separation import look_alike
+from split_cli.diagnosis.together import together
+
+__all__ = ["Explorer", "Rules"]
+
+_SAME_COST = 0.5  # explanations of the same terms that differ by less are one
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Settings of the selection, one for all cases."""
+
+    price: float = 8.0  # cost a searched parameter has to save, before inflation
+    most_terms: int = 3
+    most_aside: int = 2  # terms that save more than chance but are too small to name
+    aside_severity: float = 0.12  # below which what the others may misfit is kept aside, too
+    most_of_lap: float = 0.75  # a stretch that is longer is no stretch
+    full_fits: int = 9
+    followed: int = 5  # of the best, in which the common physics follows the inputs they change
+    same_within: float = 2.5  # standard errors of the paired block difference
+    same_excess: float = 9.0  # cost above the chosen one, after inflation
+    same_share: float = 0.15  # of what the chosen term saves: beyond it, a rival is worse whatever its error
+    same_misfit: float = 0.01  # of what the chosen term saves: no single track fits better than that
+    least_severity: float = 0.20  # of a further term
+    misfit: float = 0.30  # of the severity of the chosen terms, in the channel where a further one is largest
+    misfit_across: float = 0.07  # of the same in any other channel
+    settled: float = 0.8  # of what is left in a channel: what takes that is no misfit of others,
+    settled_noise: float = 4.0  # where that was by so much more than noise
+    common_misfit: float = 0.10  # of the severity of the common physics, in that channel
+    considered: int = 3  # of the further terms that save most
+    spread: float = 3.5  # standard errors, from differences block by block, that a term has to save
+    sure: float = 15.0  # or standard errors of its size, from scores block by block
+    plain: float = 1.0  # or severity that it has to have
+    much_misfit: float = 3.0  # by which chance is widened: beyond it a place is believed like any few moments
+    letter_share: float = 0.2  # of the cost, to be saved to the letter; halves of one recording save a ninth
+    sure_level: float = 1e-12  # of the minimum-effect test: names that need no second reading
+    swaps: int = 2
+    least_swap: float = 1.0  # cost that another term has to save in the place of one; terms that tie stay
+    beginnings: int = 2  # other first terms from which the search begins anew where the best leaves something
+    level: float = 0.01  # of the minimum-effect test, after counting the terms that were tried
+
+
+@dataclass(frozen=True)
+class Explorer:
+    """Adds each candidate in turn to an explanation; what was worked out for one explanation serves the next.
+
+    Attributes
+    ----------
+    judge : Judge
+    candidates : tuple of Candidate
+    inflation : float
+    rules : Rules
+    """
+
+    judge: Judge
+    candidates: tuple[Candidate, ...]
+    inflation: float
+    rules: Rules = field(default_factory=Rules)
+    _explored: list[tuple[Fit, list[Fit]]] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    def price(self, fit: Fit) -> float:
+        """Return a fit's cost with the price of its parameters."""
+        return fit.cost / self.inflation + self.rules.price * fit.complexity
+
+    def __call__(self, current: Fit) -> list[Fit]:
+        """Return the promising candidates fitted together with an explanation, best first; one fit a variant."""
+        for known, fits in self._explored:
+            if _labels(known) == _labels(current) and abs(known.cost - current.cost) < _SAME_COST * self.inflation:
+                return fits
+        fits = self._followed(self._fits(current))
+        self._explored.append((current, fits))
+        return fits
+
+    @cached_property
+    def _base(self) -> np.ndarray:
+        return self.judge.residual(())
+
+    @cached_property
+    def _tangents(self) -> list[Tangent]:
+        starts = [Part(one, dict(start)) for one in self.candidates for start in one.starts]
+        return self._tangents_at(starts)
+
+    def _tangents_at(self, parts: Sequence[Part]) -> list[Tangent]:
+        base = self._base
+        return together(lambda part: tangent(self.judge, base, part), parts)
+
+    @cached_property
+    def _effects(self) -> list[tuple[Candidate, np.ndarray]]:
+        return [(one, effect_everywhere(self.judge, self._base, one)) for one in self.candidates if not one.starts]
+
+    def _promises(self, current: Fit) -> list[tuple[float, Part]]:
+        """Return what each start of each candidate promises to cost, price included, best first."""
+        taken = {part.candidate.term for part in current.parts}
+        lines = [one for one in self._tangents if one.part.candidate.term not in taken]
+        for candidate, effect in self._effects:
+            if candidate.term not in taken:
+                starts = scan_places(self.judge, current.entries, candidate, effect)
+                lines += self._tangents_at([Part(candidate, start) for start in starts])
+        promises = together(lambda one: (one.cost(current), one.part), lines)
+        return sorted(
+            promises, key=lambda one: one[0] / self.inflation + self.rules.price * one[1].candidate.complexity
+        )
+
+    def _fits(self, current: Fit) -> list[Fit]:
+        """Return fits of the best promises, with the second start of a variant where it promises more."""
+        starts: dict[str, list[tuple[float, Part]]] = {}
+        for promised, part in self._promises(current):
+            if part.candidate.label in starts or len(starts) < self.rules.full_fits:
+                starts.setdefault(part.candidate.label, []).append((promised, part))
+        settled = int(any(alters_inputs(one.term) for one in current.parts))
+
+        def fitted(promises: list[tuple[float, Part]]) -> list[Fit]:
+            fits: list[Fit] = []
+            for promised, part in promises:
+                # Another start may have kept more than this one promises.
+                if len(fits) < 2 and all(fit.cost >= promised for fit in fits):
+                    fits.append(fit_parts(self.judge, (*current.parts, part), refreshes=settled))
+            return fits
+
+        fits = [fit for several in together(fitted, starts.values()) for fit in several]
+        return sorted((fit for fit in fits if not self._is_everywhere(fit.parts[-1])), key=self.price)
+
+    def _followed(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Return the best fit of each variant; in the first few the common physics follows what they alter."""
+        best: dict[str, Fit] = {}
+        for fit in fits:
+            best.setdefault(fit.parts[-1].candidate.label, fit)
+
+        def followed(fit: Fit) -> Fit:
+            return fit_parts(self.judge, fit.parts) if any(alters_inputs(term) for term in fit.terms) else fit
+
+        # Only what may win is worth following with the common physics.
+        first, rest = list(best.values())[: self.rules.followed], list(best.values())[self.rules.followed :]
+        found = sorted([*together(followed, first), *rest], key=self.price)
+        relatives = {fit.parts[-1].candidate.label: fit for fit in self._relatives(found, first)}
+        others = [fit for fit in found if fit.parts[-1].candidate.label not in relatives]
+        return sorted([*others, *relatives.values()], key=self.price)
+
+    def _relatives(self, found: Sequence[Fit], followed: Sequence[Fit]) -> list[Fit]:
+        """Return what looks like the best term and alters inputs as it does, followed as it was.
+
+        With the common physics held, such a term may save nothing where it is large, and never be followed.
+        """
+        if not found or self.judge.knowledge is None or not alters_inputs(found[0].parts[-1].term):
+            return []
+        *others, own = found[0].parts
+        done = {fit.parts[-1].candidate.label for fit in followed}
+        taken = {part.candidate.term for part in found[0].parts}
+        parts = [
+            Part(one, _nearest_start(one, own))
+            for one in self.candidates
+            if one.label not in done and one.term not in taken and one.starts and look_alike(own.term.id, one.term)
+        ]
+        parts = [part for part in parts if alters_inputs(part.term)]
+        return together(lambda part: fit_parts(self.judge, (*others, part)), parts)
+
+    def _is_everywhere(self, part: Part) -> bool:
+        """Return whether a stretch covers so much of the track that it is none."""
+        if "s_start" not in part.values:
+            return False
+        reach = part.candidate.ranges["s_end"].upper
+        return (part.values["s_end"] - part.values["s_start"]) % reach > self.rules.most_of_lap * reach
+
+
+def _nearest_start(candidate: Candidate, part: Part) -> dict[str, float]:
+    """Return the start of a candidate that is nearest in size to what a part was fitted to."""
+    size = max(abs(next(iter(part.values.values()))), 1e-9)
+    return dict(min(candidate.starts, key=lambda one: abs(np.log(abs(next(iter(one.values()))) / size))))
+
+
+def _labels(fit: Fit) -> list[str]:
+    return sorted(part.candidate.label for part in fit.parts)

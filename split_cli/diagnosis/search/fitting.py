@@ -1,0 +1,298 @@
+"""Fit named terms together by damped Gauss-Newton on whitened rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.judge import Judge, alters_inputs
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.vehicle.effects import Term
+
+__all__ = [
+    "Fit",
+    "Part",
+    "Tangent",
+    "effect_everywhere",
+    "fit_parts",
+    "raw_slopes",
+    "scan_places",
+    "tangent",
+]
+
+_ITERATIONS = 12
+_REFRESHES = 1
+
+
+@dataclass(frozen=True)
+class Part:
+    """A candidate and the values it has: one term of an explanation."""
+
+    candidate: Candidate
+    values: dict[str, float]
+
+    @property
+    def term(self) -> Term:
+        """The term with these values."""
+        return self.candidate.build(self.values)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An explanation fitted on a judge's rows.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+    cost : float
+        In units of chi squared.
+    entries : ndarray, shape (R,)
+        Whitened entries it leaves, common physics taken out.
+    sensitivity : ndarray, shape (R, P)
+        Derivative of the entries by each parameter, over the parts in order; empty until asked for.
+    """
+
+    parts: tuple[Part, ...]
+    cost: float
+    entries: np.ndarray
+    sensitivity: np.ndarray
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms."""
+        return tuple(part.term for part in self.parts)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Ids of the terms, sorted."""
+        return tuple(sorted(part.candidate.term for part in self.parts))
+
+    @property
+    def complexity(self) -> float:
+        """Parameters effectively searched for."""
+        return sum(part.candidate.complexity for part in self.parts)
+
+
+def fit_parts(judge: Judge, parts: Sequence[Part], *, refreshes: int = _REFRESHES) -> Fit:
+    """Refit all parameters of all parts together from where they are.
+
+    Parameters
+    ----------
+    judge : Judge
+    parts : sequence of Part
+    refreshes : int
+        How often the common physics follows what the terms do to the inputs; 0 to leave it where the recording
+        puts it, for a first look at many candidates.
+    """
+    parts = tuple(parts)
+    if judge.to_the_letter or not refreshes or not any(alters_inputs(part.term) for part in parts):
+        return _fit(judge, parts, np.zeros(len(judge.weight)), _ITERATIONS)
+    fit = _fit(judge, parts, judge.shift([part.term for part in parts]), _ITERATIONS)
+    for _ in range(refreshes):
+        fit = _fit(judge, fit.parts, judge.shift(fit.terms), _ITERATIONS)
+    return fit
+
+
+def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: int) -> Fit:
+    """Refit all parameters from where they are, the common physics' shift held.
+
+    Notes
+    -----
+    Levenberg-Marquardt with forward differences; parameters at a bound stay there while the gradient pushes out.
+    """
+    names = [(k, name) for k, part in enumerate(parts) for name in part.values]
+    limits = [parts[k].candidate.ranges[name] for k, name in names]
+    steps = np.array([limit.step for limit in limits])
+    lower = np.array([limit.lower for limit in limits]) / steps
+    upper = np.array([limit.upper for limit in limits]) / steps
+    x = np.clip(np.array([parts[k].values[name] for k, name in names]) / steps, lower, upper)
+
+    def residual_at(x: np.ndarray) -> np.ndarray:
+        return judge.left_by([part.term for part in _with(parts, names, x * steps)])
+
+    here = residual_at(x)
+    entries = judge.whiten(here - shift)
+    cost = float(entries @ entries)
+    damping = 1e-3
+    for _ in range(iterations):
+        jacobian = judge.whiten(_slopes(residual_at, here, x, upper))
+        curvature, slope = jacobian.T @ jacobian, jacobian.T @ entries
+        improved = 0.0
+        for _ in range(5):
+            scaled = curvature + damping * np.diag(np.diag(curvature)) + 1e-9 * np.eye(len(x))
+            free = ~(((x <= lower) & (slope > 0)) | ((x >= upper) & (slope < 0)))
+            move = np.zeros_like(x)
+            if free.any():
+                move[free] = -np.linalg.solve(scaled[np.ix_(free, free)], slope[free])
+            trial = np.clip(x + move, lower, upper)
+            there = residual_at(trial)
+            trial_entries = judge.whiten(there - shift)
+            trial_cost = float(trial_entries @ trial_entries)
+            if trial_cost < cost:
+                improved = cost - trial_cost
+                x, here, entries, cost = trial, there, trial_entries, trial_cost
+                damping = max(damping / 5.0, 1e-6)
+                break
+            damping *= 8.0
+        if improved < 0.02:
+            break
+    return Fit(_with(parts, names, x * steps), cost, entries, jacobian / steps)
+
+
+def raw_slopes(judge: Judge, parts: Sequence[Part]) -> np.ndarray:
+    """Return derivatives of the entries by each parameter's step, common physics still in, shape (R, P)."""
+    parts = tuple(parts)
+    names = [(k, name) for k, part in enumerate(parts) for name in part.values]
+    limits = [parts[k].candidate.ranges[name] for k, name in names]
+    steps = np.array([limit.step for limit in limits])
+    upper = np.array([limit.upper for limit in limits]) / steps
+    x = np.array([parts[k].values[name] for k, name in names]) / steps
+
+    def residual_at(x: np.ndarray) -> np.ndarray:
+        return judge.left_by([part.term for part in _with(parts, names, x * steps)])
+
+    return _slopes(residual_at, residual_at(x), x, upper)
+
+
+def _slopes(residual_at: Callable, here: np.ndarray, x: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return derivatives of a residual by x, shape (R, P), by differences of one step; `here` is that at x."""
+    columns = []
+    for p in range(len(x)):
+        # Away from a bound; one step is small against what matters, large against rounding.
+        direction = -1.0 if x[p] + 1.0 > upper[p] else 1.0
+        moved = x.copy()
+        moved[p] += direction
+        columns.append((residual_at(moved) - here) * direction)
+    return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """A part at a start and straight lines from there, on a judge's whitened rows.
+
+    What one term does beside others is taken for what it does alone: good enough to see what promises most.
+
+    Attributes
+    ----------
+    part : Part
+    moved : ndarray, shape (R,)
+        What the part at its start does to entries.
+    slopes : ndarray, shape (R, P)
+        Derivatives by its parameters, a step each.
+    """
+
+    part: Part
+    moved: np.ndarray
+    slopes: np.ndarray
+
+    def cost(self, current: Fit) -> float:
+        """Return the cost that one linear fit of this part and those of an explanation promises."""
+        columns = np.hstack([self.slopes, current.sensitivity])
+        columns = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
+        here = current.entries + self.moved
+        normal, score = columns.T @ columns, columns.T @ here
+        return float(here @ here - score @ np.linalg.solve(normal + 1e-9 * np.eye(len(score)), score))
+
+
+def tangent(judge: Judge, base: np.ndarray, part: Part) -> Tangent:
+    """Return a part's lines at the values it has; `base` is `judge.residual(())`."""
+    names = [(0, name) for name in part.values]
+    steps = np.array([part.candidate.ranges[name].step for _, name in names])
+    x = np.array(list(part.values.values())) / steps
+
+    def at(values: np.ndarray) -> np.ndarray:
+        return judge.left_by([one.term for one in _with((part,), names, values * steps)])
+
+    here = at(x)
+    columns = [here - base, *(at(x + unit) - here for unit in np.eye(len(x)))]
+    lines = judge.whiten(np.stack(columns, axis=1))
+    return Tangent(part, np.ascontiguousarray(lines[:, 0]), np.ascontiguousarray(lines[:, 1:]))
+
+
+def _with(parts: tuple[Part, ...], names: list[tuple[int, str]], values: np.ndarray) -> tuple[Part, ...]:
+    new = [dict(part.values) for part in parts]
+    for (k, name), value in zip(names, values, strict=True):
+        new[k][name] = float(value)
+    return tuple(Part(part.candidate, entry) for part, entry in zip(parts, new, strict=True))
+
+
+def effect_everywhere(judge: Judge, base: np.ndarray, candidate: Candidate) -> np.ndarray:
+    """Return what one unit of a candidate with a place takes off `base`, `judge.residual(())`, anywhere."""
+    whole, size = candidate.everywhere()
+    return (base - judge.residual((whole,))) / size
+
+
+def scan_places(judge: Judge, entries: np.ndarray, candidate: Candidate, effect: np.ndarray) -> list[dict]:
+    """Return starts for a candidate that acts on a stretch or as a wave, from scores place by place.
+
+    Parameters
+    ----------
+    judge : Judge
+    entries : ndarray, shape (R,)
+        Whitened entries left by what is explained already.
+    candidate : Candidate
+    effect : ndarray, shape (R,)
+        Of `effect_everywhere`.
+    """
+    amount, neutral = ("scale", 1.0) if candidate.located == "patch" else ("angle", 0.0)
+    # Kinematic rows have no place; what acts on the road does not move them.
+    s = np.zeros(len(entries))
+    own = [np.repeat(one.series.s[one.at][keep], 3) for one, keep in zip(judge.evidence, judge.keep, strict=True)]
+    s[: sum(map(len, own))] = np.concatenate(own)
+    reach = max(
+        limit.upper for name, limit in candidate.ranges.items() if name in ("s_start", "s_end", "wavelength")
+    )
+    left = judge.whiten(entries)
+    closed = judge.evidence[0].series.lap_length is not None
+    if candidate.located == "wave":
+        return _scan_waves(left, effect, s, reach / 4.0, closed)
+    bins = int(np.clip(reach / (0.02 * reach), 20, 60))
+    place = np.minimum((s / reach * bins).astype(int), bins - 1)
+    score = np.bincount(place, effect * left, minlength=bins)
+    information = np.bincount(place, effect**2, minlength=bins)
+    found = []
+    for begin in range(bins):
+        total_score = total_information = 0.0
+        for length in range(1, bins):
+            end = begin + length
+            if end > bins and not closed:
+                break
+            index = (end - 1) % bins
+            total_score += score[index]
+            total_information += information[index]
+            if total_information > 0.0:
+                found.append((total_score**2 / total_information, begin, end, total_score / total_information))
+    found.sort(reverse=True)
+    starts = []
+    for _, begin, end, gain in found:
+        if all(abs(begin - b) + abs(end - e) > 3 for b, e, _ in starts):
+            starts.append((begin, end, gain))
+        if len(starts) == 2:
+            break
+    width = reach / bins
+    return [
+        {
+            amount: neutral + gain,
+            "s_start": begin * width,
+            "s_end": (end * width) % reach if end > bins else end * width,
+        }
+        for begin, end, gain in starts
+    ]
+
+
+def _scan_waves(left: np.ndarray, effect: np.ndarray, s: np.ndarray, reach: float, closed: bool) -> list[dict]:
+    waves = reach / np.arange(1, 13) if closed else reach * np.geomspace(2.0, 0.05, 24)
+    found = []
+    for wavelength in waves:
+        angle = 2.0 * np.pi * s / wavelength
+        pair = np.stack([effect * np.sin(angle), effect * np.cos(angle)], axis=1)
+        normal = pair.T @ pair + 1e-9 * np.eye(2)
+        a, b = np.linalg.solve(normal, pair.T @ left)
+        found.append((float((pair.T @ left) @ [a, b]), wavelength, np.hypot(a, b), np.arctan2(b, a)))
+    found.sort(reverse=True)
+    return [
+        {"amplitude": amplitude, "wavelength": wavelength, "phase": phase}
+        for _, wavelength, amplitude, phase in found[:2]
+    ]

@@ -1,0 +1,91 @@
+"""Which physics the recordings at hand can show at all, and the manoeuvre that would show the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from split_cli.diagnosis.baseline.common import features
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.recording.screening import torque_is_constant, torque_is_derived
+from split_cli.diagnosis.recording.series import Series
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["judgeable", "tellable"]
+
+_LEAST_SHARE = 0.7
+_MUCH_SLIPPING = 0.02
+_NEED_POSITION = frozenset({"wind", "friction_patch"})
+_NEED_TORQUE = frozenset({
+    "aero_drag", "drive_delay", "drive_gain", "drive_lag", "mass", "road_grade", "rolling_resistance",
+    "sensor_delay",
+})  # fmt: skip
+
+
+def judgeable(real: Sequence[Evidence], vehicle: Vehicle, share: float = 1.0) -> tuple[str, ...]:
+    """Return which kinds of physics the real recordings could not show, and the manoeuvre that would.
+
+    Parameters
+    ----------
+    real : sequence of Evidence
+    vehicle : Vehicle
+    share : float
+        Of the real recordings, how much is compared.
+    """
+    out = []
+    if share < _LEAST_SHARE:
+        out.append(
+            f"{1.0 - share:.0%} of the real drive, where the simulation has not been; drive both over the same "
+            "speeds, torques and turns"
+        )
+    slipping = 1.0 - np.mean(np.concatenate([one.rolls for one in real]))
+    if slipping > _MUCH_SLIPPING:
+        out.append(
+            f"{slipping:.0%} of the real drive, where an axle is asked for more force along the car than its "
+            "tyres have and wheels may spin or lock; drive and brake less hard"
+        )
+    z = np.concatenate([features(one.series, vehicle)[one.at] for one in real])
+    torque = z[:, 2] * vehicle.max_torque
+    speed = z[:, 3]
+    slip = np.quantile(np.abs(z[:, :2]), 0.99, axis=0)
+    peak = [1.0 / tire.B for tire in (vehicle.front_tire, vehicle.rear_tire)]
+    if np.ptp(np.quantile(speed, [0.02, 0.98])) < 0.15 * np.mean(speed):
+        out.append("drag against rolling resistance: the speed hardly changes; coast down from high speed")
+    if torque_is_constant(torque, vehicle):
+        out.append("drive gain, lag and delay: the torque hardly changes; drive torque steps")
+    elif np.quantile(torque, 0.02) > -0.02 * vehicle.max_brake_torque:
+        out.append("brake gain: there is no braking; brake hard once")
+    if max(slip) < 0.004:
+        out.append("everything lateral: there are no turns; drive a slalom")
+    elif max(slip[0] / peak[0], slip[1] / peak[1]) < 0.25:
+        out.append("peak grip: no turn comes near the limit; turn harder")
+    drives = [one.series.drive for one in real]
+    if not all(drive.has_position for drive in drives):
+        out.append("place, wind and velocity sensor against car: no position and yaw; record them")
+    if any(drive.metadata.kinds.get("delta") == "measured" for drive in drives):
+        out.append("the steering actuator: the steer angle is a measurement; log the command")
+    if any(map(torque_is_derived, drives)):
+        out.append("everything longitudinal: torque is derived from acceleration; log the torque command")
+    if any(drive.period > 0.05 for drive in drives):
+        out.append("lags and delays shorter than a sample; record at 50 Hz or more")
+    return tuple(out)
+
+
+def tellable(candidates: Sequence[Candidate], real: Sequence[Series], vehicle: Vehicle) -> list[Candidate]:
+    """Return the candidates that recordings of this kind can tell at all.
+
+    Places are told only with position, since a distance travelled is nothing but a time; wind only with position
+    and yaw. What acts along the car is told only by a torque that was not derived from how the car moved, and
+    what comes of the torque only where that changes.
+    """
+    kept = list(candidates)
+    drives = [one.drive for one in real]
+    if not all(drive.has_position for drive in drives):
+        kept = [one for one in kept if not one.located and one.term not in _NEED_POSITION]
+    if any(map(torque_is_derived, drives)):
+        kept = [one for one in kept if one.term not in _NEED_TORQUE]
+    if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle):
+        kept = [one for one in kept if not one.term.startswith("drive_")]
+    return kept

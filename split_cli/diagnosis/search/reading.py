@@ -1,0 +1,164 @@
+"""What is read from the real recordings: the gap and its names, with reserve and, if need be, to the letter.
+
+With reserve, what the simulation leaves open of the common physics explains a gap before any term does. That is
+just where a dictionary holds the simulation. Where it does not, as in real recordings, next to everything is open
+off the simulation's own path, and a fault that takes a drive off that path hides in it: a steering scaled by 0.8
+too. Read to the letter, a term saves what it brings back to where the simulation has been. Only terms that alter
+inputs or sensors do, and where misfit is much only this reading names them, unless the first is beyond all doubt:
+what the simulation's function gets wrong off its path would go into their values. What the second reading confirms
+stays as the first has it. Other physics is named to the letter where the first had chosen it, too small to name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from split_cli.diagnosis.innovations.case import Case
+from split_cli.diagnosis.innovations.judge import Judge, alters_inputs, build_judge
+from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
+from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, build_structure
+from split_cli.diagnosis.remainder.wander import wander_of
+from split_cli.diagnosis.search.calibration import SelfTest, self_test
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.exploration import Rules
+from split_cli.diagnosis.search.running import with_variants_that_run
+from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
+
+__all__ = ["Reading", "read"]
+
+# What is small beside a name is misfit here, and would share a delay's savings with its like.
+_LETTER = Rules(most_aside=0)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a judge makes of the real recordings.
+
+    Attributes
+    ----------
+    structure : Structure
+        With the judge.
+    gap : FlexibleFit
+        Of the whole gap.
+    selection : Selection
+    known : SelfTest
+        What the simulation shows against itself, read alike.
+    inflation : float
+        By which what wanders widens chi squared.
+    judges : tuple of Judge
+        With reserve, and to the letter where it was read so, too.
+    """
+
+    structure: Structure
+    gap: FlexibleFit
+    selection: Selection
+    known: SelfTest
+    inflation: float
+    judges: tuple[Judge, ...] = ()
+
+
+def read(
+    case: Case,
+    candidates: Sequence[Candidate],
+    *,
+    inflation: float,
+    reach: float,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Reading:
+    """Read with reserve; to the letter where misfit is much, and what is named alters inputs and is in doubt.
+
+    Parameters
+    ----------
+    case : Case
+    candidates : sequence of Candidate
+    inflation, reach : float
+        See `Settings`.
+    progress : callable
+        Called with the name of each step.
+    """
+    progress("comparing")
+    judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
+    known = _known(case, candidates, inflation, reach)
+    rows = [flexible_rows(one, case.common) for one in case.real]
+    progress("naming")
+    reading = _read(judge, rows, candidates, known, inflation)
+    altering = [alters_inputs(term) for term in reading.selection.terms]
+    sure = bool(altering) and reading.selection.first_p < Rules().sure_level
+    if known.ratio <= Rules().much_misfit or sure or (altering and not any(altering)):
+        return reading
+    progress("naming to the letter")
+    known = _known(case, candidates, inflation, reach, to_the_letter=True)
+    # The common physics follows at every step, and costs have more than one valley.
+    wide = [one.widely_started() if _alters(one) else one for one in candidates]
+    again = _read(judge.believed_to_the_letter(), rows, wide, known, inflation, _LETTER)
+    kept = reading
+    if _brings_back(again.selection, reading.selection):
+        confirmed = bool(altering) and _ids(reading.selection) <= _ids(again.selection)
+        kept = reading if confirmed else again
+    elif altering:
+        kept = replace(reading, selection=_without_names(reading.selection))
+    return replace(kept, judges=(reading.structure.judge, again.structure.judge))
+
+
+def _ids(selection: Selection) -> set[str]:
+    return {term.id for term in selection.terms}
+
+
+def _alters(candidate: Candidate) -> bool:
+    return bool(candidate.starts) and alters_inputs(candidate.build(candidate.starts[0]))
+
+
+def _brings_back(selection: Selection, reserved: Selection) -> bool:
+    """Return whether a fair share of the cost goes with what is named to the letter, and all of it is believed.
+
+    That is what alters inputs or sensors, and beyond doubt what the reading with reserve chose too, if only to
+    keep it aside: a function that is wrong off its path looks like physics to the letter alone.
+    """
+    saved = selection.base.cost - selection.chosen.cost
+    fair = saved > _LETTER.letter_share * selection.base.cost
+    chosen = {part.candidate.term for part in reserved.chosen.parts if selection.first_p < _LETTER.sure_level}
+    return bool(selection.terms) and fair and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
+
+
+def _without_names(selection: Selection) -> Selection:
+    aside = tuple(False for _ in selection.named)
+    nobody = tuple(() for _ in selection.named)
+    return replace(selection, named=aside, rivals=nobody, siblings=nobody)
+
+
+def _known(
+    case: Case, candidates: Sequence[Candidate], inflation: float, reach: float, *, to_the_letter: bool = False
+) -> SelfTest:
+    if not case.graded:
+        return SelfTest()
+    return self_test(
+        case.graded,
+        case.common,
+        candidates,
+        case.kinematics,
+        inflation=inflation,
+        reach=reach,
+        knowledge=case.knowledge if to_the_letter else None,
+    )
+
+
+def _read(
+    judge: Judge,
+    rows: Sequence[FlexibleRows],
+    candidates: Sequence[Candidate],
+    known: SelfTest,
+    inflation: float,
+    rules: Rules | None = None,
+) -> Reading:
+    judge = known.allow(judge)
+    structure = build_structure(judge, rows)
+    base = nothing(judge)
+    inflation = max(inflation, wander_of(structure, base.entries).ratio)
+    gap = structure.fit(base.entries, inflation)
+    judge = replace(judge, misfit=known.misfit_of(gap))
+    structure = replace(structure, judge=judge)
+    rules = rules or Rules()
+    selection = select_terms(judge, candidates, inflation, rules)
+    selection = with_variants_that_run(structure, candidates, selection, inflation, rules)
+    return Reading(structure, gap, selection, known, inflation, (judge,))

@@ -1,0 +1,88 @@
+"""Which variant of a term runs freely, where one step does not tell.
+
+Variants of a term differ by how a tyre takes a load or a loss of grip. Where much of the gap has no name, that is
+more than they differ by in one step, and the one that bends best to it may lead a rollout astray.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.rollouts import Stage, roll_out_stages, shared_rates
+from split_cli.diagnosis.remainder.structure import Structure
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.exploration import Explorer, Rules
+from split_cli.diagnosis.search.fitting import Fit
+from split_cli.diagnosis.search.selection import Selection, explaining_as_well, with_chosen
+
+__all__ = ["free_running_errors", "with_variants_that_run"]
+
+# Of the error of the variant that is best in one step: a rollout's error is no finer.
+_BETTER = 0.9
+_TINY = 1e-30
+
+
+def with_variants_that_run(
+    structure: Structure, candidates: Sequence[Candidate], selection: Selection, inflation: float, rules: Rules
+) -> Selection:
+    """Return a selection with another variant of a term where that runs freely with clearly smaller errors.
+
+    Only where more than misfit is left without a name, and only variants that explain the data as well beside it.
+
+    Parameters
+    ----------
+    structure : Structure
+        With the judge.
+    candidates : sequence of Candidate
+    selection : Selection
+    inflation : float
+    rules : Rules
+    """
+    judge, chosen = structure.judge, selection.chosen
+    left = structure.fit(chosen.entries, inflation)
+    nameless = structure.nameless_share(left, selection.base.cost - chosen.cost, inflation)
+    if nameless <= rules.same_misfit:
+        return selection
+    others = [
+        sibling.fit
+        for k, siblings in enumerate(selection.siblings)
+        for sibling in explaining_as_well(judge, selection, k, siblings, nameless)
+    ]
+    if not others:
+        return selection
+    own, *theirs = free_running_errors(judge, [chosen, *others])
+    best = int(np.argmin(theirs))
+    if not theirs[best] < _BETTER * own:
+        return selection
+    found = with_chosen(Explorer(judge, tuple(candidates), inflation, rules), selection, others[best])
+    if sum(found.named) < sum(selection.named):
+        return selection
+    label = others[best].parts[-1].candidate.label
+    note = f"{label} takes a place, runs freely with {theirs[best] / own:.0%} of the error"
+    return replace(found, history=(*selection.history, note))
+
+
+def free_running_errors(judge: Judge, fits: Sequence[Fit]) -> list[float]:
+    """Return how far each explanation is off after 0.5, 1 and 2 s of running freely, over what noise makes.
+
+    The geometric mean over channels and horizons of rms errors, all of the real recordings' time used.
+    """
+    totals, weight = np.zeros(len(fits)), 0
+    for one in judge.evidence:
+        stages = {
+            str(k): Stage(fit.terms, shared_rates(one.series, judge.common, judge.knowledge, fit.terms))
+            for k, fit in enumerate(fits)
+        }
+        errors = roll_out_stages(one, stages, np.ones(len(one.series), dtype=bool))
+        if errors is None or not len(errors.t):
+            continue
+        floor = np.maximum(errors.floor.mean(axis=0), _TINY)  # of a recording without noise
+        means = np.maximum([errors.squared[str(k)].mean(axis=0) for k in range(len(fits))], _TINY)
+        logs = 0.5 * np.log(means / floor).mean(axis=(1, 2))
+        totals += len(errors.t) * logs
+        weight += len(errors.t)
+    return list(np.exp(totals / max(weight, 1)))

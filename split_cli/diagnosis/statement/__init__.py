@@ -1,0 +1,4 @@
+"""What a diagnosis says: the tree of results, its words and sentences, and `diagnosis.json`.
+
+May import: vehicle, signals, errors; none of the other rooms, which all may import this one.
+"""

@@ -1,0 +1,121 @@
+"""`diagnosis.json`: the diagnosis to the letter of its schema."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib.resources import files
+from typing import Any
+
+from split_cli import __version__
+from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Finding, Improvement, Location
+
+__all__ = ["diagnosis_to_mapping", "diagnosis_to_text", "read_schema"]
+
+
+def read_schema() -> dict[str, Any]:
+    """Return the JSON schema that ships with the package."""
+    return json.loads(files("split_cli.diagnosis").joinpath("diagnosis.schema.json").read_text(encoding="utf-8"))
+
+
+def diagnosis_to_text(diagnosis: Diagnosis) -> str:
+    """Return the content of `diagnosis.json`."""
+    return json.dumps(diagnosis_to_mapping(diagnosis), indent=2, allow_nan=False) + "\n"
+
+
+def diagnosis_to_mapping(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return what `diagnosis.json` holds."""
+    return {
+        "schema": "split-diagnosis/1",
+        "version": __version__,
+        "verdict": diagnosis.verdict,
+        "p_value": diagnosis.p_value,
+        "compared_share": diagnosis.compared_share,
+        "not_judged": list(diagnosis.not_judged),
+        "location": _location(diagnosis.location),
+        "findings": [_finding(finding) for finding in diagnosis.findings],
+        "unexplained": diagnosis.unexplained,
+        "improvement": _improvement(diagnosis.improvement),
+        "detectable": [_detectable(one) for one in diagnosis.detectable],
+        "inputs": [{"name": f.name, "sha256": f.sha256, "role": f.role} for f in diagnosis.inputs],
+        "settings": _plain(diagnosis.settings),
+    }
+
+
+def _location(location: Location | None) -> dict[str, Any] | None:
+    if location is None:
+        return None
+    place = location.place
+    return {
+        "forces": dict(location.forces),
+        "depends_on": [{"variable": name, "score": score} for name, score in location.depends_on],
+        "region": {name: list(limits) for name, limits in location.region.items()},
+        "place": None
+        if place is None
+        else {
+            "s_start": place.s_start,
+            "s_end": place.s_end,
+            "lap_length": place.lap_length,
+            "reference": place.reference,
+            "x": place.x,
+            "y": place.y,
+        },
+        "time": None if location.time is None else list(location.time),
+        "share_of_gap": location.share_of_gap,
+        "share_of_samples": location.share_of_samples,
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    return {
+        "term": finding.term,
+        "parameters": {
+            name: {
+                "value": p.value,
+                "std_error": p.std_error,
+                "unit": p.unit,
+                "interval_95": list(p.interval_95),
+            }
+            for name, p in finding.parameters.items()
+        },
+        "gap_explained": finding.gap_explained,
+        "alternatives": list(finding.alternatives),
+        "sentence": finding.sentence,
+    }
+
+
+def _detectable(one: Detectable) -> dict[str, Any]:
+    parameters = {name: {"value": value, "unit": unit} for name, (value, unit) in one.parameters.items()}
+    return {"term": one.term, "parameters": parameters}
+
+
+def _improvement(improvement: Improvement | None) -> dict[str, Any] | None:
+    if improvement is None:
+        return None
+    return {
+        "holdout_rmse_before": list(improvement.before),
+        "holdout_rmse_physics": list(improvement.physics),
+        "holdout_rmse_after": list(improvement.after),
+        "persistence": list(improvement.persistence),
+        "noise_floor": None if improvement.noise_floor is None else list(improvement.noise_floor),
+        "confidence": _plain({**improvement.confidence, **_removed(improvement)}),
+    }
+
+
+def _removed(improvement: Improvement) -> dict[str, Any]:
+    """Return shares of the improvable error that are gone; the schema leaves room for them here."""
+    if not improvement.removed:
+        return {}
+    shares = {
+        stage: None if share is None else {"share": share[0], "interval_95": list(share[1:])}
+        for stage, share in improvement.removed.items()
+    }
+    return {"improvable_removed": shares}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return value.item() if hasattr(value, "item") else value

@@ -1,0 +1,111 @@
+"""What would tell a finding from the terms that explain the data as well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from split_cli.diagnosis.statement.wording import term_name
+from split_cli.vehicle.effects import CATALOGUE, Mimic, Term
+
+__all__ = ["Separation", "exact_mimics", "look_alike", "separation"]
+
+_STEERING = frozenset({"steer_offset", "steer_gain", "steer_delay", "steer_lag", "steer_backlash"})
+_TORQUE = frozenset({"drive_gain", "drive_delay", "drive_lag", "aero_drag", "rolling_resistance", "mass"})
+_PLACES = frozenset({"friction_patch", "road_grade", "road_bank"})
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How a term differs from an alternative.
+
+    Attributes
+    ----------
+    alternative : str
+        Id; a combination is written ``a+b``.
+    hint : str
+        The excitation or channel that would tell them apart, or why nothing can.
+    exact : bool
+        Whether no drive can.
+    """
+
+    alternative: str
+    hint: str
+    exact: bool
+
+    @property
+    def words(self) -> str:
+        """Return it as one line for a list."""
+        name = term_name(self.alternative)
+        name = name[:1].upper() + name[1:]
+        return f"{name}: no drive can tell, {self.hint}" if self.exact else f"{name}: {self.hint}"
+
+
+def exact_mimics(term: str, variant: str) -> tuple[str, ...]:
+    """Return what explains any recording as well as this term does in this variant."""
+    mimics = CATALOGUE[term].mimics
+    return tuple(one.terms for one in mimics if one.exact and one.holds(variant) and one.terms != term)
+
+
+def look_alike(term: str, other: str) -> bool:
+    """Return whether one of two terms declares that it looks like the other."""
+    return any(one.terms == b for a, b in ((term, other), (other, term)) for one in CATALOGUE[a].mimics)
+
+
+def separation(term: str, variant: str, alternative: str) -> Separation:
+    """Return what would tell a term from an alternative: as declared by either of them, else by their kind."""
+    kind = CATALOGUE[term]
+    declared = [one for one in kind.mimics if one.holds(variant)]
+    for mimic in declared:
+        if mimic.exact and _same(mimic, alternative):
+            return Separation(alternative, mimic.when, True)
+    for mimic in declared:
+        if _same(mimic, alternative) and mimic.separated_by:
+            return Separation(alternative, mimic.separated_by, False)
+    parts = alternative.split("+")
+    for part in (one for one in parts if one in CATALOGUE):
+        for mimic in CATALOGUE[part].mimics:
+            if _same(mimic, term) and mimic.separated_by:
+                return Separation(alternative, mimic.separated_by, False)
+    for mimic in declared:
+        if mimic.separated_by and set(mimic.terms.split("+")) & set(parts):
+            return Separation(alternative, mimic.separated_by, False)
+    return Separation(alternative, _by_kind(term, parts), False)
+
+
+def _same(mimic: Mimic, terms: str) -> bool:
+    return set(mimic.terms.split("+")) == set(terms.split("+"))
+
+
+def _by_kind(term: str, others: Sequence[str]) -> str:
+    """Return the excitation that brings out what two kinds of terms do differently."""
+    kinds = [CATALOGUE[one] for one in (term, *others) if one in CATALOGUE]
+    ids = {kind.id for kind in kinds}
+
+    def differ(has) -> bool:
+        return len({bool(has(kind)) for kind in kinds}) > 1
+
+    if differ(lambda kind: not kind.exported and kind.id != "sensor_delay"):
+        return "position and yaw recorded beside the velocities"
+    if differ(lambda kind: kind.id == "grip_fade"):
+        return "the same manoeuvre at the start and at the end of a drive"
+    if all(_remembers(kind) for kind in kinds):
+        return "steps of steering and of torque, each at two speeds"
+    if all(kind.id in _PLACES for kind in kinds):
+        return "gentle and hard turns on the same stretch, with and without torque"
+    if differ(lambda kind: kind.id in _PLACES):
+        return "the same place at another speed and in the other direction"
+    if differ(lambda kind: kind.id == "wind"):
+        return "the same manoeuvre in the opposite direction"
+    if differ(_remembers):
+        return "steps of steering and torque, and steady driving between them"
+    if ids & _TORQUE and differ(lambda kind: kind.id in _TORQUE):
+        return "acceleration and braking on a straight, and turns without torque"
+    if ids & _STEERING and differ(lambda kind: kind.id in _STEERING):
+        return "steady turns to both sides, gentle and near the limit, at two speeds"
+    return "steady turns up to the limit at two speeds, with and without torque"
+
+
+def _remembers(kind: type[Term]) -> bool:
+    """Return whether a term acts late: it has states of its own, or delays inputs, or changes the inertia."""
+    return bool(kind.states) or "delay" in kind.units or kind.id == "yaw_inertia"

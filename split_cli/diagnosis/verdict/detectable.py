@@ -1,0 +1,104 @@
+"""How large each effect would have had to be to be named: what a silence about it is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import brentq
+
+from split_cli.diagnosis.innovations.judge import Judge, alters_inputs
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.exploration import Rules
+from split_cli.diagnosis.search.fitting import Fit
+from split_cli.diagnosis.search.selection import nothing, over_allowance, p_of_effect
+from split_cli.diagnosis.statement.result import Detectable
+from split_cli.diagnosis.together import together
+from split_cli.vehicle.effects import CATALOGUE
+
+__all__ = ["smallest_named"]
+
+_ROUNDS = 3  # an effect of twice the size saves nearly four times as much, and what is left of that is learned
+_FURTHEST = 1e4
+# Steps after which what alters inputs, and what does not, is as told.
+_NEAR, _PROPORTIONAL = np.log(1.2), np.log(4.0)
+
+
+def smallest_named(
+    judges: Sequence[Judge], candidates: Sequence[Candidate], inflation: float, level: float
+) -> tuple[Detectable, ...]:
+    """Return from which size on each term of the catalogue would be named alone on these recordings.
+
+    Parameters
+    ----------
+    judges : sequence of Judge
+        The last of them, where it believes the simulation to the letter, names what alters inputs or sensors.
+    candidates : sequence of Candidate
+        Those that act at a place are left out: it depends on the place.
+    inflation : float
+    level : float
+        Of the minimum-effect test.
+
+    Notes
+    -----
+    Were an effect there, its term would save the squared length of what it moves in the whitened rows. Its size is
+    searched where the test that is asked of every name is passed just so. Chance makes it pass a little earlier or
+    later; what looks the same may be named in its stead.
+    """
+    variants: dict[str, list[Candidate]] = {}
+    for one in candidates:
+        if one.starts:
+            variants.setdefault(one.term, []).append(one)
+    bare = [nothing(judge) for judge in judges]
+
+    def smallest(candidate: Candidate) -> tuple[float, dict[str, float]]:
+        last = -1 if alters_inputs(candidate.build(candidate.starts[0])) else 0
+        return _smallest(judges[last], bare[last], candidate, inflation, level / len(candidates))
+
+    every = [one for several in variants.values() for one in several]
+    found = dict(zip((one.label for one in every), together(smallest, every), strict=True))
+    out = []
+    for term, several in variants.items():
+        # Which of them is there nobody knows: what is told holds for all.
+        worst = max(several, key=lambda one: found[one.label][0])
+        units = CATALOGUE[term].parameter_units(worst.variant)
+        values = found[worst.label][1]
+        out.append(Detectable(term, {name: (values[name], units[name]) for name in values}))
+    return tuple(out)
+
+
+def _smallest(
+    judge: Judge, bare: Fit, candidate: Candidate, inflation: float, level: float
+) -> tuple[float, dict[str, float]]:
+    """Return how many times its start an effect has to be, and its values; infinity and none beyond its range."""
+    start = candidate.starts[len(candidate.starts) // 2]
+    near = _NEAR if alters_inputs(candidate.build(start)) else _PROPORTIONAL
+
+    def excess(size: float, saved: float) -> float:
+        """Return by how much an effect, its size over what is allowed, passes, above 0, or fails, below."""
+        p_value = p_of_effect(judge, candidate, size, saved, inflation)
+        margin = np.log(level) - np.log(max(p_value, 1e-300))
+        if judge.to_the_letter:
+            margin = min(margin, np.log(saved / (saved + bare.cost)) - np.log(Rules().letter_share))
+        return float(margin)
+
+    values, factor, inside = dict(start), 1.0, True
+    for _ in range(_ROUNDS):
+        term = candidate.build(values)
+        moved = judge.whiten(judge.residual((term,)) - judge.shift((term,))) - bare.entries
+        saved, size = float(moved @ moved), over_allowance(judge, (term,), ())
+
+        def passes(log: float, saved=saved, size=size) -> float:
+            return excess(np.exp(log) * size, np.exp(2.0 * log) * saved)
+
+        far = np.log(_FURTHEST)
+        if not saved > 0.0 or passes(far) < 0.0:
+            inside = False
+            break
+        log = -far if passes(-far) > 0.0 else brentq(passes, -far, far, xtol=0.01)
+        factor *= float(np.exp(log))
+        values = candidate.moved(start, factor)
+        inside = candidate.allows(values)
+        if not inside or abs(log) < near:
+            break
+    return (factor, values) if inside else (np.inf, {})

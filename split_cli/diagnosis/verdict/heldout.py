@@ -1,0 +1,110 @@
+"""Time kept out: terms fitted on the rest explain it, or they do not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge, build_judge
+from split_cli.diagnosis.recording.kinematics import Kinematics
+from split_cli.diagnosis.search.fitting import Fit, fit_parts
+
+__all__ = ["HeldOut", "explained_shares", "hold_out"]
+
+_LEAST_ROWS = 60
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """The real recordings' rows in two.
+
+    Attributes
+    ----------
+    training : Judge
+    judging : Judge or None
+        None where too little is kept out to judge by.
+    masks : tuple of ndarray of bool, shape (N,)
+        Samples kept out of each real recording.
+    """
+
+    training: Judge
+    judging: Judge | None
+    masks: tuple[np.ndarray, ...]
+
+
+def hold_out(
+    real: Sequence[Evidence],
+    keep: Sequence[np.ndarray],
+    others: Sequence[Evidence],
+    keep_others: Sequence[np.ndarray],
+    knowledge: CommonKnowledge | None,
+    common: CommonPhysics,
+    kinematics: Sequence[Kinematics],
+    share: float,
+    *,
+    to_the_letter: bool = False,
+) -> HeldOut:
+    """Keep out the recordings named for it, else the last share of the time of every real one.
+
+    Parameters
+    ----------
+    real, others : sequence of Evidence
+        Others are kept out as a whole.
+    keep, keep_others : sequence of ndarray of bool, shape (G,)
+        Rows that are compared.
+    knowledge, common, kinematics
+        As for `build_judge`.
+    share : float
+    to_the_letter : bool
+        Whether the simulation is believed without reserve.
+    """
+
+    def judge_of(recordings: Sequence[Evidence], rows: Sequence[np.ndarray], *positions) -> Judge:
+        judge = build_judge(recordings, knowledge, common, rows, *positions)
+        return judge.believed_to_the_letter() if to_the_letter else judge
+
+    if others:
+        masks = tuple(np.zeros(len(one.series), dtype=bool) for one in real)
+    else:
+        masks = tuple(one.series.t > (1.0 - share) * one.series.t[-1] for one in real)
+    before = [mask & ~held[one.at] for one, mask, held in zip(real, keep, masks, strict=True)]
+    training = judge_of(real, before, kinematics)
+    pairs = list(zip(others, keep_others, strict=True)) if others else []
+    if not others:
+        pairs = [(one, mask & held[one.at]) for one, mask, held in zip(real, keep, masks, strict=True)]
+    pairs = [(one, mask) for one, mask in pairs if mask.any()]
+    if sum(int(mask.sum()) for _, mask in pairs) < _LEAST_ROWS:
+        return HeldOut(training, None, masks)
+    judging = judge_of([one for one, _ in pairs], [mask for _, mask in pairs])
+    return HeldOut(training, judging, masks)
+
+
+def explained_shares(split: HeldOut, fit: Fit) -> tuple[float, ...] | None:
+    """Return the drop in held-out squared error above the noise floor when a part is removed last, as shares [1].
+
+    Parameters
+    ----------
+    split : HeldOut
+    fit : Fit
+        On the training rows.
+
+    Returns
+    -------
+    tuple of float or None
+        Of every part, between 0 and 1; None where too little was kept out.
+    """
+    if split.judging is None or not fit.parts:
+        return None
+    full = split.judging.cost(fit.terms)
+    bare = split.judging.cost(())
+    above = max(bare - min(full, float(len(split.judging.weight))), 1e-9)
+    out = []
+    for k in range(len(fit.parts)):
+        others = fit.parts[:k] + fit.parts[k + 1 :]
+        without = split.judging.cost(fit_parts(split.training, others).terms) if others else bare
+        out.append(float(np.clip((without - full) / above, 0.0, 1.0)))
+    return tuple(out)
