@@ -25,7 +25,7 @@ LAYERS = {
     "prediction": 5,
     "scoring": 6,
     "diagnosis": 7,
-    "control": 7,
+    "control": 8,
     "export": 7,
     "proof": 7,
     "plots": 8,
@@ -37,7 +37,7 @@ ROOMS = ("statement", "recording", "baseline", "innovations", "remainder", "sear
 # diagnosis may see neither the plant that makes test recordings nor the proof that conceals them (one number, so
 # neither may import the other), and the plant nothing but the ground.
 PLANT_MAY_IMPORT = {"plant", "signals", "files", "errors"}
-MAY_IMPORT_PLANT = {"plant", "workflows", "control", "proof"}
+MAY_IMPORT_PLANT = {"plant", "workflows", "proof"}
 
 HOMES = {
     "click": ("cli",),

@@ -1,0 +1,168 @@
+"""The model inside a controller: nominal single track plus residual, linearised and discretised exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi
+import numpy as np
+
+from split_cli.control._compiled import discretize
+from split_cli.control.residual import Residual, ResidualValues
+from split_cli.errors import VehicleError
+from split_cli.export.symbolic import build_nominal
+from split_cli.learning.features import Z2, FeatureSet
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["ControlModel", "Linearization"]
+
+SLOWEST = 1.0
+"""Speed below which a linearisation is taken at this speed: slip angles have no meaning at a standstill [m/s]."""
+
+
+@dataclass(frozen=True)
+class Linearization:
+    """The discrete model about N states and inputs, with n = 8 + S states.
+
+    Attributes
+    ----------
+    A : ndarray, shape (N, n, n)
+        x_{k+1} = following_k + A_k (x - x_k) + B_k (u - u_k).
+    B : ndarray, shape (N, n, 2)
+    following : ndarray, shape (N, n)
+        One step on from each of the states.
+    slip : ndarray, shape (N, 2)
+        Nominal front and rear slip angle [rad].
+    slip_slope : ndarray, shape (N, 2, n)
+    residual : ResidualValues
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    following: np.ndarray
+    slip: np.ndarray
+    slip_slope: np.ndarray
+    residual: ResidualValues
+
+
+class ControlModel:
+    """x = [X, Y, yaw, v_x, v_y, r, T, delta, states of terms], u = [dT, ddelta], over a step h.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        With its named terms, if it has any.
+    residual : Residual
+        May be replaced between steps, as long as its features stay.
+    step : float
+        h [s].
+
+    Raises
+    ------
+    VehicleError
+        If a term has a delay or a play, which this controller does not follow, or reads time or track position.
+
+    Notes
+    -----
+    x' = f(x, u) + B_d g(z(x)) is linearised, A = df/dx + B_d dg/dz dz/dx, and solved exactly over h with the
+    inputs held: x+ = x + G f + exp(A h) dx + G B du with G = int_0^h exp(A s) ds. For g alone that is
+    h B_d Phi g, the prediction that labels are made for (docs/nomenclature.md).
+    """
+
+    def __init__(self, vehicle: Vehicle, residual: Residual, step: float) -> None:
+        self.vehicle, self.residual, self.step = vehicle, residual, step
+        graph = build_nominal(SingleTrack(vehicle), Z2, step)
+        where = f"vehicle {vehicle.name}, effects"
+        if graph.jumps is not None or (graph.memory is not None and graph.memory.line):
+            raise VehicleError(
+                "a delay or a play is among its effects, which a controller here does not follow", where=where
+            )
+        if graph.needs_place_and_time:
+            raise VehicleError(
+                "an effect depends on time or track position, which a controller here does not know", where=where
+            )
+        foreign = build_nominal(SingleTrack(vehicle), residual.features, step).foreign_features
+        if foreign:
+            raise VehicleError(
+                f"the residual asks for {', '.join(foreign)}, which no state of the controller determines",
+                where=where,
+            )
+        self.start = graph.start
+        self.memory = graph.rates.size1_in(0) - 6
+        self.states = 8 + self.memory
+        self._stage = _stage_function(vehicle, residual.features, step)
+        self._mapped: dict[int, casadi.Function] = {}
+
+    def steady_states(self, x: np.ndarray) -> np.ndarray:
+        """Return the state, shape (n,), whose first eight entries are `x`, with the terms' states settled."""
+        if self.start is None:
+            return np.asarray(x[:8], dtype=float)
+        return np.concatenate([x[:8], np.asarray(self.start(x[2:8], [0.0, 0.0])).ravel()])
+
+    def linearize(self, x: np.ndarray, u: np.ndarray) -> Linearization:
+        """Return the discrete model about states `x`, shape (N, n), and inputs `u`, shape (N, 2)."""
+        x = np.array(x, dtype=float)
+        slow = x[:, 3] < SLOWEST
+        kept = x[:, 3].copy()
+        x[slow, 3] = SLOWEST
+        rates, jacobian, slip, slip_slope, z, z_slope = self._evaluate(x)
+        found = self.residual.along(z)
+        f, A = self._whole(x, rates, jacobian)
+        f[:, 6:8] = u
+        f[:, 3:6] += found.mean
+        A[:, 3:6, :] += np.einsum("kij,kjn->kin", found.slope, z_slope)
+        E, G = discretize(A, self.step)
+        x[:, 3] = kept
+        following = x + np.einsum("kij,kj->ki", G, f)
+        return Linearization(E, np.ascontiguousarray(G[:, :, 6:8]), following, slip, slip_slope, found)
+
+    def follow(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the states, shape (N + 1, n), that inputs `u`, shape (N, 2), lead to from `x`, shape (n,)."""
+        states = np.empty((len(u) + 1, self.states))
+        states[0] = x
+        for k, input_now in enumerate(u):
+            states[k + 1] = self.linearize(states[k : k + 1], input_now[None]).following[0]
+        return states
+
+    def _evaluate(self, x: np.ndarray) -> list[np.ndarray]:
+        """Evaluate the stage function at N states at once."""
+        count = len(x)
+        if count not in self._mapped:
+            self._mapped[count] = self._stage.map(count)
+        outputs = self._mapped[count](x.T)
+        shapes = [(self._stage.size1_out(k), self._stage.size2_out(k)) for k in range(self._stage.n_out())]
+        # A mapped matrix stands side by side with its neighbours.
+        arrays = [np.asarray(o).reshape(rows, count, columns).transpose(1, 0, 2)
+                  for o, (rows, columns) in zip(outputs, shapes, strict=True)]  # fmt: skip
+        return [a[:, :, 0] if a.shape[2] == 1 else a for a in arrays]
+
+    def _whole(self, x: np.ndarray, rates: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return f without inputs, shape (N, n), and its Jacobian, shape (N, n, n)."""
+        count, n = x.shape
+        yaw, vx, vy, r = x[:, 2], x[:, 3], x[:, 4], x[:, 5]
+        sine, cosine = np.sin(yaw), np.cos(yaw)
+        f, A = np.zeros((count, n)), np.zeros((count, n, n))
+        f[:, 0], f[:, 1], f[:, 2] = vx * cosine - vy * sine, vx * sine + vy * cosine, r
+        A[:, 0, 2], A[:, 0, 3], A[:, 0, 4] = -f[:, 1], cosine, -sine
+        A[:, 1, 2], A[:, 1, 3], A[:, 1, 4] = f[:, 0], sine, cosine
+        A[:, 2, 5] = 1.0
+        moving = [3, 4, 5, *range(8, n)]
+        f[:, moving] = rates
+        A[:, moving, 2:] = jacobian
+        return f, A
+
+
+def _stage_function(vehicle: Vehicle, features: FeatureSet, step: float) -> casadi.Function:
+    """Return x to (rates, their Jacobian by x[2:]; slip angles and theirs by x; features and theirs by x)."""
+    track = SingleTrack(vehicle)
+    basic, asked = build_nominal(track, Z2, step), build_nominal(track, features, step)
+    n = 2 + basic.rates.size1_in(0)
+    x = casadi.SX.sym("x", n)
+    rates, jacobian = basic.rates(x[2:], casadi.SX.zeros(2))
+    given = x if basic.memory is None else casadi.vertcat(x, x[6:8])
+    still = casadi.SX.zeros(2)
+    z2, z = basic.features(given, still)[0], asked.features(given, still)[0]
+    slip = z2[:2]
+    outputs = [rates, jacobian, slip, casadi.jacobian(slip, x), z, casadi.jacobian(z, x)]
+    return casadi.Function("stage", [x], [casadi.densify(o) for o in outputs], {"cse": True})

@@ -1,0 +1,241 @@
+"""The quadratic programme of a controller: stages of states, inputs and softened rows, solved by HPIPM.
+
+The first state is known, so it is no variable: variables are u_0, then (x_k, u_k, s_k) of stages 1 to N - 1, then
+x_N. States and inputs are differences from the trajectory about which the model was linearised. Every softened row
+has one signed slack s with the cost w s^2: lower <= C x + s <= upper.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import casadi
+import numpy as np
+
+__all__ = ["QPData", "QPSolution", "StageQP"]
+
+# HPIPM treats an infinite bound as a constraint 1e8 away, which spoils its scaling: whatever is free gets this.
+FREE = 1e4
+MAXIMUM_ITERATIONS = 40
+_FEASIBLE = 1e-5
+
+
+@dataclass(frozen=True)
+class QPData:
+    """Numbers of one quadratic programme, with N stages, n states, m inputs, g softened rows.
+
+    Attributes
+    ----------
+    A : ndarray, shape (N, n, n)
+        x_{k+1} = A_k x_k + B_k u_k + c_k; A_0 is not used, since x_0 = 0.
+    B : ndarray, shape (N, n, m)
+    c : ndarray, shape (N, n)
+    Q : ndarray, shape (N, n, n)
+        The cost of x_1 to x_N is x^T Q x/2 + q^T x; symmetric and not negative.
+    q : ndarray, shape (N, n)
+    R : ndarray, shape (N, m)
+        The cost of u_0 to u_{N-1} is sum R u^2/2 + r u; positive.
+    r : ndarray, shape (N, m)
+    C : ndarray, shape (N - 1, g, n)
+        Softened rows of x_1 to x_{N-1}.
+    row_lower, row_upper : ndarray, shape (N - 1, g)
+    slack_weight : ndarray, shape (g,)
+        w of the cost w s^2; positive.
+    x_lower, x_upper : ndarray, shape (N, n)
+        Of x_1 to x_N.
+    u_lower, u_upper : ndarray, shape (N, m)
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    c: np.ndarray
+    Q: np.ndarray
+    q: np.ndarray
+    R: np.ndarray
+    r: np.ndarray
+    C: np.ndarray
+    row_lower: np.ndarray
+    row_upper: np.ndarray
+    slack_weight: np.ndarray
+    x_lower: np.ndarray
+    x_upper: np.ndarray
+    u_lower: np.ndarray
+    u_upper: np.ndarray
+
+
+@dataclass(frozen=True)
+class QPSolution:
+    """What the solver found.
+
+    Attributes
+    ----------
+    x : ndarray, shape (N, n)
+        x_1 to x_N.
+    u : ndarray, shape (N, m)
+    slack : ndarray, shape (N - 1, g)
+    solved : bool
+        Whether the answer is finite and satisfies dynamics, rows and bounds.
+    seconds : float
+        Of the solver alone [s].
+    """
+
+    x: np.ndarray
+    u: np.ndarray
+    slack: np.ndarray
+    solved: bool
+    seconds: float
+
+
+class StageQP:
+    """A quadratic programme of fixed size, solved again and again by HPIPM through `casadi.conic`.
+
+    Parameters
+    ----------
+    horizon : int
+        N.
+    states, inputs, rows : int
+        n, m, g.
+    iterations : int
+        Most iterations of the interior point method; the paper's 40.
+
+    Notes
+    -----
+    An answer is accepted by what it is, not by what the solver says of itself: it must satisfy the equations to
+    1e-5 of the scaled variables.
+    """
+
+    def __init__(
+        self, horizon: int, states: int, inputs: int, rows: int, iterations: int = MAXIMUM_ITERATIONS
+    ) -> None:
+        self.horizon, self.states, self.inputs, self.rows = horizon, states, inputs, rows
+        self._layout()
+        self._solver = self._build_solver(iterations)
+        self._bind()
+
+    def _layout(self) -> None:
+        """Number the variables and rows of the whole programme."""
+        N, n, m, g = self.horizon, self.states, self.inputs, self.rows
+        stage = n + m + g
+        begin = m + stage * np.arange(N)
+        self.x_at = begin[:, None] + np.arange(n)
+        u_begin = np.concatenate([[0], begin[:-1] + n])
+        self.u_at = u_begin[:, None] + np.arange(m)
+        self.s_at = begin[:-1, None] + n + m + np.arange(g)
+        self.size = m + stage * (N - 1) + n
+        row_begin = (n + g) * np.arange(N) - np.where(np.arange(N) > 0, g, 0)
+        self.gap_at = row_begin[:, None] + np.arange(n)
+        self.row_at = row_begin[1:, None] + n + np.arange(g)
+        self.row_count = int(self.gap_at[-1, -1]) + 1 + (g if N > 1 else 0)
+
+    def _pattern(self, pairs: list[tuple[np.ndarray, np.ndarray]], shape: tuple[int, int]):
+        """Return a sparsity of (row, column) index arrays and, for each, where its entries are stored."""
+        flat = [np.ravel(column) * shape[0] + np.ravel(row) for row, column in pairs]
+        keys = np.unique(np.concatenate(flat))
+        rows, columns = keys % shape[0], keys // shape[0]
+        counts = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=shape[1]))])
+        sparsity = casadi.Sparsity(*shape, counts.tolist(), rows.tolist())
+        places = [np.searchsorted(keys, f).reshape(row.shape) for f, (row, _) in zip(flat, pairs, strict=True)]
+        return sparsity, places
+
+    def _build_solver(self, iterations: int) -> casadi.Function:
+        N, n, m, g = self.horizon, self.states, self.inputs, self.rows
+        x, u, s, gap, row = self.x_at, self.u_at, self.s_at, self.gap_at, self.row_at
+        pairs_h = [
+            np.broadcast_arrays(x[:, :, None], x[:, None, :]),
+            (u, u),
+            (s, s),
+        ]
+        h, (self._Q, self._R, self._S) = self._pattern(pairs_h, (self.size, self.size))
+        pairs_a = [
+            np.broadcast_arrays(gap[1:, :, None], x[:-1, None, :]),
+            np.broadcast_arrays(gap[:, :, None], u[:, None, :]),
+            (gap, x),
+            np.broadcast_arrays(row[:, :, None], x[:-1, None, :]),
+            (row, s),
+        ]
+        a, (self._A, self._B, minus, self._C, plus) = self._pattern(pairs_a, (self.row_count, self.size))
+        self._h, self._a = np.zeros(h.nnz()), np.zeros(a.nnz())
+        self._a[minus], self._a[plus] = -1.0, 1.0
+        options = {
+            "N": N,
+            "nx": [0] + [n] * N,
+            "nu": [m] + [m + g] * (N - 1) + [0],
+            "ng": [0] + [g] * (N - 1) + [0],
+            "inf": FREE,
+            "error_on_fail": False,
+            "print_time": False,
+            "hpipm": {"iter_max": iterations},
+        }
+        return casadi.conic("programme", "hpipm", {"h": h, "a": a}, options)
+
+    def _bind(self) -> None:
+        """Give every argument and result a buffer: an unbound one would be written to at random."""
+        f = self._solver
+        self._arguments = [np.zeros(f.nnz_in(k)) for k in range(f.n_in())]
+        self._results = [np.zeros(f.nnz_out(k)) for k in range(f.n_out())]
+        names = {f.name_in(k): k for k in range(f.n_in())}
+        self._arguments[names["h"]], self._arguments[names["a"]] = self._h, self._a
+        self._g, self._lba, self._uba, self._lbx, self._ubx, self._x0 = (
+            self._arguments[names[name]] for name in ("g", "lba", "uba", "lbx", "ubx", "x0")
+        )
+        self._buffer, self._evaluate = f.buffer()
+        self._x = self._results[[f.name_out(k) for k in range(f.n_out())].index("x")]
+
+    def _run(self) -> bool:
+        """Evaluate; every run needs its buffers named anew, since the solver moves their pointers on."""
+        for k, values in enumerate(self._arguments):
+            self._buffer.set_arg(k, memoryview(values))
+        for k, values in enumerate(self._results):
+            self._buffer.set_res(k, memoryview(values))
+        self._x[:] = np.nan
+        if not all(np.isfinite(values).all() for values in self._arguments):
+            return False
+        try:
+            self._evaluate()
+        except RuntimeError:  # a lower bound above its upper one
+            return False
+        return self._buffer.ret() == 0
+
+    def solve(self, data: QPData) -> QPSolution:
+        """Solve one programme; a failure is an answer with ``solved`` false, not an exception."""
+        self._fill(data)
+        start = time.perf_counter()
+        ran = self._run()
+        seconds = time.perf_counter() - start
+        x, u, slack = self._x[self.x_at], self._x[self.u_at], self._x[self.s_at]
+        return QPSolution(x, u, slack, ran and self._satisfies(data, x, u, slack), seconds)
+
+    def dense(self, data: QPData) -> tuple[np.ndarray, ...]:
+        """Return (H, g, A, lba, uba, lbx, ubx) of the programme as dense arrays, for a reference solver."""
+        self._fill(data)
+        f = self._solver
+        names = [f.name_in(k) for k in range(f.n_in())]
+        H = np.array(casadi.DM(f.sparsity_in(names.index("h")), self._h))
+        A = np.array(casadi.DM(f.sparsity_in(names.index("a")), self._a))
+        return H, self._g.copy(), A, self._lba.copy(), self._uba.copy(), self._lbx.copy(), self._ubx.copy()
+
+    def _fill(self, d: QPData) -> None:
+        self._h[self._Q], self._h[self._R], self._h[self._S] = d.Q, d.R, 2.0 * d.slack_weight
+        self._a[self._A], self._a[self._B], self._a[self._C] = d.A[1:], d.B, d.C
+        self._g[self.x_at], self._g[self.u_at] = d.q, d.r
+        self._lba[self.gap_at] = self._uba[self.gap_at] = -d.c
+        self._lba[self.row_at] = np.clip(d.row_lower, -FREE, FREE)
+        self._uba[self.row_at] = np.clip(d.row_upper, -FREE, FREE)
+        self._lbx[self.x_at], self._ubx[self.x_at] = (np.clip(v, -FREE, FREE) for v in (d.x_lower, d.x_upper))
+        self._lbx[self.u_at], self._ubx[self.u_at] = (np.clip(v, -FREE, FREE) for v in (d.u_lower, d.u_upper))
+        self._lbx[self.s_at], self._ubx[self.s_at] = -FREE, FREE
+
+    def _satisfies(self, d: QPData, x: np.ndarray, u: np.ndarray, slack: np.ndarray) -> bool:
+        if not np.isfinite(self._x).all():
+            return False
+        before = np.concatenate([np.zeros((1, self.states)), x[:-1]])
+        gap = np.einsum("kij,kj->ki", d.A, before) + np.einsum("kij,kj->ki", d.B, u) + d.c - x
+        rows = np.einsum("kij,kj->ki", d.C, x[:-1]) + slack
+        beyond = max(
+            np.abs(gap).max(initial=0.0),
+            (d.row_lower - rows).max(initial=0.0), (rows - d.row_upper).max(initial=0.0),
+            (d.x_lower - x).max(initial=0.0), (x - d.x_upper).max(initial=0.0),
+            (d.u_lower - u).max(initial=0.0), (u - d.u_upper).max(initial=0.0),
+        )  # fmt: skip
+        return bool(beyond < _FEASIBLE * max(1.0, float(np.abs(self._x).max())))

@@ -1,0 +1,351 @@
+"""What MPC and MPCC share: a plan that moves on with time, one linearised programme a step, and a fallback."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.control.limits import SLIP_ROWS, Limits, slip_rows
+from split_cli.control.model import ControlModel, Linearization
+from split_cli.control.path import Path, PathPoint, contour_and_lag
+from split_cli.control.qp import FREE, QPData, StageQP
+from split_cli.errors import SplitError
+
+__all__ = ["Actuators", "ControllerLost", "Plan", "RecedingController", "StepInfo", "Weights"]
+
+
+class ControllerLost(SplitError):
+    """The controller has no plan any more: its programmes failed for too long, or the car is elsewhere."""
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """What commands may be.
+
+    Attributes
+    ----------
+    max_torque, max_brake_torque : float
+        Both positive [N m].
+    max_steer : float
+        [rad]
+    torque_rate : float
+        [N m/s]
+    steer_rate : float
+        [rad/s]
+    """
+
+    max_torque: float
+    max_brake_torque: float
+    max_steer: float = 0.5
+    torque_rate: float = 10000.0
+    steer_rate: float = 0.6
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights that MPC and MPCC have in common.
+
+    Attributes
+    ----------
+    contour, lag : float
+        Of squared errors [1/m^2].
+    torque_rate, steer_rate : float
+        Of squared inputs, in units of full torque a second and of 1 rad/s.
+    track, ellipse, slip_difference : float
+        Of squared slacks: contour beyond the border [1/m^2], slip angle beyond the ellipse [1/rad^2], difference
+        of slip angles beyond its bound [1/rad^2].
+    proximal : float
+        Of squared steps of the scaled states from one plan to the next.
+    """
+
+    contour: float
+    lag: float
+    torque_rate: float
+    steer_rate: float
+    track: float = 300.0
+    ellipse: float = 4e4
+    slip_difference: float = 4e4
+    proximal: float = 0.02
+
+
+@dataclass
+class Plan:
+    """States x, shape (N + 1, n), and inputs u, shape (N, m), from now on."""
+
+    x: np.ndarray
+    u: np.ndarray
+
+
+@dataclass(frozen=True)
+class StepInfo:
+    """What one step of a controller took.
+
+    Attributes
+    ----------
+    solved : bool
+    solver_seconds, total_seconds : float
+        Of HPIPM, and of everything: residual, model, assembly and solver [s].
+    residual_seconds : float
+        Of model and residual together, part of the total [s].
+    """
+
+    solved: bool
+    solver_seconds: float
+    total_seconds: float
+    residual_seconds: float
+
+
+class RecedingController(ABC):
+    """A controller that solves one linearised programme a step about its last plan (real-time iteration).
+
+    Parameters
+    ----------
+    model : ControlModel
+    path : Path
+    actuators : Actuators
+    weights : Weights
+    limits : Limits
+    horizon : int
+        N.
+    half_width : float
+        Of the car, kept inside the borders together with a margin [m].
+    tightening : float
+        How many standard deviations of the position, as the residual's variance makes it, the borders are moved
+        in; 0 for none.
+
+    Notes
+    -----
+    When a programme fails, the plan of the step before goes on (its next input is applied) and the step counts as
+    a failure; after `PATIENCE` failures in a row `ControllerLost` is raised.
+    """
+
+    PATIENCE = 10
+    EXTRA_STATES = 0
+    EXTRA_INPUTS = 0
+
+    def __init__(
+        self,
+        model: ControlModel,
+        path: Path,
+        actuators: Actuators,
+        weights: Weights,
+        limits: Limits,
+        horizon: int,
+        half_width: float,
+        tightening: float = 0.0,
+    ) -> None:
+        self.model, self.path, self.actuators, self.weights, self.limits = model, path, actuators, weights, limits
+        self.horizon, self.half_width, self.tightening = horizon, half_width, tightening
+        self.n_model = model.states
+        self.n = model.states + self.EXTRA_STATES
+        self.m = 2 + self.EXTRA_INPUTS
+        torque = max(actuators.max_torque, actuators.max_brake_torque)
+        self.x_scale = np.ones(self.n)
+        self.x_scale[[2, 6, 7]] = 0.1, torque, 0.1
+        if model.memory:
+            # Terms' states are torques, angles and forces; the size each takes on a drive is not known before.
+            size = np.abs(model.steady_states(np.array([0, 0, 0, 10.0, 0.1, 0.1, 0.3 * torque, 0.05])))[8:]
+            self.x_scale[8 : self.n_model] = np.maximum(size, 1e-2)
+        self.u_scale = np.ones(self.m)
+        self.u_scale[0] = torque
+        self.programme = StageQP(horizon, self.n, self.m, 1 + SLIP_ROWS)
+        self.plan: Plan | None = None
+        self.failures_in_a_row = 0
+
+    @abstractmethod
+    def first_plan(self, x: np.ndarray, s: float) -> Plan:
+        """Return a guess from the model's state `x`, shape (n_model,), at arc length `s` [m]."""
+
+    @abstractmethod
+    def reference(self) -> tuple[np.ndarray, PathPoint]:
+        """Return arc lengths (N + 1,) of the plan's reference points, and the line there."""
+
+    @abstractmethod
+    def cost(self, s: np.ndarray, point: PathPoint) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return Q (N, n, n), q (N, n), R (N, m), r (N, m) of a step about the plan, in SI units."""
+
+    @abstractmethod
+    def extend_state(self, x: np.ndarray) -> np.ndarray:
+        """Return the controller's whole state, shape (n,), for the model's state `x`, shape (n_model,)."""
+
+    def begin(self, x: np.ndarray, s: float, iterations: int = 30) -> None:
+        """Find a first plan from state `x`, shape (n_model,), at arc length `s` [m].
+
+        Raises
+        ------
+        ControllerLost
+            If no plan is found, or the first plan breaks its bounds by much: an infeasible start.
+        """
+        self.plan = self.first_plan(np.asarray(x, dtype=float), s)
+        solved = False
+        for _ in range(iterations):
+            solved = self._iterate()[0]
+        if not solved:
+            raise ControllerLost(
+                f"no plan was found from {x[3]:.1f} m/s at {s:.0f} m",
+                where=self.path.name,
+                advice="Start slower, or inside the track and along it.",
+            )
+        self.failures_in_a_row = 0
+
+    def step(self, x: np.ndarray) -> tuple[np.ndarray, StepInfo]:
+        """Move the plan on by one interval, begin it at state `x`, shape (n_model,), and solve once.
+
+        Returns
+        -------
+        ndarray, shape (2,)
+            The input to apply from `x` on: dT [N m/s], ddelta [rad/s].
+        StepInfo
+
+        Raises
+        ------
+        ControllerLost
+            After `PATIENCE` failures in a row.
+        """
+        if self.plan is None:
+            raise ControllerLost("has no first plan", advice="Call begin().")
+        start = time.perf_counter()
+        self._shift(x)
+        solved, solver_seconds, residual_seconds = self._iterate()
+        if solved:
+            self.failures_in_a_row = 0
+        else:
+            self.failures_in_a_row += 1
+            if self.failures_in_a_row >= self.PATIENCE:
+                raise ControllerLost(f"{self.failures_in_a_row} quadratic programmes in a row had no solution")
+            self._follow_own_inputs()
+        info = StepInfo(solved, solver_seconds, time.perf_counter() - start, residual_seconds)
+        return self.plan.u[0, :2].copy(), info
+
+    def _shift(self, x: np.ndarray) -> None:
+        plan = self.plan
+        x = np.array(x, dtype=float)
+        x[2] += 2.0 * np.pi * np.round((plan.x[1, 2] - x[2]) / (2.0 * np.pi))
+        last = self._one_more(plan.x[-1], plan.u[-1])
+        plan.x[:-1], plan.u[:-1] = plan.x[1:], plan.u[1:]
+        plan.x[-1] = last
+        plan.u[-1] = 0.0
+        plan.x[0] = self.extend_state(x)
+
+    def _one_more(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the state one step after the plan's last, its inputs at rest."""
+        following = x.copy()
+        following[: self.n_model] = self.model.linearize(x[None, : self.n_model], np.zeros((1, 2))).following[0]
+        return following
+
+    def _follow_own_inputs(self) -> None:
+        """Make the plan's states those that its inputs lead to."""
+        self.plan.x[:, : self.n_model] = self.model.follow(self.plan.x[0, : self.n_model], self.plan.u[:, :2])
+
+    def _iterate(self) -> tuple[bool, float, float]:
+        """Solve one programme about the plan and take its step."""
+        plan, N = self.plan, self.horizon
+        start = time.perf_counter()
+        found = self.model.linearize(plan.x[:N, : self.n_model], plan.u[:, :2])
+        residual_seconds = time.perf_counter() - start
+        solution = self.programme.solve(self._assemble(found))
+        if not solution.solved:
+            return False, solution.seconds, residual_seconds
+        plan.x[1:] += solution.x * self.x_scale
+        plan.u += solution.u * self.u_scale
+        return True, solution.seconds, residual_seconds
+
+    def dynamics(self, found: Linearization) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return A (N, n, n), B (N, n, m) and c (N, n) of the whole state, in SI units."""
+        n, N = self.n_model, self.horizon
+        A, B = np.zeros((N, self.n, self.n)), np.zeros((N, self.n, self.m))
+        A[:, :n, :n], B[:, :n, :2] = found.A, found.B
+        c = np.zeros((N, self.n))
+        c[:, :n] = found.following - self.plan.x[1:, :n]
+        return A, B, c
+
+    def _assemble(self, found: Linearization) -> QPData:
+        plan, weights = self.plan, self.weights
+        A, B, c = self.dynamics(found)
+        s, point = self.reference()
+        Q, q, R, r = self.cost(s, point)
+        C, lower, upper = self._rows(found, s, point)
+        x_lower, x_upper, u_lower, u_upper = self.bounds()
+        xs, us = self.x_scale, self.u_scale
+        Q = Q * xs[:, None] * xs
+        Q[:, np.arange(self.n), np.arange(self.n)] += 2.0 * weights.proximal
+        slack = np.array([weights.track, *(4 * [weights.ellipse]), weights.slip_difference])
+        return QPData(
+            A=A * xs / xs[:, None], B=B * us / xs[:, None], c=c / xs, Q=Q, q=q * xs, R=R * us * us, r=r * us,
+            C=C * xs, row_lower=lower, row_upper=upper, slack_weight=slack,
+            x_lower=(x_lower - plan.x[1:]) / xs, x_upper=(x_upper - plan.x[1:]) / xs,
+            u_lower=(u_lower - plan.u) / us, u_upper=(u_upper - plan.u) / us,
+        )  # fmt: skip
+
+    def contour_rows(self, s: np.ndarray, point: PathPoint) -> tuple[np.ndarray, ...]:
+        """Return e_c, e_l (N,) of stages 1 to N, and their slopes by the state (N, n)."""
+        x = self.plan.x[1:]
+        contour, lag = contour_and_lag(point, x[:, 0], x[:, 1])
+        sine, cosine = np.sin(point.direction), np.cos(point.direction)
+        of_contour, of_lag = np.zeros_like(x), np.zeros_like(x)
+        of_contour[:, 0], of_contour[:, 1] = sine, -cosine
+        of_lag[:, 0], of_lag[:, 1] = -cosine, -sine
+        return contour, lag, of_contour, of_lag
+
+    def _rows(self, found: Linearization, s: np.ndarray, point: PathPoint) -> tuple[np.ndarray, ...]:
+        """Return the softened rows of stages 1 to N - 1: border, slip angles, their difference."""
+        N = self.horizon
+        C = np.zeros((N - 1, 1 + SLIP_ROWS, self.n))
+        lower, upper = np.empty((N - 1, 1 + SLIP_ROWS)), np.empty((N - 1, 1 + SLIP_ROWS))
+        at = _stages(point, slice(1, N + 1))
+        contour, _, of_contour, _ = self.contour_rows(s[1:], at)
+        inside = self._tightened(found, at)
+        C[:, 0] = of_contour[:-1]
+        lower[:, 0] = -(at.left - inside)[:-1] - contour[:-1]
+        upper[:, 0] = (at.right - inside)[:-1] - contour[:-1]
+        torque = self.plan.x[1:N, 6]
+        later = Linearization(
+            found.A[1:], found.B[1:], found.following[1:], found.slip[1:], found.slip_slope[1:], found.residual
+        )
+        C[:, 1:, : self.n_model], lower[:, 1:], upper[:, 1:] = slip_rows(
+            self.model.vehicle, self.limits, torque, later, FREE
+        )
+        return C, lower, upper
+
+    def _tightened(self, found: Linearization, point: PathPoint) -> np.ndarray:
+        """Return how far from the borders the CG has to stay [m], shape (N,).
+
+        Notes
+        -----
+        The residual's variance adds up along the plan, Sigma+ = A Sigma A^T + h^2 B_d diag(variance) B_d^T
+        (Hewing et al., Cautious model predictive control using Gaussian process regression, 2020, eq. 13 with the
+        input uncertainty left out); at most half the room is taken.
+        """
+        inside = np.full(self.horizon, self.half_width)
+        if not self.tightening:
+            return inside
+        n, step = self.n_model, self.model.step
+        spread = np.zeros((n, n))
+        deviation = np.empty(self.horizon)
+        for k in range(self.horizon):
+            spread = found.A[k] @ spread @ found.A[k].T
+            spread[[3, 4, 5], [3, 4, 5]] += step**2 * found.residual.variance[k]
+            across = np.array([np.sin(point.direction[k]), -np.cos(point.direction[k])])
+            deviation[k] = np.sqrt(max(across @ spread[:2, :2] @ across, 0.0))
+        room = 0.5 * np.maximum(np.minimum(point.left, point.right) - self.half_width, 0.0)
+        return inside + np.minimum(self.tightening * deviation, room)
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return bounds of x, shape (N, n), and u, shape (N, m), in SI units; only commands have some."""
+        a, N = self.actuators, self.horizon
+        # So far from the plan that it is no bound, and near enough for the solver's scaling.
+        far = 1e3 * self.x_scale
+        x_lower, x_upper = self.plan.x[1:] - far, self.plan.x[1:] + far
+        now = self.plan.x[0]
+        x_lower[:, 6], x_upper[:, 6] = min(-a.max_brake_torque, now[6]), max(a.max_torque, now[6])
+        x_lower[:, 7], x_upper[:, 7] = min(-a.max_steer, now[7]), max(a.max_steer, now[7])
+        u_upper = np.full((N, self.m), np.inf)
+        u_upper[:, 0], u_upper[:, 1] = a.torque_rate, a.steer_rate
+        return x_lower, x_upper, -u_upper, u_upper
+
+
+def _stages(point: PathPoint, which: slice) -> PathPoint:
+    return PathPoint(*(getattr(point, name)[which] for name in PathPoint.__dataclass_fields__))

@@ -1,0 +1,93 @@
+"""The learned residual as a controller takes it: value, slope and variance along the predicted trajectory."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.learning.features import Z2, FeatureSet
+from split_cli.prediction.predictor import Predictor
+
+__all__ = ["NoResidual", "PredictorResidual", "Residual", "ResidualValues"]
+
+
+@dataclass(frozen=True)
+class ResidualValues:
+    """The residual at N features.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (N, 3)
+        Rates left out, of v_x, v_y [m/s^2] and r [rad/s^2].
+    slope : ndarray, shape (N, 3, D)
+        Its Jacobian with respect to the features.
+    variance : ndarray, shape (N, 3)
+        Latent variance, same units squared.
+    knowledge : ndarray, shape (N, 3)
+        1 - variance/prior variance, from 0 (nothing was learned here) to 1.
+    """
+
+    mean: np.ndarray
+    slope: np.ndarray
+    variance: np.ndarray
+    knowledge: np.ndarray
+
+
+class Residual(ABC):
+    """What a controller adds to its nominal model.
+
+    Attributes
+    ----------
+    features : FeatureSet
+    plain : bool
+        Whether the labels are plain one-step differences.
+    """
+
+    features: FeatureSet = Z2
+
+    @abstractmethod
+    def along(self, z: np.ndarray) -> ResidualValues:
+        """Return the residual at features `z`, shape (N, D)."""
+
+
+class NoResidual(Residual):
+    """The nominal model alone."""
+
+    def along(self, z: np.ndarray) -> ResidualValues:
+        """Return zeros; nothing is known, and nothing is claimed."""
+        count, width = z.shape
+        zero = np.zeros((count, 3))
+        return ResidualValues(zero, np.zeros((count, 3, width)), zero, zero)
+
+
+class PredictorResidual(Residual):
+    """A predictor of a trained set.
+
+    Parameters
+    ----------
+    predictor : Predictor
+    damped : bool
+        Multiply the slope by what is known, 1 - variance/prior: where data thin out a slope is the least certain
+        of all that the residual says, and a controller that follows it to the edge spins.
+    """
+
+    def __init__(self, predictor: Predictor, damped: bool = True) -> None:
+        self.predictor, self.damped = predictor, damped
+        self.features = predictor.training_set.features
+        self._prior = predictor.training_set.kernel.signal_variance
+
+    def along(self, z: np.ndarray) -> ResidualValues:
+        """Return mean, slope and variance at features `z`, shape (N, D)."""
+        if self.predictor.training_set.size == 0:
+            nothing = NoResidual().along(z)
+            variance = np.broadcast_to(self._prior, nothing.mean.shape)
+            return ResidualValues(nothing.mean, nothing.slope, variance, nothing.knowledge)
+        predictor = self.predictor.at(z)
+        found = predictor.predict(z)
+        slope = predictor.jacobian(z)
+        knowledge = np.clip(1.0 - found.variance / self._prior, 0.0, 1.0)
+        if self.damped:
+            slope = slope * knowledge[:, :, None]
+        return ResidualValues(found.mean, slope, found.variance, knowledge)

@@ -1,0 +1,162 @@
+"""The model in the controller: linearisation, discretisation, residual."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from split_cli.control._compiled import discretize
+from split_cli.control.limits import Limits, slip_limit, slip_rows
+from split_cli.control.model import ControlModel
+from split_cli.control.residual import NoResidual, Residual, ResidualValues
+from split_cli.errors import VehicleError
+from split_cli.learning.features import FeatureSet
+from split_cli.vehicle.integration import exact_step, phi_matrix
+from split_cli.vehicle.parameters import EffectSpec, read_vehicle
+from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.tire import lateral_force
+
+CAR = read_vehicle(Path(__file__).resolve().parents[2] / "sample_logs" / "road_car.yaml")
+
+
+class Wave(Residual):
+    """A residual with a known slope."""
+
+    def __init__(self, features: FeatureSet = Residual.features) -> None:
+        self.features = features
+
+    def along(self, z):
+        mean = np.stack([0.3 * np.sin(5 * z[:, 2]), 4.0 * z[:, 0] ** 2, np.sin(9 * z[:, 1])], axis=1)
+        slope = np.zeros((len(z), 3, z.shape[1]))
+        slope[:, 0, 2], slope[:, 1, 0] = 1.5 * np.cos(5 * z[:, 2]), 8.0 * z[:, 0]
+        slope[:, 2, 1] = 9 * np.cos(9 * z[:, 1])
+        return ResidualValues(mean, slope, np.ones_like(mean), np.ones_like(mean))
+
+
+def situations(count: int = 12, seed: int = 0, states: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    x = np.zeros((count, states))
+    x[:, :2] = rng.uniform(-50, 50, (count, 2))
+    x[:, 2] = rng.uniform(-3, 3, count)
+    x[:, 3] = rng.uniform(6, 30, count)
+    x[:, 4] = rng.uniform(-1, 1, count)
+    x[:, 5] = rng.uniform(-0.3, 0.3, count)
+    x[:, 6] = rng.uniform(-2000, 1000, count)
+    x[:, 7] = rng.uniform(-0.1, 0.1, count)
+    u = np.stack([rng.uniform(-2000, 2000, count), rng.uniform(-0.5, 0.5, count)], axis=1)
+    return x, u
+
+
+def test_discretisation_is_the_matrix_exponential():
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((20, 6, 6)) * rng.uniform(0.1, 40.0, (20, 1, 1))
+    E, G = discretize(A, 0.05)
+    augmented = np.zeros((20, 12, 12))
+    augmented[:, :6, :6], augmented[:, :6, 6:] = A, np.eye(6)
+    exact = expm(augmented * 0.05)
+    size = np.abs(exact).max(axis=(1, 2), keepdims=True)
+    assert (np.abs(E - exact[:, :6, :6]) / size).max() < 1e-11
+    assert (np.abs(G - exact[:, :6, 6:]) / size).max() < 1e-11
+
+
+def test_a_step_is_the_nominal_models_exact_step():
+    x, u = situations()
+    found = ControlModel(CAR, NoResidual(), 0.05).linearize(x, u)
+    expected = exact_step(SingleTrack(CAR), x, u[:, 0], u[:, 1], 0.05)
+    # exact_step takes its Jacobian by differences, good to about 1e-9 of the entries.
+    assert found.following == pytest.approx(expected, abs=1e-8)
+
+
+def test_the_residual_enters_as_the_prediction_that_labels_are_made_for():
+    class Constant(Wave):
+        def along(self, z):
+            values = super().along(z)
+            return replace(values, slope=np.zeros_like(values.slope))
+
+    x, u = situations()
+    plain = ControlModel(CAR, NoResidual(), 0.05).linearize(x, u)
+    with_residual = ControlModel(CAR, Constant(), 0.05).linearize(x, u)
+    A = SingleTrack(CAR).velocity_jacobian(*x[:, 3:].T)
+    phi = phi_matrix(A, 0.05)
+    expected = 0.05 * np.einsum("kij,kj->ki", phi, with_residual.residual.mean)
+    assert (with_residual.following - plain.following)[:, 3:6] == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("features", [("alpha_f", "alpha_r", "torque_ratio"),
+                                      ("alpha_f", "alpha_r", "torque_ratio", "vx")])  # fmt: skip
+def test_the_linearisation_is_the_derivative_of_the_step_over_a_short_interval(features):
+    # Over 50 ms the linearisation is that of the flow's first-order solution; as h goes to 0, (A - I)/h is the
+    # continuous Jacobian, which differences of the continuous right-hand side must give.
+    step = 1e-6
+    model = ControlModel(CAR, Wave(FeatureSet(features)), step)
+    x, u = situations()
+    found = model.linearize(x, u)
+    for column in range(8):
+        move = 1e-5 * (1.0 + np.abs(x[:, column])) if column == 6 else np.full(len(x), 1e-5)
+        ahead, behind = x.copy(), x.copy()
+        ahead[:, column] += move
+        behind[:, column] -= move
+        rate = (model.linearize(ahead, u).following - ahead) / step
+        rate -= (model.linearize(behind, u).following - behind) / step
+        expected = rate / (2 * move)[:, None]
+        ours = (found.A - np.eye(8))[:, :, column] / step
+        # Quotients of two small numbers keep about 1e-4 of the largest entries.
+        assert ours == pytest.approx(expected, abs=2e-3, rel=1e-3)
+
+
+def test_inputs_move_the_commands_and_what_follows_from_them():
+    x, u = situations()
+    model = ControlModel(CAR, NoResidual(), 0.05)
+    found = model.linearize(x, u)
+    moved = model.linearize(x, u + np.array([[500.0, 0.1]]))
+    expected = found.following + np.einsum("kij,j->ki", found.B, [500.0, 0.1])
+    assert moved.following == pytest.approx(expected, abs=1e-9)
+    assert found.B[:, 6, 0] == pytest.approx(0.05)
+
+
+def test_terms_with_states_are_followed():
+    car = CAR.with_effects(EffectSpec("drive_lag", {"tau": 0.2}), EffectSpec("steer_lag", {"tau": 0.1}))
+    model = ControlModel(car, NoResidual(), 0.01)
+    assert model.memory == 2
+    x = model.steady_states(np.array([0, 0, 0, 20.0, 0, 0, 300.0, 0.0]))
+    x[6] = 600.0
+    states = model.follow(x, np.zeros((20, 2)))
+    torques = [k for k in (8, 9) if abs(states[0, k] - 300.0) < 1e-6]
+    # A step of the command reaches 1 - 1/e of its way after a time constant.
+    assert states[-1, torques[0]] == pytest.approx(600.0 - 300.0 * np.exp(-1.0), rel=1e-6)
+
+
+def test_a_delay_in_the_vehicle_is_refused_with_its_reason():
+    with pytest.raises(VehicleError, match="a delay or a play"):
+        ControlModel(CAR.with_effects(EffectSpec("steer_delay", {"delay": 0.1})), NoResidual(), 0.05)
+
+
+def test_the_slip_limit_is_on_the_friction_ellipse():
+    limits = Limits(alpha_max=1.0)
+    torque = np.array([-2500.0, -1000.0, 0.0, 700.0])
+    alpha, slope = slip_limit(CAR, limits, torque)
+    kappa = np.where(torque < 0, CAR.brake_split_front, CAR.drive_split_front)
+    force_x = kappa * torque / CAR.wheel_radius - CAR.rolling_resistance_front
+    force_y = lateral_force(CAR.front_tire.B, CAR.front_tire.C, CAR.front_tire.D, alpha[:, 0])
+    used = (limits.p_long * force_x) ** 2 + force_y**2
+    assert used == pytest.approx(np.full(4, (limits.p_ellipse * CAR.front_tire.D) ** 2), rel=1e-9)
+    near = (slip_limit(CAR, limits, torque + 0.1)[0] - slip_limit(CAR, limits, torque - 0.1)[0]) / 0.2
+    assert slope[[0, 1, 3]] == pytest.approx(near[[0, 1, 3]], rel=1e-4)
+
+
+def test_rows_bound_the_slip_angles_of_the_linearised_model():
+    x, u = situations()
+    found = ControlModel(CAR, NoResidual(), 0.05).linearize(x, u)
+    limits = Limits()
+    C, lower, upper = slip_rows(CAR, limits, x[:, 6], found, 1e4)
+    bound = slip_limit(CAR, limits, x[:, 6])[0]
+    # A step that brings the front slip angle to its bound at the same torque fills the row exactly.
+    step = np.linalg.pinv(C[:, 0][:, None, [4, 5]])[:, :, 0] * (bound[:, 0] - found.slip[:, 0])[:, None]
+    filled = np.einsum("ki,ki->k", C[:, 0][:, [4, 5]], step)
+    assert filled == pytest.approx(upper[:, 0], abs=1e-9)
+    assert (lower[:, 0] == -1e4).all()
+    assert upper[:, 4] - lower[:, 4] == pytest.approx(2 * limits.dalpha_max)
