@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from split_cli.diagnosis.innovations.case import Case, gather_case
+from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale
 from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
@@ -17,7 +18,6 @@ from split_cli.diagnosis.remainder.location import gap_forces, gap_series, locat
 from split_cli.diagnosis.remainder.spectrum import Line, strongest_line
 from split_cli.diagnosis.remainder.wander import wander_of
 from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.exploration import Rules
 from split_cli.diagnosis.search.fitting import fit_parts
 from split_cli.diagnosis.search.identifiable import judgeable, tellable
 from split_cli.diagnosis.search.reading import Reading, read
@@ -25,14 +25,14 @@ from split_cli.diagnosis.statement.result import Diagnosis, InputFile
 from split_cli.diagnosis.statement.sentences import summarise
 from split_cli.diagnosis.together import together
 from split_cli.diagnosis.verdict.detectable import smallest_named
-from split_cli.diagnosis.verdict.findings import Abstention, describe, wanders, with_shares
+from split_cli.diagnosis.verdict.findings import describe, wanders, with_shares
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Settings", "diagnose"]
+__all__ = ["diagnose"]
 
 _FAR = (
     "what lies near alone: hardly any of the real drive lies where the simulation has been, so rows further off "
@@ -49,38 +49,6 @@ _MUCH_MISFIT = (
 _WAYS = 4  # to differ, see `_compare`
 
 
-@dataclass(frozen=True)
-class Settings:
-    """One fixed setting for all cases.
-
-    Attributes
-    ----------
-    level : float
-        p below which simulation and reality differ. A true difference is mostly below 1e-6; what no dictionary
-        holds of much common physics gives between 1e-4 and 1e-2 more often than chance.
-    inflation : float
-        By which autocorrelation widens chi squared.
-    holdout_share : float
-        Share of the real drives' time kept out, at the end, when no drive is given for it.
-    reach : float
-        How far, in scaled features, a real sample may be from the nearest simulated one.
-    far_reach : float
-        The same where hardly any is nearer. What has no name may then be what the simulation has not shown.
-    least_rows : int
-        Rows of evidence below which nothing is decided.
-    least_share : float
-        Of the real drive to be compared, below which what has no name is not decided.
-    """
-
-    level: float = 0.001
-    inflation: float = 1.5
-    holdout_share: float = 0.25
-    reach: float = 0.35
-    far_reach: float = 0.7
-    least_rows: int = 250
-    least_share: float = 0.1
-
-
 def diagnose(
     real: Sequence[Drive],
     vehicle: Vehicle,
@@ -88,7 +56,7 @@ def diagnose(
     holdout: Sequence[Drive] = (),
     *,
     inputs: Sequence[InputFile] = (),
-    settings: Settings | None = None,
+    policy: Policy = STANDARD,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Diagnosis:
     """Diagnose what reality has beyond a simulation.
@@ -105,16 +73,12 @@ def diagnose(
         Real drives to judge the improvement on; else the last share of `real`.
     inputs : sequence of InputFile
         For the record.
-    settings : Settings, optional
+    policy : Policy
+        One for all cases; every number that decides.
     progress : callable
         Called with the name of each step.
     """
-    settings = settings or Settings()
-    described = {
-        **asdict(settings),
-        **{f"selection_{name}": value for name, value in asdict(Rules()).items()},
-        **{f"abstention_{name}": value for name, value in asdict(Abstention()).items()},
-    }
+    settings, described = policy.comparison, policy.described()
     drives, notes = clean_drives([*real, *simulated, *holdout])
     roles = ["real"] * len(real) + ["sim"] * len(simulated) + ["holdout"] * len(holdout)
     reasons = [reason for drive in drives for reason in unfit(drive, vehicle)]
@@ -151,8 +115,8 @@ def diagnose(
     candidates = tellable(
         build_candidates(vehicle, case.real[0].series), [one.series for one in case.real], vehicle
     )
-    reading = read(case, candidates, inflation=settings.inflation, reach=reach, progress=progress)
-    if reading.known.ratio > Rules().much_misfit:
+    reading = read(case, candidates, reach=reach, policy=policy, progress=progress)
+    if reading.known.ratio > policy.selection.much_misfit:
         not_judged += (_MUCH_MISFIT,)
     found = _compare(case, reading, contradictions)
     progress("sizing")
@@ -163,7 +127,7 @@ def diagnose(
             history=reading.selection.history, summary=summarise("match"), gaps=_gaps(case), detectable=detectable,
         )  # fmt: skip
     progress("judging")
-    told = _tell(case, found, settings)
+    told = _tell(case, found, policy)
     hardly = reach > settings.reach or share < settings.least_share
     if hardly and not told.findings and not contradictions:
         return _undecided([_FAR_AND_NAMELESS], share, inputs, described)
@@ -200,7 +164,7 @@ def _compare(case: Case, reading: Reading, contradictions: tuple[str, ...]) -> _
 
     A sensor that contradicts position or yaw is one, however small the rest.
     """
-    rules = Abstention()
+    rules = reading.structure.judge.policy.abstention
     structure, selection, usual_wander = reading.structure, reading.selection, reading.known.wander
     nameless = reading.gap
     if selection.chosen.parts and not any(selection.named):
@@ -219,9 +183,9 @@ def _compare(case: Case, reading: Reading, contradictions: tuple[str, ...]) -> _
     return _Comparison(reading, line, p_value, contradictions)
 
 
-def _tell(case: Case, found: _Comparison, settings: Settings) -> Diagnosis:
+def _tell(case: Case, found: _Comparison, policy: Policy) -> Diagnosis:
     """Say where the difference is, what it is, and whether naming it helps."""
-    selection, findings, remainder, unexplained = describe(found.reading, Abstention(), bool(found.contradictions))
+    selection, findings, remainder, unexplained = describe(found.reading, bool(found.contradictions))
     unexplained = unexplained or found.line is not None
     shared = [case.common_rates(one) for one in case.real]
     forces = [gap_forces(one, (), rates) for one, rates in zip(case.real, shared, strict=True)]
@@ -232,7 +196,7 @@ def _tell(case: Case, found: _Comparison, settings: Settings) -> Diagnosis:
     location = locate(case.real, forces, after, case.keep)
     split = hold_out(
         case.real, case.keep, case.holdout, case.keep_holdout, case.knowledge, case.common, case.kinematics,
-        settings.holdout_share, to_the_letter=found.reading.structure.judge.to_the_letter,
+        policy.comparison.holdout_share, to_the_letter=found.reading.structure.judge.to_the_letter,
     )  # fmt: skip
     chosen = selection.chosen
     trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen

@@ -8,7 +8,8 @@ import jsonschema
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.engine import Settings, diagnose
+from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.statement.document import diagnosis_to_mapping, diagnosis_to_text, read_schema
 from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.logs.drive import Drive
@@ -103,31 +104,33 @@ def test_what_is_in_no_catalogue_is_unexplained(simulation):
 class TestFarFromTheSimulation:
     """Hardly a row lies near a simulated one: those further off are compared, and told so."""
 
-    near = Settings(reach=1e-6)
+    near = STANDARD.altered("comparison", reach=1e-6)
 
     def test_what_has_a_name_is_named(self, reality, simulation, answer):
-        far = diagnose([reality], road_car(), [simulation], settings=self.near)
+        far = diagnose([reality], road_car(), [simulation], policy=self.near)
         assert [one.term for one in far.findings] == [one.term for one in answer.findings]
         assert far.compared_share > 0.3 and any("further off" in text for text in far.not_judged)
         assert not any("further off" in text for text in answer.not_judged)
 
     def test_what_has_none_may_be_what_the_simulation_has_not_shown(self, simulation):
         strange = recording(85, Lopsided({"share": 0.3}))
-        far = diagnose([strange], road_car(), [simulation], settings=self.near)
+        far = diagnose([strange], road_car(), [simulation], policy=self.near)
         assert far.verdict == "undecided" and not far.unexplained
         assert "has no name" in far.not_judged[0]
 
     def test_nor_is_it_told_from_that_in_a_tenth_of_the_drive(self, reality, simulation, answer):
-        strange, little = recording(85, Lopsided({"share": 0.3})), Settings(least_share=1.1)
-        near = diagnose([strange], road_car(), [simulation], settings=little)
+        strange, little = recording(85, Lopsided({"share": 0.3})), STANDARD.altered("comparison", least_share=1.1)
+        near = diagnose([strange], road_car(), [simulation], policy=little)
         assert near.verdict == "undecided" and "has no name" in near.not_judged[0]
-        named = diagnose([reality], road_car(), [simulation], settings=little)
+        named = diagnose([reality], road_car(), [simulation], policy=little)
         assert [one.term for one in named.findings] == [one.term for one in answer.findings]
 
     def test_the_same_car_matches(self, simulation):
-        far = diagnose([recording(83)], road_car(), [simulation], settings=self.near)
+        far = diagnose([recording(83)], road_car(), [simulation], policy=self.near)
         assert far.verdict == "match"
 
     def test_too_far_is_too_far(self, reality, simulation):
-        far = diagnose([reality], road_car(), [simulation], settings=Settings(reach=1e-6, far_reach=1e-5))
+        far = diagnose(
+            [reality], road_car(), [simulation], policy=STANDARD.altered("comparison", reach=1e-6, far_reach=1e-5)
+        )
         assert far.verdict == "undecided" and "where the simulation has been" in far.not_judged[0]

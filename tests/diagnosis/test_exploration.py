@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge
-from split_cli.diagnosis.search.exploration import Explorer, Rules, _nearest_start
+from split_cli.diagnosis.policy import STANDARD
+from split_cli.diagnosis.search.exploration import Explorer, _nearest_start
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
@@ -41,7 +42,8 @@ def label(fit: Fit) -> str:
 
 def test_the_price_of_a_parameter_is_counted_after_inflation(judge, current):
     assert current.complexity == 1.0
-    assert Explorer(judge, (), 2.0, Rules(price=5.0)).price(current) == pytest.approx(0.5 * current.cost + 5.0)
+    dear = replace(judge, policy=STANDARD.altered("selection", price=5.0))
+    assert Explorer(dear, (), 2.0).price(current) == pytest.approx(0.5 * current.cost + 5.0)
 
 
 def test_a_term_is_offered_once(explore, current):

@@ -12,10 +12,10 @@ import split_cli.diagnosis.search.reading as reading_module
 from split_cli.diagnosis.innovations.case import Case, gather_case
 from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.judge import build_judge
+from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.exploration import Rules
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.reading import Reading, _brings_back, read
 from split_cli.logs.drive import Drive
@@ -43,9 +43,9 @@ def commanded(drive: Drive, gain: float) -> Drive:
     return replace(drive, columns={**drive.columns, "delta": drive["delta"] / gain})
 
 
-def read_it(reality: Drive, simulation: Drive) -> Reading:
+def read_it(reality: Drive, simulation: Drive, policy: Policy = STANDARD) -> Reading:
     case = case_of(reality, simulation)
-    return read(case, build_candidates(road_car(), case.real[0].series), inflation=1.5, reach=0.35)
+    return read(case, build_candidates(road_car(), case.real[0].series), reach=0.35, policy=policy)
 
 
 @pytest.fixture(scope="module")
@@ -84,19 +84,18 @@ def test_to_the_letter_a_fit_is_where_a_scan_finds_the_least(restless):
 
 
 def test_what_brings_reality_back_is_named_where_misfit_is_much(monkeypatch):
-    never = replace(Rules(), sure_level=0.0)
-    monkeypatch.setattr(reading_module, "Rules", lambda: never)
+    never = STANDARD.altered("selection", sure_level=0.0)
     simulation = recorded(drive(1), 1, restless=0.1)
-    same = read_it(recorded(drive(2), 2, restless=0.1), simulation)
+    same = read_it(recorded(drive(2), 2, restless=0.1), simulation, never)
     assert same.known.ratio > 3.0
     assert not any(same.selection.named)
     reality = recorded(commanded(drive(2), 0.75), 2, restless=0.1)
-    confirmed = read_it(reality, simulation)
+    confirmed = read_it(reality, simulation, never)
     # The second reading names it too, and the first one's value stays.
     assert len(confirmed.judges) == 2 and not confirmed.structure.judge.to_the_letter
     assert [one.id for one in confirmed.selection.terms] == ["steer_gain"]
     monkeypatch.setattr(reading_module, "_ids", lambda selection: {id(selection)})
-    reading = read_it(reality, simulation)
+    reading = read_it(reality, simulation, never)
     assert reading.structure.judge.to_the_letter
     assert [one.id for one in reading.selection.terms] == ["steer_gain"]
     for one in (confirmed, reading):
@@ -111,8 +110,8 @@ def test_a_name_beyond_all_doubt_is_not_read_again():
         recorded(drive(1), 1, restless=0.1),
     )
     candidates = build_candidates(road_car(), case.real[0].series)
-    reading = read(case, candidates, inflation=1.5, reach=0.35, progress=steps.append)
-    assert reading.known.ratio > 3.0 and reading.selection.first_p < Rules().sure_level
+    reading = read(case, candidates, reach=0.35, progress=steps.append)
+    assert reading.known.ratio > 3.0 and reading.selection.first_p < STANDARD.selection.sure_level
     assert steps == ["comparing", "naming"] and len(reading.judges) == 1
     assert [one.id for one in reading.selection.terms] == ["steer_gain"]
     assert reading.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
@@ -144,7 +143,8 @@ def test_what_is_believed_to_the_letter(names, left, reserved, p_value, expected
 
     terms = tuple(CATALOGUE[name](dict(CATALOGUE[name].neutral)) for name in names)
     selection = SimpleNamespace(terms=terms, base=fit(1000.0), chosen=fit(left), first_p=p_value)
-    assert _brings_back(selection, SimpleNamespace(chosen=fit(900.0, reserved))) is expected
+    reserved = SimpleNamespace(chosen=fit(900.0, reserved))
+    assert _brings_back(selection, reserved, STANDARD.selection) is expected
 
 
 def test_wide_starts_lie_to_both_sides_and_inside_the_bounds():

@@ -10,10 +10,11 @@ import pytest
 import split_cli.diagnosis.search.running as running
 from split_cli.diagnosis.innovations.judge import Judge
 from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors
+from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.remainder.flexible import flexible_rows
 from split_cli.diagnosis.remainder.structure import Structure, build_structure
 from split_cli.diagnosis.search.candidates import Range
-from split_cli.diagnosis.search.exploration import Explorer, Rules
+from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.running import free_running_errors, with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms, with_chosen
@@ -21,7 +22,6 @@ from tests.diagnosis.recordings import candidates_of
 from tests.diagnosis.test_selection import judge_of, planted
 
 INFLATION = 1.5
-ANY_SHARE = Rules(same_misfit=-1.0)
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +70,16 @@ def test_an_error_is_the_geometric_mean_of_rms_over_what_noise_makes(judge, monk
     np.testing.assert_allclose(free_running_errors(judge, [nothing(judge), nothing(judge)]), [2.0, 3.0])
 
 
+@pytest.fixture(scope="module")
+def any_share(structure):
+    """The same with a policy under which variants are compared however little is left without a name."""
+    policy = STANDARD.altered("selection", same_misfit=-1.0)
+    return replace(structure, judge=replace(structure.judge, policy=policy))
+
+
 def test_the_variant_that_runs_takes_the_place_of_one_that_does_not(structure, variants, wrong):
     """The wrong variant leaves something without a name; the right one is among what explains the data as well."""
-    found = with_variants_that_run(structure, variants, wrong, INFLATION, Rules())
+    found = with_variants_that_run(structure, variants, wrong, INFLATION)
     assert found.chosen.parts[0].candidate.variant == ""
     assert found.named == (True,) and found.chosen.cost < wrong.chosen.cost
     assert "runs freely with" in found.history[-1] and found.first_p == wrong.first_p
@@ -80,18 +87,18 @@ def test_the_variant_that_runs_takes_the_place_of_one_that_does_not(structure, v
 
 def test_where_nothing_is_left_without_a_name_one_step_decides(judge, structure, variants):
     selection = select_terms(judge, variants, INFLATION)
-    assert with_variants_that_run(structure, variants, selection, INFLATION, Rules()) is selection
+    assert with_variants_that_run(structure, variants, selection, INFLATION) is selection
 
 
-def test_a_variant_that_runs_as_well_takes_no_place(structure, variants, wrong, monkeypatch):
+def test_a_variant_that_runs_as_well_takes_no_place(any_share, variants, wrong, monkeypatch):
     for error, taken in ((0.95, False), (0.85, True)):
         monkeypatch.setattr(
             running, "free_running_errors", lambda judge, fits, e=error: [1.0, *[e] * len(fits[1:])]
         )
-        found = with_variants_that_run(structure, variants, wrong, INFLATION, ANY_SHARE)
+        found = with_variants_that_run(any_share, variants, wrong, INFLATION)
         assert (found is not wrong) == taken
 
 
-def test_no_variant_takes_a_place_that_would_lose_a_name(structure, variants, wrong):
+def test_no_variant_takes_a_place_that_would_lose_a_name(any_share, variants, wrong):
     named_twice = replace(wrong, named=(True, True))
-    assert with_variants_that_run(structure, variants, named_twice, INFLATION, ANY_SHARE) is named_twice
+    assert with_variants_that_run(any_share, variants, named_twice, INFLATION) is named_twice

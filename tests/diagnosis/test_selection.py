@@ -14,8 +14,8 @@ from scipy import stats
 import split_cli.diagnosis.search.selection as selecting
 from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge
 from split_cli.diagnosis.innovations.severity import severities_of
-from split_cli.diagnosis.remainder.structure import BARE_ALLOWANCE, COMMON_SHARE
-from split_cli.diagnosis.search.exploration import Explorer, Rules
+from split_cli.diagnosis.policy import STANDARD
+from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import (
     Selection,
@@ -115,7 +115,7 @@ def test_rivals_are_in_the_place_of_one_part_and_sorted(pair, chosen_pair):
         assert excess == sorted(excess) and excess[0] > 0.0
         for rival in rivals:
             dearer = rival.fit.complexity - fit.complexity
-            expected = (rival.fit.cost - fit.cost) / INFLATION + Rules().price * dearer
+            expected = (rival.fit.cost - fit.cost) / INFLATION + STANDARD.selection.price * dearer
             assert rival.excess == pytest.approx(expected, rel=1e-9)
 
 
@@ -192,9 +192,10 @@ def test_names_are_given_in_the_order_of_size_not_of_finding():
     for ordered, expected in ((parts, (False, True)), (parts[::-1], (True, False))):
         fit = fit_parts(judge, ordered)
         without = without_parts(judge, nothing(judge), fit)
-        assert selecting._believed_together(judge, fit, without, (True, True), Rules()) == expected
+        assert selecting._believed_together(judge, fit, without, (True, True), STANDARD.selection) == expected
         # What is not sure is no name, and nothing is a misfit of it.
-        assert selecting._believed_together(judge, fit, without, expected[::-1], Rules()) == expected[::-1]
+        backwards = expected[::-1]
+        assert selecting._believed_together(judge, fit, without, backwards, STANDARD.selection) == backwards
 
 
 def test_a_further_term_no_larger_than_a_misfit_of_the_common_physics_is_not_named(pair, chosen_pair):
@@ -208,10 +209,10 @@ def test_a_further_term_no_larger_than_a_misfit_of_the_common_physics_is_not_nam
         common = np.zeros(3)
         common[channel] = others * sizes[channel]
         judge = replace(pair, knowledge=ignorant(pair), memo={COMMON: common})
-        assert (not _refusal(judge, first, np.zeros(3), fit, Rules())) == believed
+        assert (not _refusal(judge, first, np.zeros(3), fit, STANDARD.selection)) == believed
         common[:] = others * sizes.max()
         common[channel] = 0.0
-        assert not _refusal(replace(judge, memo={COMMON: common}), first, np.zeros(3), fit, Rules())
+        assert not _refusal(replace(judge, memo={COMMON: common}), first, np.zeros(3), fit, STANDARD.selection)
 
 
 def test_a_term_that_settles_a_channel_is_no_misfit_of_a_large_one_elsewhere(pair):
@@ -225,10 +226,10 @@ def test_a_term_that_settles_a_channel_is_no_misfit_of_a_large_one_elsewhere(pai
 
     size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 10.0])
     for before, after, refused in ((1.0, 0.0, False), (1.0, 0.4, False), (1.0, 0.5, True), (0.3, 0.0, True)):
-        assert selecting._is_misfit(pair, size, other, left(before), left(after), Rules()) == refused
+        assert selecting._is_misfit(pair, size, other, left(before), left(after), STANDARD.selection) == refused
     # Not larger than a misfit in that channel anyway, or of what acts in the same.
-    assert not selecting._is_misfit(pair, size, 0.7 * other, left(1.0), left(1.0), Rules())
-    assert selecting._is_misfit(pair, size, other[::-1], left(1.0), left(0.0), Rules())
+    assert not selecting._is_misfit(pair, size, 0.7 * other, left(1.0), left(1.0), STANDARD.selection)
+    assert selecting._is_misfit(pair, size, other[::-1], left(1.0), left(0.0), STANDARD.selection)
 
 
 def test_a_term_is_allowed_a_share_of_the_common_physics_in_its_channel(pair, chosen_pair):
@@ -242,7 +243,7 @@ def test_a_term_is_allowed_a_share_of_the_common_physics_in_its_channel(pair, ch
         return term_p(judge, fit, 0, saved, INFLATION)
 
     assert p_value(np.zeros(3)) < 1e-10
-    assert p_value(sizes.max() / COMMON_SHARE * np.ones(3)) > 0.4
+    assert p_value(sizes.max() / STANDARD.allowances.common_share * np.ones(3)) > 0.4
     # Much common physics in another channel is no excuse.
     elsewhere = np.where(np.arange(3) == np.argmax(sizes), 0.0, 1e3)
     assert p_value(elsewhere) < 1e-10
@@ -270,7 +271,7 @@ def test_one_term_is_preferred_to_two_that_say_the_same():
 
 def test_other_beginnings_are_other_terms_that_save_nearly_as_much(pair):
     first = Explorer(pair, candidates_of(pair, *NAMES), INFLATION)(nothing(pair))
-    everything = Rules(same_share=1.0, beginnings=9)
+    everything = replace(STANDARD.selection, same_share=1.0, beginnings=9)
     assert _other_beginnings(first, nothing(pair), everything) == first[1:]
     assert len(_other_beginnings(first, nothing(pair), replace(everything, beginnings=2))) == 2
     saved = nothing(pair).cost - first[0].cost
@@ -301,7 +302,7 @@ def test_what_could_be_misfit_or_chance_explains_as_well(pair, chosen_pair):
     k = 0
     saved = chosen_pair.without[k].cost - chosen_pair.chosen.cost
     (rival, *_) = chosen_pair.rivals[k]
-    share = max(BARE_ALLOWANCE / term_size(pair, chosen_pair.chosen, k), 0.1) ** 2
+    share = max(STANDARD.allowances.bare / term_size(pair, chosen_pair.chosen, k), 0.1) ** 2
 
     def as_well(excess: float, z: float) -> bool:
         return bool(explaining_as_well(pair, chosen_pair, k, [replace(rival, excess=excess, z=z)]))
@@ -351,13 +352,14 @@ def test_the_best_of_many_places_has_to_save_more_where_there_is_misfit():
     for _ in range(200):
         sums = np.concatenate([[0.0], np.cumsum(rng.standard_normal(rows))])
         best.append(max(float(np.max((sums[n:] - sums[:-n]) ** 2)) / n for n in lengths))
-    assert np.mean(stats.chi2.sf(best, 1.0 + selecting._SEARCHED_PLACES) < 0.05) < 0.08
+    assert np.mean(stats.chi2.sf(best, 1.0 + STANDARD.selection.searched_places) < 0.05) < 0.08
     assert np.mean(stats.chi2.sf(best, 6.0) < 0.05) > 0.2
 
 
 def test_rivals_are_as_far_off_as_misfit_lets_them_be(pair, chosen_pair):
     candidates = tuple(candidates_of(pair, *NAMES))
-    explore = Explorer(replace(pair, misfit=10.0 * INFLATION), candidates, INFLATION, Rules(price=0.0))
+    free = STANDARD.altered("selection", price=0.0)
+    explore = Explorer(replace(pair, misfit=10.0 * INFLATION, policy=free), candidates, INFLATION)
     (near, *_), _ = _rivals(explore, chosen_pair.chosen, 0, chosen_pair.without[0])
     (far, *_), _ = _rivals(replace(explore, judge=pair), chosen_pair.chosen, 0, chosen_pair.without[0])
     assert far.excess == pytest.approx(10.0 * near.excess, rel=1e-9) and far.excess > 0.0
@@ -428,7 +430,7 @@ class TestWithoutRecordings:
         If they do not, only what is larger than the noise is believed.
         """
         rng = np.random.default_rng(4)
-        judge, rules = self.judge(40, 25), Rules()
+        judge, rules = self.judge(40, 25), STANDARD.selection
         noise, acts = 0.2 * rng.standard_normal(1000), np.array([4, 16, 29])
         for sizes, believed in (((1.0, 1.0, 1.0), True), ((2.6, 0.3, 0.1), False)):
             d, without = np.zeros((40, 25)), noise.reshape(40, 25).copy()

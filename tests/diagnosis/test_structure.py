@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from split_cli.diagnosis.innovations.severity import severities_of, severity, windowed
+from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.remainder import structure as module
 from split_cli.diagnosis.remainder.flexible import flexible_rows
 from split_cli.diagnosis.remainder.structure import Structure, build_structure, minimum_effect_p
@@ -64,7 +65,7 @@ class TestFlexibleFit:
 
     rows, columns = 300, 6
 
-    def structure(self) -> Structure:
+    def structure(self, policy: Policy = STANDARD) -> Structure:
         rng = np.random.default_rng(1)
         columns = np.linalg.qr(rng.standard_normal((self.rows, self.columns)))[0]
         samples = 400
@@ -75,7 +76,7 @@ class TestFlexibleFit:
         every = np.arange(samples - 5)
         windows = windowed(series, defect, every)
         one = SimpleNamespace(series=series, at=every)
-        judge = SimpleNamespace(knowledge=None, evidence=(one,), keep=(every >= 0,))
+        judge = SimpleNamespace(knowledge=None, evidence=(one,), keep=(every >= 0,), policy=policy)
         factor = np.linalg.cholesky(columns.T @ columns * (1.0 + module._RIDGE_SHARE * self.rows)).T
         groups = ("a", "a", "b", "b", "b", "c")
         return Structure(judge, columns, (windows,), groups, factor)
@@ -94,10 +95,9 @@ class TestFlexibleFit:
         assert groups["a"] == pytest.approx(fit.saved) and groups["b"] == pytest.approx(0.0, abs=1e-9)
         assert next(iter(groups)) == "a"
 
-    def test_white_noise_is_called_structure_no_more_often_than_it_should(self, monkeypatch):
+    def test_white_noise_is_called_structure_no_more_often_than_it_should(self):
         """Even with no allowance at all: then the ridge alone is on the cautious side."""
-        monkeypatch.setattr(module, "NAMELESS_ALLOWANCE", 0.0)
-        one, rng = self.structure(), np.random.default_rng(5)
+        one, rng = self.structure(STANDARD.altered("allowances", nameless=0.0)), np.random.default_rng(5)
         p = np.array([one.fit(rng.standard_normal(self.rows), 1.0).p_value for _ in range(REPLICATES)])
         for level in (0.01, 0.05, 0.2):
             assert np.mean(p < level) <= level + 3.0 * np.sqrt(level * (1.0 - level) / REPLICATES)

@@ -13,6 +13,7 @@ from split_cli.diagnosis.baseline.common import CommonPhysics
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.projection import damped
+from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import Kinematics
 from split_cli.vehicle.effects import Term
 
@@ -119,6 +120,7 @@ class Judge:
         By how much what no dictionary holds widens what a term saves by chance.
     to_the_letter : bool
         Whether the simulation is believed without reserve, see `believed_to_the_letter`.
+    policy : Policy
     memo : dict
         What was computed before: shifts and severities of the common physics, kinematic rows without faulty
         sensors.
@@ -138,6 +140,7 @@ class Judge:
     term_floors: Mapping[str, float] = field(default_factory=dict)
     misfit: float = 1.0
     to_the_letter: bool = False
+    policy: Policy = STANDARD
     memo: dict = field(default_factory=dict, repr=False, compare=False)
 
     def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:
@@ -250,6 +253,7 @@ def build_judge(
     keep: Sequence[np.ndarray],
     kinematics: Sequence[Kinematics] = (),
     block_seconds: float = 2.0,
+    policy: Policy = STANDARD,
 ) -> Judge:
     """Set up the costs on the kept rows; blocks are stretches of `block_seconds` of a recording."""
     numbers, first = [], 0
@@ -276,6 +280,7 @@ def build_judge(
         weight=weight,
         root=np.zeros(0),
         kinematics=tuple(kinematics),
+        policy=policy,
     )
     if knowledge is None:
         return judge

@@ -14,6 +14,7 @@ import numpy as np
 from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.judge import Judge
 from split_cli.diagnosis.innovations.severity import rms_over_noise, severities
+from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.remainder.flexible import FlexibleRows
 
 __all__ = [
@@ -26,19 +27,6 @@ __all__ = [
 ]
 
 _RIDGE_SHARE = 2e-3
-# Differences smaller than these shares of the one-step noise are not called differences: below them, what any
-# nominal model misses in one way of driving and not in another counts as common. A bare nominal model misses more
-# than a simulation that brings its physics along, and what has no name has to be larger than what has.
-ALLOWANCE = 0.05
-BARE_ALLOWANCE = 0.09
-NAMELESS_ALLOWANCE = 0.10
-# What a dictionary misses of common physics is larger where there is more of it, in the channel where it is.
-COMMON_SHARE = 0.03
-# And smaller than these shares of what common physics explains: no dictionary fits it exactly. A flexible fit
-# finds more of what is left than a single term can, by so much a parameter.
-STRUCTURE_FLOOR = 1e-4
-TERM_FLOOR = 1e-5
-MISFIT_A_PARAMETER = 1.8
 
 
 @dataclass(frozen=True)
@@ -101,14 +89,15 @@ class Structure:
         # The size is overestimated by what the fit makes of noise.
         size *= np.sqrt(max(1.0 - inflation * freedom / max(saved, 1e-9), 0.0))
         floor = self.allowed(freedom)
-        p = minimum_effect_p(saved, freedom, size, inflation, floor, NAMELESS_ALLOWANCE)
+        p = minimum_effect_p(saved, freedom, size, inflation, floor, self.judge.policy.allowances.nameless)
         return FlexibleFit(saved, freedom, float(size), p, self._by_group(score))
 
     def allowed(self, freedom: float) -> float:
         """Return the saving that a dictionary's misfit may bring with so many parameters."""
         if self.judge.knowledge is None:
             return 0.0
-        misfit = MISFIT_A_PARAMETER * freedom + STRUCTURE_FLOOR * self.judge.shared_cost
+        allowances = self.judge.policy.allowances
+        misfit = allowances.misfit_a_parameter * freedom + allowances.structure_floor * self.judge.shared_cost
         return max(misfit, self.judge.nameless_floor)
 
     def nameless_share(self, left: FlexibleFit, named: float, inflation: float) -> float:
@@ -159,13 +148,19 @@ def common_severities(judge: Judge) -> np.ndarray:
 
 def term_allowances(judge: Judge) -> np.ndarray:
     """Return the severities in v_x, v_y and r below which a term is not named, shape (3,)."""
+    allowances = judge.policy.allowances
     if judge.knowledge is None:
-        return np.full(3, BARE_ALLOWANCE)
-    return np.maximum(ALLOWANCE, COMMON_SHARE * common_severities(judge))
+        return np.full(3, allowances.bare)
+    return np.maximum(allowances.term, allowances.common_share * common_severities(judge))
 
 
 def minimum_effect_p(
-    saved: float, freedom: float, size: float, inflation: float, floor: float = 0.0, allowance: float = ALLOWANCE
+    saved: float,
+    freedom: float,
+    size: float,
+    inflation: float,
+    floor: float = 0.0,
+    allowance: float = STANDARD.allowances.term,
 ) -> float:
     """Return the probability of saving this much when the true effect is just the allowance.
 

@@ -17,6 +17,7 @@ from split_cli.diagnosis.baseline.common import CommonPhysics
 from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge, build_judge, learn_common
+from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import Kinematics, build_kinematics, common_habit
 from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
@@ -25,14 +26,8 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["TERM_MARGIN", "SelfTest", "self_test"]
+__all__ = ["SelfTest", "self_test"]
 
-_LEAST_ROWS = 150
-# Reality may cover other ground than the simulation's second half did, by chance: it has to show this much more.
-_NAMELESS_MARGIN = 2.0
-TERM_MARGIN = 1.5
-# What one term shows between two halves, another may show between two recordings.
-_KINDRED = 0.33
 _BINS = 40
 _WAVES = 12
 
@@ -68,22 +63,24 @@ class SelfTest:
         """
         if not self.rows:
             return judge
+        rules = judge.policy.self_test
         rows = sum(int(mask.sum()) for mask in judge.keep)
         scale = float(np.sqrt(max(rows / self.rows, 1.0)))
         most = max(self.terms.values(), default=0.0)
         return replace(
             judge,
-            nameless_floor=_NAMELESS_MARGIN * scale * self.nameless,
+            nameless_floor=rules.nameless_margin * scale * self.nameless,
             term_floors={
-                term: TERM_MARGIN * scale * max(saved, _KINDRED * most) for term, saved in self.terms.items()
+                term: rules.term_margin * scale * max(saved, rules.kindred * most)
+                for term, saved in self.terms.items()
             },
         )
 
-    def misfit_of(self, gap: FlexibleFit) -> float:
+    def misfit_of(self, gap: FlexibleFit, policy: Policy = STANDARD) -> float:
         """Return by how much misfit widens what a term saves by chance: as between the halves, but by no more than
         reality itself shows, whose difference may hold misfit and nothing else.
         """
-        return TERM_MARGIN * min(self.ratio, gap.saved / max(gap.freedom, 1.0))
+        return policy.self_test.term_margin * min(self.ratio, gap.saved / max(gap.freedom, 1.0))
 
 
 def self_test(
@@ -95,6 +92,7 @@ def self_test(
     inflation: float,
     reach: float,
     knowledge: CommonKnowledge | None = None,
+    policy: Policy = STANDARD,
 ) -> SelfTest:
     """Judge each half of a simulation by the other.
 
@@ -111,6 +109,7 @@ def self_test(
         As for reality.
     knowledge : CommonKnowledge, optional
         Of the whole simulation: then halves are believed to the letter.
+    policy : Policy
 
     Notes
     -----
@@ -121,10 +120,10 @@ def self_test(
     positions = [build_kinematics(one.series) if np.isfinite(scale) else None for one in graded]
     positions = [one and replace(one, scale=max(one.scale, scale)) for one in positions]
     all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
-    judge = build_judge(graded, knowledge, common, all_rows, [one for one in positions if one])
+    judge = build_judge(graded, knowledge, common, all_rows, [one for one in positions if one], policy=policy)
     offers = _offers(judge.believed_to_the_letter() if knowledge else judge, candidates)
     rows = tuple(flexible_rows(one, common) for one in graded)
-    sides = _Sides(tuple(graded), tuple(positions), rows, common, inflation, reach, knowledge is not None)
+    sides = _Sides(tuple(graded), tuple(positions), rows, common, inflation, reach, knowledge is not None, policy)
     first = _first_half(graded)
     halves = [[mask ^ turned for mask in first] for turned in (False, True)]
     tests = together(lambda teaching: _judge_half(sides, teaching, offers), halves)
@@ -193,6 +192,7 @@ class _Sides:
     inflation: float
     reach: float
     to_the_letter: bool = False
+    policy: Policy = STANDARD
 
     def windows(self, teaching: Sequence[np.ndarray]) -> tuple[list[Kinematics], np.ndarray]:
         """Return kinematic windows outside the teaching half, with its habits, and which of all they are."""
@@ -215,10 +215,12 @@ def _judge_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[
         comparable(one, taught, common, sides.reach) & ~mask for one, mask in zip(graded, teaching, strict=True)
     ]
     rows = sum(int(mask.sum()) for mask in keep)
-    if rows < _LEAST_ROWS:
+    if rows < sides.policy.self_test.least_rows:
         return None
     positions, windows = sides.windows(teaching)
-    judge = build_judge(graded, learn_common(taught, sides.inflation), common, keep, positions)
+    judge = build_judge(
+        graded, learn_common(taught, sides.inflation), common, keep, positions, policy=sides.policy
+    )
     if sides.to_the_letter:
         judge = judge.believed_to_the_letter()
     entries = judge.whiten(judge.residual(()))

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from split_cli.diagnosis.innovations.judge import Judge, alters_inputs
+from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import (
     Fit,
@@ -22,43 +23,7 @@ from split_cli.diagnosis.search.fitting import (
 from split_cli.diagnosis.statement.separation import look_alike
 from split_cli.diagnosis.together import together
 
-__all__ = ["Explorer", "Rules"]
-
-_SAME_COST = 0.5  # explanations of the same terms that differ by less are one
-
-
-@dataclass(frozen=True)
-class Rules:
-    """Settings of the selection, one for all cases."""
-
-    price: float = 8.0  # cost a searched parameter has to save, before inflation
-    most_terms: int = 3
-    most_aside: int = 2  # terms that save more than chance but are too small to name
-    aside_severity: float = 0.12  # below which what the others may misfit is kept aside, too
-    most_of_lap: float = 0.75  # a stretch that is longer is no stretch
-    full_fits: int = 9
-    followed: int = 5  # of the best, in which the common physics follows the inputs they change
-    same_within: float = 2.5  # standard errors of the paired block difference
-    same_excess: float = 9.0  # cost above the chosen one, after inflation
-    same_share: float = 0.15  # of what the chosen term saves: beyond it, a rival is worse whatever its error
-    same_misfit: float = 0.01  # of what the chosen term saves: no single track fits better than that
-    least_severity: float = 0.20  # of a further term
-    misfit: float = 0.30  # of the severity of the chosen terms, in the channel where a further one is largest
-    misfit_across: float = 0.07  # of the same in any other channel
-    settled: float = 0.8  # of what is left in a channel: what takes that is no misfit of others,
-    settled_noise: float = 4.0  # where that was by so much more than noise
-    common_misfit: float = 0.10  # of the severity of the common physics, in that channel
-    considered: int = 3  # of the further terms that save most
-    spread: float = 3.5  # standard errors, from differences block by block, that a term has to save
-    sure: float = 15.0  # or standard errors of its size, from scores block by block
-    plain: float = 1.0  # or severity that it has to have
-    much_misfit: float = 3.0  # by which chance is widened: beyond it a place is believed like any few moments
-    letter_share: float = 0.2  # of the cost, to be saved to the letter; halves of one recording save a ninth
-    sure_level: float = 1e-12  # of the minimum-effect test: names that need no second reading
-    swaps: int = 2
-    least_swap: float = 1.0  # cost that another term has to save in the place of one; terms that tie stay
-    beginnings: int = 2  # other first terms from which the search begins anew where the best leaves something
-    level: float = 0.01  # of the minimum-effect test, after counting the terms that were tried
+__all__ = ["Explorer"]
 
 
 @dataclass(frozen=True)
@@ -70,14 +35,17 @@ class Explorer:
     judge : Judge
     candidates : tuple of Candidate
     inflation : float
-    rules : Rules
     """
 
     judge: Judge
     candidates: tuple[Candidate, ...]
     inflation: float
-    rules: Rules = field(default_factory=Rules)
     _explored: list[tuple[Fit, list[Fit]]] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    @property
+    def rules(self) -> SelectionRules:
+        """The judge's rules of the selection."""
+        return self.judge.policy.selection
 
     def price(self, fit: Fit) -> float:
         """Return a fit's cost with the price of its parameters."""
@@ -86,7 +54,8 @@ class Explorer:
     def __call__(self, current: Fit) -> list[Fit]:
         """Return the promising candidates fitted together with an explanation, best first; one fit a variant."""
         for known, fits in self._explored:
-            if _labels(known) == _labels(current) and abs(known.cost - current.cost) < _SAME_COST * self.inflation:
+            close = abs(known.cost - current.cost) < self.rules.same_cost * self.inflation
+            if close and _labels(known) == _labels(current):
                 return fits
         fits = self._followed(self._fits(current))
         self._explored.append((current, fits))

@@ -19,8 +19,6 @@ from split_cli.vehicle.effects import Term
 
 __all__ = ["costs_beside_misfit"]
 
-_SHARE = 0.10  # prior deviation of each function's weight, as a share of the effect
-
 
 def costs_beside_misfit(judge: Judge, fits: Sequence[Fit]) -> list[float]:
     """Return the cost of each fit with a share of every effect of them all free, by channel and operating point.
@@ -29,11 +27,12 @@ def costs_beside_misfit(judge: Judge, fits: Sequence[Fit]) -> list[float]:
 
     Notes
     -----
-    M holds the whitened effects times functions of the operating point, times the prior deviation `_SHARE`; e are
+    M holds the whitened effects times functions of the operating point, times the policy's `misfit_share`; e are
     the entries left. The weights of M are integrated out: e^T (I + M M^T)^-1 e = |e|^2 - |L^-1 M^T e|^2 with
     L L^T = I + M^T M.
     """
-    columns = [_SHARE * judge.whiten(_varied(judge, fit.terms, k)) for fit in fits for k in range(len(fit.parts))]
+    share = judge.policy.selection.misfit_share
+    columns = [share * judge.whiten(_varied(judge, fit.terms, k)) for fit in fits for k in range(len(fit.parts))]
     if not columns:
         return [fit.cost for fit in fits]
     misfit = np.hstack(columns)

@@ -16,19 +16,16 @@ from dataclasses import dataclass, replace
 
 from split_cli.diagnosis.innovations.case import Case
 from split_cli.diagnosis.innovations.judge import Judge, alters_inputs, build_judge
+from split_cli.diagnosis.policy import STANDARD, Policy, SelectionRules
 from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, build_structure
 from split_cli.diagnosis.remainder.wander import wander_of
 from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.exploration import Rules
 from split_cli.diagnosis.search.running import with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
 
 __all__ = ["Reading", "read"]
-
-# What is small beside a name is misfit here, and would share a delay's savings with its like.
-_LETTER = Rules(most_aside=0)
 
 
 @dataclass(frozen=True)
@@ -62,8 +59,8 @@ def read(
     case: Case,
     candidates: Sequence[Candidate],
     *,
-    inflation: float,
     reach: float,
+    policy: Policy = STANDARD,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Reading:
     """Read with reserve; to the letter where misfit is much, and what is named alters inputs and is in doubt.
@@ -72,28 +69,32 @@ def read(
     ----------
     case : Case
     candidates : sequence of Candidate
-    inflation, reach : float
-        See `Settings`.
+    reach : float
+        See `Comparison`.
+    policy : Policy
     progress : callable
         Called with the name of each step.
     """
     progress("comparing")
-    judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
-    known = _known(case, candidates, inflation, reach)
+    judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics, policy=policy)
+    known = _known(case, candidates, reach, policy)
     rows = [flexible_rows(one, case.common) for one in case.real]
     progress("naming")
-    reading = _read(judge, rows, candidates, known, inflation)
+    reading = _read(judge, rows, candidates, known)
     altering = [alters_inputs(term) for term in reading.selection.terms]
-    sure = bool(altering) and reading.selection.first_p < Rules().sure_level
-    if known.ratio <= Rules().much_misfit or sure or (altering and not any(altering)):
+    sure = bool(altering) and reading.selection.first_p < policy.selection.sure_level
+    if known.ratio <= policy.selection.much_misfit or sure or (altering and not any(altering)):
         return reading
     progress("naming to the letter")
-    known = _known(case, candidates, inflation, reach, to_the_letter=True)
+    known = _known(case, candidates, reach, policy, to_the_letter=True)
     # The common physics follows at every step, and costs have more than one valley.
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
-    again = _read(judge.believed_to_the_letter(), rows, wide, known, inflation, _LETTER)
+    # What is small beside a name is misfit here, and would share a delay's savings with its like.
+    alone = replace(policy, selection=replace(policy.selection, most_aside=0))
+    letter = replace(judge.believed_to_the_letter(), policy=alone)
+    again = _read(letter, rows, wide, known)
     kept = reading
-    if _brings_back(again.selection, reading.selection):
+    if _brings_back(again.selection, reading.selection, policy.selection):
         confirmed = bool(altering) and _ids(reading.selection) <= _ids(again.selection)
         kept = reading if confirmed else again
     elif altering:
@@ -109,15 +110,15 @@ def _alters(candidate: Candidate) -> bool:
     return bool(candidate.starts) and alters_inputs(candidate.build(candidate.starts[0]))
 
 
-def _brings_back(selection: Selection, reserved: Selection) -> bool:
+def _brings_back(selection: Selection, reserved: Selection, rules: SelectionRules) -> bool:
     """Return whether a fair share of the cost goes with what is named to the letter, and all of it is believed.
 
     That is what alters inputs or sensors, and beyond doubt what the reading with reserve chose too, if only to
     keep it aside: a function that is wrong off its path looks like physics to the letter alone.
     """
     saved = selection.base.cost - selection.chosen.cost
-    fair = saved > _LETTER.letter_share * selection.base.cost
-    chosen = {part.candidate.term for part in reserved.chosen.parts if selection.first_p < _LETTER.sure_level}
+    fair = saved > rules.letter_share * selection.base.cost
+    chosen = {part.candidate.term for part in reserved.chosen.parts if selection.first_p < rules.sure_level}
     return bool(selection.terms) and fair and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
 
 
@@ -128,7 +129,7 @@ def _without_names(selection: Selection) -> Selection:
 
 
 def _known(
-    case: Case, candidates: Sequence[Candidate], inflation: float, reach: float, *, to_the_letter: bool = False
+    case: Case, candidates: Sequence[Candidate], reach: float, policy: Policy, *, to_the_letter: bool = False
 ) -> SelfTest:
     if not case.graded:
         return SelfTest()
@@ -137,9 +138,10 @@ def _known(
         case.common,
         candidates,
         case.kinematics,
-        inflation=inflation,
+        inflation=policy.comparison.inflation,
         reach=reach,
         knowledge=case.knowledge if to_the_letter else None,
+        policy=policy,
     )
 
 
@@ -148,17 +150,14 @@ def _read(
     rows: Sequence[FlexibleRows],
     candidates: Sequence[Candidate],
     known: SelfTest,
-    inflation: float,
-    rules: Rules | None = None,
 ) -> Reading:
     judge = known.allow(judge)
     structure = build_structure(judge, rows)
     base = nothing(judge)
-    inflation = max(inflation, wander_of(structure, base.entries).ratio)
+    inflation = max(judge.policy.comparison.inflation, wander_of(structure, base.entries).ratio)
     gap = structure.fit(base.entries, inflation)
-    judge = replace(judge, misfit=known.misfit_of(gap))
+    judge = replace(judge, misfit=known.misfit_of(gap, judge.policy))
     structure = replace(structure, judge=judge)
-    rules = rules or Rules()
-    selection = select_terms(judge, candidates, inflation, rules)
-    selection = with_variants_that_run(structure, candidates, selection, inflation, rules)
+    selection = select_terms(judge, candidates, inflation)
+    selection = with_variants_that_run(structure, candidates, selection, inflation)
     return Reading(structure, gap, selection, known, inflation, (judge,))

@@ -15,19 +15,17 @@ from split_cli.diagnosis.innovations.judge import Judge
 from split_cli.diagnosis.innovations.rollouts import Stage, roll_out_stages, shared_rates
 from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.exploration import Explorer, Rules
+from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, with_chosen
 
 __all__ = ["free_running_errors", "with_variants_that_run"]
 
-# Of the error of the variant that is best in one step: a rollout's error is no finer.
-_BETTER = 0.9
 _TINY = 1e-30
 
 
 def with_variants_that_run(
-    structure: Structure, candidates: Sequence[Candidate], selection: Selection, inflation: float, rules: Rules
+    structure: Structure, candidates: Sequence[Candidate], selection: Selection, inflation: float
 ) -> Selection:
     """Return a selection with another variant of a term where that runs freely with clearly smaller errors.
 
@@ -40,9 +38,9 @@ def with_variants_that_run(
     candidates : sequence of Candidate
     selection : Selection
     inflation : float
-    rules : Rules
     """
     judge, chosen = structure.judge, selection.chosen
+    rules = judge.policy.selection
     left = structure.fit(chosen.entries, inflation)
     nameless = structure.nameless_share(left, selection.base.cost - chosen.cost, inflation)
     if nameless <= rules.same_misfit:
@@ -56,9 +54,9 @@ def with_variants_that_run(
         return selection
     own, *theirs = free_running_errors(judge, [chosen, *others])
     best = int(np.argmin(theirs))
-    if not theirs[best] < _BETTER * own:
+    if not theirs[best] < rules.runs_better * own:
         return selection
-    found = with_chosen(Explorer(judge, tuple(candidates), inflation, rules), selection, others[best])
+    found = with_chosen(Explorer(judge, tuple(candidates), inflation), selection, others[best])
     if sum(found.named) < sum(selection.named):
         return selection
     label = others[best].parts[-1].candidate.label

@@ -10,15 +10,10 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.judge import Judge
 from split_cli.diagnosis.innovations.severity import severities_of
-from split_cli.diagnosis.remainder.structure import (
-    TERM_FLOOR,
-    common_severities,
-    minimum_effect_p,
-    term_allowances,
-)
-from split_cli.diagnosis.search.calibration import TERM_MARGIN
+from split_cli.diagnosis.policy import SelectionRules
+from split_cli.diagnosis.remainder.structure import common_severities, minimum_effect_p, term_allowances
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.exploration import Explorer, Rules
+from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.misfit import costs_beside_misfit
 from split_cli.vehicle.effects import Term
@@ -40,8 +35,6 @@ __all__ = [
 
 _ONCE = "nearly all in a few moments"
 _MISFIT = "no more than the others misfit"
-# Misfit is worst somewhere: the best of some thousand stretches saves of it as much as 2 ln 1000 parameters more.
-_SEARCHED_PLACES = 14.0
 
 
 @dataclass(frozen=True)
@@ -106,16 +99,14 @@ def nothing(judge: Judge) -> Fit:
     return Fit((), float(entries @ entries), entries, np.empty((len(entries), 0)))
 
 
-def select_terms(
-    judge: Judge, candidates: Sequence[Candidate], inflation: float, rules: Rules | None = None
-) -> Selection:
+def select_terms(judge: Judge, candidates: Sequence[Candidate], inflation: float) -> Selection:
     """Add the term that saves most while one earns its price, then drop those that no longer do.
 
     Where the best first term leaves something, the search begins anew from the next best: two terms together may
     be one that is not the best alone.
     """
-    rules = rules or Rules()
-    explore = Explorer(judge, tuple(candidates), inflation, rules)
+    rules = judge.policy.selection
+    explore = Explorer(judge, tuple(candidates), inflation)
     base = nothing(judge)
     first = explore(base)
     found = _forward(explore, base, first)
@@ -173,7 +164,7 @@ def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selecti
 
 
 def _believed_together(
-    judge: Judge, chosen: Fit, without: Sequence[Fit], sure: Sequence[bool], rules: Rules
+    judge: Judge, chosen: Fit, without: Sequence[Fit], sure: Sequence[bool], rules: SelectionRules
 ) -> tuple[bool, ...]:
     """Return which parts are named: of those that are sure the largest, and what is no misfit of larger ones."""
     if sum(sure) < 2:
@@ -226,7 +217,7 @@ class _Found:
     history: tuple[str, ...]
     first_p: float
 
-    def with_what_matters(self, base: Fit, rules: Rules) -> Fit:
+    def with_what_matters(self, base: Fit, rules: SelectionRules) -> Fit:
         """Return the explanation with the refused term, if that saves more than a single track misfits.
 
         Too small to be told, it would yet be taken for more or less of the others.
@@ -280,7 +271,7 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit]) -> _Found:
     return _Found(chosen, refused or chosen, names, tuple(history), first_p)
 
 
-def _other_beginnings(first: Sequence[Fit], base: Fit, rules: Rules) -> list[Fit]:
+def _other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) -> list[Fit]:
     """Return the best fits of the next best terms, where they save nearly as much as the best."""
     out: dict[str, Fit] = {}
     saved = base.cost - first[0].cost if first else 0.0
@@ -305,7 +296,7 @@ def block_z(judge: Judge, fit: Fit, other: Fit) -> float:
     return float(difference.sum()) / _error_of_sum(difference)
 
 
-def is_spread(judge: Judge, fit: Fit, k: int, without: Fit, rules: Rules) -> bool:
+def is_spread(judge: Judge, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> bool:
     """Return whether one part saves in enough blocks of time, or its size is known well enough from them all.
 
     A place is passed once a lap. What acts in few blocks saves in few; if it is there, those agree about its size,
@@ -336,7 +327,9 @@ def _error_of_sum(difference: np.ndarray) -> float:
     return float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9
 
 
-def _first_believed(judge: Judge, chosen: Fit, fits: Sequence[Fit], rules: Rules) -> tuple[Fit | None, str]:
+def _first_believed(
+    judge: Judge, chosen: Fit, fits: Sequence[Fit], rules: SelectionRules
+) -> tuple[Fit | None, str]:
     """Return the first further term that is believed; where none is, why not the first of them, in words."""
     sizes = _sizes(judge, chosen.terms, ())
     reasons = []
@@ -347,7 +340,7 @@ def _first_believed(judge: Judge, chosen: Fit, fits: Sequence[Fit], rules: Rules
     return None, reasons[0]
 
 
-def _refusal(judge: Judge, chosen: Fit, sizes: np.ndarray, further: Fit, rules: Rules) -> str:
+def _refusal(judge: Judge, chosen: Fit, sizes: np.ndarray, further: Fit, rules: SelectionRules) -> str:
     """Return why a further term is not believed, in words; nothing where it is.
 
     It may be no larger than what single-track terms leave of a real car's effect. That is measured by prediction
@@ -360,7 +353,9 @@ def _refusal(judge: Judge, chosen: Fit, sizes: np.ndarray, further: Fit, rules: 
     return "" if is_spread(judge, further, len(further.parts) - 1, chosen, rules) else _ONCE
 
 
-def _is_misfit(judge: Judge, size: np.ndarray, of: np.ndarray, before: Fit, after: Fit, rules: Rules) -> bool:
+def _is_misfit(
+    judge: Judge, size: np.ndarray, of: np.ndarray, before: Fit, after: Fit, rules: SelectionRules
+) -> bool:
     """Return whether severities, shape (3,), are no more than terms with severities `of`, shape (3,), misfit.
 
     What large terms misfit in a channel they hardly act in has no simple shape: a term that takes nearly all that
@@ -372,7 +367,7 @@ def _is_misfit(judge: Judge, size: np.ndarray, of: np.ndarray, before: Fit, afte
     return bool(size[channel] < max(rules.least_severity, rules.misfit * of[channel], across, common))
 
 
-def _settles(judge: Judge, channel: int, before: Fit, after: Fit, rules: Rules) -> bool:
+def _settles(judge: Judge, channel: int, before: Fit, after: Fit, rules: SelectionRules) -> bool:
     """Return whether a fit leaves next to noise in a channel where another leaves much more.
 
     Notes
@@ -422,11 +417,11 @@ def explaining_as_well(
     They may where the two differ by chance, and where a misfit that is allowed, or no larger than single tracks
     have, or than a share `misfit` of the part's savings, could have made the difference.
     """
-    rules = Rules()
+    rules, margin = judge.policy.selection, judge.policy.self_test.term_margin
     # An excess is told in what misfit makes of chance; so is what it is compared with.
-    saved = (selection.without[k].cost - selection.chosen.cost) / max(judge.misfit / TERM_MARGIN, 1.0)
+    saved = (selection.without[k].cost - selection.chosen.cost) / max(judge.misfit / margin, 1.0)
     share = min(1.0 / max(_over_allowance(judge, selection.chosen, k), 1e-9), 1.0) ** 2
-    allowed = max(rules.same_excess, max(share, rules.same_misfit, misfit / TERM_MARGIN) * saved)
+    allowed = max(rules.same_excess, max(share, rules.same_misfit, misfit / margin) * saved)
     by_chance = rules.same_share * saved
     return [
         rival
@@ -446,7 +441,7 @@ def p_of_effect(judge: Judge, candidate: Candidate, size: float, saved: float, i
     What misfit may save is told twice, as what it is known to save and as what it adds to chance. A term has to
     stand against each, so the larger of two is returned; both at once would count it double.
     """
-    floor = max(TERM_FLOOR * judge.shared_cost, judge.term_floors.get(candidate.term, 0.0))
+    floor = max(judge.policy.allowances.term_floor * judge.shared_cost, judge.term_floors.get(candidate.term, 0.0))
 
     def p_value(freedom: float, widened: float, spared: float) -> float:
         return minimum_effect_p(saved, freedom, size, widened, spared, allowance=1.0)
@@ -454,7 +449,7 @@ def p_of_effect(judge: Judge, candidate: Candidate, size: float, saved: float, i
     known = p_value(candidate.complexity, inflation, floor)
     if judge.misfit <= inflation:
         return known
-    searched = candidate.complexity + (_SEARCHED_PLACES if candidate.located else 0.0)
+    searched = candidate.complexity + (judge.policy.selection.searched_places if candidate.located else 0.0)
     return max(known, p_value(searched, judge.misfit, 0.0))
 
 

@@ -9,7 +9,6 @@ from scipy.optimize import brentq
 
 from split_cli.diagnosis.innovations.judge import Judge, alters_inputs
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.exploration import Rules
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.selection import nothing, over_allowance, p_of_effect
 from split_cli.diagnosis.statement.result import Detectable
@@ -79,7 +78,7 @@ def _smallest(
         p_value = p_of_effect(judge, candidate, size, saved, inflation)
         margin = np.log(level) - np.log(max(p_value, 1e-300))
         if judge.to_the_letter:
-            margin = min(margin, np.log(saved / (saved + bare.cost)) - np.log(Rules().letter_share))
+            margin = min(margin, np.log(saved / (saved + bare.cost)) - np.log(judge.policy.selection.letter_share))
         return float(margin)
 
     values, factor, inside = dict(start), 1.0, True

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.policy import Abstention
 from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.remainder.wander import Wander, wander_of
-from split_cli.diagnosis.search.exploration import Rules
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.reading import Reading
 from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well, term_size, without_parts
@@ -21,55 +21,25 @@ from split_cli.diagnosis.verdict.constancy import parameter_drifts
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["Abstention", "describe", "wanders", "with_shares"]
+__all__ = ["describe", "wanders", "with_shares"]
 
 _SHOWN_RIVALS = 6
 
 
-@dataclass(frozen=True)
-class Abstention:
-    """When something is said to have no name.
-
-    Attributes
-    ----------
-    level : float
-        p below which what is left is no noise.
-    share : float
-        Share of the gap without a name from which on it is said to be unexplained.
-    severity : float
-        Severity below which nothing is called unexplained.
-    size, most : float
-        Severity of the remainder, over that of the gap, from which on it is unexplained whatever its share; and
-        severity from which on it is in any case.
-    most_alternatives : int
-        Terms that explain the data as well, exact degeneracies not counted, above which none of them is named.
-    widest_place : float
-        Share of the track that the interval of a stretch's end may cover.
-    """
-
-    level: float = 0.01
-    share: float = 0.08
-    severity: float = 0.12
-    size: float = 0.12
-    most: float = 0.6
-    most_alternatives: int = 4
-    widest_place: float = 0.5
-
-
 def describe(
-    reading: Reading, rules: Abstention, contradicted: bool = False
+    reading: Reading, contradicted: bool = False
 ) -> tuple[Selection, tuple[Finding, ...], RemainderTest, bool]:
     """Return what is trusted of a reading's selection, its findings, what is left, and whether that has no name.
 
     Parameters
     ----------
     reading : Reading
-    rules : Abstention
     contradicted : bool
         Whether speed or yaw rate is out of scale: then physics is not named, which might stand for it.
     """
     structure, selection, inflation = reading.structure, reading.selection, reading.inflation
     judge = structure.judge
+    rules = judge.policy.abstention
     remainder = _remainder(structure, selection, inflation)
     findings = _findings(judge, selection, remainder.share)
     wander = wander_of(structure, selection.chosen.entries)
@@ -115,7 +85,8 @@ def _is_unexplained(
 ) -> bool:
     """Return whether what is left is structured and large, or wanders."""
     large = 2.0 * rules.severity
-    if len(findings) < Rules().most_terms:  # as many names as there may be, and yet something left: no name is
+    most_terms = reading.structure.judge.policy.selection.most_terms
+    if len(findings) < most_terms:  # as many names as there may be, and yet something left: no name is
         large = max(large, min(rules.size * reading.gap.severity, rules.most))
     if wanders(wander, reading.known.wander, rules) and wander.severity > large:
         return True

@@ -1,0 +1,330 @@
+"""Every number that decides something in a diagnosis, with its unit, its meaning and where it comes from.
+
+One frozen `Policy` is passed down. Numbers that only set how finely something is computed stand beside the
+algorithm they belong to. The origin of a number is ``theory`` (it follows from a formula or a definition),
+``study`` (a command of this project measured it) or ``judgement`` (somebody chose it, and nobody has measured a
+better one).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import Field, asdict, dataclass, field, fields, replace
+from typing import Any
+
+__all__ = [
+    "STANDARD",
+    "Abstention",
+    "Allowances",
+    "Comparison",
+    "Policy",
+    "SelectionRules",
+    "SelfTestRules",
+    "deciding_numbers",
+]
+
+_THEORY, _JUDGEMENT = "theory: ", "judgement: "
+_CHOSEN = _JUDGEMENT + "chosen while developing on cases of `split prove`, without a study of its own"
+
+
+def _number(default: float, unit: str, meaning: str, origin: str) -> Any:
+    return field(default=default, metadata={"unit": unit, "meaning": meaning, "origin": origin})
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is compared, and from which evidence on simulation and reality differ."""
+
+    level: float = _number(
+        0.001,
+        "1",
+        "p value below which simulation and reality differ",
+        _CHOSEN
+        + "; true differences mostly give less than 1e-6, model-form error more often than chance 1e-4 to 1e-2",
+    )
+    inflation: float = _number(
+        1.5, "1", "variance inflation factor: by how much autocorrelation widens chi squared at least", _CHOSEN
+    )
+    holdout_share: float = _number(
+        0.25,
+        "1",
+        "share of the real drives' time kept out, at the end, when no drive is given for it",
+        _JUDGEMENT + "a quarter is the usual share of a hold-out",
+    )
+    reach: float = _number(
+        0.35, "1", "distance in scaled features up to which a real row lies where the simulation has been", _CHOSEN
+    )
+    far_reach: float = _number(
+        0.7, "1", "the same distance where hardly any row is nearer", _JUDGEMENT + "twice the usual reach"
+    )
+    least_rows: int = _number(
+        250, "rows of 0.04 s", "evidence below which nothing is decided", _JUDGEMENT + "ten seconds of driving"
+    )
+    least_share: float = _number(
+        0.1, "1", "compared share of the real drive below which what has no name is not decided", _CHOSEN
+    )
+
+
+@dataclass(frozen=True)
+class SelectionRules:
+    """Which physical terms are named, kept as nuisances, or listed as alternatives."""
+
+    price: float = _number(
+        8.0,
+        "chi squared",
+        "cost that a searched parameter has to save, before inflation",
+        _THEORY + "between the prices of AIC (2) and BIC (ln n, about 9 for an hour's rows)",
+    )
+    most_terms: int = _number(3, "terms", "terms that are named at most", _CHOSEN)
+    most_aside: int = _number(
+        2,
+        "terms",
+        "nuisance terms, which save more than chance but are too small to name",
+        _CHOSEN,
+    )
+    aside_severity: float = _number(
+        0.12,
+        "effect-to-noise ratio",
+        "size below which model-form error of other terms is a nuisance, too",
+        _CHOSEN,
+    )
+    most_of_lap: float = _number(
+        0.75,
+        "1",
+        "share of the lap from which on a stretch is no stretch",
+        _JUDGEMENT + "what acts nearly all round",
+    )
+    full_fits: int = _number(
+        9, "fits", "candidates that are fitted fully in each step", _JUDGEMENT + "computing time"
+    )
+    followed: int = _number(
+        5,
+        "fits",
+        "best candidates in which the shared model discrepancy follows the inputs they change",
+        _JUDGEMENT + "computing time",
+    )
+    same_within: float = _number(
+        2.5,
+        "standard errors",
+        "paired block difference up to which two explanations are as good",
+        _THEORY + "98.8 % of a normal deviate, two-sided",
+    )
+    same_excess: float = _number(
+        9.0,
+        "chi squared",
+        "cost above the chosen explanation up to which another is as good, after inflation",
+        _THEORY + "three standard errors of one parameter",
+    )
+    same_share: float = _number(
+        0.15, "1", "share of what the chosen term saves beyond which a rival is worse whatever its error", _CHOSEN
+    )
+    same_misfit: float = _number(
+        0.01, "1", "share of what the chosen term saves that no single-track model fits better than", _CHOSEN
+    )
+    least_severity: float = _number(0.20, "effect-to-noise ratio", "least size of a further term", _CHOSEN)
+    misfit: float = _number(
+        0.30,
+        "1",
+        "model-form error over the size of the chosen terms, in the channel of the further term",
+        _CHOSEN,
+    )
+    misfit_across: float = _number(0.07, "1", "the same in any other channel", _CHOSEN)
+    settled: float = _number(
+        0.8,
+        "1",
+        "share of what is left in a channel: a term that takes more is no model-form error of others",
+        _JUDGEMENT + "nearly all of it",
+    )
+    settled_noise: float = _number(
+        4.0,
+        "1",
+        "variance left over noise variance from which on `settled` applies",
+        _JUDGEMENT + "twice the noise",
+    )
+    common_misfit: float = _number(
+        0.10, "1", "model-form error over the size of the shared model discrepancy, in that channel", _CHOSEN
+    )
+    considered: int = _number(
+        3, "terms", "further terms that are considered in each step, those that save most", _CHOSEN
+    )
+    spread: float = _number(
+        3.5,
+        "standard errors",
+        "saving that a term needs, from differences block by block",
+        _THEORY + "5e-4 of a normal deviate, two-sided",
+    )
+    sure: float = _number(15.0, "standard errors", "or its size, from scores block by block", _CHOSEN)
+    plain: float = _number(
+        1.0, "effect-to-noise ratio", "or its size against noise", _THEORY + "as large as the noise"
+    )
+    much_misfit: float = _number(
+        3.0,
+        "1",
+        "variance inflation by model-form error from which on a place is believed like any few moments",
+        _CHOSEN,
+    )
+    letter_share: float = _number(
+        0.2,
+        "1",
+        "share of the cost to be saved with a fixed baseline",
+        _CHOSEN + "; halves of one recording save a ninth",
+    )
+    sure_level: float = _number(
+        1e-12, "1", "p value below which a name needs no second search with a fixed baseline", _CHOSEN
+    )
+    swaps: int = _number(
+        2, "swaps", "rounds in which a rival may take a term's place", _JUDGEMENT + "computing time"
+    )
+    least_swap: float = _number(
+        1.0,
+        "chi squared",
+        "cost that a rival has to save to take a term's place",
+        _JUDGEMENT + "terms that tie stay",
+    )
+    beginnings: int = _number(
+        2, "searches", "other first terms from which the search begins anew", _JUDGEMENT + "computing time"
+    )
+    level: float = _number(
+        0.01,
+        "1",
+        "level of the minimum-effect test of a name, after counting the terms tried",
+        _JUDGEMENT + "a usual level",
+    )
+    same_cost: float = _number(
+        0.5,
+        "chi squared",
+        "cost up to which two explanations of the same terms are one, before inflation",
+        _JUDGEMENT + "a half of what one parameter saves by chance",
+    )
+    searched_places: float = _number(
+        14.0,
+        "chi squared",
+        "what the best of some thousand stretches saves of model-form error beyond one stretch",
+        _THEORY + "2 ln 1000",
+    )
+    misfit_share: float = _number(
+        0.10, "1", "prior deviation of a term's model-form error, as a share of the term's effect", _CHOSEN
+    )
+    runs_better: float = _number(
+        0.9,
+        "1",
+        "free-running error, over that of the best in one step, below which a variant takes its place",
+        _JUDGEMENT + "the error of a rollout is known no better",
+    )
+
+
+@dataclass(frozen=True)
+class Abstention:
+    """When something is said to have no name."""
+
+    level: float = _number(0.01, "1", "p value below which what is left is no noise", _JUDGEMENT + "a usual level")
+    share: float = _number(0.08, "1", "share of the gap without a name from which on it is unexplained", _CHOSEN)
+    severity: float = _number(
+        0.12, "effect-to-noise ratio", "size below which nothing is called unexplained", _CHOSEN
+    )
+    size: float = _number(
+        0.12,
+        "1",
+        "size of the remainder over that of the gap from which on it is unexplained whatever its share",
+        _CHOSEN,
+    )
+    most: float = _number(
+        0.6, "effect-to-noise ratio", "size of the remainder from which on it is unexplained in any case", _CHOSEN
+    )
+    most_alternatives: int = _number(
+        4,
+        "terms",
+        "alternatives, exact degeneracies not counted, above which none of them is named",
+        _JUDGEMENT + "a list of more helps nobody",
+    )
+    widest_place: float = _number(
+        0.5,
+        "1",
+        "share of the track that the interval of a stretch's end may cover",
+        _JUDGEMENT + "half the track",
+    )
+
+
+@dataclass(frozen=True)
+class Allowances:
+    """Differences too small to be called one: what any nominal model misses in one way of driving only."""
+
+    term: float = _number(
+        0.05, "effect-to-noise ratio", "size below which a term is not named, beside a simulation", _CHOSEN
+    )
+    bare: float = _number(
+        0.09, "effect-to-noise ratio", "the same against the bare nominal model, which misses more", _CHOSEN
+    )
+    nameless: float = _number(
+        0.10, "effect-to-noise ratio", "size below which a difference without a name is none", _CHOSEN
+    )
+    common_share: float = _number(
+        0.03, "1", "share of the shared model discrepancy, by channel, that its dictionary misses", _CHOSEN
+    )
+    structure_floor: float = _number(
+        1e-4, "1", "share of the discrepancy's cost that a flexible fit may save without a difference", _CHOSEN
+    )
+    term_floor: float = _number(1e-5, "1", "the same for a single term", _CHOSEN)
+    misfit_a_parameter: float = _number(
+        1.8, "chi squared", "what a flexible fit may save beyond chance by each effective parameter", _CHOSEN
+    )
+
+
+@dataclass(frozen=True)
+class SelfTestRules:
+    """What the simulation shows against itself, half by half, and how much more reality has to show."""
+
+    least_rows: int = _number(
+        150, "rows of 0.04 s", "rows below which a half tells nothing", _JUDGEMENT + "six seconds of driving"
+    )
+    nameless_margin: float = _number(
+        2.0,
+        "1",
+        "by how much more reality has to show without a name",
+        _JUDGEMENT + "reality may cover other ground than the second half did",
+    )
+    term_margin: float = _number(1.5, "1", "by how much more reality has to show of a term", _CHOSEN)
+    kindred: float = _number(0.33, "1", "share of the largest term's saving that any term may show", _CHOSEN)
+
+
+@dataclass(frozen=True)
+class Policy:
+    """All numbers that decide, by what they decide on.
+
+    Attributes
+    ----------
+    comparison : Comparison
+    selection : SelectionRules
+    abstention : Abstention
+    allowances : Allowances
+    self_test : SelfTestRules
+    """
+
+    comparison: Comparison = Comparison()
+    selection: SelectionRules = SelectionRules()
+    abstention: Abstention = Abstention()
+    allowances: Allowances = Allowances()
+    self_test: SelfTestRules = SelfTestRules()
+
+    def altered(self, group: str, **values: float) -> Policy:
+        """Return a policy with other values of some numbers of one group."""
+        return replace(self, **{group: replace(getattr(self, group), **values)})
+
+    def described(self) -> dict[str, float]:
+        """Return all numbers by name, as `diagnosis.json` lists them: those of the comparison without prefix."""
+        return {
+            name if group == "comparison" else f"{group}_{name}": value
+            for group, numbers in asdict(self).items()
+            for name, value in numbers.items()
+        }
+
+
+STANDARD = Policy()
+
+
+def deciding_numbers(policy: Policy = STANDARD) -> Iterator[tuple[str, Field, float]]:
+    """Yield the group, the field (its metadata hold unit, meaning and origin) and the value of every number."""
+    for group in fields(policy):
+        numbers = getattr(policy, group.name)
+        for one in fields(numbers):
+            yield group.name, one, getattr(numbers, one.name)
