@@ -31,7 +31,7 @@ def window_errors(columns: Mapping[str, np.ndarray], vehicle: Vehicle, terms: Se
     recording = Recording.single(1.0 / RATE, len(columns["t"]))
     for term in terms:
         # A late sensor is told by the commands' clock, see the term.
-        if not term.exported and term.id != "sensor_delay":
+        if term.corrects:
             columns = term.correct(columns, recording)
     velocity = np.stack([columns["vx"], columns["vy"], columns["r"]], axis=1)
     place = {"time": columns["t"], "track_position": columns["s"], "yaw": columns["yaw"]}

@@ -27,7 +27,7 @@ class RecordingCorrection:
 
     def __init__(self, vehicle: Vehicle) -> None:
         terms = build_terms(vehicle)
-        self._sensors = [term for term in terms if not term.exported and term.id != "sensor_delay"]
+        self._sensors = [term for term in terms if term.corrects]
         self._places = any({"s_start", "wavelength"} & set(term.parameters) for term in terms)
         self._wheelbase = vehicle.wheelbase
         self._first: tuple[str, str] | None = None

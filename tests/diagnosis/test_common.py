@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.baseline.common import _TANGENTS, build_common_physics, natural_unit
+from split_cli.diagnosis.baseline.common import build_common_physics, tangents
 from split_cli.diagnosis.recording.series import extended_model
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
@@ -22,10 +22,14 @@ def tire(vehicle: Vehicle, axle: str, **factors: float) -> dict:
     }
 
 
+def unit_of(car: Vehicle, term: str, parameter: str) -> float:
+    return CATALOGUE[term].sizes(car).get(parameter, 1.0)
+
+
 def altered(name: str, step: float) -> Vehicle:
     """Return the vehicle that a tangent's step makes, written without the terms."""
     car = road_car()
-    size = step * natural_unit(car, *name.split("."))
+    size = step * unit_of(car, *name.split("."))
     match name:
         case "friction_scale.scale":
             # scale D sin(C atan(B alpha/scale))
@@ -57,17 +61,17 @@ def altered(name: str, step: float) -> Vehicle:
 )
 def test_a_tangent_is_what_altering_the_vehicle_does(name, common, nominal_series):
     term, parameter = name.split(".")
-    (k,) = (k for k, entry in enumerate(_TANGENTS) if (*entry[:1], *entry[1:3]) == (term, "", parameter))
+    (k,) = (k for k, entry in enumerate(tangents()) if (entry[0].id, *entry[1:3]) == (term, "", parameter))
     columns = common.columns(nominal_series)[:, :, k]
     plain = nominal_series.rates(extended_model(road_car()))
-    expected = nominal_series.rates(extended_model(altered(name, _TANGENTS[k][3]))) - plain
+    expected = nominal_series.rates(extended_model(altered(name, tangents()[k][3]))) - plain
     # Two ways to write one number; the atan is taken in another order of rounding.
     np.testing.assert_allclose(columns, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     assert np.abs(expected).max() > 0.01
 
 
 def test_a_tangent_of_an_input_is_what_altering_the_input_does(common, nominal_series):
-    names = [(entry[0], entry[2]) for entry in _TANGENTS]
+    names = [(entry[0].id, entry[2]) for entry in tangents()]
     columns = common.columns(nominal_series)
     model = extended_model(road_car())
     plain = nominal_series.rates(model)
@@ -85,24 +89,23 @@ def test_a_tangent_of_an_input_is_what_altering_the_input_does(common, nominal_s
 def test_tangents_are_secants_that_tend_to_the_derivative(common, nominal_series):
     """Over its step, a smooth term's tangent differs from the central difference by its curvature alone."""
     columns, plain = common.columns(nominal_series), nominal_series.rates(extended_model(road_car()))
-    for k, (name, variant, parameter, step) in enumerate(_TANGENTS):
-        kind = CATALOGUE[name]
+    for k, (kind, variant, parameter, step) in enumerate(tangents()):
         neutral = {key: kind.neutral[key] for key in kind.units}
-        size = step * natural_unit(road_car(), name, parameter)
+        size = step * unit_of(road_car(), kind.id, parameter)
 
         def rates(value, kind=kind, neutral=neutral, parameter=parameter, variant=variant):
             term = kind({**neutral, parameter: value}, variant)
             return nominal_series.rates(extended_model(road_car(), (term,)))
 
         # Lags and lengths end at 0: there, forward; and where it is steep at first, only the far end is told.
-        if neutral[parameter] == 0.0 and name in ("drive_lag", "steer_lag", "tire_relaxation"):
+        if neutral[parameter] == 0.0 and kind.id in ("drive_lag", "steer_lag", "tire_relaxation"):
             np.testing.assert_allclose(columns[:, :, k], rates(size) - plain, rtol=1e-9, atol=1e-12)
             continue
         half = 1e-4 * size
         slope = (rates(neutral[parameter] + half) - rates(neutral[parameter] - half)) / (2e-4)
         away = np.linalg.norm(columns[:, :, k] - slope) / np.linalg.norm(slope)
         # The largest steps are a half of what the parameter may be.
-        assert away < 0.35, (name, away)
+        assert away < 0.35, (kind.id, away)
 
 
 def test_rates_of_weights_are_the_columns_times_them(common, nominal_series):
@@ -160,7 +163,7 @@ def test_what_is_common_is_the_same_in_the_mirror(common, nominal_series):
 def test_nothing_is_extrapolated(common, nominal_series):
     """Twice as fast and sideways as the simulation has ever been: smooth functions stay within their bounds."""
     wild = replace(nominal_series, smooth=nominal_series.smooth * np.array([2.0, 10.0, 10.0]))
-    first = len(_TANGENTS)
+    first = len(tangents())
     inside = np.abs(common.columns(nominal_series)[:, :, first:]).max()
     # Each scaled feature levels off at 2, and four of them are multiplied at most.
     assert np.abs(common.columns(wild)[:, :, first:]).max() < 2.0**4 * max(inside, 1.0)

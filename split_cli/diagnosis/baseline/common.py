@@ -20,35 +20,8 @@ from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["CommonPhysics", "build_common_physics"]
+__all__ = ["CommonPhysics", "build_common_physics", "tangents"]
 
-# (term, variant, parameter, step from neutral): the step is both the tangent's width and the prior deviation.
-_TANGENTS = (
-    ("combined_slip", "", "strength", 0.5),
-    ("load_transfer", "", "cg_height", 0.2),
-    ("load_transfer", "peak", "cg_height", 0.2),
-    ("friction_scale", "", "scale", -0.15),
-    ("tire_stiffness", "", "front_scale", 0.15),
-    ("tire_stiffness", "", "rear_scale", 0.15),
-    ("aero_downforce", "", "front", 0.3),
-    ("aero_downforce", "", "rear", 0.3),
-    ("aero_drag", "", "drag", 0.2),
-    ("rolling_resistance", "", "force", 0.01),
-    ("yaw_moment_differential", "", "yaw_damping", 0.2),
-    ("yaw_moment_differential", "driven", "yaw_damping", 0.2),
-    ("drive_gain", "", "drive_gain", 0.1),
-    ("drive_gain", "", "brake_gain", 0.1),
-    ("drive_lag", "", "tau", 0.03),
-    ("drive_lag", "", "tau", 0.10),
-    ("steer_gain", "", "gain", 0.05),
-    ("steer_lag", "", "tau", 0.02),
-    ("steer_lag", "", "tau", 0.06),
-    ("tire_relaxation", "", "length", 0.15),
-    ("tire_relaxation", "", "length", 0.5),
-    ("mass", "", "scale", 0.1),
-    ("yaw_inertia", "", "scale", 0.1),
-    ("cg_shift", "", "dx", 0.03),
-)  # fmt: skip
 # Powers of alpha_f, alpha_r, T and v_x in the smooth functions, even and odd in the slip angles.
 _POWERS = [
     (i, j, k, m)
@@ -84,9 +57,10 @@ class CommonPhysics:
     def columns(self, series: Series) -> np.ndarray:
         """Return the rates each entry adds along a recording, shape (N, 3, C) [m/s^2], [m/s^2], [rad/s^2]."""
         plain, functions = series.rates(extended_model(self.vehicle)), self._functions(series)
-        first, directions = len(_TANGENTS), self._directions()
+        entries = tangents()
+        first, directions = len(entries), self._directions()
         out = np.empty((len(series), 3, first + sum(len(some) for _, some in functions)))
-        for k, entry in enumerate(_TANGENTS):
+        for k, entry in enumerate(entries):
             out[:, :, k] = series.rates(self._altered(*entry)) - plain
         for axis, some in functions:
             np.multiply(some.T[:, None, :], directions[:, axis, None], out=out[:, :, first : first + len(some)])
@@ -103,10 +77,11 @@ class CommonPhysics:
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), smooth)
         actual = replace(series, smooth=smooth, torque=torque, steer_angle=steer_angle)
-        tangents, others = np.split(np.asarray(weights, dtype=float), [len(_TANGENTS)])
+        entries = tangents()
+        of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(entries)])
         # Row by row, and the plain rates taken off once: a sum over all of them is what costs.
-        out = [-tangents.sum() * row for row in actual.rate_rows(extended_model(self.vehicle))]
-        for entry, weight in zip(_TANGENTS, tangents, strict=True):
+        out = [-of_tangents.sum() * row for row in actual.rate_rows(extended_model(self.vehicle))]
+        for entry, weight in zip(entries, of_tangents, strict=True):
             for row, added in zip(out, actual.rate_rows(self._altered(*entry)), strict=True):
                 row += weight * added
         directions = self._directions()
@@ -125,9 +100,9 @@ class CommonPhysics:
         z = np.ascontiguousarray(_squash(features(series, self.vehicle), self.center, self.width).T)
         return [*self._smooth(z), *self._memory(z, series)]
 
-    def _altered(self, name: str, variant: str, parameter: str, step: float) -> SingleTrack:
-        kind, car = CATALOGUE[name], self.vehicle
-        scaled = step * natural_unit(car, name, parameter)
+    def _altered(self, kind: type[Term], variant: str, parameter: str, step: float) -> SingleTrack:
+        car = self.vehicle
+        scaled = step * kind.sizes(car).get(parameter, 1.0)
         neutral = {key: kind.neutral[key] for key in kind.units}
         term = kind({**neutral, parameter: kind.neutral[parameter] + scaled}, variant)
         return extended_model(car, (term,))
@@ -190,29 +165,12 @@ def scaled_features(series: Series, vehicle: Vehicle) -> np.ndarray:
     return z / np.maximum(np.quantile(np.abs(z), 0.99, axis=0), 1e-9)
 
 
-def natural_unit(vehicle: Vehicle, term: str, parameter: str) -> float:
-    """Return a size of a parameter that matters for this vehicle: what 1 means in tables written for all cars."""
-    weight = vehicle.mass * 9.80665
-    length = vehicle.wheelbase / 2.7
-    capacity = vehicle.front_tire.D + vehicle.rear_tire.D
-    speed2 = 400.0 * length  # (20 m/s)^2 for a full-size car; speeds scale with the root of length
-    units = {
-        ("aero_downforce", "front"): 0.5 * weight / speed2,
-        ("aero_downforce", "rear"): 0.5 * weight / speed2,
-        ("aero_drag", "drag"): 0.1 * weight / speed2,
-        ("rolling_resistance", "force"): weight,
-        ("wind", "wx"): np.sqrt(speed2),
-        ("wind", "wy"): np.sqrt(speed2),
-        # Damping that takes a tenth of what the tyres damp at that speed.
-        ("yaw_moment_differential", "yaw_damping"): 0.25 * capacity * vehicle.wheelbase**2 / np.sqrt(speed2),
-        ("load_transfer", "cg_height"): vehicle.wheelbase,
-        ("cg_shift", "dx"): vehicle.wheelbase,
-        ("sensor_lever_arm", "dx"): vehicle.wheelbase,
-        ("tire_relaxation", "length"): vehicle.wheelbase / 2.7,
-        **{(name, "delay"): np.sqrt(length) for name in ("steer_delay", "drive_delay", "sensor_delay")},
-        **{(name, "tau"): np.sqrt(length) for name in ("steer_lag", "drive_lag")},
-    }
-    return float(units.get((term, parameter), 1.0))
+def tangents() -> tuple[tuple[type[Term], str, str, float], ...]:
+    """Return term, variant, parameter and step from neutral of every tangent, as the terms state them.
+
+    The step, in units of `Term.sizes`, is both the tangent's width and the prior deviation.
+    """
+    return tuple((kind, *entry) for kind in CATALOGUE.values() for entry in kind.discrepancy)
 
 
 def _squash(z: np.ndarray, center: np.ndarray, width: np.ndarray) -> np.ndarray:

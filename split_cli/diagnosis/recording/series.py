@@ -78,7 +78,7 @@ class Series:
         measured, smooth = self.measured, self.smooth
         for term in terms:
             # A sensor's delay is taken into account by the commands' clock, see `SensorDelay`.
-            if not term.exported and term.id != "sensor_delay":
+            if term.corrects:
                 measured = _apply(term, measured, self.recording)
                 smooth = _apply(term, smooth, self.recording)
         return measured, smooth

@@ -17,11 +17,6 @@ __all__ = ["judgeable", "tellable"]
 
 _LEAST_SHARE = 0.7
 _MUCH_SLIPPING = 0.02
-_NEED_POSITION = frozenset({"wind", "friction_patch"})
-_NEED_TORQUE = frozenset({
-    "aero_drag", "drive_delay", "drive_gain", "drive_lag", "mass", "road_grade", "rolling_resistance",
-    "sensor_delay",
-})  # fmt: skip
 
 
 def judgeable(real: Sequence[Evidence], vehicle: Vehicle, share: float = 1.0) -> tuple[str, ...]:
@@ -80,12 +75,12 @@ def tellable(candidates: Sequence[Candidate], real: Sequence[Series], vehicle: V
     and yaw. What acts along the car is told only by a torque that was not derived from how the car moved, and
     what comes of the torque only where that changes.
     """
-    kept = list(candidates)
+    lacking = set()
     drives = [one.drive for one in real]
     if not all(drive.has_position for drive in drives):
-        kept = [one for one in kept if not one.located and one.term not in _NEED_POSITION]
+        lacking.add("position")
     if any(map(torque_is_derived, drives)):
-        kept = [one for one in kept if one.term not in _NEED_TORQUE]
+        lacking.add("torque")
     if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle):
-        kept = [one for one in kept if not one.term.startswith("drive_")]
-    return kept
+        lacking.add("torque changes")
+    return [one for one in candidates if not lacking & one.needs]

@@ -6,13 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from split_cli.diagnosis.statement.wording import term_name
-from split_cli.vehicle.effects import CATALOGUE, Mimic, Term
+from split_cli.vehicle.effects import CATALOGUE, Mimic
 
 __all__ = ["Separation", "exact_mimics", "look_alike", "separation"]
-
-_STEERING = frozenset({"steer_offset", "steer_gain", "steer_delay", "steer_lag", "steer_backlash"})
-_TORQUE = frozenset({"drive_gain", "drive_delay", "drive_lag", "aero_drag", "rolling_resistance", "mass"})
-_PLACES = frozenset({"friction_patch", "road_grade", "road_bank"})
 
 
 @dataclass(frozen=True)
@@ -80,32 +76,27 @@ def _same(mimic: Mimic, terms: str) -> bool:
 def _by_kind(term: str, others: Sequence[str]) -> str:
     """Return the excitation that brings out what two kinds of terms do differently."""
     kinds = [CATALOGUE[one] for one in (term, *others) if one in CATALOGUE]
-    ids = {kind.id for kind in kinds}
+    families, late = {kind.family for kind in kinds}, {kind.acts_late() for kind in kinds}
 
-    def differ(has) -> bool:
-        return len({bool(has(kind)) for kind in kinds}) > 1
+    def one_of_them(family: str) -> bool:
+        return family in families and len(families) > 1
 
-    if differ(lambda kind: not kind.exported and kind.id != "sensor_delay"):
+    if one_of_them("measurement"):
         return "position and yaw recorded beside the velocities"
-    if differ(lambda kind: kind.id == "grip_fade"):
+    if one_of_them("time"):
         return "the same manoeuvre at the start and at the end of a drive"
-    if all(_remembers(kind) for kind in kinds):
+    if late == {True}:
         return "steps of steering and of torque, each at two speeds"
-    if all(kind.id in _PLACES for kind in kinds):
+    if families == {"place"}:
         return "gentle and hard turns on the same stretch, with and without torque"
-    if differ(lambda kind: kind.id in _PLACES):
+    if one_of_them("place"):
         return "the same place at another speed and in the other direction"
-    if differ(lambda kind: kind.id == "wind"):
+    if one_of_them("air"):
         return "the same manoeuvre in the opposite direction"
-    if differ(_remembers):
+    if len(late) > 1:
         return "steps of steering and torque, and steady driving between them"
-    if ids & _TORQUE and differ(lambda kind: kind.id in _TORQUE):
+    if one_of_them("along"):
         return "acceleration and braking on a straight, and turns without torque"
-    if ids & _STEERING and differ(lambda kind: kind.id in _STEERING):
+    if one_of_them("steering"):
         return "steady turns to both sides, gentle and near the limit, at two speeds"
     return "steady turns up to the limit at two speeds, with and without torque"
-
-
-def _remembers(kind: type[Term]) -> bool:
-    """Return whether a term acts late: it has states of its own, or delays inputs, or changes the inertia."""
-    return bool(kind.states) or "delay" in kind.units or kind.id == "yaw_inertia"

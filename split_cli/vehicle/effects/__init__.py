@@ -1,23 +1,38 @@
 """Named physical terms that may be added to the nominal single track, one file a family.
 
+Every module here is read: a term that its `__all__` lists is in the catalogue, and all that is said of it stands
+on its class.
+
 May import: vehicle (single_track, tire, operations, parameters), errors.
 """
 
 from __future__ import annotations
 
+import pkgutil
+from collections.abc import Iterable
+from importlib import import_module
+
 from split_cli.errors import VehicleError, nearest_names
-from split_cli.vehicle.effects import actuators, body, forces, road, sensors, tires
 from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["CATALOGUE", "Mimic", "Recording", "Term", "build_terms"]
+__all__ = ["CATALOGUE", "Mimic", "Recording", "Term", "build_terms", "find_terms"]
 
-CATALOGUE: dict[str, type[Term]] = {
-    kind.id: kind
-    for family in (tires, forces, road, actuators, body, sensors)
-    for kind in (getattr(family, name) for name in family.__all__)
-}
+
+def find_terms(folders: Iterable[str]) -> dict[str, type[Term]]:
+    """Return the terms that the modules of this package in some folders list, by id, in the modules' order."""
+    found = {}
+    for one in sorted(pkgutil.iter_modules(folders), key=lambda one: one.name):
+        module = import_module(f"{__name__}.{one.name}")
+        for name in getattr(module, "__all__", ()):
+            kind = getattr(module, name)
+            if isinstance(kind, type) and issubclass(kind, Term) and kind is not Term:
+                found[kind.id] = kind
+    return found
+
+
+CATALOGUE: dict[str, type[Term]] = find_terms(__path__)
 
 
 def build_terms(vehicle: Vehicle) -> tuple[Term, ...]:

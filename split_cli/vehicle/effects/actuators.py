@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from split_cli.vehicle.effects.search import DELAY_SEARCH, LAG_SEARCH, Course, Range, Search, time_unit
 from split_cli.vehicle.effects.term import Mimic, Term
+from split_cli.vehicle.effects.wording import Estimates, amount, late, scaled
 from split_cli.vehicle.flow import Flow
+from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
     "DriveDelay",
@@ -26,11 +29,28 @@ class DriveDelay(Term):
     id = "drive_delay"
     units: ClassVar = {"delay": "s"}
     neutral: ClassVar = {"delay": 0.0}
+    family = "along"
+    needs: ClassVar = frozenset({"torque", "torque changes"})
     order = 0
     mimics: ClassVar = (
         Mimic("drive_lag", "torque that changes slowly", "a torque step"),
         Mimic("sensor_delay", "steering that hardly changes", "a steer step"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"delay": time_unit(vehicle)}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return DELAY_SEARCH
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"torque arrives {late(p['delay'])}"
 
     @property
     def input_delays(self) -> Mapping[str, float]:
@@ -48,11 +68,27 @@ class DriveGain(Term):
     id = "drive_gain"
     units: ClassVar = {"drive_gain": "1", "brake_gain": "1"}
     neutral: ClassVar = {"drive_gain": 1.0, "brake_gain": 1.0}
+    family = "along"
+    needs: ClassVar = frozenset({"torque", "torque changes"})
+    discrepancy: ClassVar = (("", "drive_gain", 0.1), ("", "brake_gain", 0.1))
     order = 1
     mimics: ClassVar = (
         Mimic("mass+friction_scale+yaw_inertia", "only F/m is seen", exact=True),
         Mimic("rolling_resistance", "torque of one size", "driving at several torques"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        limits = Range(0.2, 3.0, 0.01)
+        ranges = {"drive_gain": limits, "brake_gain": limits}
+        return Search(ranges, ({"drive_gain": 0.97, "brake_gain": 0.97},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        driving, braking = (scaled(p[name], "too strong", "too weak") for name in ("drive_gain", "brake_gain"))
+        return f"driving torque arrives {driving} and braking torque {braking}"
 
     def actuate(self, flow: Flow) -> None:
         """Scale the torque by its sign."""
@@ -66,6 +102,9 @@ class DriveLag(Term):
     id = "drive_lag"
     units: ClassVar = {"tau": "s"}
     neutral: ClassVar = {"tau": 0.0}
+    family = "along"
+    needs: ClassVar = frozenset({"torque", "torque changes"})
+    discrepancy: ClassVar = (("", "tau", 0.03), ("", "tau", 0.10))
     order = 3
     states = ("torque",)
     state_units: ClassVar = {"torque": "N m"}
@@ -73,6 +112,21 @@ class DriveLag(Term):
         Mimic("drive_delay", "torque that changes slowly", "a torque step"),
         Mimic("sensor_delay", "steering that hardly changes", "a steer step"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"tau": time_unit(vehicle)}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return LAG_SEARCH
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"torque builds up with a time constant of {amount(p['tau'], one_sided=True)}"
 
     def fastest_rate(self, speed: float) -> float:
         """1/tau."""
@@ -90,12 +144,28 @@ class SteerDelay(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"delay": "s"}
     neutral: ClassVar = {"delay": 0.0}
+    family = "steering"
     order = 0
     mimics: ClassVar = (
         Mimic("steer_lag", "steering below about 1 Hz", "a steer step, or fast slalom"),
         Mimic("sensor_delay", "torque that hardly changes", "a torque step"),
         Mimic("tire_relaxation", "one speed", "the same manoeuvre at two speeds"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"delay": time_unit(vehicle)}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return DELAY_SEARCH
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"the steering answers {late(p['delay'])}"
 
     @property
     def input_delays(self) -> Mapping[str, float]:
@@ -114,10 +184,22 @@ class SteerGain(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"gain": "1"}
     neutral: ClassVar = {"gain": 1.0}
+    family = "steering"
+    discrepancy: ClassVar = (("", "gain", 0.05),)
     order = 1
     mimics: ClassVar = (
         Mimic("tire_stiffness", "small steer angles at one speed", "turns at low and at high speed"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"gain": Range(0.4, 2.0, 0.005)}, ({"gain": 0.98},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"the wheels turn {scaled(p['gain'], 'more than commanded', 'less than commanded')}"
 
     def actuate(self, flow: Flow) -> None:
         """Scale the steer angle."""
@@ -134,12 +216,24 @@ class SteerBacklash(Term):
     id = "steer_backlash"
     units: ClassVar = {"width": "rad"}
     neutral: ClassVar = {"width": 0.0}
+    family = "steering"
     order = 2
     states = ("angle",)
     state_units: ClassVar = {"angle": "rad"}
     mimics: ClassVar = (
         Mimic("steer_delay", "steering at one rate", "slow and fast steering, and holding still after a turn"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        starts = tuple({"width": value} for value in (0.0003, 0.001, 0.003, 0.01, 0.03))
+        return Search({"width": Range(0.0, 0.15, 0.0001)}, starts)
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"the steering has a play of {amount(p['width'], one_sided=True)} in all"
 
     def fastest_rate(self, speed: float) -> float:
         """The rate at which the play closes."""
@@ -157,6 +251,8 @@ class SteerLag(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"tau": "s"}
     neutral: ClassVar = {"tau": 0.0}
+    family = "steering"
+    discrepancy: ClassVar = (("", "tau", 0.02), ("", "tau", 0.06))
     order = 3
     states = ("angle",)
     state_units: ClassVar = {"angle": "rad"}
@@ -165,6 +261,21 @@ class SteerLag(Term):
         Mimic("sensor_delay", "torque that hardly changes, steering below about 1 Hz", "a torque step"),
         Mimic("tire_relaxation", "one speed", "the same manoeuvre at two speeds"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"tau": time_unit(vehicle)}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return LAG_SEARCH
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"steering builds up with a time constant of {amount(p['tau'], one_sided=True)}"
 
     def fastest_rate(self, speed: float) -> float:
         """1/tau."""
@@ -181,11 +292,22 @@ class SteerOffset(Term):
     id = "steer_offset"
     units: ClassVar = {"offset": "rad"}
     neutral: ClassVar = {"offset": 0.0}
+    family = "steering"
     order = 4
     mimics: ClassVar = (
         Mimic("road_bank", "little change of speed", "curves to both sides at several speeds"),
         Mimic("sensor_misalignment", "steady driving", "position and yaw"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"offset": Range(-0.15, 0.15, 0.0005)}, ({"offset": 0.002},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"the wheels stand {amount(p['offset'], more='too far to the left', less='too far to the right')}"
 
     def actuate(self, flow: Flow) -> None:
         """Shift the steer angle."""

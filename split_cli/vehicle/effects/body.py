@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
+from split_cli.vehicle.effects.search import Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.tires import scale_load
+from split_cli.vehicle.effects.wording import Estimates, amount, scaled
 from split_cli.vehicle.flow import Flow
+from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["CgShift", "Mass", "YawInertia"]
 
@@ -22,6 +26,9 @@ class Mass(Term):
     id = "mass"
     units: ClassVar = {"scale": "1"}
     neutral: ClassVar = {"scale": 1.0}
+    family = "along"
+    needs: ClassVar = frozenset({"torque"})
+    discrepancy: ClassVar = (("", "scale", 0.1),)
     variants: ClassVar = ("", "loaded", "degressive")
     mimics: ClassVar = (
         Mimic(
@@ -31,6 +38,16 @@ class Mass(Term):
         ),
         Mimic("drive_gain", "straight driving", "hard turns, and coasting"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"scale": Range(0.4, 2.5, 0.01)}, ({"scale": 1.03},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"the car is {scaled(p['scale'], 'heavier', 'lighter')}"
 
     def body(self, flow: Flow) -> None:
         """Scale the mass."""
@@ -55,10 +72,23 @@ class YawInertia(Term):
     id = "yaw_inertia"
     units: ClassVar = {"scale": "1"}
     neutral: ClassVar = {"scale": 1.0}
+    family = "body"
+    shows_late = True
+    discrepancy: ClassVar = (("", "scale", 0.1),)
     mimics: ClassVar = (
         Mimic("tire_relaxation", "gentle transients at one speed", "steer steps at two speeds"),
         Mimic("steer_lag", "gentle transients", "a fast slalom: lag delays v_y and r alike"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"scale": Range(0.3, 3.0, 0.01)}, ({"scale": 1.03},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"the yaw inertia is {scaled(p['scale'], 'larger', 'smaller')}"
 
     def body(self, flow: Flow) -> None:
         """Scale the inertia."""
@@ -75,6 +105,8 @@ class CgShift(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"dx": "m"}
     neutral: ClassVar = {"dx": 0.0}
+    family = "body"
+    discrepancy: ClassVar = (("", "dx", 0.03),)
     variants: ClassVar = ("", "loaded", "degressive")
     mimics: ClassVar = (
         Mimic(
@@ -84,6 +116,21 @@ class CgShift(Term):
         ),
         Mimic("tire_stiffness", "steady turns", "steer steps"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"dx": vehicle.wheelbase}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"dx": Range(-0.3, 0.3, 0.002)}, ({"dx": 0.005},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"the centre of gravity lies {amount(p['dx'], more='further forward', less='further back')}"
 
     def body(self, flow: Flow) -> None:
         """Move the axles."""

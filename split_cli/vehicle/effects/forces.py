@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from split_cli.vehicle.effects.road import GRAVITY
+from split_cli.vehicle.effects.search import GRAVITY, Course, Range, Search, speed_unit
 from split_cli.vehicle.effects.term import Mimic, Term
+from split_cli.vehicle.effects.wording import Estimates, amount
 from split_cli.vehicle.flow import Flow
+from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["AeroDrag", "RollingResistance", "Wind", "YawMomentDifferential"]
 
@@ -20,10 +23,30 @@ class AeroDrag(Term):
     id = "aero_drag"
     units: ClassVar = {"drag": "N/(m/s)^2"}
     neutral: ClassVar = {"drag": 0.0}
+    family = "along"
+    needs: ClassVar = frozenset({"torque"})
+    discrepancy: ClassVar = (("", "drag", 0.2),)
     mimics: ClassVar = (
         Mimic("rolling_resistance", "the speed hardly changes", "coasting over a wide range of speed"),
         Mimic("mass+drive_gain", "torque mostly balances drag", "hard acceleration and braking at one speed"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"drag": 0.1 * vehicle.mass * GRAVITY / speed_unit(vehicle) ** 2}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        # No car pushes itself: what is taken off is at most what the nominal has.
+        least = vehicle.drag_coefficient / cls.sizes(vehicle)["drag"]
+        return Search({"drag": Range(-least, 10.0, 0.01)}, ({"drag": 0.1},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"there is {amount(p['drag'], more='more drag', less='less drag')}"
 
     def external(self, flow: Flow) -> None:
         """Add the drag force."""
@@ -40,10 +63,30 @@ class RollingResistance(Term):
     id = "rolling_resistance"
     units: ClassVar = {"force": "N"}
     neutral: ClassVar = {"force": 0.0}
+    family = "along"
+    needs: ClassVar = frozenset({"torque"})
+    discrepancy: ClassVar = (("", "force", 0.01),)
     mimics: ClassVar = (
         Mimic("road_grade", "a constant grade is the same force m g sin(angle) along the car", exact=True),
         Mimic("aero_drag", "the speed hardly changes", "coasting over a wide range of speed"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"force": vehicle.mass * GRAVITY}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        nominal = vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear
+        least = nominal / cls.sizes(vehicle)["force"]
+        return Search({"force": Range(-least, 0.3, 0.001)}, ({"force": 0.005},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"there is {amount(p['force'], more='more resistance', less='less resistance')} to rolling"
 
     def external(self, flow: Flow) -> None:
         """Add the resistance to the axles; what tyres spend sideways has been told by then."""
@@ -67,10 +110,28 @@ class YawMomentDifferential(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"yaw_damping": "N m s/rad"}
     neutral: ClassVar = {"yaw_damping": 0.0}
+    discrepancy: ClassVar = (("", "yaw_damping", 0.2), ("driven", "yaw_damping", 0.2))
     variants: ClassVar = ("", "driven")
     mimics: ClassVar = (
         Mimic("cg_shift+tire_stiffness", "steady turns", "steer steps: damping acts at once, slip builds up"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        # Damping that takes a tenth of what the tyres damp at a brisk speed.
+        capacity = vehicle.front_tire.D + vehicle.rear_tire.D
+        return {"yaw_damping": 0.25 * capacity * vehicle.wheelbase**2 / speed_unit(vehicle)}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"yaw_damping": Range(0.0, 5.0, 0.01)}, ({"yaw_damping": 0.05},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"a moment of {amount(p['yaw_damping'], one_sided=True)} resists turning, as a locked axle does"
 
     def external(self, flow: Flow) -> None:
         """Add the moment."""
@@ -98,12 +159,33 @@ class Wind(Term):
     id = "wind"
     units: ClassVar = {"wx": "m/s", "wy": "m/s"}
     neutral: ClassVar = {"wx": 0.0, "wy": 0.0}
+    family = "air"
+    needs: ClassVar = frozenset({"position"})
     variants: ClassVar = ("", "side", "broadside")
     side_ratio: ClassVar = {"": 1.0, "side": 2.5, "broadside": 6.0}
     mimics: ClassVar = (
         Mimic("road_bank+road_grade", "one pass of an open road", "the same place driven in both directions"),
         Mimic("aero_drag", "a straight road in one direction", "a closed lap, or the way back"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"wx": speed_unit(vehicle), "wy": speed_unit(vehicle)}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        if vehicle.drag_coefficient == 0.0:
+            return None
+        limits = Range(-2.0, 2.0, 0.01)
+        return Search({"wx": limits, "wy": limits}, ({"wx": 0.1, "wy": 0.1},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        along = amount(p["wx"], more="along X", less="against X")
+        return f"the air moves over the ground, {along} and {amount(p['wy'], more='along Y', less='against Y')}"
 
     def external(self, flow: Flow) -> None:
         """Replace still-air drag by that of moving air."""

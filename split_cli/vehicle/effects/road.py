@@ -6,13 +6,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from split_cli.vehicle.effects.place import inside_stretch
+from split_cli.vehicle.effects.place import (
+    PLACE_COMPLEXITY,
+    inside_stretch,
+    place_ranges,
+    stretch_in_words,
+)
+from split_cli.vehicle.effects.search import GRAVITY, Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
+from split_cli.vehicle.effects.wording import Estimates, amount, number
 from split_cli.vehicle.flow import Flow
+from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["RoadBank", "RoadGrade"]
-
-GRAVITY = 9.80665
 
 _WAVE = {"amplitude": "rad", "wavelength": "m", "phase": "rad"}
 _STRETCH = {"angle": "rad", "s_start": "m", "s_end": "m"}
@@ -25,6 +31,38 @@ class _Incline(Term):
     variants: ClassVar = ("", "wave", "stretch")
     variant_units: ClassVar = {"wave": _WAVE, "stretch": _STRETCH}
     neutral: ClassVar = {"angle": 0.0, "amplitude": 0.0}
+    family = "place"
+    directions: ClassVar[tuple[str, str]]
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        limits = Range(-0.4, 0.4, 0.001)
+        reach = course.reach
+        if variant == "wave":
+            wavelength = Range(0.03 * reach, 4.0 * reach, 0.002 * reach)
+            phase = Range(-40.0, 40.0, 0.02)
+            ranges = {"amplitude": limits, "wavelength": wavelength, "phase": phase}
+            return Search(ranges, located="wave", complexity=PLACE_COMPLEXITY)
+        if variant == "stretch":
+            return Search({"angle": limits, **place_ranges(reach)}, located="stretch", complexity=PLACE_COMPLEXITY)
+        return Search({"angle": limits}, ({"angle": 0.005},))
+
+    @classmethod
+    def everywhere(cls, variant: str) -> tuple[Term, float]:
+        """Return a constant angle, which is the default variant."""
+        return cls({"angle": 0.005}), 0.005
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        up, down = cls.directions
+        if variant == "wave":
+            size = amount(p["amplitude"], one_sided=True, unsigned=True)
+            return f"the road {up} and {down} by up to {size} in waves of {number(p['wavelength'].value)} m"
+        size = amount(p["angle"], unsigned=True)
+        text = f"the road {up if p['angle'].value >= 0.0 else down} by {size}"
+        return f"{text} {stretch_in_words(p)}" if variant == "stretch" else text
 
     def angle(self, flow: Flow) -> Any:
         """Return the angle where the car is [rad]."""
@@ -44,6 +82,8 @@ class RoadGrade(_Incline):
     """
 
     id = "road_grade"
+    needs: ClassVar = frozenset({"torque"})
+    directions = ("climbs", "falls")
     mimics: ClassVar = (
         Mimic("rolling_resistance", "a constant grade is the same force", exact=True, variants=("",)),
         Mimic(
@@ -54,6 +94,11 @@ class RoadGrade(_Incline):
         ),
         Mimic("wind", "one lap at one speed", "another speed, or the other direction"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts of the profiles over s."""
+        return super().search(vehicle, course, variant) if variant else None
 
     def external(self, flow: Flow) -> None:
         """Add the longitudinal part of gravity."""
@@ -67,6 +112,7 @@ class RoadBank(_Incline):
     """
 
     id = "road_bank"
+    directions = ("rises to the left", "rises to the right")
     mimics: ClassVar = (
         Mimic("steer_offset", "little change of speed", "curves to both sides: an offset also turns the car"),
         Mimic("wind", "a straight road in one direction", "the way back"),

@@ -8,8 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from split_cli.vehicle.effects.recording import Recording, shifted
+from split_cli.vehicle.effects.search import DELAY_SEARCH, Course, Range, Search, time_unit
 from split_cli.vehicle.effects.term import Mimic, Term
+from split_cli.vehicle.effects.wording import Estimates, amount, late
 from split_cli.vehicle.flow import Flow
+from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["SensorDelay", "SensorLeverArm", "SensorMisalignment"]
 
@@ -22,10 +25,28 @@ class SensorLeverArm(Term):
     id = "sensor_lever_arm"
     units: ClassVar = {"dx": "m"}
     neutral: ClassVar = {"dx": 0.0}
+    family = "measurement"
     exported = False
     mimics: ClassVar = (
         Mimic("cg_shift+tire_stiffness", "without position and yaw", "position and yaw, which know the true v_y"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"dx": vehicle.wheelbase}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"dx": Range(-1.0, 1.0, 0.002)}, ({"dx": 0.02},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return (
+            f"the velocity sensor sits {amount(p['dx'], more='further forward', less='further back')} than stated"
+        )
 
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
         """Take dx r off."""
@@ -42,8 +63,19 @@ class SensorMisalignment(Term):
     id = "sensor_misalignment"
     units: ClassVar = {"angle": "rad"}
     neutral: ClassVar = {"angle": 0.0}
+    family = "measurement"
     exported = False
     mimics: ClassVar = (Mimic("road_bank+steer_offset", "constant speed, without position", "position and yaw"),)
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"angle": Range(-0.3, 0.3, 0.0005)}, ({"angle": 0.003},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"the velocity sensor is turned {amount(p['angle'], more='counter-clockwise', less='clockwise')}"
 
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
         """Turn the velocity back."""
@@ -71,12 +103,30 @@ class SensorDelay(Term):
     id = "sensor_delay"
     units: ClassVar = {"delay": "s"}
     neutral: ClassVar = {"delay": 0.0}
+    family = "clock"
+    needs: ClassVar = frozenset({"torque"})
+    on_command_clock = True
     order = 0
     exported = False
     mimics: ClassVar = (
         Mimic("steer_delay+drive_delay", "both delays equal: the same recording", exact=True),
         Mimic("steer_delay", "torque that hardly changes", "a torque step"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"delay": time_unit(vehicle)}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return DELAY_SEARCH
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"against the commands every measured channel is {late(p['delay'])}"
 
     @property
     def input_delays(self) -> Mapping[str, float]:

@@ -14,7 +14,10 @@ from split_cli.vehicle.effects.recording import (
     play_response,
     shifted,
 )
+from split_cli.vehicle.effects.search import Course, Search
+from split_cli.vehicle.effects.wording import Estimates, amount
 from split_cli.vehicle.flow import Flow
+from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Mimic", "Term"]
 
@@ -79,6 +82,19 @@ class Term:
         Whether the term is part of the car (sensor terms are not).
     through_tires : bool
         Whether its parameters are known only as well as one curve says what an axle's tyres do.
+    family : str
+        Kind of physics, by which the manoeuvre is chosen that tells two terms apart: ``tires``, ``body``,
+        ``along`` (forces along the car), ``steering``, ``place``, ``time``, ``air``, ``measurement``, ``clock``.
+    needs : frozenset of str
+        What a recording has to have, to show the term: ``position`` (with yaw), ``torque`` (logged, not derived
+        from how the car moved), ``torque changes``.
+    shows_late : bool
+        Whether it acts in transients alone, though it has neither states nor delays.
+    on_command_clock : bool
+        Whether a fault of the measurement is taken into account by taking commands later, not by `correct`.
+    discrepancy : tuple of (str, str, float)
+        Variant, parameter and step from neutral, in units of `sizes`: what a single track typically lacks of any
+        real car by this term. Simulation and reality may share it; the step is its prior standard deviation.
 
     Parameters
     ----------
@@ -98,6 +114,11 @@ class Term:
     neutral: ClassVar[Mapping[str, float]] = {}
     exported: ClassVar[bool] = True
     through_tires: ClassVar[bool] = False
+    family: ClassVar[str] = "tires"
+    needs: ClassVar[frozenset[str]] = frozenset()
+    shows_late: ClassVar[bool] = False
+    on_command_clock: ClassVar[bool] = False
+    discrepancy: ClassVar[tuple[tuple[str, str, float], ...]] = ()
 
     def __init__(self, parameters: Mapping[str, float], variant: str = "") -> None:
         self.parameters = dict(parameters)
@@ -107,6 +128,55 @@ class Term:
     def parameter_units(cls, variant: str = "") -> Mapping[str, str]:
         """Return the parameters of a variant and their units."""
         return cls.variant_units.get(variant, cls.units)
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return for a parameter the size that matters for a vehicle: what 1 means in `search`; 1 if not named."""
+        return {}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return where a diagnosis looks for the parameters, in units of `sizes`.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+        course : Course
+            Of the real recordings.
+        variant : str
+
+        Returns
+        -------
+        Search or None
+            None where the term makes no sense for the vehicle, or is never claimed.
+        """
+        return None
+
+    @classmethod
+    def everywhere(cls, variant: str) -> tuple[Term, float]:
+        """Return a located term that acts all along the road, and by how much its size differs from none."""
+        raise NotImplementedError(f"{cls.id} has no place")
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what found parameters say of the car or of the measurement, without subject or full stop."""
+        shown = ", ".join(f"{name} {amount(one)}" for name, one in p.items())
+        return f"{cls.id.replace('_', ' ')} is there: {shown}"
+
+    @classmethod
+    def example(cls, p: Estimates, vehicle: Vehicle) -> str:
+        """Return what found parameters mean in forces of a vehicle, as an addition to `statement`."""
+        return ""
+
+    @classmethod
+    def acts_late(cls) -> bool:
+        """Return whether the term shows in transients: by states, delays, or because it resists them."""
+        return bool(cls.states) or "delay" in cls.units or cls.shows_late
+
+    @property
+    def corrects(self) -> bool:
+        """Whether the term is taken into account by correcting the recorded channels."""
+        return not self.exported and not self.on_command_clock
 
     @property
     def state_names(self) -> tuple[str, ...]:

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from split_cli.vehicle.effects.place import inside_stretch
+from split_cli.vehicle.effects.place import (
+    PLACE_COMPLEXITY,
+    inside_stretch,
+    place_ranges,
+    stretch_in_words,
+)
+from split_cli.vehicle.effects.search import GRAVITY, Course, Range, Search, speed_unit
 from split_cli.vehicle.effects.term import Mimic, Term
+from split_cli.vehicle.effects.wording import Estimates, amount, number, percent, scaled
 from split_cli.vehicle.flow import AxleFlow, Flow
+from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import lateral_force
 
 # What the catalogue is made of: every name here is a term.
@@ -23,6 +33,12 @@ __all__ = [
 
 # Below this share of its capacity an axle that brakes at its limit keeps lateral force; it keeps roots smooth.
 _LEAST_CAPACITY = 1e-3
+_SOME_BRAKING = 0.6  # share of the largest braking torque that lost grip is told at
+_LONG_AGAINST = 0.5  # relative error of a time constant beyond which only its ratio to the loss is known
+
+
+def _curve(variant: str) -> str:
+    return "the tyres' whole curve" if variant == "curve" else "grip"
 
 
 def scale_load(axle: AxleFlow, ratio: Any, variant: str) -> None:
@@ -58,11 +74,35 @@ class CombinedSlip(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"strength": "1"}
     neutral: ClassVar = {"strength": 0.0}
+    discrepancy: ClassVar = (("", "strength", 0.5),)
     order = 3
     mimics: ClassVar = (
         Mimic("load_transfer", "braking in turns only", "driving and braking in turns: the two differ in sign"),
         Mimic("friction_scale", "torque of one size in every turn", "turns without torque"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"strength": Range(0.0, 4.0, 0.02)}, ({"strength": 0.3},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"driving and braking take lateral grip, with a strength of {amount(p['strength'], one_sided=True)}"
+
+    @classmethod
+    def example(cls, p: Estimates, vehicle: Vehicle) -> str:
+        """Return how much lateral force an axle loses under hard braking, where it loses most."""
+        torque = _SOME_BRAKING * vehicle.max_brake_torque / vehicle.wheel_radius
+        front = vehicle.brake_split_front * torque / vehicle.front_tire.D
+        rear = (1.0 - vehicle.brake_split_front) * torque / vehicle.rear_tire.D
+        axle, used = ("front", front) if front >= rear else ("rear", rear)
+        lost = 1.0 - math.sqrt(max(1.0 - p["strength"].value * used**2, 0.0))
+        return (
+            f": the {axle} axle loses {number(100.0 * lost, 2)} % of its lateral force at "
+            f"{percent(_SOME_BRAKING)} of the largest braking torque"
+        )
 
     def lateral(self, flow: Flow) -> None:
         """Take from the lateral force what the longitudinal uses."""
@@ -83,6 +123,7 @@ class FrictionScale(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"scale": "1"}
     neutral: ClassVar = {"scale": 1.0}
+    discrepancy: ClassVar = (("", "scale", -0.15),)
     variants: ClassVar = ("", "curve")
     mimics: ClassVar = (
         Mimic(
@@ -94,6 +135,16 @@ class FrictionScale(Term):
         Mimic("tire_stiffness", "no turn near the limit", "a turn near the limit"),
         Mimic("grip_fade", "short drives", "gentle and hard turns at the start and at the end"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"scale": Range(0.3, 2.0, 0.01)}, ({"scale": 0.97},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"{_curve(variant)} is {scaled(p['scale'], 'higher', 'lower')} on the whole road"
 
     def tire(self, flow: Flow) -> None:
         """Scale both axles."""
@@ -108,11 +159,30 @@ class FrictionPatch(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"scale": "1", "s_start": "m", "s_end": "m"}
     neutral: ClassVar = {"scale": 1.0}
+    family = "place"
+    needs: ClassVar = frozenset({"position"})
     variants: ClassVar = ("", "curve")
     mimics: ClassVar = (
         Mimic("friction_scale", "turns only inside the stretch", "turns elsewhere"),
         Mimic("grip_fade", "the stretch is passed once", "a second lap"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        ranges = {"scale": Range(0.25, 2.0, 0.01), **place_ranges(course.reach)}
+        return Search(ranges, located="patch", complexity=PLACE_COMPLEXITY)
+
+    @classmethod
+    def everywhere(cls, variant: str) -> tuple[Term, float]:
+        """Return a little less grip all along."""
+        return cls({"scale": 0.97, "s_start": 0.0, "s_end": 1e12}, variant), -0.03
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        size = scaled(p["scale"], "higher", "lower")
+        return f"{stretch_in_words(p)} {_curve(variant)} is {size} than elsewhere"
 
     def tire(self, flow: Flow) -> None:
         """Scale each axle while it is on the stretch."""
@@ -133,11 +203,33 @@ class GripFade(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"final_loss": "1", "tau": "s"}
     neutral: ClassVar = {"final_loss": 0.0}
+    family = "time"
     variants: ClassVar = ("", "curve")
     mimics: ClassVar = (
         Mimic("friction_scale", "tau short against the drive", "the first seconds, driven hard"),
         Mimic("friction_patch", "the stretch is passed once, late", "a second lap"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        duration = course.duration
+        tau = Range(0.02 * duration, 10.0 * duration, 0.02 * duration)
+        starts = tuple({"final_loss": 0.05, "tau": share * duration} for share in (0.1, 0.3, 1.0))
+        return Search({"final_loss": Range(-0.9, 0.9, 0.01), "tau": tau}, starts)
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        loss, tau = p["final_loss"], p["tau"]
+        verb = "fades" if loss.value >= 0.0 else "grows"
+        if tau.std_error is not None and tau.std_error > _LONG_AGAINST * abs(tau.value):
+            rate = number(100.0 * abs(loss.value / tau.value), 2)
+            return (
+                f"{_curve(variant)} {verb} with time, at first by {rate} % a second (how far it goes is not known)"
+            )
+        size, pace = amount(loss, share=True, more="less", less="more"), number(tau.value)
+        return f"{_curve(variant)} {verb} with time, to {size} in the end, with a time constant of {pace} s"
 
     def tire(self, flow: Flow) -> None:
         """Scale both axles by the grip of the moment."""
@@ -157,6 +249,7 @@ class TireRelaxation(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"length": "m"}
     neutral: ClassVar = {"length": 0.0}
+    discrepancy: ClassVar = (("", "length", 0.15), ("", "length", 0.5))
     order = 9
     states = ("front", "rear")
     state_units: ClassVar = {"front": "N", "rear": "N"}
@@ -164,6 +257,22 @@ class TireRelaxation(Term):
         Mimic("steer_lag", "one speed", "the same manoeuvre at two speeds; relaxation also acts at the rear"),
         Mimic("yaw_inertia", "gentle transients at one speed", "steer steps at two speeds"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"length": vehicle.wheelbase / 2.7}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        starts = tuple({"length": value} for value in (0.1, 0.5, 1.5))
+        return Search({"length": Range(0.0, 5.0, 0.02)}, starts)
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"lateral force builds up over {amount(p['length'], one_sided=True)} of travel"
 
     def fastest_rate(self, speed: float) -> float:
         """v_x over the length."""
@@ -190,10 +299,32 @@ class LoadTransfer(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"cg_height": "m"}
     neutral: ClassVar = {"cg_height": 0.0}
+    discrepancy: ClassVar = (("", "cg_height", 0.2), ("peak", "cg_height", 0.2))
     variants: ClassVar = ("", "peak", "degressive")
     mimics: ClassVar = (
         Mimic("combined_slip", "braking in turns only", "driving and braking in turns: the two differ in sign"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        return {"cg_height": vehicle.wheelbase}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"cg_height": Range(0.0, 1.0, 0.005)}, ({"cg_height": 0.05},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        height = amount(p["cg_height"], one_sided=True, more="high", less="high")
+        return f"accelerating and braking move axle load as a centre of gravity {height} does"
+
+    @classmethod
+    def example(cls, p: Estimates, vehicle: Vehicle) -> str:
+        """Return the load that an acceleration moves."""
+        return f": {number(vehicle.mass * p['cg_height'].value / vehicle.wheelbase)} N for each m/s^2"
 
     def tire(self, flow: Flow) -> None:
         """Move capacity between the axles."""
@@ -220,12 +351,25 @@ class TireStiffness(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"front_scale": "1", "rear_scale": "1"}
     neutral: ClassVar = {"front_scale": 1.0, "rear_scale": 1.0}
+    discrepancy: ClassVar = (("", "front_scale", 0.15), ("", "rear_scale", 0.15))
     mimics: ClassVar = (
         Mimic("friction_scale", "no turn near the limit", "a turn near the limit"),
         Mimic("cg_shift", "steady turns", "steer steps"),
         Mimic("steer_gain", "small steer angles at one speed", "turns at low and at high speed"),
         Mimic("aero_downforce", "one speed in every turn", "the same turn at two speeds"),
     )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        limits = Range(0.3, 3.0, 0.01)
+        return Search({"front_scale": limits, "rear_scale": limits}, ({"front_scale": 0.97, "rear_scale": 0.97},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        front, rear = (scaled(p[name], "stiffer", "softer") for name in ("front_scale", "rear_scale"))
+        return f"the front tyres are {front} and the rear tyres {rear}"
 
     def tire(self, flow: Flow) -> None:
         """Scale B of each axle."""
@@ -243,11 +387,31 @@ class AeroDownforce(Term):
     through_tires: ClassVar = True
     units: ClassVar = {"front": "N/(m/s)^2", "rear": "N/(m/s)^2"}
     neutral: ClassVar = {"front": 0.0, "rear": 0.0}
+    discrepancy: ClassVar = (("", "front", 0.3), ("", "rear", 0.3))
     variants: ClassVar = ("", "peak", "degressive")
     mimics: ClassVar = (
         Mimic("tire_stiffness", "one speed in every turn", "the same turn at two speeds"),
         Mimic("friction_scale", "one speed in every turn", "the same turn at two speeds"),
     )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        """Return units that grow with the car."""
+        # What changes an axle's load by its static weight at a brisk speed.
+        unit = 0.5 * vehicle.mass * GRAVITY / speed_unit(vehicle) ** 2
+        return {"front": unit, "rear": unit}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        limits = Range(-2.0, 5.0, 0.02)
+        return Search({"front": limits, "rear": limits}, ({"front": 0.1, "rear": 0.1},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        front, rear = (amount(p[name], more="more", less="less") for name in ("front", "rear"))
+        return f"axle load changes with speed squared: {front} at the front, {rear} at the rear"
 
     def tire(self, flow: Flow) -> None:
         """Raise D with speed."""
