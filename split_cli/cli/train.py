@@ -49,7 +49,12 @@ class TimeSpan(click.ParamType):
 )
 @click.option("--horizon", type=float, metavar="S", help="Label interval h; default 0.05.")
 @click.option("--stride", type=int, metavar="N", help="Samples between labels; default: the horizon.")
-@click.option("--capacity", type=int, metavar="M", help="Points a cell keeps; default 10.")
+@click.option("--capacity", type=int, metavar="M", help="Points a cell keeps, 10; points iol keeps in all, 300.")
+@click.option(
+    "--learner",
+    type=click.Choice(["split", "iol"]),
+    help="split: cell by cell (default). iol: the rival, one dictionary, every point judged again.",
+)
 @click.option("--threshold", type=float, help="Gain a point needs to enter a cell with room; default 1e-3.")
 @click.option(
     "--forgetting", type=float, metavar="S", help="Weigh gains down with age, time constant S; default off."

@@ -99,6 +99,8 @@ class TrainingSet:
     sources : tuple of SetSource
     plain : bool
         Whether y are the paper's plain differences, which depend on the horizon: for reproduction only.
+    learner : {"split", "iol"}
+        What chose the points: cells by themselves, or one dictionary of `capacity` points (learning/iol.py).
     """
 
     vehicle: Vehicle
@@ -120,6 +122,7 @@ class TrainingSet:
     row: np.ndarray
     sources: tuple[SetSource, ...] = ()
     plain: bool = False
+    learner: str = "split"
 
     @property
     def size(self) -> int:
@@ -341,6 +344,7 @@ def _describe(training_set: TrainingSet) -> dict:
         "capacity": s.capacity,
         "threshold": s.threshold,
         "forgetting": s.forgetting,
+        **({} if s.learner == "split" else {"learner": s.learner}),
         "counts": {"points": s.size, "cells": s.cell_count},
         "sources": [{**asdict(source), "rejected": dict(source.rejected)} for source in s.sources],
     }
@@ -366,6 +370,7 @@ def _header_from(described: Mapping) -> TrainingSet:
         ),
         kernel=Kernel(**described["kernel"]),
         **{name: described[name] for name in ("horizon", "capacity", "threshold", "forgetting", "plain")},
+        learner=described.get("learner", "split"),
         cell_numbers=np.empty(0, dtype=np.int64),
         offsets=np.zeros(1, dtype=np.int64),
         z=np.empty((0, len(features.names))),

@@ -18,7 +18,12 @@ __all__ = ["PREDICTORS", "Prediction", "Predictor", "make_predictor"]
 PREDICTORS = {
     "full": ("split_cli.prediction.full", "FullPredictor"),
     "bcm": ("split_cli.prediction.bcm", "BcmPredictor"),
+    "rbcm": ("split_cli.prediction.bcm", "RbcmPredictor"),
+    "grbcm": ("split_cli.prediction.grbcm", "GrbcmPredictor"),
     "fitc": ("split_cli.prediction.fitc", "FitcPredictor"),
+    "local": ("split_cli.prediction.local", "LocalPredictor"),
+    "weights": ("split_cli.prediction.weights", "WeightsPredictor"),
+    "iol": ("split_cli.prediction.iol", "IolPredictor"),
 }
 
 

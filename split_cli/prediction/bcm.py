@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from split_cli.learning.training_set import TrainingSet
-from split_cli.prediction import _bcm_numba
+from split_cli.prediction import _compiled
 from split_cli.prediction.factorization import queries
 from split_cli.prediction.predictor import Prediction, Predictor
 
-__all__ = ["BcmPredictor", "CommitteeTables", "committee_tables"]
+__all__ = ["BcmPredictor", "CommitteeTables", "RbcmPredictor", "committee_tables"]
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,7 @@ class BcmPredictor(Predictor):
     """
 
     name: ClassVar[str] = "bcm"
+    robust: ClassVar[bool] = False
 
     def __init__(self, training_set: TrainingSet, neglect: float = 1e-13, parallel: bool = False) -> None:
         super().__init__(training_set)
@@ -134,7 +135,7 @@ class BcmPredictor(Predictor):
         reach_squared = self._reach_squared(counts)
         return (
             t.points, t.turned, t.gains, t.vectors, t.offsets, t.vector_offsets, t.lower, t.upper, reach_squared,
-            t.floor, capacity,
+            t.floor, self.robust, capacity,
         )  # fmt: skip
 
     def _reach_squared(self, counts: np.ndarray) -> np.ndarray:
@@ -152,7 +153,7 @@ class BcmPredictor(Predictor):
         """Return mean and latent variance at queries `z`, shape (N, D)."""
         z = queries(z, self.training_set)
         kernel = self.training_set.kernel
-        run = _bcm_numba.predict_parallel if self.parallel else _bcm_numba.predict
+        run = _compiled.predict_parallel if self.parallel else _compiled.predict
         mean, spread = run(z / kernel.length_scales, *self._arguments)
         return Prediction(mean, spread * kernel.signal_variance)
 
@@ -160,4 +161,19 @@ class BcmPredictor(Predictor):
         """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
         z = queries(z, self.training_set)
         scales = self.training_set.kernel.length_scales
-        return _bcm_numba.jacobian(z / scales, *self._arguments) / scales
+        return _compiled.jacobian(z / scales, *self._arguments) / scales
+
+
+class RbcmPredictor(BcmPredictor):
+    """The robust committee: an expert counts by what it has learned about the query.
+
+    Notes
+    -----
+    Deisenroth and Ng, Distributed Gaussian processes, ICML 2015, eqs. 20 to 22, with latent variances:
+    1/Sigma = 1/S0 + sum b_i (1/Sigma_i - 1/S0), mu = Sigma sum b_i mu_i/Sigma_i, b_i = log(S0/Sigma_i)/2. Experts
+    that know little of the query, of which a committee over small cells has many, no longer pile up. Far from the
+    data it is the prior, as the dense process; on the points, as the noise vanishes, it takes their labels.
+    """
+
+    name: ClassVar[str] = "rbcm"
+    robust: ClassVar[bool] = True

@@ -45,7 +45,7 @@ class FullPredictor(Predictor):
         return {ratio: cholesky(correlation, ratio) for ratio in sorted(set(self._ratio.tolist()))}
 
     @cached_property
-    def _weights(self) -> np.ndarray:
+    def weights(self) -> np.ndarray:
         """(C + rho I)^-1 y, shape (P, 3)."""
         weights = np.zeros_like(self.training_set.y)
         for output, ratio in enumerate(self._ratio.tolist()):
@@ -65,7 +65,7 @@ class FullPredictor(Predictor):
         for begin in range(0, len(z), _CHUNK):
             rows = slice(begin, begin + _CHUNK)
             cross = kernel.correlation(self.training_set.z, z[rows])
-            mean[rows] = cross.T @ self._weights
+            mean[rows] = cross.T @ self.weights
             known = {
                 ratio: np.square(solve_triangular(factor, cross, lower=True, check_finite=False)).sum(axis=0)
                 for ratio, factor in self._factors.items()
@@ -81,7 +81,7 @@ class FullPredictor(Predictor):
         mean = np.zeros((len(z), 3))
         for begin in range(0, len(z) if self.training_set.size else 0, _CHUNK):
             rows = slice(begin, begin + _CHUNK)
-            mean[rows] = self.training_set.kernel.correlation(z[rows], self.training_set.z) @ self._weights
+            mean[rows] = self.training_set.kernel.correlation(z[rows], self.training_set.z) @ self.weights
         return mean
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
@@ -94,5 +94,5 @@ class FullPredictor(Predictor):
             cross = stored.kernel.correlation(z[rows], stored.z)
             for feature, scale in enumerate(scales):
                 slope = cross * (stored.z[None, :, feature] - z[rows, None, feature]) / scale**2
-                jacobian[rows, :, feature] = slope @ self._weights
+                jacobian[rows, :, feature] = slope @ self.weights
         return jacobian

@@ -20,6 +20,7 @@ from split_cli.learning.hyperparameters import (
     fit_kernel,
     scatter_variance,
 )
+from split_cli.learning.iol import DEFAULT_DICTIONARY, LEARNER, empty_dictionary, extend_dictionary
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.labels import DEFAULT_HORIZON, Labels, compute_labels
@@ -57,6 +58,8 @@ class TrainSettings:
         Use the paper's plain difference as label.
     exclude : tuple of (float, float)
         Stretches of time of every drive [s] that are not learned.
+    learner : str or None
+        ``split`` (default), or ``iol``: one dictionary of `capacity` points, 300 by default.
     """
 
     features: str | None = None
@@ -68,6 +71,7 @@ class TrainSettings:
     forgetting: float | None = None
     plain: bool = False
     exclude: tuple[tuple[float, float], ...] = ()
+    learner: str | None = None
 
 
 @dataclass(frozen=True)
@@ -183,7 +187,10 @@ def train_set(
     for labels, labelling in run.labels():
         say(f"learning {labels.drive}")
         start = time.perf_counter()
-        trained = extend(trained, [labels], batch=batch)
+        if trained.learner == LEARNER:
+            trained = extend_dictionary(trained, [labels])
+        else:
+            trained = extend(trained, [labels], batch=batch)
         spent = labelling + time.perf_counter() - start
         seconds += spent
         table.append(_row(trained, [trained.sources[-1]], labels.drive, spent))
@@ -242,6 +249,7 @@ class _Run:
             kernel = kernel if fit is None else fit.kernel
         elif asked != "default":
             kernel = read_kernel(asked, self.features)
+        dictionary = settings.learner == LEARNER
         empty = empty_set(
             self.vehicle,
             self.features,
@@ -249,11 +257,14 @@ class _Run:
             grid,
             kernel,
             horizon=self.horizon,
-            capacity=DEFAULT_CAPACITY if settings.capacity is None else settings.capacity,
+            capacity=DEFAULT_CAPACITY if settings.capacity is None or dictionary else settings.capacity,
             threshold=DEFAULT_THRESHOLD if settings.threshold is None else settings.threshold,
             forgetting=settings.forgetting,
             plain=self.plain,
         )
+        if dictionary:
+            points = DEFAULT_DICTIONARY if settings.capacity is None else settings.capacity
+            empty = empty_dictionary(empty, points)
         return empty, fit
 
     def _fit(self, grid: Grid, start: Kernel) -> KernelFit | None:
@@ -359,6 +370,7 @@ def _check_continues(known: TrainingSet, vehicle: Vehicle, settings: TrainSettin
         ("threshold", settings.threshold, known.threshold),
         ("forgetting", settings.forgetting, known.forgetting),
         ("plain labels", settings.plain or None, known.plain),
+        ("learner", settings.learner, known.learner),
     ):
         if theirs is not None and theirs != ours:
             shown = [", ".join(v) if isinstance(v, tuple) else v for v in (ours, theirs)]
