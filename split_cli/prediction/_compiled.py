@@ -220,7 +220,7 @@ def jacobian(
 
 @numba.njit(cache=True, fastmath=_FASTMATH)
 def weighted_sum(z, points, weights, offsets, lower, upper, reach):
-    """Return the sum of weights (P, 3) times correlations, (N, 3), and its slopes by scaled features, (N, 3, D)."""
+    """Return the sum of weights (P, 3) times correlations, (N, 3), and its slopes by scaled features."""
     features = z.shape[1]
     out, slope = np.zeros((z.shape[0], 3)), np.zeros((z.shape[0], 3, features))
     for i in range(z.shape[0]):

@@ -348,16 +348,14 @@ def test_weights_without_a_bound_are_the_dense_mean(driven_set):
     np.testing.assert_allclose(got.mean(z), FullPredictor(driven_set).mean(z), atol=1e-11)
 
 
-def test_iol_with_room_for_every_point_is_the_dense_process(driven_set):
-    z = query_points(driven_set, 100, 30)
-    chosen = make_set_of_gains(driven_set)
-    full, got = FullPredictor(chosen).predict(z), make_predictor("iol", chosen, capacity=5000).predict(z)
-    np.testing.assert_allclose(got.mean, full.mean, atol=1e-9)
-    np.testing.assert_allclose(got.variance, full.variance, atol=1e-9)
-
-
-def make_set_of_gains(stored):
-    """Points of the set that a dictionary keeps, so that all of them fit by the threshold."""
-    from split_cli.prediction.iol import _reduced
-
-    return _reduced(stored, 5000)
+def test_iol_with_room_for_every_point_is_the_dense_process(make_set):
+    """Points a length scale apart, so that none lacks the gain to enter."""
+    random = np.random.default_rng(30)
+    lattice = np.stack(np.meshgrid(*[np.arange(4.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    kernel = Kernel(np.full(3, 1.0), np.array([0.5, 1.0, 2.0]), np.array([0.05, 0.01, 0.1]))
+    stored = make_set(lattice + 0.1 * random.normal(size=(64, 3)), random.normal(size=(64, 3)), kernel)
+    z = query_points(stored, 100, 31)
+    full, got = FullPredictor(stored).predict(z), make_predictor("iol", stored, capacity=64).predict(z)
+    np.testing.assert_allclose(got.mean, full.mean, atol=1e-10)
+    np.testing.assert_allclose(got.variance, full.variance, atol=1e-10)
+    assert np.abs(make_predictor("iol", stored, capacity=20).mean(z) - full.mean).max() > 0.1
