@@ -231,7 +231,7 @@ def _improvement(case: Case, split: HeldOut, terms: Sequence[Term]):
     """Compare on what was kept out; the terms were fitted on the rest."""
     everything = [np.ones(len(one.series), dtype=bool) for one in case.holdout]
     recordings = [*zip(case.real, split.masks, strict=True), *zip(case.holdout, everything, strict=True)]
-    return measure_improvement(recordings, terms, case.common, case.knowledge)
+    return measure_improvement(recordings, terms, case.common, case.knowledge, case.simulated)
 
 
 def _gaps(case: Case):

@@ -11,12 +11,8 @@ import pytest
 from split_cli.diagnosis.baseline.common import build_common_physics
 from split_cli.diagnosis.innovations.judge import learn_common
 from split_cli.diagnosis.innovations.rollouts import Stage, roll_out_stages, shared_rates
-from split_cli.diagnosis.verdict.improvement import (
-    _bootstrap,
-    improvable_removed,
-    label_errors,
-    measure_improvement,
-)
+from split_cli.diagnosis.verdict.improvement import _bootstrap, improvable_removed, measure_improvement
+from split_cli.diagnosis.verdict.label_errors import label_errors
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive

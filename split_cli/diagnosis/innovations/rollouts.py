@@ -19,12 +19,14 @@ from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, roll
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import phi_matrix
 
-__all__ = ["HORIZONS", "RolloutErrors", "SharedRates", "Stage", "rest_of", "roll_out_stages", "shared_rates"]
+__all__ = ["HORIZONS", "Rest", "RolloutErrors", "SharedRates", "Stage", "roll_out_stages", "shared_rates"]
 
 HORIZONS = (0.5, 1.0, 2.0)  # [s]
 _STEP_SECONDS = 0.05
 _MOST_STARTS = 120
 _FEWEST_STARTS = 5
+# Shares of the taught slope that are tried, the largest that lets no error run away is kept.
+_SHARES = (1.0, 0.75, 0.5, 0.25, 0.125)
 # Beside the features SPLIT is learned over: where the model is, and which row of the recording it has reached.
 _FEATURES = FeatureSet((*Z2.names, "vx", "vy", "r", "row"))
 
@@ -63,11 +65,22 @@ class SharedRates:
         moved = np.einsum("nij,nj->ni", self.slope[rows], velocity - self.around[rows])
         return self.base[rows] + np.clip(moved, -most, most)
 
+    def at_recorded_states(self) -> SharedRates:
+        """Return the same without slope: the rates of the recorded states, wherever a model is."""
+        return replace(self, slope=np.zeros_like(self.slope))
+
 
 def shared_rates(
     series: Series, common: CommonPhysics, knowledge: CommonKnowledge | None, terms: Sequence[Term] = ()
 ) -> SharedRates | None:
-    """Return what the simulation knows along a recording, with what `terms` do to inputs and sensors."""
+    """Return what the simulation knows along a recording, with what `terms` do to inputs and sensors.
+
+    Notes
+    -----
+    A simulation shows rates where a driver has been; how they change where no driver goes is extrapolated. The
+    nominal model returns from there by itself, and a slope is taken only as far as it leaves that so: see
+    `_that_returns`.
+    """
     if knowledge is None:
         return None
     base = common.rates(series, knowledge.weights, terms)
@@ -76,7 +89,31 @@ def shared_rates(
         step = 1e-3 * max(float(np.std(series.smooth[:, k])), 1e-6)
         moved = replace(series, smooth=series.smooth + step * np.eye(3)[k])
         slope[:, :, k] = (common.rates(moved, knowledge.weights, terms) - base) / step
-    return SharedRates(base, slope, series.corrected(terms)[1])
+    around = series.corrected(terms)[1]
+    jacobian = extended_model(common.vehicle).velocity_jacobian(
+        *around.T, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s
+    )
+    return SharedRates(base, _that_returns(slope, jacobian), around)
+
+
+def _that_returns(slope: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """Return slopes (N, 3, 3), row by row as large a share of them as lets no error grow faster than it did.
+
+    Notes
+    -----
+    The real parts of the eigenvalues of A + S are the rates at which errors grow. None may exceed the largest of
+    A, or one e-folding over the longest horizon, where A's own is less: so slow a growth shows in no rollout.
+    """
+    grows = np.linalg.eigvals(jacobian).real.max(axis=1)
+    bound = np.maximum(grows, 1.0 / HORIZONS[-1])
+    out = np.zeros_like(slope)
+    open_rows = np.arange(len(slope))
+    for share in _SHARES:
+        trial = share * slope[open_rows]
+        good = np.linalg.eigvals(jacobian[open_rows] + trial).real.max(axis=1) <= bound[open_rows]
+        out[open_rows[good]] = trial[good]
+        open_rows = open_rows[~good]
+    return out
 
 
 @dataclass(frozen=True)
@@ -102,16 +139,48 @@ class RolloutErrors:
 
 
 @dataclass(frozen=True)
+class Rest:
+    """What SPLIT learned of a model's errors.
+
+    Attributes
+    ----------
+    predictor : Predictor
+    grid : Grid
+        Outside it nothing is predicted.
+    trust : ndarray, shape (3,)
+        Share of the prediction that is applied, an output [1].
+    """
+
+    predictor: Predictor
+    grid: Grid
+    trust: np.ndarray
+
+    def at(self, z: np.ndarray) -> np.ndarray:
+        """Return what is predicted at features z (M, 3), shape (M, 3) [m/s^2], [m/s^2], [rad/s^2]."""
+        out = np.zeros((len(z), 3))
+        inside = self.grid.index(z)[1]
+        if inside.any() and np.any(self.trust):
+            out[inside] = self.trust * self.predictor.mean(z[inside])
+        return out
+
+
+@dataclass(frozen=True)
 class Stage:
     """One of the models that are compared: named terms, what is shared with the simulation, and SPLIT."""
 
     terms: tuple[Term, ...]
     shared: SharedRates | None
-    split: Predictor | None = None
-    grid: Grid | None = None
+    rest: Rest | None = None
 
 
-def roll_out_stages(evidence: Evidence, stages: Mapping[str, Stage], held: np.ndarray) -> RolloutErrors | None:
+def roll_out_stages(
+    evidence: Evidence,
+    stages: Mapping[str, Stage],
+    held: np.ndarray,
+    *,
+    horizons: tuple[float, ...] = HORIZONS,
+    most_starts: int = _MOST_STARTS,
+) -> RolloutErrors | None:
     """Roll out every stage from starts on held-out rows, and hold the velocity for comparison.
 
     Parameters
@@ -120,20 +189,28 @@ def roll_out_stages(evidence: Evidence, stages: Mapping[str, Stage], held: np.nd
     stages : mapping of str to Stage
     held : ndarray of bool, shape (N,)
         Rows of the recording.
+    horizons : tuple of float
+        Shortest first, in steps of 0.05 s [s].
+    most_starts : int
 
     Returns
     -------
     RolloutErrors or None
         None where not even the shortest horizon fits into the held-out time.
+
+    Notes
+    -----
+    A model that runs away is no more wrong than one that drives the other way at the largest velocity recorded:
+    there its error ends, and no start is left out to its advantage.
     """
     series = evidence.series
     window = max(1, round(_STEP_SECONDS / series.period))
-    steps = [round(horizon / (window * series.period)) for horizon in HORIZONS]
+    steps = [max(1, round(horizon / (window * series.period))) for horizon in horizons]
     plain = _drive(series, ())
     starts = np.empty(0, dtype=np.int64)
     while steps and len(starts) < _FEWEST_STARTS:
         length = steps[-1] * window
-        starts = rollout_starts(plain, held, length, evidence.vehicle.minimum_speed, _MOST_STARTS)
+        starts = rollout_starts(plain, held, length, evidence.vehicle.minimum_speed, most_starts)
         if len(starts) < _FEWEST_STARTS:
             steps.pop()
     if not steps:
@@ -149,10 +226,10 @@ def roll_out_stages(evidence: Evidence, stages: Mapping[str, Stage], held: np.nd
         squared[name] = _squared(path[:, at], drive, starts, window, at)
     held_still = hold_velocity(plain, starts, steps[-1], window)
     squared["persistence"] = _squared(held_still[:, at], plain, starts, window, at)
-    good = np.all([np.isfinite(one).all(axis=(1, 2)) for one in squared.values()], axis=0)
     floor = _noise_alone(evidence, starts, window, at)
-    squared = {name: one[good] for name, one in squared.items()}
-    return RolloutErrors(HORIZONS[: len(steps)], series.t[starts[good]], squared, floor[good])
+    most = np.square(2.0 * np.max(np.abs(series.measured), axis=0))
+    squared = {name: np.fmin(one, most) for name, one in squared.items()}
+    return RolloutErrors(tuple(horizons[: len(steps)]), series.t[starts], squared, floor)
 
 
 def _drive(series: Series, terms: Sequence[Term]) -> Drive:
@@ -165,7 +242,7 @@ def _drive(series: Series, terms: Sequence[Term]) -> Drive:
 
 
 def _correction(stage: Stage, z: np.ndarray, drive: Drive, window: int) -> Correction | None:
-    if stage.shared is None and stage.split is None:
+    if stage.shared is None and stage.rest is None:
         return None
     shared = None if stage.shared is None else stage.shared.ahead(window)
     count = len(Z2.names)
@@ -173,22 +250,12 @@ def _correction(stage: Stage, z: np.ndarray, drive: Drive, window: int) -> Corre
     recorded[:, count : count + 3] = np.stack([drive[name] for name in ("vx", "vy", "r")], axis=1)
 
     def residual(at: np.ndarray) -> np.ndarray:
-        out = rest_of(stage.split, stage.grid, at[:, :count])
+        out = np.zeros((len(at), 3)) if stage.rest is None else stage.rest.at(at[:, :count])
         if shared is not None:
             out = out + shared.at(np.rint(at[:, -1]).astype(np.int64), at[:, count : count + 3])
         return out
 
     return Correction(_FEATURES, recorded, residual)
-
-
-def rest_of(split: Predictor | None, grid: Grid | None, z: np.ndarray) -> np.ndarray:
-    """Return what SPLIT predicts at features z (M, 3); nothing outside the grid it was learned on."""
-    out = np.zeros((len(z), 3))
-    if split is not None:
-        inside = grid.index(z)[1]
-        if inside.any():
-            out[inside] = split.mean(z[inside])
-    return out
 
 
 def _squared(path: np.ndarray, drive: Drive, starts: np.ndarray, window: int, at: np.ndarray) -> np.ndarray:

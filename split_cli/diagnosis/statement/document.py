@@ -8,7 +8,14 @@ from importlib.resources import files
 from typing import Any
 
 from split_cli import __version__
-from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Finding, Improvement, Location
+from split_cli.diagnosis.statement.result import (
+    Detectable,
+    Diagnosis,
+    Finding,
+    HorizonErrors,
+    Improvement,
+    Location,
+)
 
 __all__ = ["diagnosis_to_mapping", "diagnosis_to_text", "read_schema"]
 
@@ -99,7 +106,16 @@ def _improvement(improvement: Improvement | None) -> dict[str, Any] | None:
         "persistence": list(improvement.persistence),
         "noise_floor": None if improvement.noise_floor is None else list(improvement.noise_floor),
         "confidence": _plain({**improvement.confidence, **_removed(improvement)}),
+        "simulation_part": dict(improvement.simulation_part),
+        "split_trust": _plain(improvement.trust),
+        "rollouts": [_rollout(one) for one in improvement.rollouts],
     }
+
+
+def _rollout(one: HorizonErrors) -> dict[str, Any]:
+    stages = ("before", "physics", "split_only", "after", "persistence", "noise_floor")
+    errors = {stage: list(getattr(one, stage)) for stage in stages}
+    return {"horizon": one.horizon, "starts": one.starts, **errors, "confidence": _plain(one.confidence)}
 
 
 def _removed(improvement: Improvement) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,119 +13,19 @@ from split_cli.diagnosis.innovations.judge import CommonKnowledge
 from split_cli.diagnosis.innovations.rollouts import (
     HORIZONS,
     RolloutErrors,
-    SharedRates,
     Stage,
-    rest_of,
     roll_out_stages,
-    shared_rates,
 )
-from split_cli.diagnosis.recording.series import extended_model
 from split_cli.diagnosis.statement.result import HorizonErrors, Improvement
-from split_cli.learning.cells import learn
-from split_cli.learning.features import Z2
-from split_cli.learning.hyperparameters import default_kernel, scatter_variance
-from split_cli.learning.labels import Labels, compute_labels
-from split_cli.learning.region import z2_grid
-from split_cli.prediction import make_predictor
+from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, blocks_of_time, label_errors
+from split_cli.diagnosis.verdict.rest import learn_rest, without_rest
+from split_cli.diagnosis.verdict.simulation_part import believed_parts, part_of
 from split_cli.vehicle.effects import Term
-from split_cli.vehicle.integration import integrate_recorded, phi_matrix, recorded_inputs, substep_count
-from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["LabelErrors", "improvable_removed", "label_errors", "measure_improvement"]
+__all__ = ["improvable_removed", "measure_improvement"]
 
 _BOOTSTRAPS = 400
-_BLOCK_SECONDS = 2.0
-_WANTED_BLOCKS = 10
-_SHORTEST_BLOCK = 0.5
-_FEWEST_TO_LEARN = 100
 _MOSTLY = 0.9  # of the draws must leave something to improve, else a share has no interval
-
-
-@dataclass(frozen=True)
-class LabelErrors:
-    """Errors of labels on one recording, in label units, and which windows are held out.
-
-    Attributes
-    ----------
-    labels : Labels
-        Of the simulation as learned: nominal less common physics.
-    before, physics, persistence : ndarray, shape (L, 3)
-    held : ndarray of bool, shape (L,)
-    floor : ndarray, shape (L, 3)
-        Variance that sensor noise alone makes.
-    """
-
-    labels: Labels
-    before: np.ndarray
-    physics: np.ndarray
-    persistence: np.ndarray
-    held: np.ndarray
-    floor: np.ndarray
-
-
-def label_errors(
-    evidence: Evidence,
-    terms: Sequence[Term],
-    shared: SharedRates | None,
-    shared_named: SharedRates | None,
-    held_rows: np.ndarray,
-) -> LabelErrors:
-    """Compute label errors before and with the terms.
-
-    Parameters
-    ----------
-    evidence : Evidence
-    terms : sequence of Term
-    shared, shared_named : SharedRates or None
-        What the simulation knows beyond the nominal model along this recording, as it is and with the terms.
-    held_rows : ndarray of bool, shape (N,)
-    """
-    series, vehicle = evidence.series, evidence.vehicle
-    # Effects of the vehicle file act where, when and under which yaw the diagnosis says.
-    situation = {"t": series.t, "s": series.s, "yaw": series.yaw}
-    drive = replace(series.drive, columns={**series.drive.columns, **situation})
-    labels = compute_labels(drive, vehicle, Z2)
-    labels = labels.take(np.isfinite(labels.y).all(axis=1))
-    window, rows = labels.window, labels.row
-    span = rows[:, None] + np.arange(window + 1)
-    A = evidence.jacobian[rows]
-    phi = phi_matrix(A, labels.horizon)
-    change = np.zeros_like(labels.y)
-    if terms:
-        measured, smooth = series.corrected(terms)
-        plain = _predict(evidence, (), series.measured, series.smooth, rows, window)
-        named = _predict(evidence, terms, measured, smooth, rows, window)
-        error = (measured[rows + window] - named) - (series.measured[rows + window] - plain)
-        change = np.linalg.solve(phi, error[:, :, None])[:, :, 0] / labels.horizon
-    moved = series.measured[rows + window] - series.measured[rows]
-    persistence = np.linalg.solve(phi, moved[:, :, None])[:, :, 0] / labels.horizon
-    held = held_rows[rows] & held_rows[rows + window]
-    before, physics = labels.y, labels.y + change
-    if shared is not None:
-        before = before - shared.base[span].mean(axis=1)
-        physics = physics - shared_named.base[span].mean(axis=1)
-    inverse = np.linalg.inv(phi) / labels.horizon
-    onward = inverse @ (np.eye(3) + labels.horizon * A @ phi)
-    floor = (inverse**2 + onward**2) @ series.noise**2
-    return LabelErrors(labels, before, physics, persistence, held, floor)
-
-
-def _predict(evidence: Evidence, terms, measured, smooth, rows, window) -> np.ndarray:
-    series = evidence.series
-    model = extended_model(evidence.vehicle, terms)
-    situation = {"time": series.t, "track_position": series.s, "yaw": series.yaw}
-    recorded = recorded_inputs(model, smooth, series.torque, series.steer_angle, series.recording, **situation)
-    span = rows[:, None] + np.arange(window + 1)
-    return integrate_recorded(
-        model,
-        measured[rows],
-        recorded.torque[span],
-        recorded.steer_angle[span],
-        series.period,
-        substep_count(evidence.jacobian[rows], series.period),
-        term_states=recorded.term_states[rows],
-        **{name: values[rows] for name, values in situation.items()},
-    )
 
 
 def measure_improvement(
@@ -134,6 +33,7 @@ def measure_improvement(
     terms: Sequence[Term],
     common: CommonPhysics,
     knowledge: CommonKnowledge | None,
+    simulated: Sequence[Evidence] = (),
 ) -> Improvement | None:
     """Compare simulation, named physics and SPLIT on held-out time.
 
@@ -146,34 +46,44 @@ def measure_improvement(
     common : CommonPhysics
     knowledge : CommonKnowledge or None
         What the simulation taught.
+    simulated : sequence of Evidence
+        That taught it; what they taught is checked on them.
 
     Returns
     -------
     Improvement or None
         None where no step lies wholly in held-out time, as behind a long gap.
+
+    Notes
+    -----
+    The simulation is the best of what it offers, with terms as without, see `believed_parts`: one that diverges is
+    easy to beat.
     """
     terms = tuple(terms)
-    plain = [shared_rates(one.series, common, knowledge) for one, _ in recordings]
-    named = [shared_rates(one.series, common, knowledge, terms) for one, _ in recordings] if terms else plain
+    chosen = believed_parts(recordings, simulated, common, knowledge, terms)
+    plain = [part_of(chosen[0], one, common, knowledge) for one, _ in recordings]
+    named = [part_of(chosen[1], one, common, knowledge, terms) for one, _ in recordings] if terms else plain
     parts = [
         label_errors(one, terms, *both, held) for (one, held), *both in zip(recordings, plain, named, strict=True)
     ]
     if not any(part.held.any() for part in parts):
         return None
-    vehicle = recordings[0][0].vehicle
-    split_only = _learn_rest(parts, [part.before for part in parts], vehicle)
-    both = _learn_rest(parts, [part.physics for part in parts], vehicle)
+    errors_before, errors_physics = ([getattr(one, name) for one in parts] for name in ("before", "physics"))
+    split_only = learn_rest(recordings, [Stage((), one) for one in plain], parts, errors_before)
+    both = split_only
+    if terms:
+        both = learn_rest(recordings, [Stage(terms, one) for one in named], parts, errors_physics)
     errors = {
         name: np.concatenate([values[part.held] for values, part in zip(several, parts, strict=True)])
         for name, several in {
-            "before": [part.before for part in parts],
-            "physics": [part.physics for part in parts],
-            "split_only": [_without(part, part.before, split_only) for part in parts],
-            "after": [_without(part, part.physics, both) for part in parts],
+            "before": errors_before,
+            "physics": errors_physics,
+            "split_only": [without_rest(part, part.before, split_only) for part in parts],
+            "after": [without_rest(part, part.physics, both) for part in parts],
             "persistence": [part.persistence for part in parts],
         }.items()
     }
-    block = _blocks([part.labels.t[part.held] for part in parts])
+    block = blocks_of_time([part.labels.t[part.held] for part in parts])
     floor = np.concatenate([part.floor[part.held] for part in parts])
     rms = {name: tuple(np.sqrt(np.mean(e**2, axis=0)).tolist()) for name, e in errors.items()}
     intervals, removed = _bootstrap({name: e**2 for name, e in errors.items()}, floor, block)
@@ -183,8 +93,8 @@ def measure_improvement(
             {
                 "before": Stage((), shared),
                 "physics": Stage(terms, shared_named),
-                "split_only": Stage((), shared, *split_only),
-                "after": Stage(terms, shared_named, *both),
+                "split_only": Stage((), shared, split_only),
+                "after": Stage(terms, shared_named, both),
             },
             held,
         )
@@ -193,6 +103,11 @@ def measure_improvement(
     return Improvement(
         rms["before"], rms["physics"], rms["after"], rms["split_only"], rms["persistence"],
         tuple(np.sqrt(floor.mean(axis=0)).tolist()), intervals, _pooled([one for one in rollouts if one]), removed,
+        dict(zip(("before", "physics"), chosen, strict=True)),
+        {
+            name: (0.0, 0.0, 0.0) if rest is None else tuple(rest.trust.tolist())
+            for name, rest in (("split_only", split_only), ("after", both))
+        },
     )  # fmt: skip
 
 
@@ -207,38 +122,6 @@ def improvable_removed(before: Sequence[float], other: Sequence[float], floor: S
             removable += (error**2 - noise**2) / noise**2
             removed += (error**2 - max(left, noise) ** 2) / noise**2
     return float(removed / removable) if removable > 0.02 * len(floor) else math.nan
-
-
-def _learn_rest(parts: Sequence[LabelErrors], errors: list[np.ndarray], vehicle: Vehicle):
-    """Learn what is left on the training windows; return a predictor and its grid, two None for too few."""
-    training = []
-    for part, error in zip(parts, errors, strict=True):
-        labels = replace(part.labels, y=error)
-        training.append(labels.take(~part.held))
-    grid = z2_grid(vehicle, training[0].region)
-    training = [labels.inside(grid) for labels in training]
-    accepted = np.concatenate([labels.y[labels.accepted] for labels in training])
-    if len(accepted) < _FEWEST_TO_LEARN:
-        return None, None
-    noise = np.mean([scatter_variance(labels) for labels in training], axis=0)
-    trained = learn(training, vehicle=vehicle, grid=grid, kernel=default_kernel(grid, accepted, noise))
-    return make_predictor("bcm", trained), grid
-
-
-def _without(part: LabelErrors, error: np.ndarray, split) -> np.ndarray:
-    """Return errors less what SPLIT predicts, where it claims to be valid."""
-    predictor, grid = split
-    left = error.copy()
-    use = part.held & part.labels.accepted
-    left[use] -= rest_of(predictor, grid, part.labels.z[use])
-    return left
-
-
-def _blocks(times: Sequence[np.ndarray], longest: float = _BLOCK_SECONDS) -> np.ndarray:
-    """Number the blocks of time of all recordings; shorter ones where too few would be left to draw from."""
-    seconds = sum(float(np.ptp(t)) for t in times if len(t)) / _WANTED_BLOCKS
-    length = float(np.clip(seconds, _SHORTEST_BLOCK, longest))
-    return np.concatenate([1_000_000 * k + (t // length).astype(np.int64) for k, t in enumerate(times)])
 
 
 def _bootstrap(squared: Mapping[str, np.ndarray], floor: np.ndarray, block: np.ndarray):
@@ -294,7 +177,7 @@ def _pooled(recordings: Sequence[RolloutErrors]) -> tuple[HorizonErrors, ...]:
             break
         squared = {name: np.concatenate([one.squared[name][:, k] for one in having]) for name in having[0].squared}
         floor = np.concatenate([one.floor[:, k] for one in having])
-        block = _blocks([one.t for one in having], max(_BLOCK_SECONDS, horizon))
+        block = blocks_of_time([one.t for one in having], max(BLOCK_SECONDS, horizon))
         intervals, _ = _bootstrap(squared, floor, block)
         rms = {name: tuple(np.sqrt(values.mean(axis=0)).tolist()) for name, values in squared.items()}
         out.append(

@@ -1,0 +1,116 @@
+"""Errors of labels over a step of 0.05 s, before and with terms, and the blocks of time they are drawn in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.innovations.rollouts import SharedRates
+from split_cli.diagnosis.recording.series import extended_model
+from split_cli.learning.features import Z2
+from split_cli.learning.labels import Labels, compute_labels
+from split_cli.vehicle.effects import Term
+from split_cli.vehicle.integration import integrate_recorded, phi_matrix, recorded_inputs, substep_count
+
+__all__ = ["BLOCK_SECONDS", "LabelErrors", "blocks_of_time", "label_errors"]
+
+BLOCK_SECONDS = 2.0
+_WANTED_BLOCKS = 10
+_SHORTEST_BLOCK = 0.5
+
+
+@dataclass(frozen=True)
+class LabelErrors:
+    """Errors of labels on one recording, in label units, and which windows are held out.
+
+    Attributes
+    ----------
+    labels : Labels
+        Of the simulation as learned: nominal less common physics.
+    before, physics, persistence : ndarray, shape (L, 3)
+    held : ndarray of bool, shape (L,)
+    floor : ndarray, shape (L, 3)
+        Variance that sensor noise alone makes.
+    """
+
+    labels: Labels
+    before: np.ndarray
+    physics: np.ndarray
+    persistence: np.ndarray
+    held: np.ndarray
+    floor: np.ndarray
+
+
+def label_errors(
+    evidence: Evidence,
+    terms: Sequence[Term],
+    shared: SharedRates | None,
+    shared_named: SharedRates | None,
+    held_rows: np.ndarray,
+) -> LabelErrors:
+    """Compute label errors before and with the terms.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    terms : sequence of Term
+    shared, shared_named : SharedRates or None
+        What the simulation knows beyond the nominal model along this recording, as it is and with the terms.
+    held_rows : ndarray of bool, shape (N,)
+    """
+    series, vehicle = evidence.series, evidence.vehicle
+    # Effects of the vehicle file act where, when and under which yaw the diagnosis says.
+    situation = {"t": series.t, "s": series.s, "yaw": series.yaw}
+    drive = replace(series.drive, columns={**series.drive.columns, **situation})
+    labels = compute_labels(drive, vehicle, Z2)
+    labels = labels.take(np.isfinite(labels.y).all(axis=1))
+    window, rows = labels.window, labels.row
+    span = rows[:, None] + np.arange(window + 1)
+    A = evidence.jacobian[rows]
+    phi = phi_matrix(A, labels.horizon)
+    change = np.zeros_like(labels.y)
+    if terms:
+        measured, smooth = series.corrected(terms)
+        plain = _predict(evidence, (), series.measured, series.smooth, rows, window)
+        named = _predict(evidence, terms, measured, smooth, rows, window)
+        error = (measured[rows + window] - named) - (series.measured[rows + window] - plain)
+        change = np.linalg.solve(phi, error[:, :, None])[:, :, 0] / labels.horizon
+    moved = series.measured[rows + window] - series.measured[rows]
+    persistence = np.linalg.solve(phi, moved[:, :, None])[:, :, 0] / labels.horizon
+    held = held_rows[rows] & held_rows[rows + window]
+    before, physics = labels.y, labels.y + change
+    if shared is not None:
+        before = before - shared.base[span].mean(axis=1)
+        physics = physics - shared_named.base[span].mean(axis=1)
+    inverse = np.linalg.inv(phi) / labels.horizon
+    onward = inverse @ (np.eye(3) + labels.horizon * A @ phi)
+    floor = (inverse**2 + onward**2) @ series.noise**2
+    return LabelErrors(labels, before, physics, persistence, held, floor)
+
+
+def _predict(evidence: Evidence, terms, measured, smooth, rows, window) -> np.ndarray:
+    series = evidence.series
+    model = extended_model(evidence.vehicle, terms)
+    situation = {"time": series.t, "track_position": series.s, "yaw": series.yaw}
+    recorded = recorded_inputs(model, smooth, series.torque, series.steer_angle, series.recording, **situation)
+    span = rows[:, None] + np.arange(window + 1)
+    return integrate_recorded(
+        model,
+        measured[rows],
+        recorded.torque[span],
+        recorded.steer_angle[span],
+        series.period,
+        substep_count(evidence.jacobian[rows], series.period),
+        term_states=recorded.term_states[rows],
+        **{name: values[rows] for name, values in situation.items()},
+    )
+
+
+def blocks_of_time(times: Sequence[np.ndarray], longest: float = BLOCK_SECONDS) -> np.ndarray:
+    """Number the blocks of time of all recordings; shorter ones where too few would be left to draw from."""
+    seconds = sum(float(np.ptp(t)) for t in times if len(t)) / _WANTED_BLOCKS
+    length = float(np.clip(seconds, _SHORTEST_BLOCK, longest))
+    return np.concatenate([1_000_000 * k + (t // length).astype(np.int64) for k, t in enumerate(times)])

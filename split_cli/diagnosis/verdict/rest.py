@@ -1,0 +1,169 @@
+"""SPLIT on what a model leaves: learned on training time, applied as far as parts of it left out allow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.innovations.rollouts import HORIZONS, Rest, Stage, roll_out_stages
+from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, LabelErrors, blocks_of_time
+from split_cli.learning.cells import learn
+from split_cli.learning.hyperparameters import default_kernel, scatter_variance
+from split_cli.learning.region import z2_grid
+from split_cli.prediction import make_predictor
+
+__all__ = ["learn_rest", "without_rest"]
+
+_FEWEST_TO_LEARN = 100
+_FOLDS = 4
+_STARTS = 30  # of rollouts, a fold
+_SHARES = (1.0, 0.5)  # of the trust that labels earn, the largest is kept that rollouts bear
+# Lateral velocity and yaw rate move together; what is said of one acts on the other within a tenth of a second.
+_GROUPS = ((0,), (1, 2))
+_BEYOND_CHANCE = 1.0  # standard errors of a difference, by blocks of time
+
+
+def learn_rest(
+    recordings: Sequence[tuple[Evidence, np.ndarray]],
+    stages: Sequence[Stage],
+    parts: Sequence[LabelErrors],
+    errors: Sequence[np.ndarray],
+) -> Rest | None:
+    """Learn what a model leaves, with the trust that it earned where it had not been learned.
+
+    Parameters
+    ----------
+    recordings : sequence of (Evidence, ndarray of bool of shape (N,))
+        Real recordings and which of their rows are held out; nothing is learned or judged there.
+    stages : sequence of Stage
+        The model, a recording each.
+    parts : sequence of LabelErrors
+    errors : sequence of ndarray, shape (L, 3)
+        Label errors of the model [m/s^2], [m/s^2], [rad/s^2].
+
+    Returns
+    -------
+    Rest or None
+        None where there are too few labels, or no output is to be trusted.
+
+    Notes
+    -----
+    Each quarter of the training time is predicted from the three others. An output's trust is the share w of the
+    prediction p that leaves least of the error e, sum(e p)/sum(p^2) between 0 and 1; it is 0 where that saves no
+    more than chance. Rollouts over the same quarters then show what small steps cannot: a correction that makes a
+    velocity drift. It is halved, and left away, while an error at any horizon is larger than without it beyond
+    chance.
+    """
+    vehicle = recordings[0][0].vehicle
+    folds = [_folds(part) for part in parts]
+    whole = _learned(parts, errors, [fold >= 0 for fold in folds], vehicle)
+    if whole is None:
+        return None
+    others = [_learned(parts, errors, [(f >= 0) & (f != k) for f in folds], vehicle) for k in range(_FOLDS)]
+    trust = _trust_in_labels(parts, errors, folds, others)
+    for group in _GROUPS:
+        wanted = np.zeros(3)
+        wanted[list(group)] = trust[list(group)]
+        trust[list(group)] = _borne_share(recordings, stages, parts, folds, others, wanted) * wanted[list(group)]
+    return replace(whole, trust=trust) if np.any(trust) else None
+
+
+def without_rest(part: LabelErrors, error: np.ndarray, rest: Rest | None) -> np.ndarray:
+    """Return label errors (L, 3) less what SPLIT predicts, where it claims to be valid and on held-out time."""
+    left = error.copy()
+    if rest is not None:
+        use = part.held & part.labels.accepted
+        left[use] -= rest.at(part.labels.z[use])
+    return left
+
+
+def _folds(part: LabelErrors) -> np.ndarray:
+    """Return the quarter of the training time that each label lies in, -1 for held-out ones, shape (L,)."""
+    fold = np.full(len(part.held), -1)
+    training = np.flatnonzero(~part.held)
+    fold[training] = np.arange(len(training)) * _FOLDS // max(len(training), 1)
+    return fold
+
+
+def _learned(parts, errors, masks, vehicle) -> Rest | None:
+    """Learn SPLIT on labels of a choice; None for too few."""
+    training = [
+        replace(part.labels, y=error).take(mask) for part, error, mask in zip(parts, errors, masks, strict=True)
+    ]
+    grid = z2_grid(vehicle, training[0].region)
+    training = [labels.inside(grid) for labels in training]
+    accepted = np.concatenate([labels.y[labels.accepted] for labels in training])
+    if len(accepted) < _FEWEST_TO_LEARN:
+        return None
+    noise = np.mean([scatter_variance(labels) for labels in training], axis=0)
+    trained = learn(training, vehicle=vehicle, grid=grid, kernel=default_kernel(grid, accepted, noise))
+    return Rest(make_predictor("bcm", trained), grid, np.ones(3))
+
+
+def _trust_in_labels(parts, errors, folds, others: Sequence[Rest | None]) -> np.ndarray:
+    """Return the share of each output's prediction that leaves least of the errors of the fold left out."""
+    error, predicted, block = [], [], []
+    for part, left, fold in zip(parts, errors, folds, strict=True):
+        guess = np.zeros_like(left)
+        for k, rest in enumerate(others):
+            rows = (fold == k) & part.labels.accepted
+            if rest is not None and rows.any():
+                guess[rows] = rest.at(part.labels.z[rows])
+        used = (fold >= 0) & part.labels.accepted
+        error.append(left[used])
+        predicted.append(guess[used])
+        block.append(part.labels.t[used])
+    number = blocks_of_time(block)
+    e, p = np.concatenate(error), np.concatenate(predicted)
+    share = np.clip(np.sum(e * p, axis=0) / np.maximum(np.sum(p * p, axis=0), 1e-300), 0.0, 1.0)
+    saved = e**2 - (e - share * p) ** 2
+    return np.where(_in_standard_errors(saved, number) > _BEYOND_CHANCE, share, 0.0)
+
+
+def _in_standard_errors(values: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Return sums of values (L, ...) over their standard errors, blocks of time being independent."""
+    _, number = np.unique(block, return_inverse=True)
+    sums = np.zeros((int(number.max(initial=0)) + 1, *values.shape[1:]))
+    np.add.at(sums, number, values)
+    error = np.sqrt(np.sum((sums - sums.mean(axis=0)) ** 2, axis=0) * len(sums) / max(len(sums) - 1, 1))
+    return sums.sum(axis=0) / np.maximum(error, 1e-300)
+
+
+def _borne_share(recordings, stages, parts, folds, others, trust: np.ndarray) -> float:
+    """Return the largest of `_SHARES` of a trust with which no rollout error grows beyond chance, else 0."""
+    if not np.any(trust):
+        return 0.0
+    for share in _SHARES:
+        change, block = [], []
+        for number, ((evidence, _), stage, part, fold) in enumerate(
+            zip(recordings, stages, parts, folds, strict=True)
+        ):
+            for k, rest in enumerate(others):
+                if rest is None:
+                    continue
+                trusted = replace(stage, rest=replace(rest, trust=share * trust))
+                compared = {"without": stage, "with": trusted}
+                rows = _rows_of(part, fold == k, len(evidence.series))
+                errors = roll_out_stages(evidence, compared, rows, most_starts=_STARTS)
+                if errors is None or len(errors.horizons) < len(HORIZONS):
+                    continue
+                change.append(errors.squared["with"] - errors.squared["without"])
+                block.append(errors.t // BLOCK_SECONDS + 1e6 * number)
+        if not change:
+            return 0.0
+        worse = _in_standard_errors(np.concatenate(change), np.concatenate(block))
+        if np.all(worse <= _BEYOND_CHANCE):
+            return share
+    return 0.0
+
+
+def _rows_of(part: LabelErrors, labels: np.ndarray, length: int) -> np.ndarray:
+    """Return the rows between the first and the last of a choice of labels, as a mask of shape (N,)."""
+    rows = np.zeros(length, dtype=bool)
+    at = part.labels.row[labels]
+    if len(at):
+        rows[at[0] : at[-1] + 1] = True
+    return rows
