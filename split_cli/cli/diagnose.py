@@ -65,6 +65,8 @@ def _tell(result) -> None:
             for name, p in f.parameters.items()
         ]
         print_table(["term", "parameter", "value", "std error", "unit", "or"], rows)
+    for lead in result.leads:
+        click.echo(lead.sentence)
     if result.verdict == "match" and result.detectable:
         click.echo("alone, an effect would have been named from about this size on")
         rows = [

@@ -28,6 +28,7 @@ from split_cli.diagnosis.verdict.detectable import smallest_named
 from split_cli.diagnosis.verdict.findings import describe, wanders, with_shares
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
+from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
@@ -213,6 +214,7 @@ def _tell(case: Case, found: _Comparison, policy: Policy) -> Diagnosis:
         remainder=remainder,
         improvement=improvement,
         gaps=tuple(map(gap_series, case.real, case.keep, forces, after)),
+        leads=find_leads(found.reading.structure.judge, found.reading.selection),
         history=selection.history,
         summary=summarise(
             "mismatch",

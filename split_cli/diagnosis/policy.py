@@ -237,6 +237,19 @@ class Abstention:
         "alternatives, exact degeneracies not counted, above which none of them is named",
         _JUDGEMENT + "a list of more helps nobody",
     )
+    lead_share: float = _number(
+        0.5,
+        "1",
+        "share of what the best explanation saves, from which on one that no real car can have is told as a lead",
+        _JUDGEMENT + "a half",
+    )
+    lead_as_good: float = _number(
+        0.15,
+        "1",
+        "share of a lead's saving that a plausible term may lack and still be told beside it",
+        _JUDGEMENT + "as `same_share` of the selection",
+    )
+    most_leads: int = _number(2, "leads", "leads that are told", _JUDGEMENT + "a list of more helps nobody")
     widest_place: float = _number(
         0.5,
         "1",

@@ -14,7 +14,7 @@ from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Candidate", "Range", "build_candidates"]
 
-_ENDS_IN_NATURE = ("drag", "force")  # no car pushes itself: all there is may be taken off
+_NEAR = 0.1  # steps from a bound within which a value is at it
 _WIDE = (1.0, 4.0, 12.0, -1.0, -4.0, -12.0)
 
 
@@ -73,14 +73,25 @@ class Candidate:
         return all(limit.lower <= values[name] <= limit.upper for name, limit in self.ranges.items())
 
     def at_limit(self, values: Mapping[str, float]) -> bool:
-        """Return whether the size of a value is where the search ends: it wants more than makes sense."""
-        neutral, reach = CATALOGUE[self.term].neutral, 0.1
-        return any(
-            values[name] >= limit.upper - reach * limit.step or values[name] <= limit.lower + reach * limit.step
+        """Return whether a value's size ends where no real car goes further: the data want more than that."""
+        neutral = CATALOGUE[self.term].neutral
+
+        def ends(name: str, limit: Range) -> bool:
+            near = _NEAR * limit.step
+            beyond = values[name] >= limit.upper - near
+            below = values[name] <= limit.lower + near and not limit.ends_at_none
+            return (beyond or below) and abs(values[name] - neutral[name]) > near
+
+        return any(ends(name, limit) for name, limit in self.ranges.items() if neutral.get(name) is not None)
+
+    def unlimited(self) -> Candidate:
+        """Return the candidate free to go beyond what a real car has, to tell what it would need."""
+        neutral = CATALOGUE[self.term].neutral
+        ranges = {
+            name: limit if neutral.get(name) is None else limit.widened(neutral[name])
             for name, limit in self.ranges.items()
-            if neutral.get(name) is not None and name not in _ENDS_IN_NATURE
-            and abs(values[name] - neutral[name]) > reach * limit.step
-        )  # fmt: skip
+        }
+        return replace(self, ranges=ranges)
 
     @property
     def needs(self) -> frozenset[str]:

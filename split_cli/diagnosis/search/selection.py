@@ -76,6 +76,8 @@ class Selection:
         What was added or removed, in order, in words.
     first_p : float
         Smallest minimum-effect p value of a term that was tried, times the number of terms tried.
+    first : tuple of Fit
+        What each term, in each variant that promised most, explains alone, best first.
     """
 
     base: Fit
@@ -86,6 +88,7 @@ class Selection:
     named: tuple[bool, ...]
     history: tuple[str, ...] = ()
     first_p: float = 1.0
+    first: tuple[Fit, ...] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -138,7 +141,7 @@ def select_terms(judge: Judge, candidates: Sequence[Candidate], inflation: float
             break
         history.append(f"{better.parts[-1].candidate.label} takes a place, saves {saved:.1f} beside misfit")
         selection = trial
-    return replace(selection, history=tuple(history), first_p=found.first_p)
+    return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first))
 
 
 def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
@@ -160,7 +163,7 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
 def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selection:
     """Return a selection with another explanation in the place of the chosen one, compared afresh."""
     found = _examined(explore, selection.base, chosen)
-    return replace(found, history=selection.history, first_p=selection.first_p)
+    return replace(found, history=selection.history, first_p=selection.first_p, first=selection.first)
 
 
 def _believed_together(

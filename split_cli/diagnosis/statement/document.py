@@ -14,7 +14,9 @@ from split_cli.diagnosis.statement.result import (
     Finding,
     HorizonErrors,
     Improvement,
+    Lead,
     Location,
+    ParameterEstimate,
 )
 
 __all__ = ["diagnosis_to_mapping", "diagnosis_to_text", "read_schema"]
@@ -43,6 +45,7 @@ def diagnosis_to_mapping(diagnosis: Diagnosis) -> dict[str, Any]:
         "findings": [_finding(finding) for finding in diagnosis.findings],
         "unexplained": diagnosis.unexplained,
         "improvement": _improvement(diagnosis.improvement),
+        "leads": [_lead(one) for one in diagnosis.leads],
         "detectable": [_detectable(one) for one in diagnosis.detectable],
         "inputs": [{"name": f.name, "sha256": f.sha256, "role": f.role} for f in diagnosis.inputs],
         "settings": _plain(diagnosis.settings),
@@ -73,18 +76,29 @@ def _location(location: Location | None) -> dict[str, Any] | None:
     }
 
 
+def _parameters(parameters: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
+    return {
+        name: {"value": p.value, "std_error": p.std_error, "unit": p.unit, "interval_95": list(p.interval_95)}
+        for name, p in parameters.items()
+    }
+
+
+def _lead(lead: Lead) -> dict[str, Any]:
+    return {
+        "term": lead.term,
+        "variant": lead.variant,
+        "parameters": _parameters(lead.parameters),
+        "limits": {name: list(limits) for name, limits in lead.limits.items()},
+        "share": lead.share,
+        "instead": list(lead.instead),
+        "sentence": lead.sentence,
+    }
+
+
 def _finding(finding: Finding) -> dict[str, Any]:
     return {
         "term": finding.term,
-        "parameters": {
-            name: {
-                "value": p.value,
-                "std_error": p.std_error,
-                "unit": p.unit,
-                "interval_95": list(p.interval_95),
-            }
-            for name, p in finding.parameters.items()
-        },
+        "parameters": _parameters(finding.parameters),
         "gap_explained": finding.gap_explained,
         "alternatives": list(finding.alternatives),
         "sentence": finding.sentence,

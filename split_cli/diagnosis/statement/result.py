@@ -15,6 +15,7 @@ __all__ = [
     "HorizonErrors",
     "Improvement",
     "InputFile",
+    "Lead",
     "Location",
     "ParameterEstimate",
     "Place",
@@ -116,6 +117,33 @@ class Finding:
     def is_as_good(self, rival: RivalSummary) -> bool:
         """Return whether a runner-up is an alternative, in the very variant it was fitted in."""
         return rival.term in self.alternatives and (rival.z < _AS_GOOD or rival.excess <= 0.0)
+
+
+@dataclass(frozen=True)
+class Lead:
+    """An explanation that is no finding, since no real car of this size has what it would need.
+
+    Attributes
+    ----------
+    term, variant : str
+    parameters : mapping of str to ParameterEstimate
+        What it would need.
+    limits : mapping of str to (float, float)
+        What a real car can have, of those parameters that would have to go beyond.
+    share : float
+        Of what the best explanation saves, how much this one would save alone.
+    instead : tuple of str
+        Terms that explain nearly as much within what a car can have, best first.
+    sentence : str
+    """
+
+    term: str
+    variant: str
+    parameters: Mapping[str, ParameterEstimate]
+    limits: Mapping[str, tuple[float, float]]
+    share: float
+    instead: tuple[str, ...]
+    sentence: str
 
 
 @dataclass(frozen=True)
@@ -339,6 +367,8 @@ class Diagnosis:
         One paragraph a reader can act on.
     detectable : tuple of Detectable
         What a silence about each term is worth; none where nothing was decided.
+    leads : tuple of Lead
+        Explanations that no real car can have, with what it would take and what explains as much.
     """
 
     verdict: Verdict
@@ -356,3 +386,4 @@ class Diagnosis:
     history: tuple[str, ...] = ()
     summary: str = ""
     detectable: tuple[Detectable, ...] = ()
+    leads: tuple[Lead, ...] = ()

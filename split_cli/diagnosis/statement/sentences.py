@@ -10,7 +10,7 @@ from split_cli.diagnosis.statement.wording import number, percent, term_with_id,
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["sentence_for", "separations", "statement_for", "summarise"]
+__all__ = ["lead_sentence", "sentence_for", "separations", "statement_for", "summarise"]
 
 # What a flexible fit calls its groups of functions, for a reader.
 _KINDS = {
@@ -46,6 +46,39 @@ def sentence_for(
         else:
             sentences.append(f"On this data it cannot be told from {name}; what would tell: {one.hint}.")
     return " ".join(sentences)
+
+
+def lead_sentence(
+    term: str,
+    variant: str,
+    parameters: Parameters,
+    sources: Sequence[str],
+    instead: Sequence[tuple[str, str, Parameters]],
+    vehicle: Vehicle | None = None,
+) -> str:
+    """Return what an explanation would need that no real car has, why none has it, and what explains as much.
+
+    Parameters
+    ----------
+    term, variant : str
+    parameters : mapping of str to ParameterEstimate
+        What it would need.
+    sources : sequence of str
+        Of the limits.
+    instead : sequence of (str, str, mapping)
+        Term, variant and parameters of explanations within what a car can have.
+    vehicle : Vehicle, optional
+    """
+    kind = CATALOGUE[term]
+    parts = [
+        f"A lead, not a finding: it would be explained if {kind.statement(parameters, variant)}. No real "
+        f"car of this size has that ({'; '.join(sources)})."
+    ]
+    parts += [
+        f"As much is explained if {CATALOGUE[other].statement(values, which)} ({other})."
+        for other, which, values in instead
+    ]
+    return " ".join(parts)
 
 
 def statement_for(term: str, variant: str, parameters: Parameters, vehicle: Vehicle | None = None) -> str:

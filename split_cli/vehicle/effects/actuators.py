@@ -22,6 +22,10 @@ __all__ = [
     "SteerOffset",
 ]
 
+_RATIO = "judgement: steering ratios of road cars lie within 12 and 20, so a wrong one is off by less than 1.8"
+_PLAY = "judgement: six degrees at the wheel, the worst linkage of a model car"
+_ZERO = "judgement: six degrees at the wheel, 90 at a steering wheel, would be seen by any driver"
+
 
 class DriveDelay(Term):
     """Torque that arrives `delay` late: T(t - delay). Only a command can show it."""
@@ -80,7 +84,8 @@ class DriveGain(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        limits = Range(0.2, 3.0, 0.01)
+        source = "judgement: a torque that a file does not know better is another car's"
+        limits = Range(0.3, 2.5, 0.01, source)
         ranges = {"drive_gain": limits, "brake_gain": limits}
         return Search(ranges, ({"drive_gain": 0.97, "brake_gain": 0.97},))
 
@@ -194,7 +199,7 @@ class SteerGain(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"gain": Range(0.4, 2.0, 0.005)}, ({"gain": 0.98},))
+        return Search({"gain": Range(0.5, 1.8, 0.005, _RATIO)}, ({"gain": 0.98},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -228,7 +233,7 @@ class SteerBacklash(Term):
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
         starts = tuple({"width": value} for value in (0.0003, 0.001, 0.003, 0.01, 0.03))
-        return Search({"width": Range(0.0, 0.15, 0.0001)}, starts)
+        return Search({"width": Range(0.0, 0.1, 0.0001, _PLAY)}, starts)
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -302,7 +307,7 @@ class SteerOffset(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"offset": Range(-0.15, 0.15, 0.0005)}, ({"offset": 0.002},))
+        return Search({"offset": Range(-0.1, 0.1, 0.0005, _ZERO)}, ({"offset": 0.002},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:

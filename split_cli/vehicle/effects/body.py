@@ -14,6 +14,18 @@ from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["CgShift", "Mass", "YawInertia"]
 
+# In wheelbases.
+_MOVED, _FURTHEST = 0.17, 0.75
+_PLACE = (
+    "judgement: people and luggage move the CG by less than 0.17 wheelbases, and no axle carries more than three "
+    "quarters of a car"
+)
+_MASS = "judgement: a payload of 70 % of the kerb mass is beyond any car, as is one that lacks 45 %"
+_INERTIA = (
+    "Heydinger et al. (1999): I_z/(m l_f l_r) of cars lies within 0.8 and 1.2; a file may have guessed it by a factor"
+    " of two"
+)
+
 
 class Mass(Term):
     """A heavier or lighter car: m scale.
@@ -42,7 +54,7 @@ class Mass(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"scale": Range(0.4, 2.5, 0.01)}, ({"scale": 1.03},))
+        return Search({"scale": Range(0.55, 1.7, 0.01, _MASS)}, ({"scale": 1.03},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -83,7 +95,7 @@ class YawInertia(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"scale": Range(0.3, 3.0, 0.01)}, ({"scale": 1.03},))
+        return Search({"scale": Range(0.4, 2.5, 0.01, _INERTIA)}, ({"scale": 1.03},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -125,7 +137,9 @@ class CgShift(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"dx": Range(-0.3, 0.3, 0.002)}, ({"dx": 0.005},))
+        front = vehicle.cg_to_front_axle / vehicle.wheelbase
+        lower, upper = max(-_MOVED, front - _FURTHEST), min(_MOVED, front - 1.0 + _FURTHEST)
+        return Search({"dx": Range(min(lower, -0.02), max(upper, 0.02), 0.002, _PLACE)}, ({"dx": 0.005},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:

@@ -13,6 +13,11 @@ from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["AeroDrag", "RollingResistance", "Wind", "YawMomentDifferential"]
 
+_DRAG = "judgement: a fifth of the weight at 20 m/s is several times what any body with wings has"
+_ROLLING = "judgement: a quarter of the weight is what deep sand takes"
+_LOCKED = "judgement: half of what the tyres themselves damp at a brisk speed; a locked axle's tyres do no more"
+_STORM = "judgement: 30 m/s for a full-size car, a violent storm, in which nobody tests"
+
 
 class AeroDrag(Term):
     """Drag beyond the nominal: F_x gains -drag v_x^2.
@@ -41,7 +46,7 @@ class AeroDrag(Term):
         """Return ranges and starts in units of `sizes`."""
         # No car pushes itself: what is taken off is at most what the nominal has.
         least = vehicle.drag_coefficient / cls.sizes(vehicle)["drag"]
-        return Search({"drag": Range(-least, 10.0, 0.01)}, ({"drag": 0.1},))
+        return Search({"drag": Range(-least, 2.0, 0.01, _DRAG, ends_at_none=True)}, ({"drag": 0.1},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -81,7 +86,7 @@ class RollingResistance(Term):
         """Return ranges and starts in units of `sizes`."""
         nominal = vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear
         least = nominal / cls.sizes(vehicle)["force"]
-        return Search({"force": Range(-least, 0.3, 0.001)}, ({"force": 0.005},))
+        return Search({"force": Range(-least, 0.25, 0.001, _ROLLING, ends_at_none=True)}, ({"force": 0.005},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -126,7 +131,7 @@ class YawMomentDifferential(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"yaw_damping": Range(0.0, 5.0, 0.01)}, ({"yaw_damping": 0.05},))
+        return Search({"yaw_damping": Range(0.0, 5.0, 0.01, _LOCKED)}, ({"yaw_damping": 0.05},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -178,7 +183,7 @@ class Wind(Term):
         """Return ranges and starts in units of `sizes`."""
         if vehicle.drag_coefficient == 0.0:
             return None
-        limits = Range(-2.0, 2.0, 0.01)
+        limits = Range(-1.5, 1.5, 0.01, _STORM)
         return Search({"wx": limits, "wy": limits}, ({"wx": 0.1, "wy": 0.1},))
 
     @classmethod

@@ -33,11 +33,13 @@ class _Incline(Term):
     neutral: ClassVar = {"angle": 0.0, "amplitude": 0.0}
     family = "place"
     directions: ClassVar[tuple[str, str]]
+    steepest: ClassVar[dict[str, float]]
+    source: ClassVar[str]
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        limits = Range(-0.4, 0.4, 0.001)
+        limits = Range(-cls.steepest[variant], cls.steepest[variant], 0.001, cls.source)
         reach = course.reach
         if variant == "wave":
             wavelength = Range(0.03 * reach, 4.0 * reach, 0.002 * reach)
@@ -84,6 +86,8 @@ class RoadGrade(_Incline):
     id = "road_grade"
     needs: ClassVar = frozenset({"torque"})
     directions = ("climbs", "falls")
+    steepest: ClassVar = {"": 0.35, "wave": 0.35, "stretch": 0.35}
+    source = "judgement: the steepest streets climb 35 %"
     mimics: ClassVar = (
         Mimic("rolling_resistance", "a constant grade is the same force", exact=True, variants=("",)),
         Mimic(
@@ -113,6 +117,11 @@ class RoadBank(_Incline):
 
     id = "road_bank"
     directions = ("rises to the left", "rises to the right")
+    steepest: ClassVar = {"": 0.16, "wave": 0.6, "stretch": 0.6}
+    source = (
+        "AASHTO, A Policy on Geometric Design of Highways and Streets: superelevation of 12 % at most; the straights "
+        "of ovals have up to 9 degrees all along, their turns up to 33"
+    )
     mimics: ClassVar = (
         Mimic("steer_offset", "little change of speed", "curves to both sides: an offset also turns the car"),
         Mimic("wind", "a straight road in one direction", "the way back"),

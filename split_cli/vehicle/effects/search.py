@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,19 +12,43 @@ from split_cli.vehicle.parameters import Vehicle
 __all__ = ["DELAY_SEARCH", "GRAVITY", "LAG_SEARCH", "Course", "Range", "Search", "speed_unit", "time_unit"]
 
 GRAVITY = 9.80665  # [m/s^2]
+_WIDER = 4.0  # how far beyond what a car can have an explanation is followed, to tell what it would need
 
 
 @dataclass(frozen=True)
 class Range:
-    """Of one parameter: bounds and the step its derivative is taken with, all in its unit."""
+    """What values of one parameter a real car of this size can have: the prior of a diagnosis.
+
+    Attributes
+    ----------
+    lower, upper, step : float
+        Bounds, and the step its derivative is taken with, all in its unit.
+    source : str
+        Why no real car lies beyond: a text, a standard, or a judgement, said so.
+    ends_at_none : bool
+        Whether the lower bound is where all there is has been taken off, so that a value there is sound.
+    """
 
     lower: float
     upper: float
     step: float
+    source: str = ""
+    ends_at_none: bool = False
 
     def times(self, size: float) -> Range:
         """Return the range in another unit."""
-        return Range(self.lower * size, self.upper * size, self.step * size)
+        return replace(self, lower=self.lower * size, upper=self.upper * size, step=self.step * size)
+
+    def widened(self, neutral: float) -> Range:
+        """Return the range four times as wide about its neutral value, to see what an explanation would need.
+
+        A ratio, neutral at 1, is widened by its logarithm; a bound at the neutral value, or where nothing is left
+        to take off, stays.
+        """
+        if neutral == 1.0:
+            return replace(self, lower=0.25 * self.lower, upper=4.0 * self.upper)
+        lower = self.lower if self.ends_at_none else neutral + _WIDER * (self.lower - neutral)
+        return replace(self, lower=lower, upper=neutral + _WIDER * (self.upper - neutral))
 
 
 @dataclass(frozen=True)
@@ -34,7 +58,7 @@ class Search:
     Attributes
     ----------
     ranges : mapping of str to Range
-        Limits that a real car of this size can have.
+        What a real car of this size can have, with the source.
     starts : tuple of mapping of str to float
         Several where the cost has several valleys.
     located : str
@@ -74,11 +98,17 @@ class Course:
 
 
 # What is late by ten times as much promises nothing, so starts stand close; in units of `time_unit`.
+_LATE = (
+    "judgement: by-wire actuators and their networks are late by up to 0.3 s, clocks of a log that nobody aligned by "
+    "up to twice that"
+)
+_SLOW = "judgement: a turbo-charged engine builds up torque in up to a second, nothing in a car is slower"
 DELAY_SEARCH = Search(
-    {"delay": Range(0.0, 0.6, 0.001)}, tuple({"delay": value} for value in (0.001, 0.004, 0.015, 0.045, 0.13))
+    {"delay": Range(0.0, 0.6, 0.001, _LATE)},
+    tuple({"delay": value} for value in (0.001, 0.004, 0.015, 0.045, 0.13)),
 )
 LAG_SEARCH = Search(
-    {"tau": Range(0.0, 1.0, 0.001)}, tuple({"tau": value} for value in (0.001, 0.004, 0.015, 0.05, 0.16))
+    {"tau": Range(0.0, 1.0, 0.001, _SLOW)}, tuple({"tau": value} for value in (0.001, 0.004, 0.015, 0.05, 0.16))
 )
 
 

@@ -17,6 +17,10 @@ from split_cli.vehicle.parameters import Vehicle
 __all__ = ["SensorDelay", "SensorLeverArm", "SensorMisalignment"]
 
 _COMMANDS = ("t", "T", "delta", "s")
+# Overhangs of a body before the front axle and behind the rear one, in wheelbases.
+_NOSE, _TAIL = 0.35, 0.45
+_INSIDE = "a velocity sensor sits within the body: overhangs of up to 0.35 and 0.45 wheelbases, judgement"
+_TURNED = "judgement: a mounting that is off by more than eleven degrees is seen"
 
 
 class SensorLeverArm(Term):
@@ -39,7 +43,9 @@ class SensorLeverArm(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"dx": Range(-1.0, 1.0, 0.002)}, ({"dx": 0.02},))
+        length = vehicle.wheelbase
+        lower, upper = -vehicle.cg_to_rear_axle / length - _TAIL, vehicle.cg_to_front_axle / length + _NOSE
+        return Search({"dx": Range(lower, upper, 0.002, _INSIDE)}, ({"dx": 0.02},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -70,7 +76,7 @@ class SensorMisalignment(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"angle": Range(-0.3, 0.3, 0.0005)}, ({"angle": 0.003},))
+        return Search({"angle": Range(-0.2, 0.2, 0.0005, _TURNED)}, ({"angle": 0.003},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:

@@ -36,6 +36,26 @@ _LEAST_CAPACITY = 1e-3
 _SOME_BRAKING = 0.6  # share of the largest braking torque that lost grip is told at
 _LONG_AGAINST = 0.5  # relative error of a time constant beyond which only its ratio to the loss is known
 
+_ELLIPSE = "judgement: grip along the car is more than half of that across it, which would be 4"
+_GRIP = "judgement: tyre and road have a friction of 0.1 (wet ice) to 2.2 (racing tyres)"
+_LEAST_FRICTION, _MOST_FRICTION = 0.1, 2.2
+_FADE = "judgement: from a dry road to ice, or from cold tyres to warm ones"
+_ROLLED = (
+    "Pacejka (2012), section 5.4: lengths of the order of a wheel's radius and of twice that; judgement beyond"
+)
+_HEIGHT = (
+    "Heydinger et al. (1999), SAE 1999-01-1336: 0.17 to 0.3 wheelbases for cars and light trucks; judgement: 0.5"
+)
+_STIFF = "judgement: make, pressure and wear change a tyre's stiffness by less than a factor of 1.8"
+_LOADED = "judgement: racing cars carry their weight at 40 m/s, which is 0.25; none has eight times that"
+
+
+def _grip_range(vehicle: Vehicle) -> Range:
+    """Return scales that leave the whole car with a friction that tyres and roads have."""
+    friction = (vehicle.front_tire.D + vehicle.rear_tire.D) / (vehicle.mass * GRAVITY)
+    lower = min(max(_LEAST_FRICTION / friction, 0.15), 0.9)
+    return Range(lower, max(_MOST_FRICTION / friction, 1.2), 0.01, _GRIP)
+
 
 def _curve(variant: str) -> str:
     return "the tyres' whole curve" if variant == "curve" else "grip"
@@ -84,7 +104,7 @@ class CombinedSlip(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"strength": Range(0.0, 4.0, 0.02)}, ({"strength": 0.3},))
+        return Search({"strength": Range(0.0, 4.0, 0.02, _ELLIPSE)}, ({"strength": 0.3},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -139,7 +159,7 @@ class FrictionScale(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"scale": Range(0.3, 2.0, 0.01)}, ({"scale": 0.97},))
+        return Search({"scale": _grip_range(vehicle)}, ({"scale": 0.97},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -170,7 +190,7 @@ class FrictionPatch(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        ranges = {"scale": Range(0.25, 2.0, 0.01), **place_ranges(course.reach)}
+        ranges = {"scale": _grip_range(vehicle), **place_ranges(course.reach)}
         return Search(ranges, located="patch", complexity=PLACE_COMPLEXITY)
 
     @classmethod
@@ -216,7 +236,7 @@ class GripFade(Term):
         duration = course.duration
         tau = Range(0.02 * duration, 10.0 * duration, 0.02 * duration)
         starts = tuple({"final_loss": 0.05, "tau": share * duration} for share in (0.1, 0.3, 1.0))
-        return Search({"final_loss": Range(-0.9, 0.9, 0.01), "tau": tau}, starts)
+        return Search({"final_loss": Range(-0.9, 0.9, 0.01, _FADE), "tau": tau}, starts)
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -267,7 +287,7 @@ class TireRelaxation(Term):
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
         starts = tuple({"length": value} for value in (0.1, 0.5, 1.5))
-        return Search({"length": Range(0.0, 5.0, 0.02)}, starts)
+        return Search({"length": Range(0.0, 3.5, 0.02, _ROLLED)}, starts)
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -313,7 +333,7 @@ class LoadTransfer(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"cg_height": Range(0.0, 1.0, 0.005)}, ({"cg_height": 0.05},))
+        return Search({"cg_height": Range(0.0, 0.5, 0.005, _HEIGHT)}, ({"cg_height": 0.05},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -362,7 +382,7 @@ class TireStiffness(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        limits = Range(0.3, 3.0, 0.01)
+        limits = Range(0.55, 1.8, 0.01, _STIFF)
         return Search({"front_scale": limits, "rear_scale": limits}, ({"front_scale": 0.97, "rear_scale": 0.97},))
 
     @classmethod
@@ -404,7 +424,7 @@ class AeroDownforce(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        limits = Range(-2.0, 5.0, 0.02)
+        limits = Range(-0.8, 2.0, 0.02, _LOADED)
         return Search({"front": limits, "rear": limits}, ({"front": 0.1, "rear": 0.1},))
 
     @classmethod

@@ -16,6 +16,9 @@ def what_section(diagnosis: Diagnosis) -> str:
     cards = "".join(_finding(k, finding) for k, finding in enumerate(diagnosis.findings, 1))
     if not diagnosis.findings:
         cards = '<p class="lead">No term of the catalogue earned its place.</p>'
+    if diagnosis.leads:
+        items = "".join(f"<li>{escape(one.sentence)}</li>" for one in diagnosis.leads)
+        cards += f'<div class="note" id="leads"><p>Leads, no findings:</p><ul>{items}</ul></div>'
     remainder = "" if diagnosis.remainder is None else _remainder(diagnosis.remainder, diagnosis.unexplained)
     steps = "".join(f"<li>{escape(step)}</li>" for step in diagnosis.history)
     history = f"<details><summary>Steps of the selection</summary><ol>{steps}</ol></details>" if steps else ""

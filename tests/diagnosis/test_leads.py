@@ -1,0 +1,67 @@
+"""What no real car can have is no finding, and is told as a lead with what it would need."""
+
+from __future__ import annotations
+
+import jsonschema
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.statement.document import diagnosis_to_mapping, read_schema
+from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects.search import Course, Range
+from tests.diagnosis.recordings import driven, noisy
+from tests.factories import road_car
+
+
+def test_every_size_has_limits_with_a_source_and_starts_inside():
+    course = Course(60.0, 400.0)
+    for kind in CATALOGUE.values():
+        for variant in kind.variants:
+            search = kind.search(road_car(), course, variant)
+            if search is None:
+                continue
+            for name, limits in search.ranges.items():
+                assert limits.lower < limits.upper and limits.step > 0.0
+                neutral = kind.neutral.get(name)
+                if neutral is not None:
+                    assert limits.source, (kind.id, name)
+                    assert limits.lower <= neutral <= limits.upper, (kind.id, name)
+            for start in search.starts:
+                assert all(
+                    search.ranges[name].lower <= value <= search.ranges[name].upper
+                    for name, value in start.items()
+                )
+
+
+def test_limits_grow_with_the_car():
+    """Lengths are told in wheelbases, times in their root: a tenth of the car has a tenth of the reach."""
+    small = CATALOGUE["sensor_lever_arm"]
+    assert small.sizes(road_car())["dx"] == pytest.approx(road_car().wheelbase)
+    assert CATALOGUE["steer_lag"].sizes(road_car())["tau"] == pytest.approx(np.sqrt(road_car().wheelbase / 2.7))
+
+
+def test_a_range_is_widened_about_what_is_neutral():
+    assert Range(-0.1, 0.2, 0.01).widened(0.0) == Range(-0.4, 0.8, 0.01)
+    assert Range(0.5, 2.0, 0.01).widened(1.0) == Range(0.125, 8.0, 0.01)
+    assert Range(0.0, 0.5, 0.01).widened(0.0).lower == 0.0
+    assert Range(-3.0, 9.0, 0.1, ends_at_none=True).widened(0.0) == Range(-3.0, 36.0, 0.1, ends_at_none=True)
+
+
+def test_a_bank_that_no_road_has_is_a_lead(nominal_series):
+    """Eighteen degrees of bank under the whole drive: seen, followed to its value, and not named."""
+    planted = 0.3
+    limit = next(one for one in build_candidates(road_car(), nominal_series) if one.label == "road_bank")
+    assert limit.ranges["angle"].upper < planted
+    real = noisy(driven(72, (CATALOGUE["road_bank"]({"angle": planted}),), runs=8, seconds=8.0, spaced=9.0), 572)
+    said = diagnose([real], road_car())
+    assert said.verdict == "mismatch" and "road_bank" not in {one.term for one in said.findings}
+    lead = said.leads[0]
+    assert lead.term == "road_bank" and lead.share > 0.9
+    assert lead.parameters["angle"].value == pytest.approx(planted, abs=0.02)
+    assert lead.limits["angle"] == (limit.ranges["angle"].lower, limit.ranges["angle"].upper)
+    assert "No real car" in lead.sentence and "AASHTO" in lead.sentence
+    mapping = diagnosis_to_mapping(said)
+    jsonschema.validate(mapping, read_schema())
+    assert mapping["leads"][0]["term"] == "road_bank"
