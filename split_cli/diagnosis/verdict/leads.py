@@ -29,9 +29,7 @@ def find_leads(judge: Judge, selection: Selection) -> tuple[Lead, ...]:
     a fair share of what is there, alone.
     """
     rules = judge.policy.abstention
-    known = {
-        part.candidate.term for part, named in zip(selection.chosen.parts, selection.named, strict=True) if named
-    }
+    known = {term.id for term in selection.terms}
     whole = max(selection.base.cost - min(one.cost for one in (selection.chosen, *selection.first)), 1e-9)
     bounded: dict[str, Fit] = {}
     for fit in selection.first:

@@ -22,8 +22,8 @@ _PLACE = (
 )
 _MASS = "judgement: a payload of 70 % of the kerb mass is beyond any car, as is one that lacks 45 %"
 _INERTIA = (
-    "Heydinger et al. (1999): I_z/(m l_f l_r) of cars lies within 0.8 and 1.2; a file may have guessed it by a factor"
-    " of two"
+    "Heydinger et al. (1999): I_z/(m l_f l_r) of cars lies within 0.8 and 1.2; a file may have guessed it by a "
+    "factor of two"
 )
 
 

@@ -119,8 +119,8 @@ class RoadBank(_Incline):
     directions = ("rises to the left", "rises to the right")
     steepest: ClassVar = {"": 0.16, "wave": 0.6, "stretch": 0.6}
     source = (
-        "AASHTO, A Policy on Geometric Design of Highways and Streets: superelevation of 12 % at most; the straights "
-        "of ovals have up to 9 degrees all along, their turns up to 33"
+        "AASHTO, A Policy on Geometric Design of Highways and Streets: superelevation of 12 % at most; the "
+        "straights of ovals have up to 9 degrees all along, their turns up to 33"
     )
     mimics: ClassVar = (
         Mimic("steer_offset", "little change of speed", "curves to both sides: an offset also turns the car"),

@@ -99,8 +99,8 @@ class Course:
 
 # What is late by ten times as much promises nothing, so starts stand close; in units of `time_unit`.
 _LATE = (
-    "judgement: by-wire actuators and their networks are late by up to 0.3 s, clocks of a log that nobody aligned by "
-    "up to twice that"
+    "judgement: by-wire actuators and their networks are late by up to 0.3 s, clocks of a log that nobody aligned "
+    "by up to twice that"
 )
 _SLOW = "judgement: a turbo-charged engine builds up torque in up to a second, nothing in a car is slower"
 DELAY_SEARCH = Search(
