@@ -15,6 +15,7 @@ __all__ = [
     "SplitError",
     "VehicleError",
     "nearest_names",
+    "printable",
 ]
 
 
@@ -41,7 +42,7 @@ class SplitError(Exception):
         if advice:
             text = f"{text.rstrip('.')}. {advice}"
         # One line on stderr, whatever a library's message or a file's name brought along.
-        super().__init__(" ".join(text.split("\n")))
+        super().__init__(printable(" ".join(text.split("\n"))))
 
     def __reduce__(self) -> tuple:
         """Rebuild from the parts: worker processes send errors back pickled."""
@@ -78,6 +79,24 @@ class ExportError(SplitError):
 
 class NumericalRepairWarning(UserWarning):
     """A bounded numerical repair (jitter) was needed; said each time."""
+
+
+# Characters that make a terminal do something, or turn the direction of writing: shown by their codes.
+_CODES = {
+    number: f"\\x{number:02x}" if number < 256 else f"\\u{number:04x}"
+    for number in (*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+}
+
+
+def printable(text: str) -> str:
+    """Return text that a terminal only shows: control characters and changes of direction as their codes.
+
+    Examples
+    --------
+    >>> printable("lap\x1b[31m")
+    'lap\\x1b[31m'
+    """
+    return text if text.isprintable() else text.translate(_CODES)
 
 
 def nearest_names(name: str, known: Iterable[str], count: int = 3) -> str:

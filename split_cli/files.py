@@ -1,14 +1,18 @@
-"""Writing files whole or not at all, and naming their content. Imports only `errors`."""
+"""Writing files and folders whole or not at all, one writer at a time, and naming content. Imports `errors`."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import hashlib
 import os
 import shutil
+import stat
+import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from split_cli.errors import SplitError
 
@@ -17,6 +21,10 @@ __all__ = [
     "atomic_path",
     "atomic_write_bytes",
     "atomic_write_text",
+    "exclusive_access",
+    "open_to_read",
+    "read_text",
+    "refuse_no_regular_file",
     "refuse_overwriting_inputs",
     "refuse_what_cannot_be_written",
     "sha256_of_file",
@@ -40,10 +48,10 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
     target = _real_target(target)
     _refuse_what_is_no_file(target, shown)
     temporary: Path | None = None
+    claim: int | None = None
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
-        os.close(handle)
-        temporary = Path(name)
+        _sweep(target)
+        claim, temporary = _claimed_file(target)
         yield temporary
         _flush_to_disk(temporary)
         os.chmod(temporary, 0o666 & ~_umask())
@@ -56,15 +64,18 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+        if claim is not None:
+            os.close(claim)
 
 
 @contextlib.contextmanager
 def atomic_directory(target: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary folder beside `target`; its files replace those in `target` when all went well.
+    """Give a temporary folder beside `target` that takes the place of `target` when all went well.
 
-    A folder that did not exist appears by one rename, if there is anything to put into it. In one that did, files
-    of other names stay; every new file is on the disk and its place checked before the first is moved, each by an
-    atomic rename.
+    A reader, or whoever looks after a crash, finds all new files or all old ones. In a folder that exists, files
+    of other names stay: they are linked into the new one before the two change places in one step of the system.
+    Where that step does not exist (another system than Linux, a mount point, the folder one stands in), the files
+    are moved one by one, each atomically.
 
     Raises
     ------
@@ -76,8 +87,10 @@ def atomic_directory(target: str | os.PathLike[str]) -> Iterator[Path]:
     if target.exists() and not target.is_dir():
         raise SplitError("is a file, a folder was to be written", where=shown)
     temporary: Path | None = None
+    claim: int | None = None
     try:
-        temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
+        _sweep(target)
+        temporary, claim = _claimed_folder(target)
         yield temporary
         produced = sorted(path for path in temporary.rglob("*") if path.is_file())
         for path in produced:
@@ -85,10 +98,8 @@ def atomic_directory(target: str | os.PathLike[str]) -> Iterator[Path]:
             place = path.relative_to(temporary)
             _refuse_what_is_no_file(target / place, str(Path(shown) / place))
         if target.exists():
-            for path in produced:
-                destination = target / path.relative_to(temporary)
-                destination.parent.mkdir(parents=True, exist_ok=True)
-                os.replace(path, destination)
+            if produced and not _swapped(temporary, target, produced):
+                _move_one_by_one(temporary, target, produced)
         elif produced:
             os.chmod(temporary, 0o777 & ~_umask())
             os.replace(temporary, target)
@@ -99,6 +110,186 @@ def atomic_directory(target: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
+        if claim is not None:
+            os.close(claim)
+
+
+_UNFINISHED = ".part"
+_AT_WORKING_FOLDER, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of renameat2(2)
+
+
+def _swapped(temporary: Path, target: Path, produced: list[Path]) -> bool:
+    """Exchange two folders in one step; False, with nothing changed, where that cannot be done."""
+    if _stands_in(target) or os.path.ismount(target) or not sys.platform.startswith("linux"):
+        return False
+    try:
+        _link_the_rest(target, temporary, {path.relative_to(temporary) for path in produced})
+        shutil.copymode(target, temporary)
+        exchange = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError):
+        return False
+    here, flags = _AT_WORKING_FOLDER, ctypes.c_uint(_EXCHANGE)
+    return exchange(here, os.fsencode(temporary), here, os.fsencode(target), flags) == 0
+
+
+def _stands_in(folder: Path) -> bool:
+    """Tell whether the working folder is this one or below it: exchanged, it would be the old one."""
+    try:
+        return Path.cwd().is_relative_to(folder)
+    except OSError:
+        return True
+
+
+def _link_the_rest(old: Path, new: Path, produced: set[Path]) -> None:
+    """Give the new folder all that the old one holds under other names; links and special files included."""
+    for folder, folders, files in os.walk(old):
+        place = Path(folder).relative_to(old)
+        for name in folders:
+            if (Path(folder) / name).is_symlink():
+                files.append(name)
+            else:
+                (new / place / name).mkdir(exist_ok=True)
+                shutil.copymode(Path(folder) / name, new / place / name)
+        for name in files:
+            if place / name not in produced:
+                os.link(Path(folder) / name, new / place / name, follow_symlinks=False)
+
+
+def _move_one_by_one(temporary: Path, target: Path, produced: list[Path]) -> None:
+    for path in produced:
+        destination = target / path.relative_to(temporary)
+        destination.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(path, destination)
+
+
+@contextlib.contextmanager
+def exclusive_access(target: str | os.PathLike[str]) -> Iterator[None]:
+    """Keep every other run that asks for the same file waiting until the body ends.
+
+    For a file that is read, changed and written again: two runs at once would lose what one of them added. The
+    lock is on the file itself and goes with the process, however that ends. What does not exist is not locked.
+
+    Raises
+    ------
+    SplitError
+        If the file cannot be read.
+    """
+    target = Path(os.path.realpath(target))
+    claim: int | None = None
+    try:
+        while claim is None and target.is_file():
+            claim = os.open(target, os.O_RDONLY)
+            _lock(claim, wait=True)
+            # Whoever held it has replaced the file: then the lock is on what is no longer there.
+            if not target.exists() or not os.path.samestat(os.fstat(claim), target.stat()):
+                os.close(claim)
+                claim = None
+        yield
+    except OSError as error:
+        if error.filename is not None and str(error.filename) == str(target):
+            raise SplitError(f"cannot be read ({error.strerror or error})", where=str(target)) from error
+        raise
+    finally:
+        if claim is not None:
+            os.close(claim)
+
+
+def _lock(handle: int, *, wait: bool = False) -> bool:
+    """Lock an open file or folder for this process; False where another holds it or there are no locks."""
+    try:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        return True
+    except (ImportError, OSError):
+        return False
+
+
+def _claimed_file(target: Path) -> tuple[int, Path]:
+    """Make an unfinished file beside `target`, locked, so that no other run takes it for a leftover."""
+    while True:
+        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=_UNFINISHED, dir=target.parent)
+        _lock(handle)
+        if os.path.exists(name):  # a sweep may have come between the two
+            return handle, Path(name)
+        os.close(handle)
+
+
+def _claimed_folder(target: Path) -> tuple[Path, int]:
+    """Make an unfinished folder beside `target`, locked; see `_claimed_file`."""
+    while True:
+        name = tempfile.mkdtemp(prefix=f".{target.name}.", suffix=_UNFINISHED, dir=target.parent)
+        with contextlib.suppress(FileNotFoundError):
+            handle = os.open(name, os.O_RDONLY)
+            _lock(handle)
+            if os.path.exists(name):
+                return Path(name), handle
+            os.close(handle)
+
+
+def _sweep(target: Path) -> None:
+    """Remove what killed runs left beside `target`: unfinished files that no living process holds locked."""
+    with contextlib.suppress(OSError):
+        for entry in list(os.scandir(target.parent)):
+            if entry.name.startswith(f".{target.name}.") and entry.name.endswith(_UNFINISHED):
+                _remove_if_abandoned(Path(entry.path))
+
+
+def _remove_if_abandoned(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+        try:
+            if not _lock(handle):
+                return
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+        finally:
+            os.close(handle)
+
+
+_NO_FILES = {
+    stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
+}  # fmt: skip
+
+
+def refuse_no_regular_file(path: str | os.PathLike[str], error: type[SplitError] = SplitError) -> None:
+    """Refuse what is read without an end or waits for a writer: pipes, sockets, devices.
+
+    Raises
+    ------
+    SplitError
+        Of the given type.
+    """
+    with contextlib.suppress(OSError):
+        mode = os.stat(path).st_mode
+        kind = _NO_FILES.get(stat.S_IFMT(mode))
+        if kind:
+            raise error(f"is {kind}, a file was expected", where=str(path), advice="Save what it delivers first.")
+
+
+def open_to_read(path: str | os.PathLike[str], error: type[SplitError] = SplitError) -> BinaryIO:
+    """Open a regular file for reading bytes; see `refuse_no_regular_file`."""
+    refuse_no_regular_file(path, error)
+    return open(path, "rb")
+
+
+def read_text(path: str | os.PathLike[str], most_bytes: int, error: type[SplitError] = SplitError) -> str:
+    """Return a text file's content, of a size that such a file can have.
+
+    Raises
+    ------
+    SplitError
+        If it is no regular file, or larger than `most_bytes`.
+    OSError, UnicodeDecodeError
+        As reading does.
+    """
+    with open_to_read(path, error) as stream:
+        content = stream.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise error(f"is larger than {most_bytes >> 20} MB, a text file of settings was expected", where=str(path))
+    return content.decode("utf-8").replace("\r\n", "\n")
 
 
 def refuse_overwriting_inputs(output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]) -> None:
@@ -181,7 +372,7 @@ def sha256_of_file(path: str | os.PathLike[str]) -> str:
     path = Path(path)
     try:
         if not path.is_dir():
-            with path.open("rb") as stream:
+            with open_to_read(path) as stream:
                 return hashlib.file_digest(stream, "sha256").hexdigest()
         digest = hashlib.sha256()
         for part in sorted(entry for entry in path.rglob("*") if entry.is_file()):

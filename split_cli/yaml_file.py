@@ -1,4 +1,4 @@
-"""Reading the YAML files users write, with errors that name the line. Imports only `errors`."""
+"""Reading the YAML files users write, with errors that name the line. Imports only `errors` and `files`."""
 
 from __future__ import annotations
 
@@ -9,12 +9,30 @@ from typing import Any
 import yaml
 
 from split_cli.errors import SplitError
+from split_cli.files import read_text
 
-__all__ = ["read_yaml_mapping"]
+__all__ = ["parse_yaml", "read_yaml_mapping"]
+
+
+_MOST_BYTES = 4 << 20
+"""Size of a YAML file [bytes]; judgement: the largest of ours has 20 kB."""
+_MOST_VALUES = 100_000
+"""Values a file may hold once its aliases are written out [1]; judgement: the longest map has 300."""
+_MOST_DIGITS = 400
+"""Digits of a number [1]; theory: no double has more than 309 before its point."""
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """YAML without the silent rule that the last of two equal keys wins."""
+    """YAML without the silent rule that the last of two equal keys wins, and without bombs.
+
+    An alias stands for all it names. Twenty lines of lists of aliases to lists of aliases stand for more values
+    than a computer holds, so what a file amounts to is counted before anything is built of it.
+    """
+
+    def compose_document(self) -> yaml.Node:
+        node = super().compose_document()
+        _values_of(node, {}, set())
+        return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
@@ -24,12 +42,58 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+def _values_of(node: yaml.Node, known: dict[int, int], above: set[int]) -> int:
+    """Return how many values a node amounts to with its aliases written out.
+
+    Raises
+    ------
+    ConstructorError
+        If they are more than `_MOST_VALUES`, or the node contains itself.
+    """
+    if id(node) in above:
+        raise yaml.constructor.ConstructorError(None, None, "an alias names what contains it", node.start_mark)
+    if id(node) not in known:
+        count = 1
+        if isinstance(node, yaml.ScalarNode):
+            if len(node.value) > _MOST_DIGITS and node.tag == "tag:yaml.org,2002:int":
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"a number of {len(node.value)} digits", node.start_mark
+                )
+        else:
+            above.add(id(node))
+            for part in node.value:
+                for inner in part if isinstance(part, tuple) else (part,):
+                    count += _values_of(inner, known, above)
+            above.discard(id(node))
+        if count > _MOST_VALUES:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"its aliases stand for more than {_MOST_VALUES} values", node.start_mark
+            )
+        known[id(node)] = count
+    return known[id(node)]
+
+
 # YAML 1.1 takes 1e3 and 1.5e3 for words, since they lack a dot or the sign of the exponent; people mean numbers.
 _StrictLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"^[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
     list("-+.0123456789"),
 )
+
+
+def parse_yaml(text: str) -> Any:
+    """Return the content of YAML text.
+
+    Raises
+    ------
+    yaml.YAMLError
+        If it is not YAML, holds a key twice, contains itself, or amounts to more values than any file of ours.
+    RecursionError
+        If it is nested too deeply.
+    ValueError
+        If a value, such as a date of the 31st of February, does not exist.
+    """
+    return yaml.load(text, Loader=_StrictLoader)
 
 
 def read_yaml_mapping(
@@ -55,7 +119,7 @@ def read_yaml_mapping(
     """
     where = str(path)
     try:
-        content = yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_StrictLoader)
+        content = parse_yaml(read_text(path, _MOST_BYTES, error))
     except FileNotFoundError:
         raise error(missing, where=where, advice=advice) from None
     except OSError as problem:
@@ -64,7 +128,7 @@ def read_yaml_mapping(
         raise error("cannot be read (it is no text, YAML was expected)", where=where) from problem
     except RecursionError as problem:
         raise error("is nested too deeply", where=where, advice="See docs/formats.md.") from problem
-    except yaml.YAMLError as problem:
+    except (yaml.YAMLError, ValueError, OverflowError) as problem:
         mark = getattr(problem, "problem_mark", None)
         line = f", line {mark.line + 1}" if mark else ""
         raise error(f"is not YAML ({getattr(problem, 'problem', problem)}{line})", where=where) from problem

@@ -15,9 +15,10 @@ ROOT = Path(__file__).resolve().parent.parent / "split_cli"
 # A layer may import itself and everything of a smaller number. logs stands above vehicle; plant beside vehicle.
 LAYERS = {
     "errors": 0,
+    "compiled_code": 0,
     "files": 1,
-    "yaml_file": 1,
     "signals": 1,
+    "yaml_file": 1.5,
     "vehicle": 2,
     "plant": 2,
     "logs": 3,

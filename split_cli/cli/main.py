@@ -12,7 +12,7 @@ import warnings
 
 import click
 
-from split_cli import __version__
+from split_cli import CACHE_NOTE, __version__
 from split_cli.errors import NumericalRepairWarning, SplitError, nearest_names
 
 __all__ = ["COMMANDS", "group", "main"]
@@ -126,6 +126,8 @@ def main(arguments: list[str] | None = None) -> None:
     warnings.simplefilter("always", NumericalRepairWarning)
     _open_closed_streams()
     stopped = _stop_cleanly()
+    if CACHE_NOTE:
+        click.echo(f"split: note: {CACHE_NOTE}", err=True)
     _refuse_undecodable(sys.argv[1:] if arguments is None else arguments)
     try:
         result = group.main(args=arguments, prog_name="split", standalone_mode=False)

@@ -16,6 +16,7 @@ from split_cli.files import atomic_path
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS, Kernel
 from split_cli.learning.region import Grid, Region, valid_cells
+from split_cli.learning.set_limits import check_header, check_points
 from split_cli.vehicle.parameters import Vehicle, vehicle_from_mapping, vehicle_to_mapping
 
 __all__ = ["CellPoints", "SetFile", "SetSource", "TrainingSet", "read_set", "write_set"]
@@ -235,9 +236,10 @@ class SetFile:
             )
         try:
             self.header = _header_from(self._described)
+            check_header(self._described, self.header.features.names, self.header.vehicle.digest())
             if self._reader.schema.remove_metadata() != _schema(self.header.features):
                 raise ValueError("its columns are not those of a trained set")
-        except (KeyError, TypeError, ValueError, AttributeError, VehicleError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError, VehicleError) as error:
             raise SetError(f"its header is damaged ({error})", where=str(path), advice=_RETRAIN) from error
         self.cell_count = self._reader.num_record_batches
 
@@ -267,6 +269,10 @@ class SetFile:
         first = offsets[:-1]
         if not all(lengths) or not np.array_equal(np.repeat(numbers[first], lengths), numbers):
             raise self._damaged("a batch is not one cell")
+        try:
+            check_points(self._described, lengths, points, len(self.header.sources))
+        except ValueError as error:
+            raise self._damaged(str(error)) from error
         whole = _with_points(self.header, numbers[first], offsets, points)
         stored = self._described.pop("content_sha256", "")
         if _content_digest(self._described, whole) != stored:

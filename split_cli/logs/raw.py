@@ -10,7 +10,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from split_cli.errors import LogError, nearest_names
+from split_cli.errors import LogError, nearest_names, printable
 from split_cli.signals import split_name_and_unit
 
 __all__ = [
@@ -57,6 +57,10 @@ class ReadNote:
     what: str
     where: str
     count: int = 1
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "what", printable(self.what))
+        object.__setattr__(self, "where", printable(self.where))
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from split_cli.errors import VehicleError
 from split_cli.vehicle.calibration.least_squares import solve
 from split_cli.vehicle.parameters import Vehicle, vehicle_from_mapping
 from split_cli.vehicle.tire import MagicFormula, lateral_force
+from split_cli.yaml_file import read_yaml_mapping
 
 __all__ = ["Conversion", "TireConversion", "convert_parameters", "fit_magic_formula", "full_magic_formula"]
 
@@ -140,12 +140,7 @@ _F1TENTH_LONG_NAMES = {
 
 
 def _read(path: Path) -> dict[str, Any]:
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise VehicleError("no such file", where=str(path)) from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise VehicleError(f"cannot be read ({str(error).splitlines()[0]})", where=str(path)) from error
+    content: Any = read_yaml_mapping(path, VehicleError)
     while isinstance(content, Mapping):
         inner = next((content[key] for key in _WRAPPERS if isinstance(content.get(key), Mapping)), None)
         if inner is None:

@@ -209,6 +209,7 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
     for key in _SHARES:
         if not 0.0 <= numbers.get(key, 0.0) <= 1.0:
             raise VehicleError(f"{key} is {numbers[key]:g}, it must lie in 0 to 1", where=where)
+    _refuse_no_car(_VALUES_OF_CARS, numbers, where)
     numbers.setdefault("brake_split_front", numbers["drive_split_front"])
     numbers.setdefault("max_brake_torque", numbers["max_torque"])
     tires = {key: _tire(key, content.get(key), told) for key in ("front_tire", "rear_tire")}
@@ -250,6 +251,8 @@ def _finite_number(key: str, value: Any, where: str) -> float:
     if isinstance(value, str):
         with contextlib.suppress(ValueError):
             value = float(value)
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**300:
+        raise VehicleError(f"{key} has more than 300 digits, a finite number was expected", where=where)
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise VehicleError(f"{key} is {value!r}, a finite number was expected", where=where)
     return float(value)
@@ -272,7 +275,32 @@ def _tire(key: str, content: Any, told: _Told) -> MagicFormula:
             raise VehicleError(f"{key}.{name} is {values[name]:g}, it must be positive", where=where)
     if values["C"] >= 2.0:
         raise VehicleError(f"{key}.C is {values['C']:g}: the force would change sign at large slip", where=where)
+    _refuse_no_car(_VALUES_OF_CARS, values, where, f"{key}.")
     return MagicFormula(**values)
+
+
+# What any vehicle on wheels can have, from a model on a desk to a loaded mining truck. A value outside is a unit
+# gone wrong (g for kg, mm for m), not a choice.
+_VALUES_OF_CARS = {
+    "mass": (0.05, 1e6, "kg"), "yaw_inertia": (1e-6, 1e8, "kg m^2"),
+    "cg_to_front_axle": (5e-3, 50.0, "m"), "cg_to_rear_axle": (5e-3, 50.0, "m"),
+    "wheel_radius": (2e-3, 5.0, "m"), "max_torque": (1e-4, 1e7, "N m"), "max_brake_torque": (1e-4, 1e7, "N m"),
+    "cg_height": (1e-3, 20.0, "m"), "friction_coefficient": (1e-3, 10.0, ""),
+    "rolling_resistance_front": (0.0, 1e6, "N"), "rolling_resistance_rear": (0.0, 1e6, "N"),
+    "drag_coefficient": (0.0, 1e4, "N/(m/s)^2"), "B": (1e-2, 1e3, "1/rad"), "C": (1e-3, 2.0, ""),
+    "D": (1e-3, 1e8, "N"),
+}  # fmt: skip
+
+
+def _refuse_no_car(limits: Mapping[str, tuple], values: Mapping[str, float], where: str, prefix: str = "") -> None:
+    for key, value in values.items():
+        if key in limits and not limits[key][0] <= value <= limits[key][1]:
+            least, most, unit = limits[key]
+            raise VehicleError(
+                f"{prefix}{key} is {value:g} {unit}".rstrip() + f", no vehicle is outside {least:g} to {most:g}",
+                where=where,
+                advice="Is it in SI units?",
+            )
 
 
 def _effects(content: Any, where: str) -> tuple[EffectSpec, ...]:

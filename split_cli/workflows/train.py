@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import SetError
-from split_cli.files import refuse_overwriting_inputs
+from split_cli.files import exclusive_access, refuse_overwriting_inputs
 from split_cli.learning.cells import DEFAULT_CAPACITY, DEFAULT_THRESHOLD, empty_set, extend, warm_up
 from split_cli.learning.features import parse_features
 from split_cli.learning.hyperparameters import (
@@ -176,6 +177,21 @@ def train_set(
     say = progress or (lambda text: None)
     kernel_file = {settings.hyperparameters} - {None, "fit", "default"}
     refuse_overwriting_inputs(output, (*drive_paths, vehicle_path, *kernel_file))
+    # Two runs that append to one set take turns: each would write what it read, without the other's drives.
+    with exclusive_access(output) if append else contextlib.nullcontext():
+        return _train_set(drive_paths, vehicle_path, output, settings, append, rows, batch, say)
+
+
+def _train_set(
+    drive_paths: Sequence[str | Path],
+    vehicle_path: str | Path,
+    output: str | Path,
+    settings: TrainSettings,
+    append: bool,
+    rows: Sequence[np.ndarray] | None,
+    batch: int | None,
+    say: Callable[[str], None],
+) -> TrainResult:
     vehicle = read_vehicle(vehicle_path)
     known = read_set(output) if append else None
     if known is not None:

@@ -20,13 +20,13 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.raw import ReadNote, note_once
+from split_cli.logs.readers.budget import most_bytes_out
 from split_cli.logs.readers.messages import Batch, Stream
 
 __all__ = ["BAG1_MAGIC", "Bag1Container"]
 
 BAG1_MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _INDEX, _CHUNK, _CONNECTION = 2, 4, 5, 7
-_LARGEST_CHUNK = 2 << 30
 _SIZE = struct.Struct("<I")
 _INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
 
@@ -207,9 +207,9 @@ def _decompressed(packed: memoryview, compression: bytes) -> Any:
         if compression == b"none":
             return packed
         if compression == b"bz2":
-            return bz2.BZ2Decompressor().decompress(packed, max_length=_LARGEST_CHUNK)
+            return bz2.BZ2Decompressor().decompress(packed, max_length=most_bytes_out(len(packed)))
         if compression == b"lz4":
-            return lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=_LARGEST_CHUNK)
+            return lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=most_bytes_out(len(packed)))
     except (OSError, EOFError, RuntimeError, ValueError, MemoryError) as error:
         raise _DamageError(0) from error
     raise _DamageError(0)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from split_cli.errors import LogError, nearest_names
+from split_cli.logs.readers.budget import MOST_FIELDS
 
 __all__ = ["SEQUENCE", "Definitions", "Field", "Layout", "leaf_paths"]
 
@@ -106,7 +107,7 @@ class Definitions:
                 raise
         if wanted in inside:
             try:
-                return Layout(wanted, _expand(wanted, inside, ros1, 0), embedded=True)
+                return Layout(wanted, _bounded(wanted, inside, ros1), embedded=True)
             except LogError:
                 # Some writers leave out the types every installation has (std_msgs/Header).
                 pass
@@ -117,7 +118,7 @@ class Definitions:
                 advice="Give the folder of its .msg files with --msg-path, or convert the recording to MCAP "
                 "where the types are installed. " + nearest_names(wanted, known),
             )
-        return Layout(wanted, _expand(wanted, known, ros1, 0), embedded=False)
+        return Layout(wanted, _bounded(wanted, known, ros1), embedded=False)
 
     def _builtin_types(self, ros1: bool) -> dict[str, Any]:
         if ros1 not in self._builtin:
@@ -170,12 +171,47 @@ def _parse(type_name: str, schema_encoding: str, schema: bytes) -> dict[str, Any
             if part.strip():
                 known.update(get_types_from_idl(re.sub(r"^IDL: \S+[ \t]*\n", "", part)))
         return known
-    except (TypesysError, UnicodeDecodeError, AssertionError, ValueError, KeyError, IndexError) as error:
+    except (TypesysError, AssertionError, ValueError, KeyError, IndexError, RecursionError) as error:
         raise LogError(
             f"the definition of {type_name!r} stored in the recording ({schema_encoding}) cannot be parsed: "
             f"{str(error).splitlines()[0][:160] if str(error) else type(error).__name__}",
             advice="Record with ros2msg definitions, or give the type's .msg file with --msg-path.",
         ) from error
+
+
+def _bounded(type_name: str, known: dict[str, Any], ros1: bool) -> tuple[Field, ...]:
+    """Return the fields of a type whose numbers are few enough to be listed.
+
+    Two fields a level are sixteen million after 24 levels, and so are arrays of arrays; they are counted type by
+    type, each once, before anything is expanded.
+    """
+    _count_leaves(type_name, known, {}, set())
+    return _expand(type_name, known, ros1, 0)
+
+
+def _count_leaves(type_name: str, known: dict[str, Any], counted: dict[str, int], above: set[str]) -> int:
+    from rosbags.interfaces import Nodetype
+
+    if type_name in counted:
+        return counted[type_name]
+    if type_name in above or len(above) > _DEEPEST:
+        raise LogError(f"the definition of {type_name!r} contains itself or is nested over {_DEEPEST} deep")
+    total = 0
+    for _, (node, content) in known[type_name][1]:
+        times = 1
+        if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            times = content[1] if node == Nodetype.ARRAY and content[1] <= _LISTED_ELEMENTS else 1
+            node, content = content[0]
+        nested = str(content) if node == Nodetype.NAME else ""
+        inside = _count_leaves(nested, known, counted, above | {type_name}) if nested in known else 1
+        total += times * max(inside, 1)
+        if total > MOST_FIELDS:
+            raise LogError(
+                f"the definition of {type_name!r} has more than {MOST_FIELDS:,} numbers",
+                advice="Leave its topic out of the recording.",
+            )
+    counted[type_name] = total
+    return total
 
 
 def _expand(type_name: str, known: dict[str, Any], ros1: bool, depth: int) -> tuple[Field, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.raw import RawSignal, ReadNote, Recording, TableRecording, column_name_and_unit, note_once
+from split_cli.logs.readers.budget import refuse_matlab_bombs, refuse_unpacked_size
 
 __all__ = ["open_mat", "open_mat_hdf5"]
 
@@ -32,6 +33,7 @@ def open_mat(path: Path) -> Recording:
     """
     from scipy.io import loadmat
 
+    refuse_matlab_bombs(path)
     try:
         content = loadmat(path, struct_as_record=False, squeeze_me=False, chars_as_strings=True)
     except Exception as error:  # SciPy's reader raises a dozen kinds on damaged files
@@ -55,7 +57,9 @@ def open_mat_hdf5(path: Path) -> Recording:
     leaves: list[tuple[str, np.ndarray]] = []
     try:
         with h5py.File(path, "r") as file:
-            _collect_hdf5(file, "", leaves, 0)
+            _collect_hdf5(file, "", leaves, 0, path.name)
+    except LogError:
+        raise
     except Exception as error:  # h5py passes on whatever the HDF5 library finds
         raise _damaged(path, error) from error
     return _recording(path, leaves)
@@ -76,7 +80,7 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
         yield name, value
 
 
-def _collect_hdf5(group: Any, prefix: str, leaves: list[tuple[str, np.ndarray]], depth: int) -> None:
+def _collect_hdf5(group: Any, prefix: str, leaves: list[tuple[str, np.ndarray]], depth: int, where: str) -> None:
     import h5py
 
     for key, item in group.items():
@@ -84,12 +88,14 @@ def _collect_hdf5(group: Any, prefix: str, leaves: list[tuple[str, np.ndarray]],
             continue
         name = f"{prefix}{key}"
         if isinstance(item, h5py.Group):
-            _collect_hdf5(item, name + ".", leaves, depth + 1)
+            _collect_hdf5(item, name + ".", leaves, depth + 1, where)
         elif (
             isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and not item.attrs.get("MATLAB_empty", 0)
         ):
             is_text = item.attrs.get("MATLAB_class", b"") in (b"char", "char")
             if item.ndim <= 2 and not is_text:
+                # A fill value stands for any number of values that are stored nowhere.
+                refuse_unpacked_size(item.nbytes, item.id.get_storage_size(), f"variable {name}", where)
                 # HDF5 keeps the order of dimensions of the writer, MATLAB's is the reverse.
                 leaves.append((name, np.atleast_2d(np.asarray(item[()])).T))
 

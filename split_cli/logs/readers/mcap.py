@@ -25,12 +25,13 @@ from mcap.opcode import Opcode
 
 from split_cli.errors import LogError
 from split_cli.logs.raw import ReadNote, note_once
+from split_cli.logs.readers.budget import most_bytes_out
 from split_cli.logs.readers.messages import Batch, Stream
 
 __all__ = ["MCAP_MAGIC", "McapContainer"]
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-_LARGEST_CHUNK = 2 << 30
+_READ_AT_ONCE = 1 << 22
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQHIQQ")
 _CHUNK = struct.Struct("<QQQII")
@@ -329,14 +330,27 @@ def _parse(opcode: int, content: bytes) -> Any:
         raise _DamageError(0, opcode) from error
 
 
+def _read_all(reader: Any, most: int) -> bytes:
+    """Return what a stream holds, `most` bytes of it at the most; of a damaged one, what stands before that."""
+    parts, left = [], most
+    try:
+        while left > 0 and (part := reader.read(min(left, _READ_AT_ONCE))):
+            parts.append(part)
+            left -= len(part)
+    except zstandard.ZstdError:
+        if not parts:
+            raise
+    return b"".join(parts)
+
+
 def _decompressed(content: memoryview) -> bytes | memoryview:
     """Return the records of a chunk record's content; of a chunk that was cut off, those that are whole."""
     if len(content) < _CHUNK.size:
         raise _DamageError("it is cut off")
     _, _, plain_size, crc, name_length = _CHUNK.unpack_from(content)
     start = _CHUNK.size + name_length + 8
-    if start > len(content) or plain_size > _LARGEST_CHUNK:
-        raise _DamageError("its header is damaged")
+    if start > len(content) or plain_size > most_bytes_out(len(content)):
+        raise _DamageError("its header is damaged, or claims more than so few bytes can hold")
     compression = bytes(content[_CHUNK.size : start - 8])
     stored = struct.unpack_from("<Q", content, start - 8)[0]
     cut = stored > len(content) - start
@@ -345,9 +359,11 @@ def _decompressed(content: memoryview) -> bytes | memoryview:
         if compression == b"":
             plain: bytes | memoryview = packed
         elif compression == b"zstd":
-            plain = zstandard.ZstdDecompressor().decompressobj().decompress(packed)
+            # A byte more than it claims shows a chunk that is larger; more is never unpacked.
+            reader = zstandard.ZstdDecompressor().stream_reader(packed)
+            plain = _read_all(reader, plain_size + 1)
         elif compression == b"lz4":
-            plain = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=max(plain_size, 1))
+            plain = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=plain_size + 1)
         else:
             raise _DamageError(f"its compression {compression[:20]!r} is not lz4 or zstd")
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError, ValueError) as error:

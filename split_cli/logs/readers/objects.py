@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
+from split_cli.logs.readers.budget import MOST_FIELDS
 from split_cli.logs.readers.payloads import STAMP_FIELDS, Columns
 
 __all__ = ["JsonDecoder", "ProtobufDecoder"]
@@ -78,7 +80,7 @@ class ProtobufDecoder:
             raise LogError(f"the protobuf descriptor of {type_name!r} cannot be used ({error})") from error
         self._parse = parse
         self._failures = (DecodeError, OverflowError, ValueError)
-        self._paths = list(_protobuf_paths(self._descriptor, "", 0))
+        self._paths = _listed(_protobuf_paths(self._descriptor, "", frozenset()))
         self.stamp = next((name for name in STAMP_FIELDS if self._time_fields(name) is not None), None)
 
     def paths(self) -> list[str]:
@@ -158,15 +160,28 @@ def _is_number(field: Any) -> bool:
     return field.cpp_type not in (field.CPPTYPE_STRING, field.CPPTYPE_MESSAGE)
 
 
-def _protobuf_paths(descriptor: Any, prefix: str, depth: int) -> Iterator[str]:
-    if depth > _DEEPEST:
+def _listed(paths: Iterator[str | None]) -> list[str]:
+    """Return the addresses, if they and the messages around them (None) are few enough to be listed."""
+    found = list(itertools.islice(paths, MOST_FIELDS + 1))
+    if len(found) > MOST_FIELDS:
+        raise LogError(
+            f"a message type has more than {MOST_FIELDS:,} fields", advice="Leave its topic out of the recording."
+        )
+    return [path for path in found if path is not None]
+
+
+def _protobuf_paths(descriptor: Any, prefix: str, above: frozenset[str]) -> Iterator[str | None]:
+    """Yield the addresses of numbers, None for a message; a type inside itself is not followed."""
+    if len(above) > _DEEPEST:
         return
+    above |= {descriptor.full_name}
     for field in descriptor.fields:
         name = f"{prefix}{field.name}" + ("[0]" if _is_repeated(field) else "")
         if field.message_type is not None:
-            recursive = field.message_type is descriptor or field.message_type.GetOptions().map_entry
+            recursive = field.message_type.full_name in above or field.message_type.GetOptions().map_entry
             if not recursive:
-                yield from _protobuf_paths(field.message_type, name + ".", depth + 1)
+                yield None
+                yield from _protobuf_paths(field.message_type, name + ".", above)
         elif _is_number(field):
             yield name
 
@@ -195,13 +210,13 @@ class JsonDecoder:
     def __init__(self, schema: bytes, first: bytes, origin: int) -> None:
         try:
             described = json.loads(schema) if schema.strip() else {}
-        except ValueError:
+        except (ValueError, RecursionError):
             described = {}
         try:
             example = json.loads(first)
-        except ValueError:
+        except (ValueError, RecursionError):
             example = {}
-        paths = [*_schema_paths(described, "", 0), *_value_paths(example, "", 0)]
+        paths = _listed(itertools.chain(_schema_paths(described, "", 0), _value_paths(example, "", 0)))
         self._paths = list(dict.fromkeys(paths))
         self._known = {_without_indices(path) for path in self._paths}
         self._origin = origin

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from split_cli.errors import LogError
+from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import Recording
 from split_cli.logs.readers.definitions import Definitions
+from split_cli.logs.readers.guard import GuardedRecording, guarded
 from split_cli.logs.readers.messages import Container, MessageRecording
 
 __all__ = ["open_recording"]
@@ -49,14 +51,16 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
         If it does not exist, is empty, is of no known format, or nothing in it can be read.
     """
     path = Path(path)
-    try:
-        if path.is_dir() or path.name == "metadata.yaml":
-            return _open_folder(path if path.is_dir() else path.parent, message_paths)
-        if not path.exists():
-            raise LogError("does not exist", where=str(path), advice=_neighbours(path))
-        return _open_file(path, message_paths)
-    except OSError as error:
-        raise LogError(f"cannot be read ({error.strerror or error})", where=str(path)) from error
+    refuse_no_regular_file(path, LogError)
+    return GuardedRecording(guarded(path, lambda: _open(path, message_paths)))
+
+
+def _open(path: Path, message_paths: Sequence[str | Path]) -> Recording:
+    if path.is_dir() or path.name == "metadata.yaml":
+        return _open_folder(path if path.is_dir() else path.parent, message_paths)
+    if not path.exists():
+        raise LogError("does not exist", where=str(path), advice=_neighbours(path))
+    return _open_file(path, message_paths)
 
 
 def _open_file(path: Path, message_paths: Sequence[str | Path]) -> Recording:

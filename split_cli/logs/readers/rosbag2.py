@@ -9,21 +9,33 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import monotonic
 from typing import Any
 from urllib.parse import quote
 
 import yaml
 import zstandard
 
-from split_cli.errors import LogError
+from split_cli.errors import LogError, SplitError
+from split_cli.files import read_text
 from split_cli.logs.raw import ReadNote, note_once
+from split_cli.logs.readers.budget import most_bytes_out
 from split_cli.logs.readers.mcap import McapContainer
 from split_cli.logs.readers.messages import Batch, Container, Stream
+from split_cli.yaml_file import parse_yaml
 
 __all__ = ["ConcatenatedContainer", "SqliteContainer", "open_rosbag2_folder"]
 
 _ROWS_AT_ONCE = 2048
-_LARGEST_MESSAGE = 1 << 28
+_LARGEST_METADATA = 16 << 20
+"""Of metadata.yaml [bytes]; judgement: one file of a thousand parts and a thousand topics has 1 MB."""
+_UNPACKED_AT_ONCE = 1 << 22
+_SMALL_FILE = 64 << 20
+"""What any file may unpack into [bytes]; judgement, as for a chunk."""
+_MOST_RATIO = 60
+"""Bytes out for a byte in, of a whole file [1]; judgement: recordings of a car that stands reach 20."""
+_QUERY_SECONDS = 10.0
+"""A query of topics or counts may take [s]; judgement: a bag of 100 GB on a slow disk answers within it."""
 _STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
@@ -46,6 +58,7 @@ class SqliteContainer:
         uri = f"file:{quote(str(path.resolve()))}?mode=ro" + ("" if pending else "&immutable=1")
         try:
             self._database = sqlite3.connect(uri, uri=True)
+            self._refuse_endless_queries()
             self.streams = self._read_streams()
             first = self._database.execute("SELECT MIN(timestamp) FROM messages").fetchone()[0]
         except sqlite3.Error as error:
@@ -55,6 +68,18 @@ class SqliteContainer:
         if not isinstance(first, int):
             raise LogError("holds no message", where=path.name, advice="Record it again.")
         self.origin = first
+
+    def _refuse_endless_queries(self) -> None:
+        """Demand real tables, since a view may go on for ever, and bound the time of a single step."""
+        query = "SELECT name, type FROM sqlite_master WHERE name IN ('messages', 'topics')"
+        kinds = dict(self._database.execute(query))
+        views = [name for name, kind in kinds.items() if kind != "table"]
+        if views:
+            raise LogError(
+                f"is no rosbag2 database ({views[0]} is a {kinds[views[0]]}, not a table)", where=self.path.name
+            )
+        self._deadline = monotonic() + _QUERY_SECONDS
+        self._database.set_progress_handler(lambda: int(monotonic() > self._deadline), 100_000)
 
     def _read_streams(self) -> list[Stream]:
         query = self._database.execute
@@ -76,11 +101,13 @@ class SqliteContainer:
         """Yield the messages of the streams `keys`; see `Container.batches`."""
         chosen = ",".join(str(int(key)) for key in keys)
         try:
+            self._deadline = monotonic() + _QUERY_SECONDS
             cursor = self._database.execute(
                 f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({chosen})"
             )
             while rows := cursor.fetchmany(_ROWS_AT_ONCE):
                 yield from self._sorted(rows)
+                self._deadline = monotonic() + _QUERY_SECONDS
         except sqlite3.Error as error:
             note_once(self.notes, ReadNote(f"the database is damaged ({error}): read up to there", self.path.name))
 
@@ -182,10 +209,10 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
             note_once(notes, ReadNote("no metadata.yaml: files taken in the order of their numbers", path.name))
         return present, False
     try:
-        described = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        described = parse_yaml(read_text(metadata, _LARGEST_METADATA))["rosbag2_bagfile_information"]
         names = [Path(str(name)).name for name in described["relative_file_paths"]]
         mode = str(described.get("compression_mode") or "").lower()
-    except (yaml.YAMLError, KeyError, TypeError, AttributeError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, RecursionError, ValueError, KeyError, TypeError, AttributeError, SplitError) as error:
         note_once(
             notes,
             ReadNote("metadata.yaml cannot be read: files taken in the order of their numbers", path.name),
@@ -205,7 +232,10 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
 def _unpacked(payload: bytes) -> bytes:
     """Return a message decompressed; one that is damaged, empty, so that it counts as not fitting."""
     try:
-        return zstandard.ZstdDecompressor().decompress(payload, max_output_size=_LARGEST_MESSAGE)
+        claimed = zstandard.frame_content_size(payload)
+        if claimed > most_bytes_out(len(payload)):
+            return b""
+        return zstandard.ZstdDecompressor().decompress(payload, max_output_size=most_bytes_out(len(payload)))
     except (zstandard.ZstdError, MemoryError):
         return b""
 
@@ -214,7 +244,16 @@ def _unpacked_file(file: Path, folder: Path) -> Path:
     target = folder / file.stem
     try:
         with file.open("rb") as packed, target.open("wb") as plain:
-            zstandard.ZstdDecompressor().copy_stream(packed, plain)
+            left = max(_SMALL_FILE, _MOST_RATIO * file.stat().st_size)
+            with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
+                while part := reader.read(_UNPACKED_AT_ONCE):
+                    left -= len(part)
+                    if left < 0:
+                        raise LogError(
+                            f"unpacks into over {_MOST_RATIO} times its size: no recording is like that",
+                            where=file.name, advice="Unpack it yourself with `zstd -d` if it is sound.",
+                        )  # fmt: skip
+                    plain.write(part)
     except zstandard.ZstdError as error:
         raise LogError(f"cannot be decompressed ({error})", where=file.name) from error
     return target

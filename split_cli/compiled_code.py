@@ -1,0 +1,78 @@
+"""Where compiled code is kept between runs, also in a container that can write nowhere else. Imports nothing."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+import tempfile
+from collections.abc import Mapping
+
+__all__ = ["cache_folder", "provide_cache"]
+
+_VARIABLE = "NUMBA_CACHE_DIR"
+
+
+def provide_cache(package: str, environment: Mapping[str, str] | None = None) -> str | None:
+    """Choose a folder for numba's compiled code where its two usual ones cannot be written.
+
+    Numba keeps compiled code beside the source, else in the user's cache folder; where neither can be written,
+    as in a read-only container, it fails at import. Then a private folder below the temporary one is taken.
+
+    Parameters
+    ----------
+    package : str
+        Folder of this package's source.
+    environment : mapping of str to str, optional
+        Instead of the process's.
+
+    Returns
+    -------
+    str or None
+        What to tell the user, when another folder than usual had to be taken.
+    """
+    environment = os.environ if environment is None else environment
+    usual = (os.path.join(package, "__pycache__"), _user_cache(environment))
+    if environment.get(_VARIABLE) or any(map(_can_hold_folders, usual)):
+        return None
+    folder = cache_folder()
+    if folder is None:
+        return (
+            f"no folder can be written for compiled code; set {_VARIABLE} to one that can, or commands that "
+            "compute will fail"
+        )
+    os.environ[_VARIABLE] = folder
+    return f"compiled code is kept in {folder}: neither the installation nor the home folder can be written"
+
+
+def cache_folder() -> str | None:
+    """Return a folder below the temporary one that belongs to this user alone, or None.
+
+    Compiled code is executed, so a folder that another user owns or may write to is never taken.
+    """
+    try:
+        folder = os.path.join(tempfile.gettempdir(), f"split-compiled-{os.getuid()}")
+        os.makedirs(folder, mode=0o700, exist_ok=True)
+        found = os.lstat(folder)
+        private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+        return folder if private else tempfile.mkdtemp(prefix="split-compiled-")
+    except (OSError, AttributeError):
+        return None
+
+
+def _user_cache(environment: Mapping[str, str]) -> str:
+    if sys.platform == "darwin":
+        return os.path.join(os.path.expanduser("~"), "Library", "Caches")
+    if sys.platform == "win32":
+        return environment.get("LOCALAPPDATA", os.path.expanduser("~"))
+    return environment.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+
+
+def _can_hold_folders(path: str) -> bool:
+    """Tell whether folders can be made in `path`, or in the nearest folder above it that exists."""
+    while not os.path.isdir(path):
+        above = os.path.dirname(path)
+        if above == path:
+            return False
+        path = above
+    return os.access(path, os.W_OK | os.X_OK)

@@ -1,0 +1,125 @@
+"""What a trained set can hold at all: a forged or damaged file is refused before anything is computed with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = ["check_header", "check_points"]
+
+LARGEST_CAPACITY = 1000
+"""Points a cell may keep [1]; theory: an update costs M^2; at 1,000 it outlasts a control interval."""
+MOST_CELLS_OF_A_GRID = 10_000_000
+"""Cells between a grid's bounds [1]; theory: enumerated, they take 8 bytes each; by default 8,100."""
+LONGEST_HORIZON = 10.0
+"""Label interval [s]; judgement: the paper's is 0.05 s, and over seconds a label is no rate."""
+_COUNTS = ("samples", "accepted", "insertions", "replacements", "points", "cells")
+
+
+def check_header(described: Mapping[str, Any], features: Sequence[str], vehicle_digest: str) -> None:
+    """Check every number of a set's header.
+
+    Parameters
+    ----------
+    described : mapping
+        As `training_set` writes it.
+    features : sequence of str
+    vehicle_digest : str
+        Of the vehicle in the header, computed.
+
+    Raises
+    ------
+    ValueError
+        Names the first field that no set can have.
+    """
+    _within("horizon [s]", described["horizon"], 0.0, LONGEST_HORIZON)
+    _whole("capacity", described["capacity"], 1, LARGEST_CAPACITY)
+    threshold = _number("threshold", described["threshold"])
+    if not 0.0 <= threshold <= 1.0:
+        raise ValueError(f"threshold is {threshold:g}, a marginal gain lies between 0 and 1")
+    if described["forgetting"] is not None:
+        _within("forgetting [s]", described["forgetting"], 0.0, np.inf)
+    for name, value in described["region"].items():
+        _within(f"region.{name}", value, 0.0, 1e3)
+    _check_grid(described["grid"], len(features))
+    for name, length in (("length_scales", len(features)), ("signal_variance", 3), ("noise_variance", 3)):
+        values = described["kernel"][name]
+        if len(values) != length:
+            raise ValueError(f"kernel.{name} has {len(values)} values, {length} were expected")
+    for name in ("points", "cells"):
+        _whole(f"counts.{name}", described["counts"][name], 0, np.inf)
+    for source in described["sources"]:
+        for name in _COUNTS:
+            _whole(f"{name} of source {source['name']!r}", source[name], 0, np.inf)
+    if described["vehicle_digest"] != vehicle_digest:
+        raise ValueError("the digest of its vehicle is not that of the vehicle in it")
+
+
+def _check_grid(grid: Mapping[str, Any], dimensions: int) -> None:
+    cells = 1.0
+    for name in ("edges", "lower", "upper"):
+        if len(grid[name]) != dimensions:
+            raise ValueError(f"grid.{name} has {len(grid[name])} values for {dimensions} features")
+    for edge, lower, upper in zip(grid["edges"], grid["lower"], grid["upper"], strict=True):
+        _within("an edge of the grid", edge, 0.0, np.inf)
+        if lower is not None and upper is not None:
+            if not _number("grid.lower", lower) < _number("grid.upper", upper):
+                raise ValueError(f"the grid's lower bound {lower!r} is not below its upper {upper!r}")
+            cells *= (upper - lower) / edge
+    if cells > MOST_CELLS_OF_A_GRID:
+        raise ValueError(f"its grid has {cells:.3g} cells, more than {MOST_CELLS_OF_A_GRID:,}")
+
+
+def check_points(
+    described: Mapping[str, Any], lengths: Sequence[int], points: Mapping[str, np.ndarray], sources: int
+) -> None:
+    """Check the points of a set against its header.
+
+    Parameters
+    ----------
+    described : mapping
+        The header.
+    lengths : sequence of int
+        Points of each cell.
+    points : mapping of str to ndarray
+        ``z`` (P, D), ``y`` (P, 3), ``gamma``, ``t``, ``source`` (P,).
+    sources : int
+        How many drives the header names.
+
+    Raises
+    ------
+    ValueError
+        Names what no set can have.
+    """
+    fullest = max(lengths, default=0)
+    if fullest > described["capacity"]:
+        raise ValueError(f"a cell holds {fullest} points, its capacity is {described['capacity']}")
+    for name in ("z", "y", "gamma", "t"):
+        if not np.isfinite(points[name]).all():
+            raise ValueError(f"{name} holds numbers that are not finite")
+    if len(points["source"]) and not 0 <= points["source"].min() <= points["source"].max() < sources:
+        raise ValueError(f"points name drives beyond the {sources} that it lists")
+    counts = described["counts"]
+    if (counts["points"], counts["cells"]) != (sum(lengths), len(lengths)):
+        raise ValueError(
+            f"it says {counts['points']} points in {counts['cells']} cells, and holds {sum(lengths)} in "
+            f"{len(lengths)}"
+        )
+
+
+def _number(name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise ValueError(f"{name} is {value!r}, a finite number was expected")
+    return float(value)
+
+
+def _within(name: str, value: Any, above: float, below: float) -> None:
+    if not above < _number(name, value) < below:
+        raise ValueError(f"{name} is {value!r}, it must lie between {above:g} and {below:g}")
+
+
+def _whole(name: str, value: Any, least: int, most: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+        raise ValueError(f"{name} is {value!r}, a whole number of at least {least} was expected")

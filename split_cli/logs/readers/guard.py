@@ -1,0 +1,85 @@
+"""Between a reader and the rest: what a damaged file makes a library raise, and what names do to a terminal."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from split_cli.errors import LogError, SplitError, printable
+from split_cli.logs.raw import Clock, RawChannelInfo, RawSignal, ReadNote, Recording
+
+__all__ = ["GuardedRecording", "guarded"]
+
+_T = TypeVar("_T")
+
+
+def guarded(path: Path, step: Callable[[], _T]) -> _T:
+    """Run one step of reading; whatever a format's library raises becomes an error of the recording.
+
+    These libraries were written for sound files: on damaged or hostile ones they raise anything from KeyError to
+    RecursionError. None of that is known to be a fault of the file, so the type is told with it.
+
+    Raises
+    ------
+    LogError
+    """
+    try:
+        return step()
+    except SplitError:
+        raise
+    except OSError as error:
+        raise LogError(f"cannot be read ({error.strerror or error})", where=str(path)) from error
+    except MemoryError as error:
+        raise LogError("needs more memory than there is", where=path.name, advice="Is it damaged?") from error
+    except Exception as error:
+        if os.environ.get("SPLIT_TRACEBACK"):
+            raise
+        reason = str(error).splitlines()[0][:160] if str(error) else "no reason given"
+        raise LogError(
+            f"is damaged, or not as its format demands ({type(error).__name__}: {reason})",
+            where=path.name,
+            advice="Save or record it again; set SPLIT_TRACEBACK=1 to see where reading stopped.",
+        ) from error
+
+
+class GuardedRecording:
+    """A recording whose names can be printed and whose reader fails with `LogError` only; see `Recording`.
+
+    Control characters in the names of topics and columns are shown, and addressed, by their codes.
+    """
+
+    def __init__(self, inner: Recording) -> None:
+        self._inner = inner
+        self._real: dict[str, str] = {}
+        self.name = printable(inner.name)
+        self.path, self.origin, self.clocks = inner.path, inner.origin, inner.clocks
+
+    @property
+    def notes(self) -> list[ReadNote]:
+        """What reading had to leave out so far."""
+        return self._inner.notes
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    def channels(self) -> list[RawChannelInfo]:
+        """Return every addressable channel; see `Recording.channels`."""
+        found = guarded(self.path, self._inner.channels)
+        self._real = {shown: info.name for info in found if (shown := printable(info.name)) != info.name}
+        return [
+            info if info.name.isprintable() and info.type_name.isprintable() and (info.unit or "").isprintable()
+            else replace(info, name=printable(info.name), type_name=printable(info.type_name),
+                         unit=None if info.unit is None else printable(info.unit))
+            for info in found
+        ]  # fmt: skip
+
+    def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
+        """Return the named signals; see `Recording.read`."""
+        real = [self._real.get(name, name) for name in names]
+        found = guarded(self.path, lambda: self._inner.read(real, clock))
+        if real == list(names):
+            return found
+        return {shown: replace(found[name], name=shown) for shown, name in zip(names, real, strict=True)}

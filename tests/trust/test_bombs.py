@@ -1,0 +1,192 @@
+"""Files that unfold into more than a computer holds are refused, in bounded memory and time."""
+
+from __future__ import annotations
+
+import bz2
+import os
+import resource
+import sqlite3
+import struct
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import h5py
+import lz4.frame
+import pytest
+import zstandard
+
+from split_cli.errors import LogError, SplitError, VehicleError
+from split_cli.logs.readers import open_recording
+from split_cli.logs.readers.budget import most_bytes_out
+from split_cli.logs.readers.definitions import Definitions, leaf_paths
+from split_cli.vehicle.parameters import read_vehicle
+
+MEMORY = 1 << 30
+"""Of the process that opens a bomb [bytes]: the project's bound; imports alone take some 300 MB of addresses."""
+
+
+def opened_within_memory(path: Path) -> str:
+    """Open a recording and read all of it in a process of bounded memory; returns what it said."""
+    code = (
+        "import sys\n"
+        "from split_cli.errors import SplitError\n"
+        "from split_cli.logs.readers import open_recording\n"
+        "try:\n"
+        "    r = open_recording(sys.argv[1]); r.read([c.name for c in r.channels()]); print('read', r.notes)\n"
+        "except SplitError as error:\n"
+        "    print('refused', error)\n"
+    )
+
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=60,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    assert peak == before or peak * 1024 < MEMORY, f"{peak / 1e3:.0f} MB"
+    return done.stdout
+
+
+def mcap_with_chunk(path: Path, compression: bytes, packed: bytes, claimed: int) -> Path:
+    """Write an MCAP file of one chunk, by the format's own layout."""
+
+    def record(opcode: int, body: bytes) -> bytes:
+        return struct.pack("<BQ", opcode, len(body)) + body
+
+    def text(value: bytes) -> bytes:
+        return struct.pack("<I", len(value)) + value
+
+    header = record(1, text(b"") + text(b""))
+    chunk = struct.pack("<QQQI", 0, 1, claimed, 0) + text(compression) + struct.pack("<Q", len(packed)) + packed
+    path.write_bytes(b"\x89MCAP0\r\n" + header + record(6, chunk) + record(15, bytes(4)))
+    return path
+
+
+@pytest.mark.parametrize("claimed", [1000, 2 << 30, 3 << 30])
+@pytest.mark.parametrize("compression", [b"zstd", b"lz4"])
+def test_a_chunk_of_mcap_unfolds_into_what_it_claims_at_most(tmp_path, compression, claimed):
+    zeros = bytes(1 << 20)
+    if compression == b"zstd":
+        engine = zstandard.ZstdCompressor().compressobj()
+        packed = b"".join(engine.compress(zeros) for _ in range(200)) + engine.flush()
+    else:
+        packed = lz4.frame.compress(bytes(64 << 20))
+    path = mcap_with_chunk(tmp_path / "bomb.mcap", compression, packed, claimed)
+    assert "refused" in opened_within_memory(path)
+
+
+def test_a_chunk_of_a_bag_unfolds_within_its_budget(tmp_path):
+    engine = bz2.BZ2Compressor()
+    packed = b"".join(engine.compress(bytes(1 << 20)) for _ in range(100)) + engine.flush()
+    assert len(packed) < 5000
+
+    def field(name: bytes, value: bytes) -> bytes:
+        return struct.pack("<I", len(name) + 1 + len(value)) + name + b"=" + value
+
+    head = field(b"op", b"\x05") + field(b"compression", b"bz2") + field(b"size", struct.pack("<I", 100 << 20))
+    body = struct.pack("<I", len(head)) + head + struct.pack("<I", len(packed)) + packed
+    path = tmp_path / "bomb.bag"
+    path.write_bytes(b"#ROSBAG V2.0\n" + body)
+    assert "refused" in opened_within_memory(path)
+
+
+def test_a_matlab_variable_is_measured_before_it_is_unpacked(tmp_path):
+    engine = zlib.compressobj(9)
+    packed = b"".join(engine.compress(bytes(1 << 20)) for _ in range(100)) + engine.flush()
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
+    path = tmp_path / "bomb.mat"
+    path.write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
+    said = opened_within_memory(path)
+    assert "refused" in said and "more than" in said
+
+
+def test_a_fill_value_is_no_data(tmp_path):
+    path = tmp_path / "bomb.mat"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("speed", shape=(800_000_000, 1), dtype="f8", fillvalue=1.0, chunks=(100_000, 1))
+    said = opened_within_memory(path)
+    assert "refused" in said and "speed claims 6,400 MB" in said
+
+
+def test_honest_compression_is_read(tmp_path):
+    # A channel that never changes: the case in which honest data come nearest to a bomb.
+    path = tmp_path / "still.mat"
+    with h5py.File(path, "w") as file:
+        import numpy as np
+
+        file.create_dataset("t", data=np.arange(200_000.0), compression="gzip", chunks=True)
+        file.create_dataset("speed", data=np.zeros(200_000), compression="gzip", chunks=True)
+    assert len(open_recording(path).read(["speed"])["speed"].values) == 200_000
+
+
+@pytest.mark.parametrize("bytes_in", [0, 1, 1000, 10**6, 10**8, 10**12])
+def test_the_budget_is_monotonous_and_bounded(bytes_in):
+    assert 64 << 20 <= most_bytes_out(bytes_in) <= 2 << 30
+    assert most_bytes_out(bytes_in) <= most_bytes_out(bytes_in + 1)
+
+
+def definition(levels: int, fields: str) -> bytes:
+    parts = [fields.format(1)]
+    for level in range(1, levels):
+        parts += ["=" * 80, f"MSG: evil/Level{level}", fields.format(level + 1)]
+    parts += ["=" * 80, f"MSG: evil/Level{levels}", "float64 x"]
+    return "\n".join(parts).encode()
+
+
+@pytest.mark.parametrize("fields", ["Level{0} a\nLevel{0} b", "Level{0}[64] a", "Level{0}[] a\nLevel{0}[2] b"])
+def test_a_definition_that_unfolds_without_end_is_refused(fields):
+    with pytest.raises(LogError, match="numbers|nested"):
+        Definitions().layout("evil/Top", "ros2msg", definition(22, fields))
+
+
+def test_numbers_are_counted_as_they_are_listed():
+    # 3 levels of two fields: 8 numbers, by both ways of counting.
+    layout = Definitions().layout("evil/Top", "ros2msg", definition(3, "Level{0} a\nLevel{0} b"))
+    assert len(list(leaf_paths(layout.fields))) == 8
+
+
+def test_a_view_that_never_ends_is_no_table_of_messages(tmp_path):
+    path = tmp_path / "endless.db3"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE topics(id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
+        database.execute(
+            "CREATE VIEW messages AS WITH RECURSIVE n(id, topic_id, timestamp, data) AS "
+            "(SELECT 1, 1, 1, x'' UNION ALL SELECT id + 1, 1, id, x'' FROM n) SELECT * FROM n"
+        )
+    with pytest.raises(LogError, match="messages is a view"):
+        open_recording(path)
+
+
+_NEXT = list(zip("abcdefgh", "bcdefghi", strict=True))
+YAML_BOMBS = {
+    "aliases": "a: &a [x,x,x,x,x,x,x,x,x]\n"
+    + "".join(f"{n}: &{n} [{','.join([f'*{p}'] * 9)}]\n" for p, n in _NEXT),
+    "merges": "a: &a {k0: 1}\n"
+    + "".join(f"{n}: &{n} {{<<: [{','.join([f'*{p}'] * 9)}], k{n}: 1}}\n" for p, n in _NEXT),
+    "itself": "a: &a [*a]\n",
+    "digits": "mass: " + "9" * 5000 + "\n",
+    "large": "mass: 1" + "0" * 399 + "\n",
+    "date": "name: 2023-02-31\n",
+    "deep": "a: " + "[" * 5000 + "]" * 5000 + "\n",
+    "size": "name: |\n" + "  x\n" * 2_000_000,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", YAML_BOMBS)
+def test_yaml_that_unfolds_without_end_is_refused_with_its_reason(tmp_path, kind):
+    path = tmp_path / "car.yaml"
+    path.write_text(YAML_BOMBS[kind])
+    with pytest.raises(VehicleError) as refused:
+        read_vehicle(path)
+    assert str(path) in str(refused.value)
+
+
+def test_an_alias_that_is_used_twice_is_fine(tmp_path):
+    from split_cli.yaml_file import read_yaml_mapping
+
+    path = tmp_path / "map.yaml"
+    path.write_text("a: &a {x: 1}\nb: *a\nc: {<<: *a, y: 2}\n")
+    assert read_yaml_mapping(path, SplitError) == {"a": {"x": 1}, "b": {"x": 1}, "c": {"x": 1, "y": 2}}

@@ -1,0 +1,94 @@
+"""A trained set that was forged, with a digest that fits, is refused before anything is computed with it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from split_cli.errors import SetError
+from split_cli.learning import training_set as module
+from split_cli.learning.training_set import read_set, write_set
+from tests.factories import make_training_set
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return make_training_set()
+
+
+def forged(monkeypatch, sound, path, change):
+    """Write a set whose header was changed before its digest was taken: right by its own account."""
+    describe = module._describe
+
+    def lying(training_set):
+        described = json.loads(json.dumps(describe(training_set)))
+        change(described)
+        return described
+
+    monkeypatch.setattr(module, "_describe", lying)
+    write_set(sound, path)
+    return path
+
+
+def at(*keys, value):
+    def change(described):
+        inner = described
+        for key in keys[:-1]:
+            inner = inner[key]
+        inner[keys[-1]] = value
+
+    return change
+
+
+FORGED = {
+    "horizon below zero": at("horizon", value=-1.0),
+    "horizon of nothing": at("horizon", value=0.0),
+    "endless horizon": at("horizon", value=1e9),
+    "horizon in words": at("horizon", value="0.05"),
+    "capacity of nothing": at("capacity", value=0),
+    "capacity beyond use": at("capacity", value=10**9),
+    "threshold beyond a gain": at("threshold", value=2.0),
+    "edges of next to nothing": at("grid", "edges", value=[1e-9, 1e-9, 1e-9]),
+    "too few edges": at("grid", "edges", value=[0.02]),
+    "bounds the wrong way": at("grid", "lower", value=[1.0, 1.0, 2.0]),
+    "kernel of another length": at("kernel", "length_scales", value=[0.04]),
+    "counts below zero": at("counts", "points", value=-5),
+    "counts of another set": at("counts", "cells", value=1),
+    "samples below zero": at("sources", 0, "samples", value=-5),
+    "digest of another vehicle": at("vehicle_digest", value="0" * 64),
+    "no drives": at("sources", value=[]),
+    "mass of no car": at("vehicle", "mass", value=1e308),
+    "region of no size": at("region", "alpha_max", value=-0.1),
+}
+
+
+@pytest.mark.parametrize("kind", FORGED)
+def test_a_header_that_no_training_leaves_is_refused(monkeypatch, sound, tmp_path, kind):
+    path = forged(monkeypatch, sound, tmp_path / "forged.split", FORGED[kind])
+    with pytest.raises(SetError):
+        read_set(path)
+
+
+@pytest.mark.parametrize("name", ["z", "y", "gamma", "t"])
+def test_points_that_are_no_numbers_are_refused(sound, tmp_path, name):
+    values = getattr(sound, name).copy()
+    values.flat[0] = np.nan
+    write_set(replace(sound, **{name: values}), tmp_path / "a.split")
+    with pytest.raises(SetError, match="not finite"):
+        read_set(tmp_path / "a.split")
+
+
+def test_a_cell_with_more_points_than_it_may_keep_is_refused(sound, tmp_path):
+    write_set(replace(sound, capacity=int(np.diff(sound.offsets).max()) - 1), tmp_path / "a.split")
+    with pytest.raises(SetError, match="its capacity is"):
+        read_set(tmp_path / "a.split")
+
+
+def test_a_sound_set_comes_back(sound, tmp_path):
+    write_set(sound, tmp_path / "a.split")
+    found = read_set(tmp_path / "a.split")
+    assert np.array_equal(found.z, sound.z) and pa.ipc.open_file(str(tmp_path / "a.split")).num_record_batches

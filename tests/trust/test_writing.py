@@ -1,0 +1,139 @@
+"""Folders are exchanged whole, leftovers of killed runs go, and two runs do not lose each other's work."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from split_cli.errors import LogError, SplitError, VehicleError
+from split_cli.files import atomic_directory, atomic_path, exclusive_access
+from split_cli.logs.readers import open_recording
+from split_cli.vehicle.parameters import read_vehicle
+
+
+def written(folder: Path, generation: int, names: int = 8) -> None:
+    with atomic_directory(folder) as temporary:
+        for name in range(names):
+            (temporary / f"f{name}").write_text(str(generation))
+        (temporary / "sub").mkdir()
+        (temporary / "sub" / "deep").write_text(str(generation))
+
+
+def test_a_folder_is_exchanged_in_one_step(tmp_path):
+    # A reader that lists the folder through one handle sees one generation, whatever is written meanwhile.
+    target = tmp_path / "out"
+    written(target, 0)
+    stop, mixed = threading.Event(), []
+
+    def read() -> None:
+        while not stop.is_set():
+            handle = os.open(target, os.O_RDONLY)
+            try:
+                found = set()
+                for name in [f"f{n}" for n in range(8)] + ["sub/deep"]:
+                    opened = os.open(name, os.O_RDONLY, dir_fd=handle)
+                    found.add(os.read(opened, 20))
+                    os.close(opened)
+                if len(found) != 1:
+                    mixed.append(found)
+            except FileNotFoundError:
+                pass  # the old folder, while it is taken away
+            finally:
+                os.close(handle)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for generation in range(1, 30):
+        written(target, generation)
+    stop.set()
+    reader.join()
+    assert not mixed
+    assert (target / "sub" / "deep").read_text() == "29"
+
+
+def test_files_of_other_names_stay(tmp_path):
+    target = tmp_path / "out"
+    (target / "own" / "deeper").mkdir(parents=True)
+    (target / "own" / "deeper" / "notes.txt").write_text("mine")
+    (target / "link").symlink_to("own")
+    (target / "f0").write_text("old")
+    written(target, 7)
+    assert (target / "own" / "deeper" / "notes.txt").read_text() == "mine"
+    assert os.readlink(target / "link") == "own"
+    assert (target / "f0").read_text() == "7"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out"]
+
+
+def test_the_folder_one_stands_in_is_written_too(tmp_path, monkeypatch):
+    target = tmp_path / "out"
+    target.mkdir()
+    monkeypatch.chdir(target)
+    written(Path("."), 3)
+    assert Path("f0").read_text() == "3"
+
+
+KILLED = """
+import os, sys, time
+from split_cli.files import atomic_directory, atomic_path
+with (atomic_path if sys.argv[2] == "file" else atomic_directory)(sys.argv[1]) as temporary:
+    print("ready", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_leftovers_of_a_killed_run_are_swept_and_those_of_a_living_one_are_not(tmp_path, kind):
+    target = tmp_path / "out"
+
+    def start() -> subprocess.Popen:
+        run = subprocess.Popen([sys.executable, "-c", KILLED, str(target), kind], stdout=subprocess.PIPE)
+        assert run.stdout is not None and run.stdout.readline() == b"ready\n"
+        return run
+
+    killed, living = start(), start()
+    os.kill(killed.pid, signal.SIGKILL)
+    killed.wait()
+    assert len(list(tmp_path.glob(".out.*.part"))) == 2
+    with (atomic_path if kind == "file" else atomic_directory)(target) as temporary:
+        (temporary if kind == "file" else temporary / "f").write_text("new")
+    assert len(list(tmp_path.glob(".out.*.part"))) == 1
+    living.kill()
+    living.wait()
+
+
+def test_two_runs_take_turns_at_one_file(tmp_path):
+    target = tmp_path / "count"
+    target.write_text("0")
+
+    def add() -> None:
+        for _ in range(20):
+            with exclusive_access(target):
+                value = int(target.read_text())
+                time.sleep(0.0005)
+                with atomic_path(target) as temporary:
+                    temporary.write_text(str(value + 1))
+
+    threads = [threading.Thread(target=add) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert target.read_text() == "80"
+
+
+@pytest.mark.parametrize(("read", "kind"), [(open_recording, LogError), (read_vehicle, VehicleError)])
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path, read, kind):
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(kind, match="is a pipe"):
+        read(tmp_path / "pipe.yaml")
+
+
+def test_an_error_does_nothing_to_a_terminal():
+    assert str(SplitError("bad\x1b[31m \u202e name", where="a\rb\x9b")) == r"a\x0db\x9b: bad\x1b[31m \u202e name"
