@@ -1,20 +1,31 @@
-"""The fewest known mistakes that account for all measured factors between channels."""
+"""What accounts best for measured factors between channels: each relation by itself, weighed, several at once."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from split_cli.logs.kinematics import Slope
+from split_cli.logs.mistakes import Mistake, known_mistakes
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Finding", "Relation", "explain"]
+__all__ = ["Explanation", "Finding", "Plausible", "Relation", "explain"]
 
-_DEGREES = 180.0 / np.pi
-_LARGEST_SET = 3
+_UNKNOWN = 8.0
+"""Cost of a factor that no known mistake gives: dearer than one of unit and sign at the edge of the tolerance."""
+_EDGE = 2.0
+"""Cost of a ratio at the edge of its tolerance, two standard deviations; beyond it nothing is accounted for."""
+_RIVAL = 1.5
+"""Explanations less than this dearer than the best are told beside it: odds of less than 5 to 1."""
+_SAME_UNIT = 1.0
+"""Cost of v_y or a wheel speed in the wrong unit that v_x is in too: all come from one logger."""
+_ONE_MORE_WHEEL = 0.25
+_BEYOND_PHYSICS = 4.0
+"""Cost of a magnitude e times what a car can reach."""
+_SHARED = ("vx", "r")
+"""Channels that enter several relations; every other one enters one."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +35,7 @@ class Finding:
     Attributes
     ----------
     check : str
-        ``scale``, ``sign``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``constant``.
+        ``scale``, ``sign``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``constant``, ``range``.
     channel : str
         The one to look at.
     text : str
@@ -53,172 +64,320 @@ class Relation:
         Channel to the power with which its factor enters.
     slope : Slope
     tolerance : float
-        Of the logarithm of the ratio.
+        Of the logarithm of the ratio: what right recordings show.
+    corrected : callable or None
+        Takes the factors of v_x and r and returns the ratio that is left after both are corrected, for relations
+        that are no plain product; None where `powers` says it all.
     """
 
     name: str
     powers: Mapping[str, int]
     slope: Slope
     tolerance: float
+    corrected: Callable[[float, float], float] | None = None
 
     @property
     def holds(self) -> bool:
         """Whether the ratio is 1 within its tolerance."""
         return self.slope.slope > 0 and abs(np.log(self.slope.slope)) <= self.tolerance
 
+    @property
+    def leaf(self) -> str:
+        """The channel that enters this relation only."""
+        return next(channel for channel in self.powers if channel not in _SHARED)
+
+    def without(self, factors: Mapping[str, float]) -> float:
+        """Return the ratio that is left when v_x and r are divided by `factors`."""
+        if self.corrected is not None:
+            return self.corrected(factors.get("vx", 1.0), factors.get("r", 1.0))
+        ratio = self.slope.slope
+        for channel in _SHARED:
+            ratio *= factors.get(channel, 1.0) ** -self.powers.get(channel, 0)
+        return ratio
+
 
 @dataclass(frozen=True)
-class _Mistake:
-    """A known mistake: the channel is `low` to `high` times what it should be, its sign turned where `turned`."""
+class Plausible:
+    """A magnitude that physics bounds: `value` is the product of channels to their `powers`.
 
-    channel: str
-    low: float
+    Attributes
+    ----------
+    name : str
+    powers : mapping of str to int
+    value, high : float
+        What it reaches, and what no car reaches, SI.
+    unit : str
+    """
+
+    name: str
+    powers: Mapping[str, int]
+    value: float
     high: float
-    turned: bool
-    what: str
-    remedy: str
+    unit: str
+
+    def cost(self, factors: Mapping[str, float]) -> float:
+        """Return what it costs that the corrected magnitude is larger than any car's."""
+        value = self.value
+        for channel, power in self.powers.items():
+            value *= abs(factors.get(channel, 1.0)) ** -power
+        return _BEYOND_PHYSICS * float(max(np.log(max(value, 1e-12) / self.high), 0.0))
 
 
-def _exact(channel: str, factor: float, what: str, remedy: str) -> list[_Mistake]:
-    turned = f"{what}, and has the opposite sign" if what else "has the opposite sign"
-    turned_remedy = f"{remedy} and `scale: -1`" if remedy else "use `scale: -1`"
-    plain = [_Mistake(channel, factor, factor, False, what, remedy)] if factor != 1.0 else []
-    return [*plain, _Mistake(channel, factor, factor, True, turned, turned_remedy)]
+@dataclass(frozen=True)
+class Explanation:
+    """Findings, and the exact signed factors that correct the channels they blame.
+
+    Attributes
+    ----------
+    findings : tuple of Finding
+    factors : mapping of str to float
+        Channel to the factor that is in it; only where one mistake is clearly the best.
+    """
+
+    findings: tuple[Finding, ...] = ()
+    factors: Mapping[str, float] = field(default_factory=dict)
 
 
-def _known_mistakes(channels: Sequence[str], vehicle: Vehicle | None) -> list[_Mistake]:
-    known: list[_Mistake] = []
-    for channel in channels:
-        sign = {
-            "r": ("is left-handed (clockwise positive)", "use `scale: -1` or `frame: frd`"),
-            "yaw": ("is clockwise positive", "use `scale: -1` or `world: ned`"),
-            "delta": ("is right-positive", "use `scale: -1` or `frame: frd`"),
-            "ay": ("is right-positive", "use `scale: -1` or `frame: frd`"),
-            "ax": ("is positive when braking", "use `scale: -1`"),
-            "T": ("is positive when braking", "use `scale: -1`"),
-            "hand": ("are mirrored: X and Y exchanged", "exchange them or set `world: ned`"),
-        }.get(channel, ("has the opposite sign", "use `scale: -1`"))
-        known.append(_Mistake(channel, 1.0, 1.0, True, *sign))
-        if channel in ("r", "yaw", "delta"):
-            unit = "deg/s" if channel == "r" else "deg"
-            known += _exact(channel, _DEGREES, f"is in {unit}", f"set `unit: {unit}`")
-            twice = "was converted from degrees although it is in radians"
-            known += _exact(channel, 1.0 / _DEGREES, twice, "set `unit: rad" + ("/s`" if channel == "r" else "`"))
-        if channel == "vx" or channel.startswith("wheel_speed"):
-            for factor, unit in ((3.6, "km/h"), (1 / 0.44704, "mph"), (1 / 0.514444, "kn")):
-                known += _exact(channel, factor, f"is in {unit}", f"set `unit: {unit}`")[:1]
-            known += _exact(channel, 1 / 3.6, "was converted from km/h although it is in m/s", "set `unit: m/s`")[
-                :1
-            ]
-        if channel.startswith("wheel_speed") and vehicle is not None:
-            known += _exact(channel, 1.0 / vehicle.wheel_radius, "is in rad/s", "set `unit: rad/s`")[:1]
-        if channel in ("ax", "ay"):
-            known += _exact(channel, 1.0 / 9.80665, "is in g", "set `unit: g`")
-        if channel == "X":
-            for factor, unit in ((1 / 0.3048, "ft"), (1e-3, "km"), (100.0, "cm"), (1000.0, "mm")):
-                known += _exact(channel, factor, f"and Y are in {unit}", f"set `unit: {unit}`")[:1]
-        if channel == "delta":
-            for turned in (False, True):
-                hand = ", right-positive," if turned else ""
-                ratio = "give its ratio as `scale: 1/ratio`"
-                known.append(_Mistake(channel, 8.0, 25.0, turned, f"is the steering-wheel angle{hand}", ratio))
-                known.append(
-                    _Mistake(
-                        channel,
-                        8.0 * _DEGREES,
-                        25.0 * _DEGREES,
-                        turned,
-                        f"is the steering-wheel angle{hand} in degrees",
-                        f"set `unit: deg` and {ratio}",
-                    )
-                )
-        if channel == "T":
-            known.append(
-                _Mistake(channel, 1 / 20.0, 1 / 2.5, False, "is the torque of engine or motor, or of one wheel",
-                         "scale it to the sum at the wheels")
-            )  # fmt: skip
-    return known
+@dataclass(frozen=True)
+class _Leaf:
+    """How one relation is accounted for, given the shared channels: a mistake, nothing, or an unknown factor."""
+
+    relation: Relation
+    mistake: Mistake | None
+    cost: float
+    left: float
+    rivals: tuple[Mistake, ...] = ()
+    charged: float = 0.0
+
+    @property
+    def unknown(self) -> bool:
+        return self.mistake is None and self.cost >= _UNKNOWN
 
 
-def explain(relations: Sequence[Relation], vehicle: Vehicle | None) -> list[Finding]:
-    """Name the fewest known mistakes that make every relation hold.
+@dataclass(frozen=True)
+class _Story:
+    """One assignment of mistakes to all channels, with its cost."""
+
+    shared: tuple[Mistake, ...]
+    leaves: tuple[_Leaf, ...]
+    cost: float
+
+    @property
+    def mistakes(self) -> tuple[Mistake, ...]:
+        return (*self.shared, *(leaf.mistake for leaf in self.leaves if leaf.mistake is not None))
+
+    @property
+    def blamed(self) -> frozenset[tuple[str, str]]:
+        unknown = ((leaf.relation.leaf, "unknown") for leaf in self.leaves if leaf.unknown)
+        return frozenset([*((m.channel, m.what) for m in self.mistakes), *unknown])
+
+
+def explain(
+    relations: Sequence[Relation], vehicle: Vehicle | None, plausible: Sequence[Plausible] = ()
+) -> Explanation:
+    """Name the cheapest set of known mistakes that accounts for the relations.
 
     Parameters
     ----------
     relations : sequence of Relation
     vehicle : Vehicle, optional
         Its wheel radius tells wheel speeds in rad/s.
+    plausible : sequence of Plausible
+        Magnitudes that decide between explanations that the relations leave open.
 
     Returns
     -------
-    list of Finding
-        Empty when all relations hold. Where several smallest sets do equally well, each finding says the other
-        possibility; where none does, the broken relations themselves are told.
+    Explanation
+        Without findings when all relations hold. Where several explanations are about equally good, the findings
+        tell the others too.
+
+    Notes
+    -----
+    v_x and r enter several relations, every other channel enters one. For each pair of mistakes in v_x and r the
+    best account of every other relation is therefore found by itself, so that any number of mistakes is found
+    together, and a relation that nothing accounts for silences no other. The cost of a story is the sum of its
+    mistakes' costs (negative logarithms of how frequent they are) and of half the squared misfits, each at most
+    the cost of a factor that is not known.
     """
+    beyond = [magnitude for magnitude in plausible if magnitude.cost({}) > 0.0]
+    if all(relation.holds for relation in relations) and not beyond:
+        return Explanation()
+    stories = sorted(
+        (_story(shared, relations, vehicle, plausible) for shared in _shared_choices(relations, vehicle, beyond)),
+        key=lambda story: (story.cost, len(story.mistakes)),
+    )
+    best = stories[0]
+    # More than the best says is no rival to it.
+    rivals = [s for s in stories[1:] if s.cost < best.cost + _RIVAL and not s.blamed >= best.blamed]
+    told = _told(best, rivals, relations, beyond)
+    sure = {m.channel for m in best.mistakes} if not rivals else set()
+    doubtful = {leaf.relation.leaf for leaf in best.leaves if leaf.rivals}
+    factors = {
+        m.channel: m.factor
+        for m in best.mistakes
+        if m.channel in sure and m.channel not in doubtful and m.factor is not None
+    }
+    return Explanation(tuple(told), factors)
+
+
+def _shared_choices(
+    relations: Sequence[Relation], vehicle: Vehicle | None, beyond: Sequence[Plausible]
+) -> Iterable[tuple[Mistake, ...]]:
+    """Yield every pair of mistakes in v_x and r, none included, and factors of v_x or r that are not known."""
+    options: dict[str, list[Mistake | None]] = {}
+    for channel in _SHARED:
+        own = [relation for relation in relations if channel in relation.powers]
+        options[channel] = [None]
+        if own or any(channel in magnitude.powers for magnitude in beyond):
+            options[channel] += known_mistakes(channel, vehicle)
+        for relation in own if len(own) > 1 else ():
+            factor = abs(relation.slope.slope) ** (1.0 / relation.powers[channel])
+            known = [1.0, *(m.low for m in options[channel] if m is not None and m.cost < _UNKNOWN)]
+            far = all(abs(np.log(factor / low)) > 3.0 * relation.tolerance for low in known)
+            if relation.corrected is None and far:
+                options[channel].append(_unknown_factor(channel, float(factor)))
+    for first in options["vx"]:
+        for second in options["r"]:
+            yield tuple(mistake for mistake in (first, second) if mistake is not None)
+
+
+def _unknown_factor(channel: str, factor: float) -> Mistake:
+    what = f"is {factor:.3g} times what the other channels say; no usual mistake of unit or sign gives that"
+    return Mistake(channel, factor, factor, False, what, f"check the scale of {channel}", _UNKNOWN + 1.0)
+
+
+def _story(
+    shared: tuple[Mistake, ...],
+    relations: Sequence[Relation],
+    vehicle: Vehicle | None,
+    plausible: Sequence[Plausible],
+) -> _Story:
+    factors = {mistake.channel: mistake.factor for mistake in shared}
+    leaves = [_leaf(relation, factors, shared, vehicle, plausible) for relation in relations]
+    cost = sum(mistake.cost for mistake in shared) + sum(leaf.cost for leaf in leaves)
+    cost += sum(p.cost(factors) for p in plausible if set(p.powers) <= set(_SHARED))
+    cost -= _shared_wheel_costs(leaves)
+    turned = {leaf.mistake.channel for leaf in leaves if leaf.mistake is not None and leaf.mistake.turned}
+    if {"yaw", "hand"} <= turned:
+        # North-east-down axes turn both at once: one mistake, not two.
+        cost -= 2.5
+    return _Story(shared, tuple(leaves), cost)
+
+
+def _shared_wheel_costs(leaves: Sequence[_Leaf]) -> float:
+    """Return what the same mistake in several wheel speeds costs too much: one logger makes it for all."""
+    costs: dict[str, list[float]] = {}
+    for leaf in leaves:
+        if leaf.mistake is not None and leaf.relation.leaf.startswith("wheel_speed"):
+            costs.setdefault(leaf.mistake.what, []).append(leaf.charged - _ONE_MORE_WHEEL)
+    return sum(sum(same[1:]) for same in costs.values())
+
+
+def _leaf(
+    relation: Relation,
+    factors: Mapping[str, float],
+    shared: Sequence[Mistake],
+    vehicle: Vehicle | None,
+    plausible: Sequence[Plausible],
+) -> _Leaf:
+    """Account for what v_x and r leave of a relation: by nothing, by a mistake, or by a factor unknown."""
+    left, channel = relation.without(factors), relation.leaf
+    power = relation.powers[channel]
+    own = [p for p in plausible if channel in p.powers]
+    units = {mistake.unit for mistake in shared if mistake.unit}
+    choices: list[tuple[float, Mistake | None, float]] = [
+        (_misfit(relation, left, 1.0, 1.0, False) + sum(p.cost(factors) for p in own), None, 0.0)
+    ]
+    for mistake in known_mistakes(channel, vehicle):
+        low, high = sorted((mistake.low**power, mistake.high**power))
+        same_logger = mistake.unit in units and (channel == "vy" or channel.startswith("wheel_speed"))
+        charged = _SAME_UNIT if same_logger else mistake.cost
+        beyond = sum(p.cost({**factors, channel: mistake.high}) for p in own)
+        choices.append((charged + beyond + _misfit(relation, left, low, high, mistake.turned), mistake, charged))
+    cost, mistake, charged = min(choices, key=lambda choice: choice[0])
+    if cost >= _UNKNOWN:
+        return _Leaf(relation, None, _UNKNOWN, left)
+    rivals = tuple(m for c, m, _ in choices if m is not None and m is not mistake and c < cost + _RIVAL)
+    return _Leaf(relation, mistake, cost, left, rivals if mistake is not None else (), charged)
+
+
+def _misfit(relation: Relation, ratio: float, low: float, high: float, turned: bool) -> float:
+    """Return half the squared distance of a ratio from `low` to `high` in standard deviations, see `_EDGE`."""
+    if ratio == 0.0 or (ratio < 0.0) != turned:
+        return np.inf
+    size = float(np.log(abs(ratio)))
+    distance = max(np.log(low) - size, size - np.log(high), 0.0)
+    return _EDGE * float(distance / relation.tolerance) ** 2 if distance <= relation.tolerance else np.inf
+
+
+def _told(
+    best: _Story, rivals: Sequence[_Story], relations: Sequence[Relation], beyond: Sequence[Plausible]
+) -> list[Finding]:
+    """Put the best story into words, with its rivals."""
     broken = [relation for relation in relations if not relation.holds]
-    if not broken:
-        return []
-    channels = sorted({channel for relation in broken for channel in relation.powers})
-    mistakes = _known_mistakes(channels, vehicle)
-    for size in range(1, _LARGEST_SET + 1):
-        fitting = [
-            chosen
-            for chosen in combinations(mistakes, size)
-            if len({m.channel for m in chosen}) == size and all(_accounts(chosen, r) for r in relations)
-        ]
-        if fitting:
-            return _told(fitting, broken)
-    return [_unexplained(relation) for relation in broken]
-
-
-def _accounts(chosen: Sequence[_Mistake], relation: Relation) -> bool:
-    """Tell whether a relation is what the chosen mistakes make of it."""
-    sign, low, high = 1.0, 0.0, 0.0
-    for mistake in chosen:
-        power = relation.powers.get(mistake.channel, 0)
-        if power:
-            sign *= -1.0 if mistake.turned else 1.0
-            ends = sorted((power * np.log(mistake.low), power * np.log(mistake.high)))
-            low, high = low + ends[0], high + ends[1]
-    measured = relation.slope.slope
-    size = float(np.log(abs(measured)))
-    return measured * sign > 0 and low - relation.tolerance <= size <= high + relation.tolerance
-
-
-def _told(fitting: Sequence[Sequence[_Mistake]], broken: Sequence[Relation]) -> list[Finding]:
-    """Put the first fitting set into words, with the others as alternatives."""
-    first = fitting[0]
-    others = [chosen for chosen in fitting[1:] if {m.channel for m in chosen} != {m.channel for m in first}]
-    alternative = ""
-    if others:
-        told = [" and ".join(f"{_name(m.channel)} {m.what}" for m in chosen) for chosen in others[:3]]
-        alternative = f" Or: {'; or '.join(dict.fromkeys(told))}: nothing recorded decides."
-    found = []
-    for mistake in first:
-        shown = [r for r in broken if mistake.channel in r.powers] or list(broken)
-        evidence = "; ".join(
-            f"{r.name}: slope {r.slope.slope:.4g} +- {r.slope.error:.1g}, correlation {r.slope.correlation:.3f}"
-            for r in shown
-        )
-        channel = "X" if mistake.channel == "hand" else mistake.channel
-        check = "sign" if mistake.turned and mistake.low == mistake.high == 1.0 else "scale"
-        remedy = mistake.remedy[:1].upper() + mistake.remedy[1:]
-        text = f"{_name(mistake.channel)} {mistake.what} ({evidence}). {remedy}"
-        found.append(
-            Finding(check, channel, f"{text} in the map.{alternative}", shown[0].slope.slope, shown[0].slope.error)
-        )
+    others = [_in_words(story) for story in rivals]
+    others = list(dict.fromkeys(others))[:3]
+    alternative = f" Or: {'; or '.join(others)}: nothing recorded decides." if others else ""
+    reach = [f"{m.name} reaches {m.value:.3g} {m.unit}, no car's exceeds {m.high:g}" for m in beyond]
+    found = [_finding(mistake, broken, alternative, (), reach) for mistake in best.shared]
+    for leaf in best.leaves:
+        if leaf.mistake is not None:
+            found.append(_finding(leaf.mistake, [leaf.relation], alternative, leaf.rivals))
+        elif leaf.unknown:
+            found.append(_unexplained(leaf, alternative))
+    left_over = {m.channel: m.high for m in best.mistakes}
+    for magnitude, words in zip(beyond, reach, strict=True):
+        if magnitude.cost(left_over) > 0.0:
+            first = next(iter(magnitude.powers))
+            text = f"{words}: check the unit of {' and '.join(magnitude.powers)}.{alternative}"
+            found.append(Finding("range", first, text, magnitude.value))
     return found
 
 
-def _unexplained(relation: Relation) -> Finding:
-    slope = relation.slope
-    channel = next(iter(relation.powers))
+def _in_words(story: _Story) -> str:
+    plain = [m for m in story.mistakes if not m.channel.startswith("wheel_speed")]
+    parts = [f"{_name(m.channel)} {m.what}" for m in plain]
+    wheels = dict.fromkeys(m.what for m in story.mistakes if m not in plain)
+    parts += [f"the wheel speeds: each {what}" for what in wheels]
+    parts += [f"{leaf.relation.name} is off by a factor not known" for leaf in story.leaves if leaf.unknown]
+    return " and ".join(parts)
+
+
+def _finding(
+    mistake: Mistake,
+    shown: Sequence[Relation],
+    alternative: str,
+    rivals: Sequence[Mistake],
+    reach: Sequence[str] = (),
+) -> Finding:
+    shown = [relation for relation in shown if mistake.channel in relation.powers] or list(shown)
+    slopes = [
+        f"{r.name}: slope {r.slope.slope:.4g} +- {r.slope.error:.1g}, correlation {r.slope.correlation:.3f}"
+        for r in shown
+    ]
+    evidence = "; ".join([*slopes, *reach])
+    channel = "X" if mistake.channel == "hand" else mistake.channel
+    check = "sign" if mistake.turned and mistake.low == mistake.high == 1.0 else "scale"
+    remedy = mistake.remedy[:1].upper() + mistake.remedy[1:]
+    text = f"{_name(mistake.channel)} {mistake.what} ({evidence}). {remedy} in the map."
+    if rivals:
+        text += f" Or it {'; or it '.join(rival.what for rival in rivals)}: nothing recorded decides."
+    measured = shown[0].slope if shown else None
+    if measured is None:
+        return Finding(check, channel, text + alternative)
+    return Finding(check, channel, text + alternative, measured.slope, measured.error)
+
+
+def _unexplained(leaf: _Leaf, alternative: str) -> Finding:
+    relation, slope = leaf.relation, leaf.relation.slope
+    moved = abs(leaf.left / slope.slope - 1.0) > 0.02
+    corrected = f" ({leaf.left:.4g} with what else was found corrected)" if moved else ""
     return Finding(
-        "scale" if slope.slope > 0 else "sign",
-        channel,
+        "scale" if leaf.left > 0 else "sign",
+        "X" if relation.leaf == "hand" else relation.leaf,
         f"{relation.name}: slope {slope.slope:.4g} +- {slope.error:.1g} where 1 was expected "
-        f"(correlation {slope.correlation:.3f}); no usual mistake of unit or sign gives that. "
-        f"Check the scale of {' and '.join(_name(c) for c in relation.powers if c != 'hand')}.",
+        f"(correlation {slope.correlation:.3f}){corrected}; no usual mistake of unit or sign gives that. "
+        f"Check the scale of {' and '.join(_name(c) for c in relation.powers)}.{alternative}",
         slope.slope,
         slope.error,
     )

@@ -91,7 +91,11 @@ class QualityReport:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the report as plain values for JSON; what is not finite becomes null."""
-        return _plain(asdict(self))
+        plain = asdict(self)
+        for relation in plain["consistency"]["relations"]:
+            # A function of the search for explanations, no result.
+            del relation["corrected"]
+        return _plain(plain)
 
 
 def source_quality(clean: CleanSeries, gap: float, resampling: str) -> ChannelQuality:

@@ -1,0 +1,421 @@
+"""Measurements on a drive that tell whether its channels fit together: ratios, magnitudes, biases, places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.logs.drive import Drive
+from split_cli.logs.explanations import Finding, Plausible, Relation
+from split_cli.logs.kinematics import Kinematics, Slope, block_interval, fit_slope
+from split_cli.signals import REQUIRED_CHANNELS
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["ACROSS", "Checks", "Unjudged"]
+
+LEAST_CORRELATION = 0.8
+"""Below it two signals that should be equal say nothing about a factor."""
+
+_STRAIGHT_LATERAL = 0.3  # [m/s^2] of v_x r
+_STRAIGHT_SECONDS = 3.0
+_STEER_TOLERANCE = 0.7
+"""Of the logarithm of steer angle over the steady one: a factor of two, see `Checks._steer_angle`."""
+ACROSS = "v_y/v_x against the path across yaw"
+_SIGN_ONLY = 5.0
+"""Tolerance of a relation whose size says nothing."""
+_NO_CAR_EXCEEDS = {
+    "vx": (130.0, "m/s"),
+    "r": (15.0, "rad/s"),
+    "delta": (1.3, "rad"),
+    "ax": (70.0, "m/s^2"),
+    "ay": (70.0, "m/s^2"),
+}
+"""99 % quantiles of |channel| that no car on wheels reaches, from 1:43 models to dragsters."""
+
+
+@dataclass(frozen=True)
+class Unjudged:
+    """A check that this drive cannot answer, and why."""
+
+    check: str
+    reason: str
+
+
+class Checks:
+    """The measurements; each either adds relations or findings, or says why it could not."""
+
+    def __init__(
+        self,
+        columns: Mapping[str, np.ndarray],
+        drive: Drive,
+        vehicle: Vehicle | None,
+        kinds: Mapping[str, str],
+    ) -> None:
+        self.vehicle = vehicle
+        self.k = Kinematics(columns, drive.period, drive.segments())
+        self.derived = {channel for channel, kind in kinds.items() if kind.startswith("derived")}
+        self.relations: list[Relation] = []
+        self.unjudged: list[Unjudged] = []
+        self._sideslip: tuple[np.ndarray, np.ndarray] | None = None
+
+    def usable(self, *channels: str) -> bool:
+        return all(channel in self.k and channel not in self.derived for channel in channels)
+
+    def constant_channels(self) -> list[Finding]:
+        found = []
+        for channel in (*REQUIRED_CHANNELS, "ax", "ay", "yaw"):
+            if channel in self.k and channel not in self.derived:
+                values = self.k.columns[channel]
+                if np.nanmax(values) == np.nanmin(values):
+                    found.append(
+                        Finding(
+                            "constant",
+                            channel,
+                            f"{channel} never changes ({values[0]:g}): it is probably not measured. "
+                            "Map a signal that is, or derive it.",
+                            None,
+                        )
+                    )
+        return found
+
+    def swapped(self) -> bool:
+        """Tell whether v_y carries the motion: larger than v_x, and the ground speed where that is known."""
+        if not self.usable("vx", "vy"):
+            return False
+        vx, vy = self.k.columns["vx"], self.k.columns["vy"]
+        if not np.nanmean(vy**2) > 4.0 * np.nanmean(vx**2):
+            return False
+        return not self.usable("X", "Y") or _agreement(np.abs(vy), self.k.ground_speed()) > 0.8
+
+    def swap_finding(self) -> Finding:
+        vx, vy = self.k.columns["vx"], self.k.columns["vy"]
+        ratio = float(np.sqrt(np.nanmean(vy**2) / max(np.nanmean(vx**2), 1e-12)))
+        return Finding(
+            "swapped",
+            "vx",
+            f"v_y is {ratio:.3g} times as large as v_x: the two look swapped. Exchange their sources in the map. "
+            "Nothing else was judged.",
+            ratio,
+        )
+
+    def magnitudes(self) -> list[Plausible]:
+        """Return what the 99 % quantiles of channels reach, with what no car reaches."""
+        k, found = self.k, []
+
+        def add(name: str, values: np.ndarray, powers: dict[str, int], high: float, unit: str) -> None:
+            values = np.abs(values[np.isfinite(values)])
+            if len(values) > 50:
+                found.append(Plausible(name, powers, float(np.quantile(values, 0.99)), high, unit))
+
+        for channel, (high, unit) in _NO_CAR_EXCEEDS.items():
+            if self.usable(channel):
+                add(channel, k.signal(channel), {channel: 1}, high, unit)
+        if self.usable("vx", "r"):
+            turning = k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
+            add("v_x r", turning, {"vx": 1, "r": 1}, _NO_CAR_EXCEEDS["ay"][0], "m/s^2")
+        return found
+
+    def relate(
+        self,
+        name: str,
+        y: np.ndarray,
+        x: np.ndarray,
+        powers: dict[str, int],
+        base: float,
+        corrected: Callable[[float, float], float] | None = None,
+    ) -> None:
+        """Measure y over x, whose ratio is the product of the channels' factors to the `powers`."""
+        slope = fit_slope(y, x, self.k.moving)
+        if slope is None:
+            self.unjudged.append(Unjudged(name, "too few samples in motion, or nothing changes"))
+            return
+        if abs(slope.correlation) < LEAST_CORRELATION:
+            hint = (
+                "; a delay between them does that, try --estimate-delays" if abs(slope.correlation) > 0.3 else ""
+            )
+            self.unjudged.append(Unjudged(name, f"the two correlate by {slope.correlation:.2f} only{hint}"))
+            return
+        # Noise can move the ratio by 1/correlation.
+        tolerance = base - float(np.log(abs(slope.correlation))) + 3.0 * slope.error / abs(slope.slope)
+        if tolerance > 1.0:
+            self.unjudged.append(Unjudged(name, f"the slope {slope.slope:.3g} is uncertain by {slope.error:.2g}"))
+            return
+        self.relations.append(Relation(name, powers, slope, tolerance, corrected))
+
+    def measure_relations(self) -> None:
+        k = self.k
+        if self.usable("r", "yaw"):
+            self.relate("r against dyaw/dt", k.signal("r"), k.rate("yaw"), {"r": 1, "yaw": -1}, 0.05)
+        if self.usable("X", "Y", "r"):
+            self.relate("r against the turning of X, Y", k.signal("r"), k.course_rate(), {"r": 1, "hand": 1}, 0.15)
+        if self.usable("X", "Y", "vx"):
+            self.relate(
+                "v_x against the speed of X, Y", k.signal("vx"), k.ground_speed(), {"vx": 1, "X": -1}, 0.03
+            )
+        if self.usable("vx", "vy", "r"):
+            self._accelerations()
+            self._wheel_speeds()
+            if not self._sideslip_of_path():
+                self._sideslip_sign()
+            self._steer_angle()
+            self._torque()
+        if self.usable("r") and not any("r" in relation.powers for relation in self.relations):
+            self.unjudged.append(Unjudged("yaw rate", "no yaw, position or a_y that turns with it"))
+
+    def _accelerations(self) -> None:
+        k = self.k
+        if self.usable("ax"):
+            inertial = k.rate("vx") - k.of("vy r", lambda: k.columns["vy"] * k.columns["r"])
+            self.relate("a_x against dv_x/dt - v_y r", k.signal("ax"), inertial, {"ax": 1, "vx": -1}, 0.12)
+        if self.usable("ay"):
+            turning = k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
+            self.relate("a_y against v_x r", k.signal("ay"), turning, {"ay": 1, "vx": -1, "r": -1}, 0.15)
+
+    def _wheel_speeds(self) -> None:
+        for channel in self.k.columns:
+            if channel.startswith("wheel_speed"):
+                self.relate(
+                    f"{channel} against v_x",
+                    self.k.signal(channel),
+                    self.k.signal("vx"),
+                    {channel: 1, "vx": -1},
+                    0.05,
+                )
+
+    def _steer_angle(self) -> None:
+        """Compare delta with the steady single track, L r/v_x + K v_x r with the vehicle file's understeer K.
+
+        A car may understeer more than its file, and an actuator may deliver less than commanded: the tolerance of
+        a factor of two leaves both alone and still tells degrees, the steering wheel and a turned sign.
+        """
+        if not self.usable("delta") or self.vehicle is None:
+            return
+        k, car, name = self.k, self.vehicle, "delta against the steady steer angle"
+        gradient = (
+            car.mass / car.wheelbase
+            * (
+                car.cg_to_rear_axle / car.front_tire.cornering_stiffness
+                - car.cg_to_front_axle / car.rear_tire.cornering_stiffness
+            )
+        )  # fmt: skip
+        vx = np.where(k.moving, k.columns["vx"], np.nan)
+        parts = (
+            k.of("L r/vx", lambda: car.wheelbase * k.columns["r"] / np.where(np.abs(vx) > 0, vx, 1.0)),
+            gradient * k.of("vx r", lambda: k.columns["vx"] * k.columns["r"]),
+        )
+        if np.nanstd(np.where(k.moving, parts[0], np.nan)) < 1e-4:
+            self.unjudged.append(Unjudged(name, "the car hardly turns"))
+            return
+        delta = k.signal("delta")
+        corrected = _scaled_parts(delta, parts, lambda vx, r: (vx / r, 1.0 / (vx * r)), k.moving)
+        self.relate(name, delta, sum(parts), {"delta": 1, "r": -1, "vx": 1}, _STEER_TOLERANCE, corrected)
+
+    def _torque(self) -> None:
+        if not self.usable("T") or self.vehicle is None:
+            return
+        k, car = self.k, self.vehicle
+        inertial = k.rate("vx") - k.of("vy r", lambda: k.columns["vy"] * k.columns["r"])
+        parts = (
+            car.wheel_radius * car.mass * inertial,
+            car.wheel_radius * car.drag_coefficient * k.signal("vx") ** 2,
+        )
+        torque = k.signal("T")
+        corrected = _scaled_parts(torque, parts, lambda vx, r: (1.0 / vx, 1.0 / vx**2), k.moving)
+        name = "T against the torque that dv_x/dt takes"
+        self.relate(name, torque, sum(parts), {"T": 1, "vx": -1}, 0.5, corrected)
+
+    def straight_line(self) -> list[Finding]:
+        """Look for v_y and a_y that are not zero where the car goes straight."""
+        k = self.k
+        if not self.usable("vx", "r"):
+            return []
+        vx, r = k.signal("vx"), k.signal("r")
+        straight = k.moving & (np.abs(vx * r) < _STRAIGHT_LATERAL) & (np.abs(k.rate("r")) < 0.1)
+        straight &= np.abs(r) < max(0.02, 0.05 * float(np.nanquantile(np.abs(r), 0.95)))
+        if np.count_nonzero(straight) * k.period < _STRAIGHT_SECONDS:
+            self.unjudged.append(Unjudged("v_y and a_y on straights", "hardly any straight driving"))
+            return []
+        found = []
+        if self.usable("vy"):
+            found += self._vy_on_straights(straight, float(np.nanmedian(vx[straight])))
+        if self.usable("ay"):
+            plain = float(np.nanmedian(k.signal("ay")[straight]))
+            rest = k.signal("ay") - k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
+            bias, error = _median_of(rest[straight])
+            tilt = np.degrees(np.arcsin(np.clip(bias / 9.80665, -1.0, 1.0)))
+            if abs(bias) > 0.25 and abs(bias) > 4.0 * error:
+                found.append(
+                    Finding(
+                        "bias on straights",
+                        "ay",
+                        f"a_y reads {bias:+.3f} +- {error:.3f} m/s^2 beyond v_x r on straights "
+                        f"(a_y itself {plain:+.3f}): "
+                        f"a tilted sensor or a banked road ({tilt:+.1f} deg). "
+                        f"Subtract it with `offset: {-bias:.3f}` if the road is flat.",
+                        bias,
+                        error,
+                    )
+                )
+        return found
+
+    def _vy_on_straights(self, straight: np.ndarray, speed: float) -> list[Finding]:
+        # A hundredth of a radian of sideslip from rest of turning: v_y of a place at most 2 m from the CG.
+        rest = self.k.signal("vy")[straight]
+        bias, error = _median_of(rest)
+        if abs(bias) <= max(0.03, 0.004 * abs(speed)) or abs(bias) <= 4.0 * error:
+            return []
+        angle = np.degrees(bias / speed)
+        return [
+            Finding(
+                "bias on straights",
+                "vy",
+                f"v_y reads {bias:+.3f} +- {error:.3f} m/s on straights at a median {speed:.1f} m/s: an offset, "
+                f"or a sensor turned by {-angle:+.2f} deg. Subtract it with `offset: {-bias:.3f}` for vy.",
+                bias,
+                error,
+            )
+        ]
+
+    def _sideslip_fit(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return p, q of v_y = p r - q v_x^2 r + b and their errors; None with the reason told."""
+        name = "place and sign of v_y"
+        if self.vehicle is None or not self.usable("vx", "vy", "r"):
+            return None
+        if self._sideslip is None:
+            k = self.k
+            vx, vy, r = k.signal("vx"), k.signal("vy"), k.signal("r")
+            use = k.moving & np.isfinite(vx * vy * r) & (np.abs(vx * r) < 4.0)
+            if np.count_nonzero(use) < 300:
+                self.unjudged.append(Unjudged(name, "too little driving in the linear range"))
+                return None
+            design = np.stack([r[use], -(vx[use] ** 2) * r[use], np.ones(np.count_nonzero(use))], axis=1)
+            target = vy[use]
+            self._sideslip = block_interval(
+                lambda rows: np.linalg.lstsq(design[rows], target[rows], rcond=None)[0], len(target)
+            )
+            (p, q, _), (p_error, q_error, _) = self._sideslip
+            if 3.0 * p_error > 0.5 * self.vehicle.cg_to_rear_axle:
+                reason = f"{p:.2f} +- {p_error:.2f} m ahead of the rear axle is too vague"
+                self.unjudged.append(Unjudged(name, reason))
+        values, errors = self._sideslip
+        return None if 3.0 * errors[0] > 0.5 * self.vehicle.cg_to_rear_axle else (values, errors)
+
+    def _sideslip_of_path(self) -> bool:
+        """Relate v_y/v_x to the angle between the path of X, Y and yaw; False where that says nothing."""
+        if not self.usable("X", "Y", "yaw"):
+            return False
+        k, count = self.k, len(self.relations)
+        across = np.arctan2(k.rate("Y"), k.rate("X")) - k.signal("yaw")
+        moving = across[k.moving & np.isfinite(across)]
+        centre = np.angle(np.mean(np.exp(1j * moving))) if len(moving) else 0.0
+        path = np.angle(np.exp(1j * (across - centre)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sideslip = np.where(k.moving, k.signal("vy") / k.signal("vx"), np.nan)
+        told = len(self.unjudged)
+        self.relate(ACROSS, sideslip, path, {"vy": 1, "vx": -1}, 0.3)
+        del self.unjudged[told:]
+        return len(self.relations) > count
+
+    def _sideslip_sign(self) -> None:
+        """Relate the sign of v_y to that of r: p and q of the steady sideslip are both positive."""
+        fit = self._sideslip_fit()
+        if fit is None:
+            return
+        (p, q, _), (p_error, q_error, _) = fit
+        for sign in (1.0, -1.0):
+            if sign * p > 4.0 * p_error and sign * q > 4.0 * q_error:
+                length = self.vehicle.cg_to_rear_axle
+                slope = Slope(float(p / length), float(p_error / length), 0.0, 0.0, sign, 0)
+                self.relations.append(
+                    Relation("v_y against the sideslip of the rear axle", {"vy": 1, "r": -1}, slope, _SIGN_ONLY)
+                )
+
+    def sideslip_place(self) -> list[Finding]:
+        """Tell from v_y = p r - q v_x^2 r + b at which distance p ahead of the rear axle v_y is measured.
+
+        The rear tyres need the slip m l_f v_x r/(L C_r), so q > 0; at the CG p is l_r.
+        """
+        fit = self._sideslip_fit()
+        if fit is None:
+            return []
+        (p, q, _), (p_error, _, _) = fit
+        car = self.vehicle
+        where = f"v_y follows a place {p:.2f} +- {p_error:.2f} m ahead of the rear axle"
+        l_r = car.cg_to_rear_axle
+        if q > 0.0 and abs(p) < 0.3 * l_r and p + 4.0 * p_error < 0.6 * l_r:
+            text = (
+                f"{where}, the CG is at {l_r:.2f} m: it is measured at the rear axle. Set `position: rear_axle`."
+            )
+            return [Finding("place", "vy", text, float(p), float(p_error))]
+        if q > 0.0 and p - 4.0 * p_error > 1.5 * l_r and abs(p - car.wheelbase) < 0.3 * car.wheelbase:
+            text = f"{where}, the CG is at {l_r:.2f} m: it is near the front axle: `position: front_axle`."
+            return [Finding("place", "vy", text, float(p), float(p_error))]
+        return []
+
+    def direction_of_travel(self) -> list[Finding]:
+        """Compare yaw with the direction in which X, Y moves."""
+        if not self.usable("X", "Y", "yaw", "vx", "vy"):
+            return []
+        k = self.k
+        course = np.arctan2(k.rate("Y"), k.rate("X"))
+        expected = k.signal("yaw") + np.arctan2(k.signal("vy"), k.signal("vx"))
+        off = np.angle(np.exp(1j * (course - expected)))[k.moving]
+        off = off[np.isfinite(off)]
+        if len(off) < 50:
+            return []
+        centre = float(np.angle(np.mean(np.exp(1j * off))))
+        spread = 1.4826 * float(np.median(np.abs(np.angle(np.exp(1j * (off - centre))))))
+        if abs(centre) < 0.05 or abs(centre) < 2.0 * spread:
+            if spread > 0.3:
+                self.unjudged.append(
+                    Unjudged("yaw against the travel of X, Y", f"they differ by {spread:.2f} rad at random")
+                )
+            return []
+        text = (
+            f"X, Y travels {np.degrees(centre):+.1f} deg off yaw (spread {np.degrees(spread):.1f} deg): yaw has "
+            f"another zero than the map's X axis. Use `offset: {centre:.4f}` rad for yaw, or set `world:`."
+        )
+        return [Finding("direction", "yaw", text, centre, spread)]
+
+
+def _scaled_parts(
+    y: np.ndarray,
+    parts: Sequence[np.ndarray],
+    factors: Callable[[float, float], tuple[float, ...]],
+    mask: np.ndarray,
+) -> Callable[[float, float], float]:
+    """Return the ratio of y to the sum of `parts` as a function of the factors in v_x and r that are corrected.
+
+    The ratio of deviations with the correlation's sign, as `fit_slope` measures it, from the covariance of y and
+    the parts: each part scales by its own power of v_x and r.
+    """
+    use = mask & np.isfinite(y) & np.all([np.isfinite(part) for part in parts], axis=0)
+    if np.count_nonzero(use) < 50:
+        return lambda vx, r: float("nan")
+    rows = np.stack([y[use], *(part[use] for part in parts)])
+    rows = np.clip(rows, *(np.quantile(rows, q, axis=1, keepdims=True) for q in (0.005, 0.995)))
+    covariance = np.cov(rows)
+
+    def ratio(vx: float, r: float) -> float:
+        weights = np.array(factors(vx, r))
+        variance = float(weights @ covariance[1:, 1:] @ weights)
+        if variance <= 0.0:
+            return float("nan")
+        return float(np.copysign(np.sqrt(covariance[0, 0] / variance), covariance[0, 1:] @ weights))
+
+    return ratio
+
+
+def _median_of(values: np.ndarray) -> tuple[float, float]:
+    values = values[np.isfinite(values)]
+    median, error = block_interval(lambda rows: np.array([np.median(values[rows])]), len(values))
+    return float(median[0]), float(error[0])
+
+
+def _agreement(a: np.ndarray, b: np.ndarray) -> float:
+    use = np.isfinite(a) & np.isfinite(b)
+    if np.count_nonzero(use) < 50 or np.std(a[use]) == 0 or np.std(b[use]) == 0:
+        return 0.0
+    return float(np.corrcoef(a[use], b[use])[0, 1])

@@ -1,0 +1,128 @@
+"""The usual mistakes of unit, sign and source in a recording, each with its factor and its remedy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["COMMON", "DOUBLE", "RARE", "Mistake", "known_mistakes"]
+
+DEGREES = 180.0 / np.pi
+STANDARD_GRAVITY = 9.80665
+
+# Costs are negative logarithms of how often a channel carries such a mistake, as judged from forums and from the
+# recordings of others that this project was tried on: one in twenty, or one in a hundred and fifty.
+COMMON = 3.0
+RARE = 5.0
+DOUBLE = 5.0
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A known mistake: the channel is `low` to `high` times what it should be, its sign turned where `turned`.
+
+    Attributes
+    ----------
+    channel : str
+        A channel; ``hand`` stands for the order of X and Y.
+    low, high : float
+        Factor, or its range where the mistake has no fixed one [1].
+    turned : bool
+    what, remedy : str
+        In words.
+    cost : float
+        Negative logarithm of its frequency [1].
+    unit : str
+        The unit that the channel is in, where the mistake is one of unit.
+    """
+
+    channel: str
+    low: float
+    high: float
+    turned: bool
+    what: str
+    remedy: str
+    cost: float = COMMON
+    unit: str = ""
+
+    @property
+    def factor(self) -> float | None:
+        """Signed factor, None where only a range is known."""
+        return (-self.low if self.turned else self.low) if self.low == self.high else None
+
+
+_SIGNS = {
+    "r": ("is left-handed (clockwise positive)", "use `scale: -1` or `frame: frd` for it"),
+    "yaw": ("is clockwise positive", "use `scale: -1` for it"),
+    "delta": ("is right-positive", "use `scale: -1` or `frame: frd` for it"),
+    "vy": ("is right-positive", "use `scale: -1` or `frame: frd` for it"),
+    "ay": ("is right-positive", "use `scale: -1` or `frame: frd` for it"),
+    "ax": ("is positive when braking", "use `scale: -1`"),
+    "T": ("is positive when braking", "use `scale: -1`"),
+    "hand": ("are mirrored: X and Y exchanged", "exchange their sources"),
+}
+_SPEED_UNITS = ((3.6, "km/h"), (1 / 0.44704, "mph"), (1 / 0.514444, "kn"))
+_LENGTH_UNITS = ((1 / 0.3048, "ft"), (1e-3, "km"), (100.0, "cm"), (1000.0, "mm"))
+_STEERING_RATIOS = (8.0, 25.0)
+"""Of steering wheel to road wheel, from racing cars to lorries [1]."""
+
+
+def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
+    """Return the mistakes that a channel may carry; `vehicle` gives the wheel radius that rad/s depends on."""
+    known = [Mistake(channel, 1.0, 1.0, True, *_SIGNS.get(channel, ("has the opposite sign", "use `scale: -1`")))]
+    if channel in ("r", "yaw", "delta"):
+        per_second = "/s" if channel == "r" else ""
+        known += _unit(channel, DEGREES, f"deg{per_second}", turned=True)
+        twice = "was converted from degrees although it is in radians"
+        known += _factor(channel, 1.0 / DEGREES, twice, f"set `unit: rad{per_second}`", RARE, f"rad{per_second}")
+    if channel in ("vx", "vy") or channel.startswith("wheel_speed"):
+        for factor, unit in _SPEED_UNITS:
+            known += _unit(channel, factor, unit)
+        twice = "was converted from km/h although it is in m/s"
+        known += _factor(channel, 1.0 / 3.6, twice, "set `unit: m/s`", RARE, "m/s")
+    if channel.startswith("wheel_speed") and vehicle is not None:
+        known += _unit(channel, 1.0 / vehicle.wheel_radius, "rad/s")
+        known += _unit(channel, 60.0 / (2.0 * np.pi * vehicle.wheel_radius), "rpm")
+    if channel in ("ax", "ay"):
+        known += _unit(channel, 1.0 / STANDARD_GRAVITY, "g", turned=True)
+        twice = "was converted from g although it is in m/s^2"
+        known += _factor(channel, STANDARD_GRAVITY, twice, "set `unit: m/s^2`", RARE, "m/s^2")
+    if channel == "X":
+        for factor, unit in _LENGTH_UNITS:
+            known += _factor(channel, factor, f"and Y are in {unit}", f"set `unit: {unit}`", COMMON, unit)
+    if channel == "delta":
+        known += _steering_wheel()
+    if channel == "T":
+        what = "is the torque of engine or motor, or of one wheel"
+        known.append(Mistake("T", 1 / 20.0, 1 / 2.5, False, what, "scale it to the sum at the wheels", 4.0))
+    return known
+
+
+def _factor(channel: str, factor: float, what: str, remedy: str, cost: float, unit: str) -> list[Mistake]:
+    return [Mistake(channel, factor, factor, False, what, remedy, cost, unit)]
+
+
+def _unit(channel: str, factor: float, unit: str, turned: bool = False) -> list[Mistake]:
+    made = _factor(channel, factor, f"is in {unit}", f"set `unit: {unit}`", COMMON, unit)
+    if turned:
+        what, remedy = f"is in {unit}, and has the opposite sign", f"set `unit: {unit}` and `scale: -1`"
+        made.append(Mistake(channel, factor, factor, True, what, remedy, DOUBLE, unit))
+    return made
+
+
+def _steering_wheel() -> list[Mistake]:
+    made = []
+    low, high = _STEERING_RATIOS
+    for turned in (False, True):
+        hand, cost = (", right-positive,", DOUBLE) if turned else ("", COMMON)
+        ratio = "give its ratio as `scale: 1/ratio`"
+        what = f"is the steering-wheel angle{hand}"
+        made.append(Mistake("delta", low, high, turned, what, ratio, cost))
+        made.append(
+            Mistake("delta", low * DEGREES, high * DEGREES, turned, f"{what} in degrees",
+                    f"set `unit: deg` and {ratio}", cost + 0.5, "deg")
+        )  # fmt: skip
+    return made
