@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from split_cli.cli.options import existing_file, json_option, print_table, vehicle_option
+from split_cli.cli.options import existing_file, held_option, json_option, print_table, vehicle_option
 
 __all__ = ["command"]
 
@@ -22,8 +22,9 @@ _CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
 @vehicle_option()
 @click.option("--out", "output", type=click.Path(path_type=Path), required=True, help="Folder to write into.")
 @click.option("--exit-code", is_flag=True, help="Leave with 3 when simulation and reality differ.")
+@held_option
 @json_option
-def command(real, simulated, holdout, vehicle_path, output, exit_code, as_json) -> None:
+def command(real, simulated, holdout, vehicle_path, output, exit_code, held, as_json) -> None:
     """Say where a simulation and reality differ, and name the physics that was left out.
 
     Without --sim the nominal model is the simulation. Without --holdout the last quarter of the real drives is
@@ -36,13 +37,17 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, as_json) 
     from split_cli.diagnosis.statement.document import diagnosis_to_text
     from split_cli.workflows.diagnose import diagnose_files
 
+    def note(text: str) -> None:
+        click.echo(f"note: {text}", err=True)
+
     begin, watched = time.monotonic(), is_watched()
 
     def progress(step: str) -> None:
         if watched:
             click.echo(f"{time.monotonic() - begin:5.1f} s  {step}", err=True)
 
-    result = diagnose_files(real, vehicle_path, output, simulated=simulated, holdout=holdout, progress=progress)
+    files = {"simulated": simulated, "holdout": holdout, "held": held}
+    result = diagnose_files(real, vehicle_path, output, **files, progress=progress, note=note)
     if as_json:
         click.echo(diagnosis_to_text(result), nl=False)
     else:

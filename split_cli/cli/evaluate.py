@@ -9,6 +9,7 @@ import click
 
 from split_cli.cli.options import (
     existing_file,
+    held_option,
     json_option,
     output_option,
     print_json,
@@ -100,6 +101,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     "--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h, without --set."
 )
 @output_option("Folder for figures.", required=False)
+@held_option
 @json_option
 def command(drives, vehicle_path, set_path, output, as_json, **settings) -> None:
     """Score predictors beside the nominal model, persistence and the noise floor.

@@ -6,6 +6,7 @@ import click
 
 from split_cli.cli.options import (
     existing_file,
+    held_option,
     json_option,
     output_option,
     print_json,
@@ -26,8 +27,9 @@ __all__ = ["command"]
 @click.option(
     "--plain-labels", "plain", is_flag=True, help="The paper's plain difference, damped; for reproduction."
 )
+@held_option
 @json_option
-def command(drive, vehicle_path, output, features, horizon, stride, plain, as_json) -> None:
+def command(drive, vehicle_path, output, features, horizon, stride, plain, held, as_json) -> None:
     """Compute what the nominal model gets wrong, sample by sample.
 
     A label is the rate of v_x, v_y and r that the nominal model leaves out over h, integrated over the recorded
@@ -40,7 +42,7 @@ def command(drive, vehicle_path, output, features, horizon, stride, plain, as_js
     from split_cli.workflows.label import label_drive
 
     result = label_drive(
-        drive, vehicle_path, output, features=features, horizon=horizon, stride=stride, plain=plain
+        drive, vehicle_path, output, features=features, horizon=horizon, stride=stride, plain=plain, held=held
     )
     for note in result.notes:
         click.echo(f"note: {note}", err=True)

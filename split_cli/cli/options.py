@@ -10,7 +10,15 @@ from typing import Any
 
 import click
 
-__all__ = ["existing_file", "json_option", "output_option", "print_json", "print_table", "vehicle_option"]
+__all__ = [
+    "existing_file",
+    "held_option",
+    "json_option",
+    "output_option",
+    "print_json",
+    "print_table",
+    "vehicle_option",
+]
 
 # Not checked here: a file that cannot be read is an input at fault (one line, exit code 1), not wrong usage.
 existing_file = click.Path(path_type=Path, readable=False)
@@ -21,6 +29,18 @@ def vehicle_option(required: bool = True) -> Callable:
     return click.option(
         "--vehicle", "vehicle_path", type=existing_file, required=required, metavar="FILE", help="Vehicle YAML."
     )
+
+
+def held_option(function: Callable) -> Callable:
+    """``--held T,delta``: inputs that keep their value between samples; passed on as a tuple of names."""
+    return click.option(
+        "--held",
+        default="",
+        metavar="NAMES",
+        callback=lambda context, parameter, text: tuple(name.strip() for name in text.split(",") if name.strip()),
+        help="Inputs (T,delta) that keep their value until the next sample, whatever the files say; "
+        "default: as the files say, else straight lines.",
+    )(function)
 
 
 def json_option(function: Callable) -> Callable:

@@ -8,6 +8,7 @@ import click
 
 from split_cli.cli.options import (
     existing_file,
+    held_option,
     json_option,
     output_option,
     print_json,
@@ -68,6 +69,7 @@ class TimeSpan(click.ParamType):
     multiple=True,
     help="Do not learn this stretch of time of the drives [s]; repeatable.",
 )
+@held_option
 @json_option
 def command(drives, vehicle_path, output, append, as_json, **settings) -> None:
     """Learn what the nominal model gets wrong, cell by cell, into a trained set.

@@ -153,8 +153,11 @@ def _solve(a, b0, b1, b2):
 
 
 @njit(cache=True)
-def window_errors(vx, vy, r, T, delta, starts, window, period, p, plain):
-    """Return the labels y of windows, shape (N, 3); the compiled twin of labels._window_errors_reference."""
+def window_errors(vx, vy, r, T, delta, starts, window, period, p, plain, run_on):
+    """Return the labels y of windows, shape (N, 3); the compiled twin of labels._window_errors_reference.
+
+    `run_on` is 1 for T and for delta where they run on to the next sample in a straight line, 0 where held.
+    """
     out = np.empty((len(starts), 3))
     A, phi, work = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3, 3))
     horizon = window * period
@@ -169,7 +172,7 @@ def window_errors(vx, vy, r, T, delta, starts, window, period, p, plain):
         h = period / substeps
         a, b, c = vx[i], vy[i], r[i]
         for k in range(i, i + window):
-            d_torque, d_steer = T[k + 1] - T[k], delta[k + 1] - delta[k]
+            d_torque, d_steer = run_on[0] * (T[k + 1] - T[k]), run_on[1] * (delta[k + 1] - delta[k])
             T0, d0 = T[k], delta[k]
             sine0, cosine0 = math.sin(d0), math.cos(d0)
             for sub in range(substeps):

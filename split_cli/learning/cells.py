@@ -171,7 +171,7 @@ def warm_up() -> None:
     from split_cli.learning._compiled import update_cells, window_errors
 
     whole, one = np.zeros(1, dtype=np.int64), np.ones(2)
-    window_errors(one, one, one, one, one, whole, 1, 1.0, np.ones(16), False)
+    window_errors(one, one, one, one, one, whole, 1, 1.0, np.ones(16), False, one)
     cells = np.zeros((1, 1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1), dtype=np.int64)
     update_cells(
         np.arange(2), whole, whole, np.zeros((1, 1)), np.zeros(1), one[:1], 0.5, 0.0, whole.copy(), *cells

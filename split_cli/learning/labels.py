@@ -247,7 +247,9 @@ def nominal_errors(
 
         # Copies: columns of a file are read-only, a type of its own to the compiler.
         channels = [np.array(drive[name], dtype=float) for name in (*_VELOCITIES, "T", "delta")]
-        return window_errors(*channels, starts, window, drive.period, _nominal_constants(model.vehicle), plain)
+        run_on = np.array([name not in drive.held for name in ("T", "delta")], dtype=float)
+        constants = _nominal_constants(model.vehicle)
+        return window_errors(*channels, starts, window, drive.period, constants, plain, run_on)
     inputs = _recorded_inputs(model, drive)
     parts = [
         _window_errors_reference(model, drive, inputs, starts[first : first + _CHUNK], window, plain)
@@ -262,7 +264,7 @@ def _recorded_inputs(model: SingleTrack, drive: Drive) -> RecordedInputs:
     yaw = drive.columns.get("yaw", 0.0)
     recording = recording_of(drive)
     situation = {"time": drive["t"], "track_position": place_of(drive), "yaw": yaw}
-    return recorded_inputs(model, velocity, drive["T"], drive["delta"], recording, **situation)
+    return recorded_inputs(model, velocity, drive["T"], drive["delta"], recording, held=drive.held, **situation)
 
 
 def _window_errors_reference(
@@ -291,6 +293,7 @@ def _window_errors_reference(
             track_position=place[group],
             yaw=yaw[group],
             term_states=memory[group],
+            held=inputs.held,
         )
     horizon = window * drive.period
     rate = (end - predicted) / horizon

@@ -152,6 +152,7 @@ def assemble_drive(
         conversions=tuple(dict.fromkeys(conversions)),
         noise=tuple(noise[channel] for channel in columns if channel in noise),
         quality=quality.to_mapping(),
+        between=_between(channels, made, columns),
     )
     return Assembled(replace(drive, metadata=metadata), quality)
 
@@ -266,6 +267,21 @@ def _kinds(
         if derived.warning:
             warnings.append(derived.warning)
     return kinds, warnings
+
+
+def _between(
+    channels: Channels, made: Sequence[tuple[str, Derived]], columns: Mapping[str, np.ndarray]
+) -> dict[str, str]:
+    """Return what each known channel does between samples: held as it was brought to the clock, or continuous.
+
+    A sum is held where all its sources are; what was derived is continuous.
+    """
+    derived = {channel for _, one in made for channel in one.columns}
+    return {
+        name: "held" if name not in derived and set(channels.modes.get(name, ())) == {"held"} else "continuous"
+        for name in columns
+        if name in CHANNELS and name != "t"
+    }
 
 
 def _drive(recording: Recording, grid: Grid, columns: Mapping[str, np.ndarray]) -> Drive:

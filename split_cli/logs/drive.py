@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +16,19 @@ from split_cli.errors import DriveError, nearest_names
 from split_cli.files import atomic_path, sha256_of_file
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, convert_to_si, split_name_and_unit
 
-__all__ = ["Drive", "DriveMetadata", "NoiseEstimate", "Source", "read_drive", "write_drive"]
+__all__ = [
+    "INPUT_CHANNELS",
+    "Drive",
+    "DriveMetadata",
+    "NoiseEstimate",
+    "Source",
+    "read_drive",
+    "untold_inputs",
+    "write_drive",
+]
 
 DRIVE_FORMAT = "split-drive/1"
+INPUT_CHANNELS = ("T", "delta")
 
 
 @dataclass(frozen=True)
@@ -73,6 +83,9 @@ class DriveMetadata:
     noise : tuple of NoiseEstimate
     quality : mapping
         The quality report: rates, gaps, drops by reason, spikes, ranges, findings of the consistency checks.
+    between : mapping of str to str
+        What a channel does between its samples: ``held`` keeps its value until the next sample, ``continuous``
+        runs there in a straight line. A channel that is not named is taken as continuous.
     """
 
     sources: tuple[Source, ...] = ()
@@ -82,6 +95,7 @@ class DriveMetadata:
     conversions: tuple[str, ...] = ()
     noise: tuple[NoiseEstimate, ...] = ()
     quality: Mapping[str, object] = field(default_factory=dict)
+    between: Mapping[str, str] = field(default_factory=dict)
 
     def noise_of(self, channel: str) -> NoiseEstimate | None:
         """Return the noise estimate of a channel, None when ingest made none."""
@@ -155,6 +169,29 @@ class Drive:
         return 1.0 / self.period
 
     @property
+    def held(self) -> tuple[str, ...]:
+        """Inputs (T, delta) that keep their value until the next sample; the others run in straight lines."""
+        return tuple(name for name in INPUT_CHANNELS if self.metadata.between.get(name) == "held")
+
+    def with_held(self, channels: Sequence[str]) -> Drive:
+        """Return the drive with these inputs held between samples and the other inputs as they were.
+
+        Raises
+        ------
+        DriveError
+            If a channel is none of the inputs.
+        """
+        for name in channels:
+            if name not in INPUT_CHANNELS:
+                raise DriveError(
+                    f"{name!r} cannot be held between samples, only the inputs {' and '.join(INPUT_CHANNELS)} can",
+                    where=self.name,
+                    advice=nearest_names(name, INPUT_CHANNELS),
+                )
+        between = {**self.metadata.between, **dict.fromkeys(channels, "held")}
+        return replace(self, metadata=replace(self.metadata, between=between))
+
+    @property
     def has_position(self) -> bool:
         """Whether X, Y and yaw were recorded or derived."""
         return all(name in self.columns for name in ("X", "Y", "yaw"))
@@ -182,10 +219,11 @@ class Drive:
         return Drive(self.name, columns, renumbered, self.period, self.metadata, self.sha256)
 
 
-def read_drive(path: str | Path) -> Drive:
+def read_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
     """Read a drive: a Parquet that `split ingest` wrote, or a plain Parquet or CSV with a drive's columns.
 
     Headers may carry units (``vx(km/h)``); without units SI is taken, as the contract for drive files says.
+    Inputs named in `held` keep their value between samples, whatever the file says of them.
 
     Raises
     ------
@@ -211,7 +249,8 @@ def read_drive(path: str | Path) -> Drive:
         ) from error
     if table.num_rows < 2:
         raise DriveError(f"holds {table.num_rows} samples", where=str(path), advice="A drive needs two or more.")
-    return _drive_from_table(table, path)
+    drive = _drive_from_table(table, path)
+    return drive.with_held(held) if held else drive
 
 
 def _drive_from_table(table: pa.Table, path: Path) -> Drive:
@@ -320,6 +359,7 @@ def _metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[Drive
             conversions=tuple(stored["conversions"]),
             noise=noise,
             quality=stored["quality"],
+            between=_between(stored.get("between", {})),
         )
         period = float(stored["period"])
         if not 0.0 < period < float("inf"):
@@ -327,6 +367,27 @@ def _metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[Drive
         return metadata, period
     except (KeyError, TypeError, ValueError) as error:
         raise DriveError(f"its metadata is damaged ({error})", where=str(path)) from error
+
+
+def _between(stored: Mapping[str, str]) -> dict[str, str]:
+    unknown = sorted(set(stored.values()) - {"held", "continuous"})
+    if unknown:
+        raise ValueError(f"a channel is {unknown[0]!r} between samples")
+    return dict(stored)
+
+
+def untold_inputs(drives: Sequence[Drive]) -> tuple[str, ...]:
+    """Return what to say of inputs whose course between samples no drive's metadata tells; empty if all do."""
+    untold = {
+        name: None for drive in drives for name in INPUT_CHANNELS if name not in drive.metadata.between
+    }
+    if not untold:
+        return ()
+    named = " and ".join(untold)
+    return (
+        f"{named}: the recording does not say what happens between samples; straight lines are taken "
+        f"(--held {','.join(untold)} if values are kept until the next sample, as commands are)",
+    )
 
 
 def write_drive(drive: Drive, path: str | Path) -> None:

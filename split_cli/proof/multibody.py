@@ -163,8 +163,6 @@ def _run(car: MultiBody, inputs, speed: float, seconds: float, pose: tuple[float
     table = np.array(rows).T
     names = ("t", "X", "Y", "yaw", "vx", "vy", "r", "T", "delta", "ax", "ay")
     columns = dict(zip(names, table, strict=True))
-    # Torque is stepped every 10 ms; its mean over the sample about an instant is what drives the car there.
-    columns["T"] = np.concatenate([columns["T"][:1], 0.5 * (columns["T"][1:] + columns["T"][:-1])])
     return columns
 
 
@@ -181,7 +179,10 @@ def _drive(columns: dict[str, np.ndarray], name: str, rng: np.random.Generator |
     noise = tuple(estimate_noise(c, noisy[c], [(0, len(noisy["t"]))]) for c in _NOISE)
     kinds = {c: "measured" for c in _NOISE} | {"T": "command", "delta": "measured"}
     length = len(columns["t"])
-    return Drive(name, noisy, np.zeros(length, dtype=np.int32), 0.01, DriveMetadata(kinds=kinds, noise=noise))
+    # The acceleration asked for is stepped every sample; the steer angle is a state of the car.
+    between = {"T": "held", "delta": "continuous"}
+    metadata = DriveMetadata(kinds=kinds, noise=noise, between=between)
+    return Drive(name, noisy, np.zeros(length, dtype=np.int32), 0.01, metadata)
 
 
 def hard_drive(

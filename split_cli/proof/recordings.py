@@ -115,7 +115,8 @@ def record(
     length = len(t)
     noise = tuple(estimate_noise(c, columns[c], [(0, length)]) for c in _MEASURED)
     kinds = {c: "measured" for c in _MEASURED} | {"T": "command", "delta": "command"}
-    metadata = DriveMetadata(kinds=kinds, noise=noise)
+    course = "continuous" if run.car.command_ramp else "held"
+    metadata = DriveMetadata(kinds=kinds, noise=noise, between={"T": course, "delta": course})
     return Drive(name, columns, np.zeros(length, dtype=np.int32), 1.0 / RATE, metadata)
 
 

@@ -26,12 +26,13 @@ _OF_STATE = ("alpha_f", "alpha_r", "speed", "vx", "vy", "r")
 def inputs_along(model: SingleTrack, drive: Drive) -> RecordedInputs:
     """Return a drive's inputs as the delays among the terms leave them, and the terms' states at every sample."""
     if not model.terms:
-        return RecordedInputs(drive["T"], drive["delta"], np.empty((len(drive), 0)))
+        return RecordedInputs(drive["T"], drive["delta"], np.empty((len(drive), 0)), drive.held)
     velocity = np.stack([drive[name] for name in ("vx", "vy", "r")], axis=1)
     situation = {
         "time": drive["t"],
         "yaw": drive.columns.get("yaw", 0.0),
         "track_position": drive.columns.get("s", 0.0),
+        "held": drive.held,
     }
     return recorded_inputs(model, velocity, drive["T"], drive["delta"], recording_of(drive), **situation)
 

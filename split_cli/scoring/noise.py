@@ -151,7 +151,7 @@ def _flow_derivatives(
     inputs = {"T": recorded.torque[span], "delta": recorded.steer_angle[span]}
     yaw = drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows))
     situation = {"yaw": yaw, "time": drive["t"][rows], "term_states": recorded.term_states[rows]}
-    situation["track_position"] = place_of(drive)[rows]
+    situation |= {"track_position": place_of(drive)[rows], "held": recorded.held}
     jacobian = model.velocity_jacobian(*state.T, inputs["T"][:, 0], inputs["delta"][:, 0], yaw=yaw)
     substeps = substep_count(jacobian, drive.period)
 

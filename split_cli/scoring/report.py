@@ -42,6 +42,8 @@ class EvaluationSettings:
         Horizons of the multi-step predictions [s].
     horizon : float
         Label interval h [s].
+    held : tuple of str
+        Inputs that keep their value between samples, whatever the files say.
     """
 
     protocol: str = "held-out"
@@ -53,6 +55,7 @@ class EvaluationSettings:
     guard: float = 1.0
     rollout: tuple[float, ...] = (0.5, 1.0, 2.0)
     horizon: float = 0.05
+    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -153,7 +153,7 @@ def _one_step(
     finite = np.isfinite(jacobian).all(axis=(1, 2))
     substeps = substep_count(jacobian[finite], drive.period)
     substeps = min(substeps, _MOST_SUBSTEPS)
-    situation = {"time": time, "yaw": yaw, "track_position": place, "term_states": memory}
+    situation = {"time": time, "yaw": yaw, "track_position": place, "term_states": memory, "held": inputs.held}
     after = integrate_recorded(model, state, torque, steer, drive.period, substeps, **situation)
     if correction is not None:
         at = features_at(correction.features, model, drive, rows, velocity, correction.z)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from split_cli.errors import VehicleError
+from split_cli.vehicle.effects.recording import over_samples
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
@@ -56,6 +58,7 @@ def integrate_recorded(
     track_position: Any = 0.0,
     yaw: Any = 0.0,
     term_states: np.ndarray | None = None,
+    held: Sequence[str] = (),
 ) -> np.ndarray:
     """Integrate the model over recorded inputs with classical RK4, many windows at once.
 
@@ -66,7 +69,7 @@ def integrate_recorded(
         (v_x, v_y, r), or (X, Y, yaw, v_x, v_y, r), at the start of each window, SI.
     torque, steer_angle : ndarray, shape (N, K + 1)
         Recorded T [N m] and delta [rad] on the window's samples, linear in between (u = [dT, ddelta] constant
-        over a sample, as the model's input says).
+        over a sample, as the model's input says) unless held.
     period : float
         Sample period [s].
     substeps : int
@@ -76,6 +79,8 @@ def integrate_recorded(
     term_states : ndarray, shape (N, S), optional
         The terms' states at the window's start, in the order of ``model.state_names``, for example from
         `recorded_inputs`; steady when left out.
+    held : sequence of str
+        Which of ``T`` and ``delta`` keep their value until the next sample.
 
     Returns
     -------
@@ -89,7 +94,7 @@ def integrate_recorded(
     """
     return integrate_with_memory(
         model, state, torque, steer_angle, period, substeps,
-        time=time, track_position=track_position, yaw=yaw, term_states=term_states,
+        time=time, track_position=track_position, yaw=yaw, term_states=term_states, held=held,
     )[0]  # fmt: skip
 
 
@@ -105,6 +110,7 @@ def integrate_with_memory(
     track_position: Any = 0.0,
     yaw: Any = 0.0,
     term_states: np.ndarray | None = None,
+    held: Sequence[str] = (),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Integrate as `integrate_recorded` does, and return the terms' states at the end as well, shape (N, S)."""
     with_pose = state.shape[1] == 6
@@ -131,8 +137,8 @@ def integrate_with_memory(
     step = period / substeps
     total = torque.shape[1] - 1
     for sample in range(total):
-        d_torque = torque[:, sample + 1] - torque[:, sample]
-        d_steer = steer_angle[:, sample + 1] - steer_angle[:, sample]
+        d_torque = 0.0 if "T" in held else torque[:, sample + 1] - torque[:, sample]
+        d_steer = 0.0 if "delta" in held else steer_angle[:, sample + 1] - steer_angle[:, sample]
         for sub in range(substeps):
             begin = sub / substeps
             rows = _rk4(
@@ -158,14 +164,18 @@ class RecordedInputs:
     Attributes
     ----------
     torque, steer_angle : ndarray, shape (N,)
-        Recorded T [N m] and delta [rad], late by the delays among the terms.
+        Recorded T [N m] and delta [rad], late by the delays among the terms. Of a held input this is the mean over
+        the sample that begins at the row: a late staircase steps inside its samples.
     term_states : ndarray, shape (N, S)
         The terms' states at every sample, in the order of ``model.state_names``, from steady at each segment.
+    held : tuple of str
+        Inputs that are constant over each sample; the others run in straight lines.
     """
 
     torque: np.ndarray
     steer_angle: np.ndarray
     term_states: np.ndarray
+    held: tuple[str, ...] = ()
 
 
 def recorded_inputs(
@@ -178,6 +188,7 @@ def recorded_inputs(
     time: Any = 0.0,
     track_position: Any = 0.0,
     yaw: Any = 0.0,
+    held: Sequence[str] = (),
 ) -> RecordedInputs:
     """Follow delays and the terms' states along a whole recording.
 
@@ -191,15 +202,23 @@ def recorded_inputs(
     recording : split_cli.vehicle.effects.recording.Recording
         Its clock and segments.
     time, track_position, yaw : array of shape (N,) or float
+    held : sequence of str
+        Which of ``T`` and ``delta`` keep their value until the next sample.
     """
-    flow = model.flow(*velocity.T, torque, steer_angle, t=time, s=track_position, yaw=yaw, recording=recording)
+    at, inputs = velocity, {"T": torque, "delta": steer_angle}
+    if held and model.state_names:
+        # Means over samples: lags and delays pass them on as they pass on the course itself.
+        recording = replace(recording, means=True)
+        at = over_samples(velocity, recording)
+        inputs = {name: row if name in held else over_samples(row, recording) for name, row in inputs.items()}
+    flow = model.flow(*at.T, *inputs.values(), t=time, s=track_position, yaw=yaw, recording=recording)
     columns = [flow.values[name] + np.zeros(len(velocity)) for name in model.state_names]
     states = np.stack(columns, axis=1) if columns else np.empty((len(velocity), 0))
     late = {"T": torque, "delta": steer_angle}
     for term in model.terms:
         for channel, delay in getattr(term, "input_delays", {}).items():
             late[channel] = term.delayed(flow, late[channel], delay)
-    return RecordedInputs(late["T"], late["delta"], states)
+    return RecordedInputs(late["T"], late["delta"], states, tuple(held))
 
 
 def _rk4(model: SingleTrack, rows: list, inputs: Any, step: float, time: Any) -> list:

@@ -16,7 +16,7 @@ from split_cli.files import atomic_directory, refuse_what_cannot_be_written, sha
 from split_cli.learning.features import Z2
 from split_cli.learning.label_file import label_columns
 from split_cli.learning.labels import compute_labels
-from split_cli.logs.drive import Drive, read_drive
+from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_file, write_vehicle
 from split_cli.workflows.recordings import RecordingCorrection
 from split_cli.workflows.report.page import report_page
@@ -39,7 +39,9 @@ def diagnose_files(
     *,
     simulated: Sequence[str | Path] = (),
     holdout: Sequence[str | Path] = (),
+    held: Sequence[str] = (),
     progress: Callable[[str], None] = lambda step: None,
+    note: Callable[[str], None] = lambda text: None,
 ) -> Diagnosis:
     """Diagnose recordings and write `diagnosis.json`, `report.html`, figures, the corrected vehicle and the gap.
 
@@ -51,13 +53,15 @@ def diagnose_files(
         A vehicle file, or the name of one of the library.
     output : path
         Folder to write into.
-    progress : callable
-        Called with the name of each step.
+    held : sequence of str
+        Inputs (T, delta) that keep their value between samples, whatever the files say.
+    progress, note : callable
+        Called with the name of each step, and with what a reader should know of the inputs.
     """
     if not Path(output).is_dir():
         refuse_what_cannot_be_written(output)
     diagnosis, vehicle, drives = read_and_diagnose(
-        real, vehicle_path, simulated=simulated, holdout=holdout, progress=progress
+        real, vehicle_path, simulated=simulated, holdout=holdout, held=held, progress=progress, note=note
     )
     progress("writing")
     write_diagnosis(diagnosis, vehicle, output, drives)
@@ -70,7 +74,9 @@ def read_and_diagnose(
     *,
     simulated: Sequence[str | Path] = (),
     holdout: Sequence[str | Path] = (),
+    held: Sequence[str] = (),
     progress: Callable[[str], None] = lambda step: None,
+    note: Callable[[str], None] = lambda text: None,
 ) -> tuple[Diagnosis, Vehicle, Sequence[Drive]]:
     """Return a diagnosis, the vehicle and the real drives, writing nothing; parameters as for `diagnose_files`.
 
@@ -79,12 +85,14 @@ def read_and_diagnose(
     vehicle_path = vehicle_file(vehicle_path)
     vehicle = read_vehicle(vehicle_path)
     groups = {"real": real, "sim": simulated, "holdout": holdout}
-    drives = {role: [read_drive(path) for path in paths] for role, paths in groups.items()}
+    drives = {role: [read_drive(path, held) for path in paths] for role, paths in groups.items()}
+    for text in untold_inputs([drive for several in drives.values() for drive in several]):
+        note(text)
     inputs = [InputFile(one.name, one.sha256, role) for role, several in drives.items() for one in several]
     inputs.append(InputFile(vehicle_path.name, sha256_of_file(vehicle_path), "vehicle"))
     correct = RecordingCorrection(vehicle)
-    measured, held = ([correct.sensors(drive) for drive in drives[role]] for role in ("real", "holdout"))
-    told = diagnose(measured, vehicle, drives["sim"], held, inputs=inputs, progress=progress)
+    measured, holdouts = ([correct.sensors(drive) for drive in drives[role]] for role in ("real", "holdout"))
+    told = diagnose(measured, vehicle, drives["sim"], holdouts, inputs=inputs, progress=progress)
     return told, vehicle, drives["real"]
 
 

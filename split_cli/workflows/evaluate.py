@@ -15,7 +15,7 @@ from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fi
 from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.region import Region, build_grid
 from split_cli.learning.training_set import TrainingSet, read_set
-from split_cli.logs.drive import Drive, read_drive
+from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.prediction import PREDICTORS, Predictor, make_predictor
 from split_cli.scoring.application import time_per_query
 from split_cli.scoring.evaluation import (
@@ -66,7 +66,7 @@ def evaluate_files(
             where=str(set_path),
             advice="Leave --vehicle out, the set carries its own.",
         )
-    return evaluate([read_drive(path) for path in drives], car, settings, trained, say)
+    return evaluate([read_drive(path, settings.held) for path in drives], car, settings, trained, say)
 
 
 def evaluate(
@@ -336,7 +336,7 @@ def _facts(held: HeldOut, model: SingleTrack, trained: TrainingSet | None) -> Dr
 def _notes(
     facts: Sequence[DriveFacts], drives: Sequence[HeldOut], settings: EvaluationSettings, rollouts: Sequence
 ) -> list[str]:
-    notes = [note for fact in facts for note in fact.notes]
+    notes = [*untold_inputs([held.drive for held in drives]), *(note for fact in facts for note in fact.notes)]
     for fact in facts:
         if fact.in_sample:
             notes.append(f"IN SAMPLE: the set was trained on {fact.name}; its scores say nothing of other drives")

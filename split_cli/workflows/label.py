@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from split_cli.learning.features import parse_features
 from split_cli.learning.label_file import write_labels
 from split_cli.learning.labels import DEFAULT_HORIZON, compute_labels
 from split_cli.learning.region import Region, build_grid
-from split_cli.logs.drive import Drive, read_drive
+from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.recordings import RecordingCorrection
 
@@ -58,6 +59,7 @@ def label_drive(
     horizon: float = DEFAULT_HORIZON,
     stride: int | None = None,
     plain: bool = False,
+    held: Sequence[str] = (),
 ) -> LabelResult:
     """Compute the labels of a drive and write them as Parquet.
 
@@ -68,11 +70,13 @@ def label_drive(
         ``z2``, ``z1`` or a comma-separated list of names.
     horizon, stride, plain
         As for `compute_labels`.
+    held : sequence of str
+        Inputs that keep their value between samples, whatever the file says.
     """
     refuse_overwriting_inputs(output, (drive_path, vehicle_path))
     vehicle = read_vehicle(vehicle_path)
     correct = RecordingCorrection(vehicle)
-    drive = correct(read_drive(drive_path))
+    drive = correct(read_drive(drive_path, held))
     region = Region.of(vehicle)
     labels = compute_labels(
         drive, vehicle, parse_features(features), region, horizon=horizon, stride=stride, plain=plain
@@ -89,7 +93,7 @@ def label_drive(
         accepted=len(accepted),
         rejected=tuple(labels.counts().items()),
         rms=tuple(np.sqrt(np.mean(accepted**2, axis=0)).tolist()) if len(accepted) else None,
-        notes=(*drive_notes(drive), *correct.notes),
+        notes=(*untold_inputs([drive]), *drive_notes(drive), *correct.notes),
     )
 
 

@@ -31,6 +31,8 @@ _TRUTH_EXTRAS = (
     "wheel_speed_fl", "wheel_speed_fr", "wheel_speed_rl", "wheel_speed_rr",
 )  # fmt: skip
 _PAUSE_BETWEEN_TESTS = 10.0
+# A car's actuators keep a command until the next one.
+_BETWEEN = {"T": "held", "delta": "held"}
 
 
 @dataclass(frozen=True)
@@ -348,5 +350,5 @@ def _joined(
         columns={channel: np.concatenate(values) for channel, values in columns.items()},
         segment=np.concatenate(segment),
         period=1.0 / TABLE_RATE,
-        metadata=DriveMetadata(kinds=kinds, conversions=(origin,), noise=noise, quality=told),
+        metadata=DriveMetadata(kinds=kinds, conversions=(origin,), noise=noise, quality=told, between=_BETWEEN),
     )

@@ -27,7 +27,7 @@ from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.labels import DEFAULT_HORIZON, Labels, compute_labels
 from split_cli.learning.region import Grid, Region, build_grid
 from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
-from split_cli.logs.drive import Drive, read_drive
+from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.label import drive_notes
 from split_cli.workflows.recordings import RecordingCorrection
@@ -61,6 +61,8 @@ class TrainSettings:
         Stretches of time of every drive [s] that are not learned.
     learner : str or None
         ``split`` (default), or ``iol``: one dictionary of `capacity` points, 300 by default.
+    held : tuple of str
+        Inputs that keep their value between samples, whatever the files say.
     """
 
     features: str | None = None
@@ -73,6 +75,7 @@ class TrainSettings:
     plain: bool = False
     exclude: tuple[tuple[float, float], ...] = ()
     learner: str | None = None
+    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -316,7 +319,7 @@ class _Run:
 
     def _drive(self, position: int) -> Drive:
         self.say(f"reading {self.paths[position].name}")
-        return self.correct(read_drive(self.paths[position]))
+        return self.correct(read_drive(self.paths[position], self.settings.held))
 
     def _label(self, drive: Drive, position: int) -> Labels:
         labels = compute_labels(
@@ -336,6 +339,7 @@ class _Run:
         return labels.within(allowed)
 
     def _take_notes(self, drive: Drive) -> None:
+        self.notes += [note for note in untold_inputs([drive]) if note not in self.notes]
         self.notes += drive_notes(drive)
         if drive.sha256 in self.seen:
             self.notes.append(f"{drive.name} was learned before, as {self.seen[drive.sha256]}")

@@ -20,6 +20,7 @@ from split_cli.diagnosis.search.fitting import (
     tangent,
 )
 from split_cli.diagnosis.search.selection import nothing
+from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_judge
 
@@ -216,3 +217,24 @@ class TestBounds:
         one = candidate(lagging, "steer_lag")
         assert one.build({"tau": -1.0}).parameters["tau"] == one.ranges["tau"].lower
         assert one.build({"tau": 9.0}).parameters["tau"] == one.ranges["tau"].upper
+
+
+def test_held_commands_hide_no_delay_and_taken_for_lines_they_do():
+    """Commands of 50 Hz, kept by the car: as they were, no delay; in lines of 20 ms, half a sample of it."""
+
+    def kept(inputs: np.ndarray, step: float) -> np.ndarray:
+        every = round(0.02 / step)
+        return np.repeat(inputs[:, ::every], every, axis=1)[:, : inputs.shape[1]]
+
+    made = driven(11, steer=kept, torque=kept, runs=10)
+    # The logger's clock is as slow as the commands.
+    rows = np.concatenate([np.arange(run.start, run.stop, 2) for run in made.segments()])
+    columns = {name: values[rows] for name, values in made.columns.items()}
+    slow = Drive(made.name, columns, made.segment[rows], 0.02)
+    late_by = {}
+    for held in ((), ("T", "delta")):
+        judge = judge_of(slow.with_held(held))
+        late_by[held] = best_fit(judge, candidate(judge, "sensor_delay")).parts[0].values["delay"]
+    # A ramp is a late staircase only to first order in a sample that is as long as the car is quick.
+    assert late_by[()] == pytest.approx(0.01, abs=2e-3)
+    assert late_by["T", "delta"] < 3e-4

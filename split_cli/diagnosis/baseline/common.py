@@ -55,7 +55,7 @@ class CommonPhysics:
         return 0.5 * (self.vehicle.front_tire.D + self.vehicle.rear_tire.D)
 
     def columns(self, series: Series) -> np.ndarray:
-        """Return the rates each entry adds along a recording, shape (N, 3, C) [m/s^2], [m/s^2], [rad/s^2]."""
+        """Return what entries add in the middle of samples, shape (N, 3, C) [m/s^2], [m/s^2], [rad/s^2]."""
         plain, functions = series.rates(extended_model(self.vehicle)), self._functions(series)
         entries = tangents()
         first, directions = len(entries), self._directions()
@@ -68,7 +68,7 @@ class CommonPhysics:
         return out
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
-        """Return what the weights add along a recording, shape (N, 3), where terms alter inputs, sensors or body.
+        """Return what weights add in the middle of samples, shape (N, 3); terms alter inputs, sensors or body.
 
         What the actuators really did, and where the car really was, is what common physics answers to; and its
         forces move the body that is there.
@@ -156,7 +156,7 @@ def features(series: Series, vehicle: Vehicle) -> np.ndarray:
     """Return alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s] at the smoothed states, shape (N, 4)."""
     flow = series.flow(extended_model(vehicle))
     ratio = series.torque / vehicle.max_torque
-    return np.stack([flow.front.slip_angle, flow.rear.slip_angle, ratio, series.smooth[:, 0]], axis=1)
+    return np.stack([flow.front.slip_angle, flow.rear.slip_angle, ratio, flow.vx], axis=1)
 
 
 def scaled_features(series: Series, vehicle: Vehicle) -> np.ndarray:

@@ -98,14 +98,15 @@ def motion(series: Series, jacobian: np.ndarray, measured: np.ndarray, smooth: n
     The model is evaluated at smoothed states and carried to the measured ones by its Jacobian, so that sensor
     noise enters to first order only, where the whitener knows of it.
     """
-    out = np.diff(measured, axis=0) - integrated(series, np.einsum("nij,nj->ni", jacobian, measured - smooth))
+    carried = np.einsum("nij,nj->ni", jacobian, measured - smooth)
+    out = np.diff(measured, axis=0) - 0.5 * series.period * (carried[1:] + carried[:-1])
     out[~series.inside()] = 0.0
     return out
 
 
 def integrated(series: Series, columns: np.ndarray) -> np.ndarray:
-    """Return what rates (N, ...) add over each transition, shape (N - 1, ...); 0 over gaps."""
-    out = 0.5 * series.period * (columns[1:] + columns[:-1])
+    """Return what rates (N, ...) in the middle of samples add over each, shape (N - 1, ...); 0 over gaps."""
+    out = series.period * columns[:-1]
     out[~series.inside()] = 0.0
     return out
 

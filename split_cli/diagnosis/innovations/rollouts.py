@@ -13,7 +13,7 @@ from split_cli.diagnosis.innovations.judge import CommonKnowledge
 from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.learning.features import Z2, FeatureSet
 from split_cli.learning.region import Grid
-from split_cli.logs.drive import Drive
+from split_cli.logs.drive import INPUT_CHANNELS, Drive, DriveMetadata
 from split_cli.prediction import Predictor
 from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, rollout_starts
 from split_cli.vehicle.effects import Term
@@ -38,7 +38,7 @@ class SharedRates:
     Attributes
     ----------
     base : ndarray, shape (N, 3)
-        Rates at the recorded states [m/s^2], [m/s^2], [rad/s^2].
+        Rates at the recorded states, means over the sample that a row begins [m/s^2], [m/s^2], [rad/s^2].
     slope : ndarray, shape (N, 3, 3)
         Their derivative by (v_x, v_y, r).
     around : ndarray, shape (N, 3)
@@ -52,7 +52,7 @@ class SharedRates:
     def ahead(self, window: int) -> SharedRates:
         """Return the same with rates averaged over the window that each row begins."""
         total = np.cumsum(np.concatenate([np.zeros((1, 3)), self.base]), axis=0)
-        last = np.minimum(np.arange(len(self.base)) + window + 1, len(self.base))
+        last = np.minimum(np.arange(len(self.base)) + window, len(self.base))
         first = np.arange(len(self.base))
         return replace(self, base=(total[last] - total[first]) / (last - first)[:, None])
 
@@ -236,9 +236,11 @@ def _drive(series: Series, terms: Sequence[Term]) -> Drive:
     """Return a recording for rollouts, the sensors' faults among `terms` taken off."""
     measured, _ = series.corrected(terms)
     columns = dict(zip(("vx", "vy", "r"), measured.T, strict=True))
-    columns |= {"t": series.t, "s": series.s, "yaw": series.yaw, "T": series.torque, "delta": series.steer_angle}
+    columns |= {"t": series.t, "s": series.s, "yaw": series.yaw}
+    columns |= {name: series.drive[name] for name in INPUT_CHANNELS}
     columns["row"] = np.arange(len(series), dtype=float)
-    return Drive(series.name, columns, series.drive.segment, series.period)
+    between = DriveMetadata(between=series.drive.metadata.between)
+    return Drive(series.name, columns, series.drive.segment, series.period, between)
 
 
 def _correction(stage: Stage, z: np.ndarray, drive: Drive, window: int) -> Correction | None:

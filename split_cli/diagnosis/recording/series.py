@@ -8,9 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from split_cli.logs.drive import Drive
+from split_cli.logs.drive import INPUT_CHANNELS, Drive
 from split_cli.logs.noise import difference_noise
 from split_cli.vehicle.effects import Recording, Term, build_terms
+from split_cli.vehicle.effects.recording import over_samples
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -36,8 +37,11 @@ class Series:
         Its clock.
     measured, smooth : ndarray, shape (N, 3)
         v_x, v_y, r as recorded, and smoothed.
-    torque, steer_angle, t, s, yaw : ndarray, shape (N,)
-        [N m], [rad], [s] from the drive's first sample, [m], [rad].
+    torque, steer_angle : ndarray, shape (N,)
+        Means over the sample that begins at each row [N m], [rad]: the value itself of a held input, halfway to
+        the next sample of one that runs in straight lines.
+    t, s, yaw : ndarray, shape (N,)
+        [s] from the drive's first sample, [m], [rad].
     noise : ndarray, shape (3,)
         Standard deviation of a sample of v_x, v_y, r.
     """
@@ -84,14 +88,22 @@ class Series:
         return measured, smooth
 
     def flow(self, model: SingleTrack, velocity: np.ndarray | None = None) -> Flow:
-        """Evaluate a model along the recording, at the smoothed states unless others are given."""
+        """Evaluate a model in the middle of every sample, at the smoothed states unless others are given.
+
+        Notes
+        -----
+        Inputs are means over samples, and states those of the middle, so that one evaluation a sample integrates
+        to second order whatever an input does between samples. Delays and linear lags commute with the mean over
+        a sample: of a staircase they are exact. Place, time and yaw are those of the sample's begin.
+        """
         if velocity is not None and velocity is not self.smooth:
-            return self._flow(model, *velocity.T)
+            return self._flow(model, *over_samples(velocity, self.recording).T)
         plain = self._plain(model.vehicle)
         return self._flow(model, *self._columns, plain=plain) if model.terms else plain
 
     def inputs(self, model: SingleTrack, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what a model's actuators make of torque [N m] and steer angle [rad] at velocities, (N,) each."""
+        """Return what actuators make of torque [N m] and steer angle [rad], means over samples, (N,) each."""
+        velocity = over_samples(velocity, self.recording)
         flow = model.actuated(*velocity.T, self.torque, self.steer_angle, **self._situation)
         return flow.T + 0.0 * self.t, flow.delta + 0.0 * self.t
 
@@ -104,7 +116,7 @@ class Series:
 
     @cached_property
     def _columns(self) -> tuple[np.ndarray, ...]:
-        return tuple(self.smooth.T)
+        return tuple(np.ascontiguousarray(over_samples(self.smooth, self.recording).T))
 
     def _plain(self, vehicle: Vehicle) -> Flow:
         """Return the flow without any term, from which all others take what their terms leave as it was."""
@@ -114,14 +126,14 @@ class Series:
         return self._plain_flows[id(vehicle)]
 
     def rates(self, model: SingleTrack, velocity: np.ndarray | None = None) -> np.ndarray:
-        """Return (v_x', v_y', r') of a model along the recording, shape (N, 3)."""
+        """Return (v_x', v_y', r') of a model in the middle of samples, shape (N, 3); see `flow`."""
         out = np.empty((len(self), 3))
         for channel, row in enumerate(self.rate_rows(model, velocity)):
             out[:, channel] = row
         return out
 
     def rate_rows(self, model: SingleTrack, velocity: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
-        """Return v_x', v_y' and r' of a model along the recording, shape (N,) each."""
+        """Return v_x', v_y' and r' of a model in the middle of samples, shape (N,) each."""
         return model.balance(self.flow(model, velocity))
 
     def transitions_begin(self) -> np.ndarray:
@@ -172,9 +184,12 @@ def build_series(
         yaw = np.unwrap(drive["yaw"])
     else:
         yaw = np.concatenate([[0.0], np.cumsum(0.5 * (smooth[1:, 2] + smooth[:-1, 2]))]) * drive.period
+    T, delta = (
+        drive[name] if name in drive.held else over_samples(drive[name], recording) for name in INPUT_CHANNELS
+    )
     return Series(
         name=drive.name, role=role, drive=drive, recording=recording, measured=measured, smooth=smooth,
-        torque=drive["T"], steer_angle=drive["delta"], t=t, s=s, yaw=yaw, noise=noise, lap_length=lap_length,
+        torque=T, steer_angle=delta, t=t, s=s, yaw=yaw, noise=noise, lap_length=lap_length,
         place_reference=place_reference,
     )  # fmt: skip
 

@@ -83,8 +83,8 @@ def label_errors(
     held = held_rows[rows] & held_rows[rows + window]
     before, physics = labels.y, labels.y + change
     if shared is not None:
-        before = before - shared.base[span].mean(axis=1)
-        physics = physics - shared_named.base[span].mean(axis=1)
+        before = before - shared.base[span[:, :-1]].mean(axis=1)
+        physics = physics - shared_named.base[span[:, :-1]].mean(axis=1)
     inverse = np.linalg.inv(phi) / labels.horizon
     onward = inverse @ (np.eye(3) + labels.horizon * A @ phi)
     floor = (inverse**2 + onward**2) @ series.noise**2
@@ -95,7 +95,10 @@ def _predict(evidence: Evidence, terms, measured, smooth, rows, window) -> np.nd
     series = evidence.series
     model = extended_model(evidence.vehicle, terms)
     situation = {"time": series.t, "track_position": series.s, "yaw": series.yaw}
-    recorded = recorded_inputs(model, smooth, series.torque, series.steer_angle, series.recording, **situation)
+    held = series.drive.held
+    recorded = recorded_inputs(
+        model, smooth, series.drive["T"], series.drive["delta"], series.recording, held=held, **situation
+    )
     span = rows[:, None] + np.arange(window + 1)
     return integrate_recorded(
         model,
@@ -105,6 +108,7 @@ def _predict(evidence: Evidence, terms, measured, smooth, rows, window) -> np.nd
         series.period,
         substep_count(evidence.jacobian[rows], series.period),
         term_states=recorded.term_states[rows],
+        held=held,
         **{name: values[rows] for name, values in situation.items()},
     )
 

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Recording", "first_order_response", "play_response", "shifted"]
+__all__ = [
+    "Recording", "first_order_from_means", "first_order_response", "over_samples", "play_response", "shifted"
+]
 
 
 @dataclass(frozen=True)
@@ -21,10 +23,13 @@ class Recording:
         Sample period [s].
     segments : tuple of (int, int)
         First row and one past the last, of every run without a gap; memory starts anew, steady, at each.
+    means : bool
+        Whether the rows are means over the sample that begins there, instead of values at its begin.
     """
 
     period: float
     segments: tuple[tuple[int, int], ...]
+    means: bool = False
 
     @classmethod
     def single(cls, period: float, length: int) -> Recording:
@@ -71,6 +76,33 @@ def first_order_response(target: Any, rate: Any, recording: Recording) -> np.nda
     mean = np.where(q > 1e-8, -np.expm1(-q) / np.maximum(q, 1e-8), 1.0 - 0.5 * q)
     kept, mean = (np.broadcast_to(one, (max(len(target) - 1, 0),)) for one in (kept, mean))
     return _recur(target, kept, mean, _starts(recording))
+
+
+def first_order_from_means(target: Any, rate: Any, recording: Recording) -> np.ndarray:
+    """Return y at the begin of every sample, of targets (N,) given by their means over samples; steady at starts.
+
+    Notes
+    -----
+    y+ = e^-q y + (1 - e^-q) u with q = rate period: exact where the target is constant over each sample, as a held
+    command is.
+    """
+    target = np.ascontiguousarray(target, dtype=float)
+    rate = np.broadcast_to(np.asarray(rate, dtype=float), target.shape)[:-1]
+    kept = np.exp(-np.maximum(rate * recording.period, 0.0))
+    # Means of 1 take the slope between rows out of the recursion for straight lines.
+    return _recur(target, kept, np.ones_like(kept), _starts(recording))
+
+
+def over_samples(values: np.ndarray, recording: Recording) -> np.ndarray:
+    """Return the mean over the sample that begins at each row, of straight lines between rows, shape as `values`.
+
+    The last row of a segment begins no sample; it keeps its value.
+    """
+    out = np.array(values, dtype=float)
+    out[:-1] += 0.5 * np.diff(values, axis=0)
+    for _, end in recording.segments:
+        out[end - 1] = values[end - 1]
+    return out
 
 
 def play_response(source: Any, width: float, recording: Recording) -> np.ndarray:

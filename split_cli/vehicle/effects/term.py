@@ -10,6 +10,7 @@ import numpy as np
 
 from split_cli.vehicle.effects.recording import (
     Recording,
+    first_order_from_means,
     first_order_response,
     play_response,
     shifted,
@@ -225,7 +226,12 @@ class Term:
         """
         key = f"{self.id}.{name}"
         if flow.recording is not None:
+            # Responding in time and taking means over samples can change places: the response to means, in
+            # straight lines from one sample's middle to the next, is the response's mean.
             value = first_order_response(target, rate, flow.recording)
+            if flow.recording.means:
+                flow.values[key] = first_order_from_means(target, rate, flow.recording)
+                return value
         elif flow.states is None:
             value = target
         else:
@@ -239,6 +245,10 @@ class Term:
         key = f"{self.id}.{name}"
         if flow.recording is not None:
             value = play_response(source, width, flow.recording)
+            if flow.recording.means:
+                # A row's mean has dragged the state only once its sample has begun.
+                flow.values[key] = shifted(value, flow.recording.period, flow.recording)
+                return value
         elif flow.states is None:
             value = source
         else:
