@@ -156,7 +156,7 @@ def features(series: Series, vehicle: Vehicle) -> np.ndarray:
     """Return alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s] at the smoothed states, shape (N, 4)."""
     flow = series.flow(extended_model(vehicle))
     ratio = series.torque / vehicle.max_torque
-    return np.stack([flow.front.slip_angle, flow.rear.slip_angle, ratio, flow.vx], axis=1)
+    return np.stack([flow.front.slip_angle, flow.rear.slip_angle, ratio, series.smooth[:, 0]], axis=1)
 
 
 def scaled_features(series: Series, vehicle: Vehicle) -> np.ndarray:
