@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.learning.features import Z2, FeatureSet
+from split_cli.prediction.online import OnlineCommittee
 from split_cli.prediction.predictor import Predictor
 
-__all__ = ["NoResidual", "PredictorResidual", "Residual", "ResidualValues"]
+__all__ = ["NoResidual", "OnlineResidual", "PredictorResidual", "Residual", "ResidualValues"]
 
 
 @dataclass(frozen=True)
@@ -91,3 +92,27 @@ class PredictorResidual(Residual):
         if self.damped:
             slope = slope * knowledge[:, :, None]
         return ResidualValues(found.mean, slope, found.variance, knowledge)
+
+
+class OnlineResidual(Residual):
+    """The committee of a set that grows while it is asked.
+
+    Parameters
+    ----------
+    committee : OnlineCommittee
+    damped : bool
+        As of `PredictorResidual`.
+    """
+
+    def __init__(self, committee: OnlineCommittee, damped: bool = True) -> None:
+        self.committee, self.damped = committee, damped
+        self.features = committee.online.header.features
+        self._prior = committee.kernel.signal_variance
+
+    def along(self, z: np.ndarray) -> ResidualValues:
+        """Return mean, slope and variance at features `z`, shape (N, D)."""
+        mean, variance, slope = self.committee.along(z)
+        knowledge = np.clip(1.0 - variance / self._prior, 0.0, 1.0)
+        if self.damped:
+            slope = slope * knowledge[:, :, None]
+        return ResidualValues(mean, slope, variance, knowledge)

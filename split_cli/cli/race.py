@@ -1,0 +1,106 @@
+"""`split race`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table, vehicle_option
+
+__all__ = ["command"]
+
+
+@click.command("race")
+@vehicle_option()
+@click.option(
+    "--track",
+    default="small",
+    show_default=True,
+    help="handling (2.3 km), small (580 m), oval, f1tenth, or a centre-line CSV with the columns "
+    "x_m,y_m,w_tr_right_m,w_tr_left_m.",
+)
+@click.option("--car", default="road_car", show_default=True, help="The plant: road_car, f1tenth_car, formula_car.")
+@click.option("--laps", type=int, default=3, show_default=True, help="After lap 0, which the nominal model drives.")
+@click.option(
+    "--learner",
+    default="split",
+    show_default=True,
+    help="none; iol (one dictionary, Kabzan et al. 2019); or split (a set a cell, this project's).",
+)
+@click.option(
+    "--start-set",
+    type=existing_file,
+    metavar="FILE",
+    help="A trained set to begin with; without one, lap 0 is nominal and the kernel is fitted to it.",
+)
+@click.option("--predictor", default="bcm", show_default=True, help="Evaluates the set; bcm follows every update, "
+              "others are built anew after each lap.")  # fmt: skip
+@click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Cap of the speed.")
+@click.option("--max-torque", type=float, metavar="NM", help="Cap of the driving torque  [default: the vehicle's].")
+@click.option("--grip", type=float, default=1.0, show_default=True, help="Of the road: 1 dry, 0.5 wet.")
+@click.option("--p-ellipse", type=float, default=0.9, show_default=True, help="Share of the axles' peak that the "
+              "controller allows.")  # fmt: skip
+@click.option("--p-long", type=float, default=1.1, show_default=True, help="Weight of longitudinal force in it.")
+@click.option("--features", default="z2", show_default=True, help="z2, z1 or a list such as z2's and vx.")
+@click.option("--hyperparameters", default="fit", show_default=True, help="fit (to lap 0), default, or a YAML file.")
+@click.option("--tightening", type=float, default=0.0, show_default=True, metavar="SIGMA", help="Move the borders in "
+              "by so many standard deviations of the predicted position.")  # fmt: skip
+@click.option("--width", type=float, metavar="M", help="Of the car's body  [default: 1.15 of its track].")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
+@click.option("--exact-sensors", is_flag=True, help="No noise.")
+@click.option("--no-delay", is_flag=True, help="Commands take effect at once, not one interval later.")
+@click.option("--set", "set_output", type=click.Path(path_type=Path), metavar="FILE", help="Save the set after each "
+              "lap.")  # fmt: skip
+@click.option("--report", type=click.Path(path_type=Path), metavar="FILE", help="Write an HTML page with the laps.")
+@output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
+@json_option
+def command(vehicle_path, output, set_output, report, p_ellipse, p_long, no_delay, as_json, **options) -> None:
+    """Race the double-track plant with a contouring controller that learns while it drives.
+
+    The controller (MPCC, 80 steps of 50 ms) drives with the vehicle's nominal model plus what the learner has
+    found so far. Lap 0 is nominal; a race begins with a flying start. Every error is told beside the nominal one,
+    and a lap on which a side of the car left the track is marked.
+
+    \b
+    Example:
+      split race --vehicle road_car.yaml --track small --max-speed 15 --laps 3 -o race.parquet --set race.split
+      split race --vehicle road_car.yaml --track monza.csv --learner none --json
+    """
+    from split_cli.control.limits import Limits
+    from split_cli.control.mpcc import MpccSettings
+    from split_cli.workflows.race import RaceSettings, run_race
+
+    settings = RaceSettings(
+        delay=not no_delay, settings=MpccSettings(limits=Limits(p_long=p_long, p_ellipse=p_ellipse)), **options
+    )
+    result = run_race(
+        settings, vehicle_path, output=output, set_output=set_output, report=report,
+        progress=lambda text: click.echo(f"race: {text}", err=True),
+    )  # fmt: skip
+    for note in result.notes:
+        click.echo(f"note: {note}", err=True)
+    if as_json:
+        print_json(result.summary())
+        return
+    click.echo(f"{result.track}, {result.length:.0f} m a lap; {result.car}, learner {result.learner}")
+    header = ["lap", "time s", "speed m/s", "|ay| g", "updates", "set", "cells", "vx", "vy", "r error", "of nominal",
+              "outside m", "failures"]  # fmt: skip
+    rows = []
+    for lap in result.laps:
+        share = [a / b if b else None for a, b in zip(lap.error_after, lap.error_before, strict=True)]
+        told = "/".join("-" if s is None else f"{s:.2f}" for s in share)
+        rows.append([lap.number, lap.time, lap.mean_speed, lap.max_lateral, lap.updates, lap.size, lap.cells,
+                     *lap.error_after, told, lap.outside, lap.failures])  # fmt: skip
+    print_table(header, rows)
+    print_table(
+        ["lap", "solver ms (median, 99 %, worst)", "step ms (median, 99 %, worst)", "learning ms"],
+        [[lap.number, *(", ".join(f"{v:.2g}" for v in times) for times in
+          (lap.solver_ms, lap.step_ms, lap.update_ms))] for lap in result.laps],
+    )  # fmt: skip
+    for lap in result.laps:
+        if lap.ended:
+            click.echo(f"lap {lap.number} was not finished: {lap.ended}")
+    written = [str(path) for path in (result.output, result.set_path, result.report) if path]
+    if written:
+        click.echo(f"written: {', '.join(written)}")

@@ -1,0 +1,170 @@
+"""Learning beside the controller: what each control interval adds to the residual."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.control.residual import NoResidual, OnlineResidual, PredictorResidual, Residual
+from split_cli.learning.labels import Labels, compute_labels
+from split_cli.learning.online import OnlineSet
+from split_cli.learning.region import Region
+from split_cli.learning.training_set import TrainingSet
+from split_cli.logs.drive import Drive
+from split_cli.prediction.online import OnlineCommittee
+from split_cli.prediction.predictor import Predictor
+
+__all__ = ["Learned", "Learner", "NoLearner", "SplitLearner", "WIDER", "learning_region"]
+
+#: How much wider the learned region is than the controller's own limits, in slip angles and in the ellipse [1]. A
+#: fast lap runs along the limits, and its samples scatter to both sides of them.
+WIDER = 1.35
+
+
+def learning_region(vehicle, alpha_max: float, dalpha_max: float, p_long: float) -> Region:
+    """Return the region in which a race is learned: slip angles by `WIDER` beyond the controller's bounds.
+
+    The ellipse is left open beyond the peak: where the nominal axle saturates, its force no longer tells how far.
+    """
+    return Region.of(
+        vehicle, p_long=p_long, p_ellipse=1.1, alpha_max=round(WIDER * alpha_max, 3),
+        dalpha_max=round(WIDER * dalpha_max, 3),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What one interval gave.
+
+    Attributes
+    ----------
+    label : ndarray, shape (3,) or None
+        What the nominal model got wrong, None when the sample was rejected.
+    predicted : ndarray, shape (3,)
+        What the residual said of it before.
+    updates : int
+    seconds : float
+        Of label and update [s].
+    """
+
+    label: np.ndarray | None
+    predicted: np.ndarray
+    updates: int
+    seconds: float
+
+
+class Learner(ABC):
+    """Gives the controller its residual, and takes what was driven.
+
+    Attributes
+    ----------
+    residual : Residual
+    """
+
+    residual: Residual
+    size: int = 0
+    cells: int = 0
+
+    @abstractmethod
+    def begin_lap(self, name: str, start_time: float) -> None:
+        """Begin a lap, which becomes a source of the set."""
+
+    @abstractmethod
+    def learn(self, interval: Drive, now: float) -> Learned:
+        """Take the samples of one control interval, its two ends included, at the time `now` [s]."""
+
+    @abstractmethod
+    def end_lap(self, duration: float) -> TrainingSet | None:
+        """End the lap; return the set, if there is one."""
+
+
+class _Labelled(Learner):
+    """A learner that labels intervals and compares them with its residual before it learns them."""
+
+    def __init__(self, header: TrainingSet) -> None:
+        self.header = header
+
+    def learn(self, interval: Drive, now: float) -> Learned:
+        start = time.thread_time()
+        labels = compute_labels(
+            interval, self.header.vehicle, self.header.features, self.header.region, horizon=self.header.horizon
+        )
+        accepted = bool(labels.inside(self.header.grid).accepted[0])
+        predicted = self.residual.along(labels.z[:1]).mean[0] if accepted else np.zeros(3)
+        updates = self._update(labels, now)
+        label = labels.y[0] if accepted else None
+        return Learned(label, predicted, updates, time.thread_time() - start)
+
+    @abstractmethod
+    def _update(self, labels: Labels, now: float) -> int:
+        """Learn the labels; return how many updates that made."""
+
+
+class NoLearner(_Labelled):
+    """Learns nothing; its residual is none, or that of a fixed predictor.
+
+    Parameters
+    ----------
+    header : TrainingSet
+        Vehicle, features and region by which errors are reported.
+    predictor : Predictor, optional
+    """
+
+    def __init__(self, header: TrainingSet, predictor: Predictor | None = None) -> None:
+        super().__init__(header)
+        self.residual = NoResidual() if predictor is None else PredictorResidual(predictor)
+        self.labels: list[Labels] = []
+
+    def begin_lap(self, name: str, start_time: float) -> None:
+        """Forget the labels of the lap before."""
+        self.labels = []
+
+    def _update(self, labels: Labels, now: float) -> int:
+        self.labels.append(labels)
+        return 0
+
+    def end_lap(self, duration: float) -> TrainingSet | None:
+        """Return nothing: nothing was learned."""
+        return None
+
+
+class SplitLearner(_Labelled):
+    """Every interval is offered to its cell, and the committee follows at once.
+
+    Parameters
+    ----------
+    header : TrainingSet
+        What is known before; may be empty.
+    """
+
+    def __init__(self, header: TrainingSet) -> None:
+        super().__init__(header)
+        self.online = OnlineSet(header)
+        self.committee = OnlineCommittee(self.online)
+        self.residual = OnlineResidual(self.committee)
+
+    @property
+    def size(self) -> int:
+        """Points of the set."""
+        return self.online.size
+
+    @property
+    def cells(self) -> int:
+        """Non-empty cells."""
+        return self.online.cell_count
+
+    def begin_lap(self, name: str, start_time: float) -> None:
+        """Begin a source of the set."""
+        self.online.begin_drive(name, start_time)
+
+    def _update(self, labels: Labels, now: float) -> int:
+        change = self.online.offer(labels)
+        self.committee.update(change.changed)
+        return change.updates
+
+    def end_lap(self, duration: float) -> TrainingSet:
+        """Return the set with the lap as its last source."""
+        return self.online.end_drive(duration)

@@ -1,0 +1,142 @@
+"""Learning while driving: a set that takes one control interval after the other, by the code of `split train`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.errors import SetError
+from split_cli.learning.cells import _Cells, _check_belongs
+from split_cli.learning.labels import Labels, Reason
+from split_cli.learning.training_set import SetSource, TrainingSet
+
+__all__ = ["CellChange", "OnlineSet"]
+
+
+@dataclass(frozen=True)
+class CellChange:
+    """What one offer did.
+
+    Attributes
+    ----------
+    changed : tuple of int
+        Positions of the cells whose points changed, see `OnlineSet.cell`.
+    updates : int
+        Insertions and replacements.
+    """
+
+    changed: tuple[int, ...]
+    updates: int
+
+
+class OnlineSet:
+    """A trained set that grows while the car drives.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+        What is known before; may be empty.
+
+    Notes
+    -----
+    Labels go through the same cells as in `extend`, so that a lap learned interval by interval gives the set that
+    `split train` makes of the lap's drive, point for point.
+    """
+
+    def __init__(self, training_set: TrainingSet) -> None:
+        self.header = training_set
+        self._cells = _Cells(training_set)
+        self._sources = list(training_set.sources)
+        self._open: _Tally | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return int(self._cells.count[: self.cell_count].sum())
+
+    @property
+    def cell_count(self) -> int:
+        """Number of non-empty cells."""
+        return len(self._cells.numbers)
+
+    def cell(self, position: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return features (n, D) and labels (n, 3) of the cell at `position`, in slot order."""
+        count = self._cells.count[position]
+        return self._cells.slots["z"][position, :count], self._cells.slots["y"][position, :count]
+
+    def begin_drive(self, name: str, start_time: float) -> None:
+        """Begin a drive, which becomes a source of the set."""
+        if self._open is not None:
+            raise SetError("the drive before has not ended", where=name)
+        self._open = _Tally(name, start_time)
+
+    def offer(self, labels: Labels) -> CellChange:
+        """Offer the labels of one interval."""
+        tally = self._open
+        if tally is None:
+            raise SetError("no drive was begun", where=labels.drive)
+        _check_belongs(self.header, labels)
+        labels = labels.inside(self.header.grid)
+        tally.samples += len(labels)
+        tally.rejected.update(labels.counts())
+        tally.horizon = labels.horizon
+        rows = np.flatnonzero(labels.accepted)
+        if not len(rows):
+            return CellChange((), 0)
+        begin = self._cells.base[-1] - tally.start_time
+        outcome = self._cells._offer(labels, rows, len(self._sources), begin)
+        tally.accepted += len(rows)
+        tally.insertions += int(np.count_nonzero(outcome == 1))
+        tally.replacements += int(np.count_nonzero(outcome == 2))
+        tally.rejected[Reason.GAIN.word] += int(np.count_nonzero(outcome == 0))
+        taken = rows[outcome > 0]
+        numbers = self.header.grid.pack(self.header.grid.index(labels.z[taken])[0]) if len(taken) else ()
+        changed = tuple(dict.fromkeys(self._cells.position[int(number)] for number in numbers))
+        return CellChange(changed, len(taken))
+
+    def end_drive(self, duration: float, sha256: str = "") -> TrainingSet:
+        """End the drive and return the set as it is now."""
+        tally, self._open = self._open, None
+        if tally is None:
+            raise SetError("no drive was begun")
+        self._cells.base.append(self._cells.base[-1] + duration)
+        rejected = {word: count for word, count in tally.rejected.items() if count}
+        order = [reason.word for reason in Reason]
+        self._sources.append(
+            SetSource(
+                name=tally.name,
+                sha256=sha256,
+                samples=tally.samples,
+                accepted=tally.accepted,
+                rejected=dict(sorted(rejected.items(), key=lambda pair: order.index(pair[0]))),
+                insertions=tally.insertions,
+                replacements=tally.replacements,
+                points=self.size,
+                cells=self.cell_count,
+                horizon=tally.horizon,
+                start_time=tally.start_time,
+                duration=duration,
+            )
+        )
+        return self.freeze()
+
+    def freeze(self) -> TrainingSet:
+        """Return the set as it is now, with the drives that have ended as its sources."""
+        return self._cells.freeze(tuple(self._sources))
+
+    def name_last_source(self, sha256: str) -> TrainingSet:
+        """Give the last drive the hash of its file, once it is written, and return the set."""
+        self._sources[-1] = replace(self._sources[-1], sha256=sha256)
+        return self.freeze()
+
+
+class _Tally:
+    """Counts of the drive that is being driven."""
+
+    def __init__(self, name: str, start_time: float) -> None:
+        self.name, self.start_time = name, start_time
+        self.samples = self.accepted = self.insertions = self.replacements = 0
+        self.rejected: Counter = Counter()
+        self.horizon = 0.0

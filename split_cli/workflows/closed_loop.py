@@ -1,0 +1,140 @@
+"""The plant with its sensors on one side, a controller on the other: what passes between them in an interval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from split_cli.control.path import Path
+from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate
+from split_cli.plant import _compiled
+from split_cli.plant.cars import CarParameters
+from split_cli.plant.dynamics import Surroundings, advance
+from split_cli.plant.sensors import ChannelSpec, sensors_of
+from split_cli.plant.simulation import initial_state
+from split_cli.plant.tracks import Track
+
+__all__ = ["SAMPLE_PERIOD", "World", "body_width", "path_of"]
+
+SAMPLE_PERIOD = 0.01
+"""Of the drive that is recorded, and of the ramps that lead commands from one value to the next [s]."""
+
+_MEASURED = ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay")
+_STATE = (_compiled.X, _compiled.Y, _compiled.YAW, _compiled.VX, _compiled.VY, _compiled.R)
+#: Tyres stand out of no body: a saloon of 1.54 m track is 1.77 m wide.
+_BODY_OVER_TRACK = 1.15
+
+
+def body_width(car: CarParameters) -> float:
+    """Return the width of a car's body [m], from the wider of its tracks."""
+    return _BODY_OVER_TRACK * max(car.track_front, car.track_rear)
+
+
+def path_of(track: Track) -> Path:
+    """Return a track of the plant as the line of a controller."""
+    width = np.full(len(track.x), track.half_width)
+    return Path(
+        track.name, track.spacing, track.x, track.y, track.direction, track.curvature, width, width.copy(), True
+    )
+
+
+@dataclass
+class World:
+    """A car on a road, driven from outside, and what its sensors report at 100 Hz.
+
+    Attributes
+    ----------
+    car : CarParameters
+    path : Path
+        Where the car starts on.
+    speed : float
+        At the start [m/s].
+    start : float
+        Arc length of the start [m].
+    friction : float
+        Of the road, against the tyres' own peak [1].
+    seed : int or None
+        Of the sensors' noise; None for exact sensors.
+    """
+
+    car: CarParameters
+    path: Path
+    speed: float
+    start: float = 0.0
+    friction: float = 1.0
+    seed: int | None = 0
+    t: float = 0.0
+    state: np.ndarray = field(init=False)
+    rows: list[np.ndarray] = field(init=False, default_factory=list)
+    truth: list[np.ndarray] = field(init=False, default_factory=list)
+
+    def __post_init__(self) -> None:
+        point = self.path.at(np.array([self.start]))
+        x = initial_state(self.car, self.speed)
+        x[_compiled.X], x[_compiled.Y], x[_compiled.YAW] = point.x[0], point.y[0], point.direction[0]
+        x[_compiled.R] = self.speed * point.curvature[0]
+        x[_compiled.STEER] = np.arctan(self.car.wheelbase * point.curvature[0])
+        self.state = x
+        self.torque, self.steer = 0.0, float(x[_compiled.STEER])
+        self._rng = np.random.default_rng([0 if self.seed is None else self.seed, 4242])
+        specs: dict[str, ChannelSpec] = {}
+        for sensor in sensors_of(self.car.name):
+            if sensor.name in ("state", "inertial"):
+                for channel, spec in sensor.channels.items():
+                    specs.setdefault(channel, spec)
+        self.noise = np.array([0.0 if self.seed is None else specs[name].noise for name in _MEASURED])
+        self._around = Surroundings(friction=self.friction)
+        self._record(np.zeros(2))
+
+    def _record(self, specific_force: np.ndarray) -> None:
+        exact = np.concatenate([self.state[list(_STATE)], specific_force])
+        self.truth.append(np.concatenate([[self.t], exact, [self.torque, self.steer]]))
+        seen = exact + self.noise * self._rng.standard_normal(len(exact))
+        self.rows.append(np.concatenate([[self.t], seen, [self.torque, self.steer]]))
+
+    @property
+    def measured(self) -> np.ndarray:
+        """[X, Y, yaw, v_x, v_y, r, T, delta] as last reported, shape (8,)."""
+        row = self.rows[-1]
+        return np.concatenate([row[1:7], row[9:11]])
+
+    @property
+    def exact(self) -> np.ndarray:
+        """The same without noise."""
+        row = self.truth[-1]
+        return np.concatenate([row[1:7], row[9:11]])
+
+    def drive(self, rates: np.ndarray, duration: float) -> None:
+        """Let the commands T and delta run with `rates` [N m/s], [rad/s] for `duration` [s]."""
+        for _ in range(int(round(duration / SAMPLE_PERIOD))):
+            torque = self.torque + 0.5 * rates[0] * SAMPLE_PERIOD
+            steer = self.steer + 0.5 * rates[1] * SAMPLE_PERIOD
+            # The ramp's middle: actuators lag by several times a sample, and see no more of it.
+            self.state, outputs = advance(
+                self.car, self.state, torque, steer, SAMPLE_PERIOD, surroundings=self._around
+            )
+            self.torque += rates[0] * SAMPLE_PERIOD
+            self.steer += rates[1] * SAMPLE_PERIOD
+            self.t += SAMPLE_PERIOD
+            self._record(outputs.specific_force)
+
+    def recording(self, first: int = 0, last: int | None = None, name: str = "race") -> Drive:
+        """Return rows `first` to `last` as a drive; T and delta are commands, led in straight lines."""
+        rows = np.array(self.rows[first:last])
+        columns = {"t": rows[:, 0]}
+        columns |= {channel: rows[:, 1 + k] for k, channel in enumerate(_MEASURED)}
+        columns |= {"T": rows[:, 9], "delta": rows[:, 10]}
+        kinds = {channel: "measured" for channel in _MEASURED} | {"T": "command", "delta": "command"}
+        noise = tuple(NoiseEstimate(c, float(s), float(s)) for c, s in zip(_MEASURED, self.noise, strict=True))
+        origin = "simulated drive in closed loop, sensors on one clock; commands led in straight lines"
+        return Drive(
+            name, columns, np.zeros(len(rows), dtype=np.int32), SAMPLE_PERIOD,
+            DriveMetadata(kinds=kinds, conversions=(origin,), noise=noise),
+        )  # fmt: skip
+
+    @property
+    def spun(self) -> bool:
+        """Whether the car moves more sideways than forward, or hardly at all."""
+        vx, vy = self.state[_compiled.VX], self.state[_compiled.VY]
+        return bool(abs(vy) > max(vx, 0.0) or not np.isfinite(self.state).all())
