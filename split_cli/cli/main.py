@@ -26,6 +26,8 @@ COMMANDS = {
     "calibrate": "Fit a vehicle file to gentle drives, or convert a foreign one.",
     "diagnose": "Say where a simulation and a real drive differ, and why.",
     "prove": "Conceal known effects, diagnose them blind, and score.",
+    "race": "Race the plant with a controller that learns while it drives.",
+    "maneuver": "Drive ISO 3888 and brake-and-avoid between cones.",
     "simulate": "Drive the double-track plant and write its logs.",
     "info": "Tell what a file of ours is.",
     "verify": "Check a trained set or an export against itself.",

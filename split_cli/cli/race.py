@@ -6,7 +6,14 @@ from pathlib import Path
 
 import click
 
-from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table, vehicle_option
+from split_cli.cli.options import (
+    existing_file,
+    json_option,
+    output_option,
+    print_json,
+    print_table,
+    vehicle_option,
+)
 
 __all__ = ["command"]
 
@@ -20,8 +27,8 @@ __all__ = ["command"]
     help="handling (2.3 km), small (580 m), oval, f1tenth, or a centre-line CSV with the columns "
     "x_m,y_m,w_tr_right_m,w_tr_left_m.",
 )
-@click.option("--car", default="road_car", show_default=True, help="The plant: road_car, f1tenth_car, formula_car.")
-@click.option("--laps", type=int, default=3, show_default=True, help="After lap 0, which the nominal model drives.")
+@click.option("--car", default="road_car", show_default=True, help="road_car, f1tenth_car or formula_car.")
+@click.option("--laps", type=int, default=3, show_default=True, help="After the nominal lap 0.")
 @click.option(
     "--learner",
     default="split",
@@ -34,28 +41,32 @@ __all__ = ["command"]
     metavar="FILE",
     help="A trained set to begin with; without one, lap 0 is nominal and the kernel is fitted to it.",
 )
-@click.option("--predictor", default="bcm", show_default=True, help="Evaluates the set; bcm follows every update, "
-              "others are built anew after each lap.")  # fmt: skip
-@click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Cap of the speed.")
-@click.option("--max-torque", type=float, metavar="NM", help="Cap of the driving torque  [default: the vehicle's].")
+@click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Cap of speed.")
+@click.option("--max-torque", type=float, metavar="NM", help="Cap of driving torque  [default: the vehicle's].")
 @click.option("--grip", type=float, default=1.0, show_default=True, help="Of the road: 1 dry, 0.5 wet.")
 @click.option("--p-ellipse", type=float, default=0.9, show_default=True, help="Share of the axles' peak that the "
               "controller allows.")  # fmt: skip
-@click.option("--p-long", type=float, default=1.1, show_default=True, help="Weight of longitudinal force in it.")
+@click.option("--p-long", type=float, default=1.1, show_default=True, help="Weight of braking force in it.")
 @click.option("--features", default="z2", show_default=True, help="z2, z1 or a list such as z2's and vx.")
-@click.option("--hyperparameters", default="fit", show_default=True, help="fit (to lap 0), default, or a YAML file.")
-@click.option("--tightening", type=float, default=0.0, show_default=True, metavar="SIGMA", help="Move the borders in "
-              "by so many standard deviations of the predicted position.")  # fmt: skip
+@click.option("--hyperparameters", default="fit", show_default=True, help="fit (to lap 0), default, or YAML.")
+@click.option(
+    "--iol-update",
+    type=click.Choice(["printed", "incremental"]),
+    default="printed",
+    show_default=True,
+    help="What an update of iol costs: every gain by an inversion, or the incremental inverse.",
+)
+@click.option("--tightening", type=float, default=0.0, show_default=True, metavar="SIGMA",
+              help="Move the borders in by so many standard deviations of the predicted position.")  # fmt: skip
 @click.option("--width", type=float, metavar="M", help="Of the car's body  [default: 1.15 of its track].")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
 @click.option("--exact-sensors", is_flag=True, help="No noise.")
 @click.option("--no-delay", is_flag=True, help="Commands take effect at once, not one interval later.")
-@click.option("--set", "set_output", type=click.Path(path_type=Path), metavar="FILE", help="Save the set after each "
-              "lap.")  # fmt: skip
-@click.option("--report", type=click.Path(path_type=Path), metavar="FILE", help="Write an HTML page with the laps.")
+@click.option("--set", "set_output", type=click.Path(path_type=Path), metavar="FILE",
+              help="Save the set after each lap.")  # fmt: skip
 @output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
-def command(vehicle_path, output, set_output, report, p_ellipse, p_long, no_delay, as_json, **options) -> None:
+def command(vehicle_path, output, set_output, p_ellipse, p_long, no_delay, iol_update, as_json, **options) -> None:
     """Race the double-track plant with a contouring controller that learns while it drives.
 
     The controller (MPCC, 80 steps of 50 ms) drives with the vehicle's nominal model plus what the learner has
@@ -71,11 +82,10 @@ def command(vehicle_path, output, set_output, report, p_ellipse, p_long, no_dela
     from split_cli.control.mpcc import MpccSettings
     from split_cli.workflows.race import RaceSettings, run_race
 
-    settings = RaceSettings(
-        delay=not no_delay, settings=MpccSettings(limits=Limits(p_long=p_long, p_ellipse=p_ellipse)), **options
-    )
+    mpcc = MpccSettings(limits=Limits(p_long=p_long, p_ellipse=p_ellipse))
+    settings = RaceSettings(delay=not no_delay, printed_iol=iol_update == "printed", settings=mpcc, **options)
     result = run_race(
-        settings, vehicle_path, output=output, set_output=set_output, report=report,
+        settings, vehicle_path, output=output, set_output=set_output,
         progress=lambda text: click.echo(f"race: {text}", err=True),
     )  # fmt: skip
     for note in result.notes:
@@ -84,8 +94,10 @@ def command(vehicle_path, output, set_output, report, p_ellipse, p_long, no_dela
         print_json(result.summary())
         return
     click.echo(f"{result.track}, {result.length:.0f} m a lap; {result.car}, learner {result.learner}")
-    header = ["lap", "time s", "speed m/s", "|ay| g", "updates", "set", "cells", "vx", "vy", "r error", "of nominal",
-              "outside m", "failures"]  # fmt: skip
+    header = [
+        "lap", "time s", "speed m/s", "|ay| g", "updates", "set", "cells", "error vx", "vy", "r", "of nominal",
+        "outside m", "failures",
+    ]  # fmt: skip
     rows = []
     for lap in result.laps:
         share = [a / b if b else None for a, b in zip(lap.error_after, lap.error_before, strict=True)]
@@ -101,6 +113,6 @@ def command(vehicle_path, output, set_output, report, p_ellipse, p_long, no_dela
     for lap in result.laps:
         if lap.ended:
             click.echo(f"lap {lap.number} was not finished: {lap.ended}")
-    written = [str(path) for path in (result.output, result.set_path, result.report) if path]
+    written = [str(path) for path in (result.output, result.set_path) if path]
     if written:
         click.echo(f"written: {', '.join(written)}")

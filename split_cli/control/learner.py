@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from split_cli.logs.drive import Drive
 from split_cli.prediction.online import OnlineCommittee
 from split_cli.prediction.predictor import Predictor
 
-__all__ = ["Learned", "Learner", "NoLearner", "SplitLearner", "WIDER", "learning_region"]
+__all__ = ["WIDER", "LabellingLearner", "Learned", "Learner", "NoLearner", "SplitLearner", "learning_region"]
 
 #: How much wider the learned region is than the controller's own limits, in slip angles and in the ellipse [1]. A
 #: fast lap runs along the limits, and its samples scatter to both sides of them.
@@ -73,37 +73,39 @@ class Learner(ABC):
         """Begin a lap, which becomes a source of the set."""
 
     @abstractmethod
-    def learn(self, interval: Drive, now: float) -> Learned:
-        """Take the samples of one control interval, its two ends included, at the time `now` [s]."""
+    def learn(self, interval: Drive, row: int) -> Learned:
+        """Take the samples of one control interval, its two ends included; `row` is its first in the lap."""
 
     @abstractmethod
     def end_lap(self, duration: float) -> TrainingSet | None:
         """End the lap; return the set, if there is one."""
 
 
-class _Labelled(Learner):
+class LabellingLearner(Learner):
     """A learner that labels intervals and compares them with its residual before it learns them."""
 
     def __init__(self, header: TrainingSet) -> None:
         self.header = header
 
-    def learn(self, interval: Drive, now: float) -> Learned:
+    def learn(self, interval: Drive, row: int) -> Learned:
+        """Label the interval, compare with what the residual says, then learn."""
         start = time.thread_time()
         labels = compute_labels(
             interval, self.header.vehicle, self.header.features, self.header.region, horizon=self.header.horizon
         )
+        labels = replace(labels, row=labels.row + row)
         accepted = bool(labels.inside(self.header.grid).accepted[0])
         predicted = self.residual.along(labels.z[:1]).mean[0] if accepted else np.zeros(3)
-        updates = self._update(labels, now)
+        updates = self._update(labels)
         label = labels.y[0] if accepted else None
         return Learned(label, predicted, updates, time.thread_time() - start)
 
     @abstractmethod
-    def _update(self, labels: Labels, now: float) -> int:
+    def _update(self, labels: Labels) -> int:
         """Learn the labels; return how many updates that made."""
 
 
-class NoLearner(_Labelled):
+class NoLearner(LabellingLearner):
     """Learns nothing; its residual is none, or that of a fixed predictor.
 
     Parameters
@@ -116,14 +118,11 @@ class NoLearner(_Labelled):
     def __init__(self, header: TrainingSet, predictor: Predictor | None = None) -> None:
         super().__init__(header)
         self.residual = NoResidual() if predictor is None else PredictorResidual(predictor)
-        self.labels: list[Labels] = []
 
     def begin_lap(self, name: str, start_time: float) -> None:
-        """Forget the labels of the lap before."""
-        self.labels = []
+        """Do nothing: no set grows."""
 
-    def _update(self, labels: Labels, now: float) -> int:
-        self.labels.append(labels)
+    def _update(self, labels: Labels) -> int:
         return 0
 
     def end_lap(self, duration: float) -> TrainingSet | None:
@@ -131,7 +130,7 @@ class NoLearner(_Labelled):
         return None
 
 
-class SplitLearner(_Labelled):
+class SplitLearner(LabellingLearner):
     """Every interval is offered to its cell, and the committee follows at once.
 
     Parameters
@@ -160,7 +159,7 @@ class SplitLearner(_Labelled):
         """Begin a source of the set."""
         self.online.begin_drive(name, start_time)
 
-    def _update(self, labels: Labels, now: float) -> int:
+    def _update(self, labels: Labels) -> int:
         change = self.online.offer(labels)
         self.committee.update(change.changed)
         return change.updates

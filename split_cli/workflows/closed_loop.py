@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,11 +11,11 @@ from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate
 from split_cli.plant import _compiled
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.dynamics import Surroundings, advance
-from split_cli.plant.sensors import ChannelSpec, sensors_of
+from split_cli.plant.sensors import ChannelSpec, Reading, sensors_of
 from split_cli.plant.simulation import initial_state
 from split_cli.plant.tracks import Track
 
-__all__ = ["SAMPLE_PERIOD", "World", "body_width", "path_of"]
+__all__ = ["SAMPLE_PERIOD", "World", "body_ends", "body_width", "path_of"]
 
 SAMPLE_PERIOD = 0.01
 """Of the drive that is recorded, and of the ramps that lead commands from one value to the next [s]."""
@@ -29,6 +29,14 @@ _BODY_OVER_TRACK = 1.15
 def body_width(car: CarParameters) -> float:
     """Return the width of a car's body [m], from the wider of its tracks."""
     return _BODY_OVER_TRACK * max(car.track_front, car.track_rear)
+
+
+def body_ends(car: CarParameters) -> tuple[float, float]:
+    """Return how far a car's bumpers are ahead of and behind its CG [m].
+
+    Overhangs of 0.33 and 0.36 of the wheelbase, as of a saloon; no car of the plant has a body of its own.
+    """
+    return car.cg_to_front_axle + 0.33 * car.wheelbase, car.cg_to_rear_axle + 0.36 * car.wheelbase
 
 
 def path_of(track: Track) -> Path:
@@ -132,6 +140,18 @@ class World:
             name, columns, np.zeros(len(rows), dtype=np.int32), SAMPLE_PERIOD,
             DriveMetadata(kinds=kinds, conversions=(origin,), noise=noise),
         )  # fmt: skip
+
+    def readings(self, drive: Drive) -> tuple[Reading, ...]:
+        """Return a drive as what its devices reported, one clock for all, for a log of messages."""
+        found = []
+        for sensor in sensors_of(self.car.name):
+            if sensor.name in ("state", "inertial", "command"):
+                channels = {name: spec for name, spec in sensor.channels.items() if name in drive}
+                even = replace(sensor, rate=1.0 / SAMPLE_PERIOD, channels=channels)
+                clock = drive["t"] - drive["t"][0]
+                arrival = clock + sensor.latency
+                found.append(Reading(even, clock, arrival, {name: drive[name] for name in channels}))
+        return tuple(found)
 
     @property
     def spun(self) -> bool:

@@ -8,13 +8,14 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from split_cli.control.iol_learner import IolLearner
 from split_cli.control.learner import Learner, NoLearner, SplitLearner, learning_region
 from split_cli.control.model import ControlModel
 from split_cli.control.mpcc import Mpcc, MpccSettings
 from split_cli.control.path import Path, check_path, contour_and_lag, read_centerline
 from split_cli.control.receding import Actuators, ControllerLost, StepInfo
 from split_cli.errors import SetError, SplitError
-from split_cli.files import sha256_of_file
+from split_cli.files import refuse_overwriting_inputs, refuse_what_cannot_be_written
 from split_cli.learning.cells import empty_set, warm_up
 from split_cli.learning.features import parse_features
 from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fit_kernel, scatter_variance
@@ -25,11 +26,12 @@ from split_cli.learning.region import build_grid
 from split_cli.learning.training_set import TrainingSet, read_set, write_set
 from split_cli.logs.drive import Drive, write_drive
 from split_cli.plant.cars import find_car
+from split_cli.plant.recording import write_mcap
 from split_cli.plant.tracks import TRACK_NAMES, find_track
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
-from split_cli.workflows.closed_loop import SAMPLE_PERIOD, World, body_width, path_of
+from split_cli.workflows.closed_loop import World, body_width, path_of
 
-__all__ = ["Lap", "RaceResult", "RaceSettings", "run_race"]
+__all__ = ["Lap", "RaceResult", "RaceSettings", "check_trusted", "run_race"]
 
 LEARNERS = ("none", "iol", "split")
 _GRAVITY = 9.80665
@@ -67,6 +69,8 @@ class RaceSettings:
         ``fit`` (to lap 0), ``default``, or a kernel's YAML.
     width : float or None
         Of the car's body [m].
+    printed_iol : bool
+        Count updates of the dictionary as costly as the papers print them; see `IolLearner`.
     tightening : float
         Standard deviations by which the borders are moved in [1].
     settings : MpccSettings
@@ -86,6 +90,7 @@ class RaceSettings:
     features: str = "z2"
     hyperparameters: str = "fit"
     width: float | None = None
+    printed_iol: bool = True
     tightening: float = 0.0
     settings: MpccSettings = MpccSettings()
 
@@ -174,6 +179,10 @@ class RaceResult:
     notes: tuple[str, ...]
     traces: tuple[np.ndarray, ...] = ()
 
+    def summary(self) -> RaceResult:
+        """Return the result without its traces."""
+        return replace(self, traces=())
+
 
 def run_race(
     settings: RaceSettings,
@@ -190,6 +199,10 @@ def run_race(
     SplitError
         If an input is at fault or the start is infeasible; nothing is driven then.
     """
+    for path in (output, set_output):
+        if path is not None:
+            refuse_overwriting_inputs(path, (vehicle_path, settings.start_set or vehicle_path))
+            refuse_what_cannot_be_written(path)
     race = _Race(settings, read_vehicle(vehicle_path), set_output, progress or (lambda text: None))
     race.begin()
     race.run()
@@ -223,7 +236,7 @@ class _Race:
         self.start_set = None
         if settings.start_set is not None:
             self.start_set = read_set(settings.start_set)
-            _check_set(self.start_set, vehicle, self.mpcc.step, settings.start_set)
+            check_trusted(self.start_set, vehicle, settings.start_set)
         self.notes: list[str] = []
         self.laps: list[Lap] = []
         self.traces: list[np.ndarray] = []
@@ -274,7 +287,7 @@ class _Race:
     def _learner(self, training_set: TrainingSet) -> Learner:
         if self.settings.learner == "split":
             return SplitLearner(training_set)
-        raise SplitError(f"the learner {self.settings.learner!r} is not there", where="--learner")
+        return IolLearner(training_set, printed=self.settings.printed_iol)
 
     def run(self) -> None:
         """Drive the run-up, lap 0 where nothing is known, and the laps."""
@@ -397,14 +410,20 @@ class _Race:
         world.drive(applied, h)
         self.rates = following
         if record is not None:
-            record.learned.append(self.learner.learn(world.recording(first, name=f"lap {record.number}"), world.t))
+            interval = world.recording(first, name=f"lap {record.number}")
+            record.learned.append(self.learner.learn(interval, first - record.first))
         return info
 
     def write(self, output: FilePath) -> None:
-        """Write the laps as one drive, the run-up left out."""
-        spans = [self._spans[lap.number] for lap in self.laps]
-        if spans:
-            write_drive(self.world.recording(spans[0][0], spans[-1][1], output.name), output)
+        """Write the laps as one drive, the run-up left out: Parquet, or MCAP as a logger would."""
+        if not self.laps:
+            return
+        first, last = self._spans[self.laps[0].number][0], self._spans[self.laps[-1].number][1]
+        drive = self.world.recording(first, last, output.name)
+        if output.suffix.lower() == ".mcap":
+            write_mcap(self.world.readings(drive), output)
+        else:
+            write_drive(drive, output)
 
     def result(self, output) -> RaceResult:
         """Return what was driven."""
@@ -433,11 +452,10 @@ class _Tally:
         self.trace.append((world.t, s, *world.exact, *world.truth[-1][7:9], race.contour))
 
     def lap(self, race: _Race, time: float | None) -> Lap:
-        first, rows = self.first, np.array(race.world.truth[self.first :])
+        rows = np.array(race.world.truth[self.first :])
         pairs = [(entry.label, entry.predicted) for entry in self.learned if entry.label is not None]
         y = np.array([label for label, _ in pairs]).reshape(-1, 3)
         left = y - np.array([predicted for _, predicted in pairs]).reshape(-1, 3)
-        del first
         return Lap(
             number=self.number, time=time, mean_speed=float(np.hypot(rows[:, 4], rows[:, 5]).mean()),
             max_lateral=float(np.abs(rows[:, 8]).max()) / _GRAVITY,
@@ -466,8 +484,14 @@ def _track(name: str) -> Path:
     return path_of(find_track(name))
 
 
-def _check_set(training_set: TrainingSet, vehicle: Vehicle, step: float, where) -> None:
-    """Refuse a set that this controller cannot trust."""
+def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | FilePath) -> None:
+    """Refuse a set that a controller cannot trust.
+
+    Raises
+    ------
+    SetError
+        If it is of another vehicle, holds plain differences, or labels beyond what any model gets wrong.
+    """
     if training_set.vehicle.digest() != vehicle.digest():
         raise SetError(
             f"was trained for another vehicle ({training_set.vehicle.name}) than {vehicle.name}", where=str(where),
@@ -488,4 +512,3 @@ def _check_set(training_set: TrainingSet, vehicle: Vehicle, step: float, where) 
         )  # fmt: skip
 
 
-_ = (sha256_of_file, SAMPLE_PERIOD)

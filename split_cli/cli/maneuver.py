@@ -1,0 +1,85 @@
+"""`split maneuver`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from split_cli.cli.options import (
+    existing_file,
+    json_option,
+    output_option,
+    print_json,
+    print_table,
+    vehicle_option,
+)
+
+__all__ = ["command"]
+
+
+@click.command("maneuver")
+@click.argument("scenario")
+@vehicle_option()
+@click.option("--start-set", type=existing_file, metavar="FILE", help="A trained set; else nominal.")
+@click.option("--predictor", default="bcm", show_default=True, help="Evaluates the set.")
+@click.option("--car", default="road_car", show_default=True, help="road_car, f1tenth_car or formula_car.")
+@click.option(
+    "--speed",
+    "speeds",
+    type=float,
+    multiple=True,
+    metavar="M/S",
+    help="Entry speed; repeat for a sweep  [default: 14, 10 and 14 m/s of the three].",
+)
+@click.option("--grip", type=float, default=1.0, show_default=True, help="Of the road: 1 dry, 0.5 wet.")
+@click.option("--p-ellipse", type=float, default=0.95, show_default=True, help="Share of the axles' peak allowed.")
+@click.option("--p-long", type=float, default=0.9, show_default=True, help="Weight of braking force in it.")
+@click.option("--max-torque", type=float, metavar="NM", help="Cap of driving torque  [default: the vehicle's].")
+@click.option("--width", type=float, metavar="M", help="Of the car's body  [default: 1.15 of its track].")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
+@click.option("--exact-sensors", is_flag=True, help="No noise.")
+@click.option("--no-delay", is_flag=True, help="Commands take effect at once, not one interval later.")
+@click.option(
+    "--set",
+    "set_output",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Learn the first run into a new set, and write it.",
+)
+@output_option("First run's drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
+@json_option
+def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **options) -> None:
+    """Drive SCENARIO between cones: iso3888-1, iso3888-2 or brake-avoid.
+
+    Tracking MPC with the vehicle's nominal model, or with a trained set added. Lanes follow from the car's width
+    as in ISO 3888; a cone counts as hit when the body touches it.
+
+    \b
+    Example:
+      split maneuver iso3888-1 --vehicle road_car.yaml -o run1.parquet --set run1.split
+      split maneuver iso3888-1 --vehicle road_car.yaml --start-set run1.split --speed 16 --speed 17 --grip 0.5
+    """
+    from split_cli.workflows.maneuver import ManeuverSettings, run_maneuvers
+
+    settings = ManeuverSettings(scenario=scenario, delay=not no_delay, **options)
+    result = run_maneuvers(
+        settings, vehicle_path, output=output, set_output=set_output,
+        progress=lambda text: click.echo(f"maneuver: {text}", err=True),
+    )  # fmt: skip
+    if as_json:
+        print_json(result.summary())
+        return
+    click.echo(f"{result.scenario}, grip {result.grip:g}, car {result.width:.2f} m wide, {result.model}")
+    header = ["speed m/s", "entered", "left", "cones hit", "deviation m", "|ay| m/s^2", "failures", "ended"]
+    rows = [
+        [run.speed, run.entered, run.left, run.hit, run.deviation, run.max_lateral, run.failures, run.ended or "-"]
+        for run in result.runs
+    ]
+    print_table(header, rows)
+    if len(result.runs) > 1:
+        best = result.highest_passed
+        click.echo(f"highest speed without a cone: {'none' if best is None else f'{best:g} m/s'}")
+    written = [path for path in (result.output, result.set_path) if path]
+    if written:
+        click.echo(f"written: {', '.join(written)}")

@@ -1,0 +1,317 @@
+"""Manoeuvres between cones in closed loop, with the nominal model or with a trained set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from split_cli.control.learner import learning_region
+from split_cli.control.limits import Limits
+from split_cli.control.model import ControlModel
+from split_cli.control.mpc import Mpc, MpcSettings, SpeedController
+from split_cli.control.path import contour_and_lag
+from split_cli.control.receding import Actuators, ControllerLost
+from split_cli.control.residual import NoResidual, PredictorResidual, Residual
+from split_cli.control.scenarios import Scenario, build_scenario, cones_hit
+from split_cli.errors import SplitError
+from split_cli.files import refuse_overwriting_inputs, refuse_what_cannot_be_written
+from split_cli.learning.cells import learn
+from split_cli.learning.features import Z2
+from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fit_kernel, scatter_variance
+from split_cli.learning.labels import compute_labels
+from split_cli.learning.region import build_grid
+from split_cli.learning.training_set import read_set, write_set
+from split_cli.logs.drive import write_drive
+from split_cli.plant.cars import CarParameters, find_car
+from split_cli.plant.recording import write_mcap
+from split_cli.prediction import make_predictor
+from split_cli.vehicle.parameters import Vehicle, read_vehicle
+from split_cli.workflows.closed_loop import World, body_ends, body_width
+from split_cli.workflows.race import check_trusted
+
+__all__ = ["ManeuverResult", "ManeuverRun", "ManeuverSettings", "run_maneuvers"]
+
+
+@dataclass(frozen=True)
+class ManeuverSettings:
+    """What to drive.
+
+    Attributes
+    ----------
+    scenario : str
+    car : str
+    start_set : path or None
+        A trained set; the nominal model alone without one.
+    predictor : str
+        Evaluates the set.
+    speeds : tuple of float
+        Entry speeds [m/s]; the scenario's own when empty.
+    grip : float
+        Friction of the road [1].
+    seed : int
+    exact_sensors, delay : bool
+        As of a race.
+    width : float or None
+        Of the car's body [m].
+    max_torque : float or None
+        [N m]
+    p_long, p_ellipse : float
+        Of the controller's limits [1].
+    """
+
+    scenario: str = "iso3888-1"
+    car: str = "road_car"
+    start_set: str | FilePath | None = None
+    predictor: str = "bcm"
+    speeds: tuple[float, ...] = ()
+    grip: float = 1.0
+    seed: int = 0
+    exact_sensors: bool = False
+    delay: bool = True
+    width: float | None = None
+    max_torque: float | None = None
+    p_long: float = 0.9
+    p_ellipse: float = 0.95
+
+
+@dataclass(frozen=True)
+class ManeuverRun:
+    """One entry speed.
+
+    Attributes
+    ----------
+    speed : float
+        Asked for [m/s].
+    entered, left : float
+        Speed at the first cone and at the end [m/s].
+    cones, hit : int
+        How many there are, and how many the car touched.
+    deviation : float
+        Largest distance of the CG from the line within the manoeuvre [m].
+    max_lateral : float
+        [m/s^2]
+    solver_ms : tuple of float
+        Median, 99 % and worst of HPIPM [ms].
+    failures : int
+        Programmes without a solution.
+    ended : str
+        Why the manoeuvre was not finished; empty when it was.
+    trace : ndarray
+        A row a sample: t, X, Y, yaw, v_x, v_y, r, a_x, a_y, T, delta.
+    hit_at : ndarray, shape (hit, 2)
+        Cones that were touched [m].
+    """
+
+    speed: float
+    entered: float
+    left: float
+    cones: int
+    hit: int
+    deviation: float
+    max_lateral: float
+    solver_ms: tuple[float, ...]
+    failures: int
+    ended: str
+    trace: np.ndarray
+    hit_at: np.ndarray
+
+    @property
+    def passed(self) -> bool:
+        """Whether it was finished without a cone."""
+        return not self.ended and self.hit == 0
+
+
+@dataclass(frozen=True)
+class ManeuverResult:
+    """All entry speeds.
+
+    Attributes
+    ----------
+    scenario, car, vehicle, model : str
+    grip : float
+    width : float
+        [m]
+    runs : tuple of ManeuverRun
+    highest_passed : float or None
+        Highest speed up to which every run passed [m/s].
+    output, set_path : str or None
+    """
+
+    scenario: str
+    car: str
+    vehicle: str
+    model: str
+    grip: float
+    width: float
+    runs: tuple[ManeuverRun, ...]
+    highest_passed: float | None
+    output: str | None = None
+    set_path: str | None = None
+
+    def summary(self) -> ManeuverResult:
+        """Return the result without its traces."""
+        nothing = np.empty(0)
+        return replace(self, runs=tuple(replace(run, trace=nothing) for run in self.runs))
+
+
+def run_maneuvers(
+    settings: ManeuverSettings,
+    vehicle_path: str | FilePath,
+    *,
+    output: str | FilePath | None = None,
+    set_output: str | FilePath | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> ManeuverResult:
+    """Drive a manoeuvre at each entry speed; write the first drive, and a set learned from it.
+
+    Raises
+    ------
+    SplitError
+        If an input is at fault or the start is infeasible.
+    """
+    say = progress or (lambda text: None)
+    for path in (output, set_output):
+        if path is not None:
+            refuse_overwriting_inputs(path, (vehicle_path, settings.start_set or vehicle_path))
+            refuse_what_cannot_be_written(path)
+    if not 0.0 < settings.grip < 10.0:
+        raise SplitError(f"must be positive, got {settings.grip:g}", where="--grip")
+    vehicle, car = read_vehicle(vehicle_path), find_car(settings.car)
+    residual, model = _residual(settings, vehicle)
+    width = settings.width or body_width(car)
+    scenarios = [build_scenario(settings.scenario, width, v) for v in settings.speeds or (None,)]
+    runs, worlds = [], []
+    for scenario in scenarios:
+        say(f"{scenario.name} at {scenario.entry_speed:g} m/s")
+        run = _Run(settings, scenario, vehicle, car, residual, width)
+        runs.append(run.drive())
+        worlds.append(run.world)
+    if output is not None:
+        _write(worlds[0], FilePath(output))
+    if set_output is not None:
+        _learn(worlds[0], vehicle, scenarios[0].step, set_output)
+    return ManeuverResult(
+        scenario=settings.scenario, car=car.name, vehicle=vehicle.name, model=model, grip=settings.grip,
+        width=width, runs=tuple(runs), highest_passed=_highest(runs),
+        output=None if output is None else str(output), set_path=None if set_output is None else str(set_output),
+    )  # fmt: skip
+
+
+def _highest(runs: Sequence[ManeuverRun]) -> float | None:
+    """Return the highest speed below the first that failed."""
+    best = None
+    for run in sorted(runs, key=lambda run: run.speed):
+        if not run.passed:
+            break
+        best = run.speed
+    return best
+
+
+def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Residual, str]:
+    if settings.start_set is None:
+        return NoResidual(), "nominal"
+    training_set = read_set(settings.start_set)
+    check_trusted(training_set, vehicle, settings.start_set)
+    return PredictorResidual(make_predictor(settings.predictor, training_set)), f"set ({settings.predictor})"
+
+
+def _write(world: World, output: FilePath) -> None:
+    drive = world.recording(name=output.name)
+    if output.suffix.lower() == ".mcap":
+        write_mcap(world.readings(drive), output)
+    else:
+        write_drive(drive, output)
+
+
+def _learn(world: World, vehicle: Vehicle, step: float, output: str | FilePath) -> None:
+    """Learn one run into a new set, its kernel fitted to the same run."""
+    limits = Limits()
+    region = learning_region(vehicle, limits.alpha_max, limits.dalpha_max, limits.p_long)
+    labels = compute_labels(world.recording(name="maneuver"), vehicle, Z2, region, horizon=step)
+    good = labels.accepted
+    if not good.any():
+        raise SplitError("the run holds no valid label to learn", where=str(output))
+    grid = build_grid(Z2, vehicle, region)
+    kernel = default_kernel(grid, labels.y[good], scatter_variance(labels))
+    if np.count_nonzero(good) >= FEWEST_TO_FIT:
+        kernel = fit_kernel(labels.z[good], labels.y[good], grid, kernel).kernel
+    write_set(learn([labels], vehicle=vehicle, grid=grid, kernel=kernel), output)
+
+
+class _Run:
+    """One manoeuvre at one speed."""
+
+    def __init__(
+        self, settings: ManeuverSettings, scenario: Scenario, vehicle: Vehicle, car: CarParameters,
+        residual: Residual, width: float,
+    ) -> None:  # fmt: skip
+        self.settings, self.scenario, self.car, self.width = settings, scenario, car, width
+        self.world = World(
+            car, scenario.path, scenario.entry_speed, 0.0, settings.grip,
+            None if settings.exact_sensors else settings.seed,
+        )  # fmt: skip
+        self.model = ControlModel(vehicle, residual, scenario.step)
+        torque = min(settings.max_torque or vehicle.max_torque, vehicle.max_torque)
+        self.actuators = Actuators(torque, vehicle.max_brake_torque, steer_rate=car.steer_rate)
+        mpc = MpcSettings(
+            horizon=scenario.horizon, step=scenario.step, steering_alone=scenario.steering_alone,
+            limits=Limits(p_long=settings.p_long, p_ellipse=settings.p_ellipse),
+        )  # fmt: skip
+        self.controller = Mpc(self.model, scenario.path, self.actuators, mpc, width, scenario.speed)
+        self.speed = SpeedController(scenario.entry_speed, vehicle.mass, vehicle.wheel_radius)
+
+    def drive(self) -> ManeuverRun:
+        """Drive to the end, or to where it is lost."""
+        world, h, controller = self.world, self.scenario.step, self.controller
+        memory = self.model.steady_states(world.measured)[8:]
+        controller.begin(np.concatenate([world.measured, memory]), 0.0)
+        rates, infos, ended = controller.plan.u[0, :2].copy(), [], ""
+        deadline = 3.0 * self.scenario.finish / self.scenario.exit_speed + 5.0
+        while world.exact[0] < self.scenario.path.x[0] + self.scenario.finish:
+            now = np.concatenate([world.measured, memory])
+            if self.scenario.steering_alone:
+                torque = self.speed.torque(now[3], h, self.actuators)
+                most = self.actuators.torque_rate
+                rates[0] = np.clip((torque - now[6]) / h, -most, most)
+            ahead = self.model.linearize(now[None], rates[None]).following[0] if self.settings.delay else now
+            try:
+                following, info = controller.step(ahead)
+            except ControllerLost as error:
+                ended = str(error)
+                break
+            infos.append(info)
+            applied = rates if self.settings.delay else np.array([rates[0], following[1]])
+            if self.model.memory:
+                memory = self.model.linearize(now[None], applied[None]).following[0][8:]
+            world.drive(applied, h)
+            rates = following
+            if world.spun:
+                ended = "the car spun"
+                break
+            if world.t > deadline:
+                ended = "the manoeuvre took too long"
+                break
+        return self._result(infos, ended)
+
+    def _result(self, infos: list, ended: str) -> ManeuverRun:
+        truth, scenario = np.array(self.world.truth), self.scenario
+        x, y, yaw = truth[:, 1], truth[:, 2], truth[:, 3]
+        front, rear = body_ends(self.car)
+        hit = cones_hit(scenario.cones, x, y, yaw, front, rear, self.width)
+        inside = (x >= 0.0) & (x <= scenario.lanes[-1].end)
+        s, contour = 0.0, []
+        for xi, yi in zip(x[inside], y[inside], strict=True):
+            s = scenario.path.project(xi, yi, s or scenario.path.nearest(xi, yi))
+            contour.append(contour_and_lag(scenario.path.at(np.array([s])), np.array([xi]), np.array([yi]))[0][0])
+        entered = truth[np.argmax(x >= 0.0), 4] if (x >= 0.0).any() else float("nan")
+        seconds = [info.solver_seconds for info in infos] or [0.0]
+        return ManeuverRun(
+            speed=scenario.entry_speed, entered=float(entered), left=float(truth[-1, 4]),
+            cones=len(scenario.cones), hit=int(hit.sum()), deviation=float(np.abs(contour).max(initial=0.0)),
+            max_lateral=float(np.abs(truth[:, 8]).max()),
+            solver_ms=tuple((1e3 * np.quantile(seconds, [0.5, 0.99, 1.0])).tolist()),
+            failures=sum(not info.solved for info in infos), ended=ended, trace=truth, hit_at=scenario.cones[hit],
+        )  # fmt: skip

@@ -1,0 +1,112 @@
+"""A short manoeuvre and a short lap on the plant, and races that are refused before they begin."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from split_cli.cli.main import group
+from split_cli.control.scenarios import CONE_RADIUS, build_scenario, cones_hit
+from split_cli.errors import SplitError
+from split_cli.learning.training_set import read_set
+from split_cli.logs.drive import read_drive
+from split_cli.workflows.race import RaceSettings, run_race
+
+ROOT = Path(__file__).resolve().parents[2]
+CAR = str(ROOT / "sample_logs" / "road_car.yaml")
+
+
+def ring(folder: Path, radius_x: float = 28.0, radius_y: float = 14.0, half_width: float = 4.0) -> Path:
+    angle = np.arange(80) * 2 * np.pi / 80
+    rows = [f"{radius_x * np.cos(a):.3f},{radius_y * np.sin(a):.3f},{half_width},{half_width}" for a in angle]
+    file = folder / "ring.csv"
+    file.write_text("# x_m,y_m,w_tr_right_m,w_tr_left_m\n" + "\n".join(rows))
+    return file
+
+
+def invoke(*arguments: str):
+    return CliRunner().invoke(group, list(arguments))
+
+
+def test_two_laps_of_a_ring_are_driven_learned_and_written(tmp_path):
+    drive, trained = tmp_path / "ring.parquet", tmp_path / "ring.split"
+    done = invoke(
+        "race", "--vehicle", CAR, "--track", str(ring(tmp_path)), "--laps", "1", "--max-speed", "14",
+        "--p-ellipse", "0.85", "-o", str(drive), "--set", str(trained), "--json",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    nominal, learned = result["laps"]
+    for lap in (nominal, learned):
+        assert not lap["ended"] and lap["outside"] == 0.0 and lap["failures"] == 0
+        # The lap's length over its time is its speed, as far as the car keeps to the middle of the road.
+        assert lap["time"] == pytest.approx(result["length"] / lap["mean_speed"], rel=0.15)
+    assert nominal["updates"] == 0 and nominal["error_before"] == nominal["error_after"]
+    assert learned["updates"] >= learned["size"] > 20
+    kept = read_set(trained)
+    assert (kept.size, kept.cell_count) == (learned["size"], learned["cells"])
+    recorded = read_drive(drive)
+    assert recorded["t"][-1] - recorded["t"][0] == pytest.approx(nominal["time"] + learned["time"], abs=0.2)
+    assert invoke("info", str(trained)).exit_code == 0
+
+
+def test_a_lane_change_is_driven_between_its_cones(tmp_path):
+    done = invoke("maneuver", "iso3888-2", "--vehicle", CAR, "-o", str(tmp_path / "run.mcap"), "--json")
+    assert done.exit_code == 0, done.output
+    (run,) = json.loads(done.stdout)["runs"]
+    assert run["hit"] == 0 and not run["ended"] and run["failures"] == 0
+    assert run["entered"] == pytest.approx(10.0, abs=0.3)
+    assert run["deviation"] < 0.4
+    assert (tmp_path / "run.mcap").stat().st_size > 10_000
+
+
+def test_lanes_are_those_of_the_papers_table_at_its_width():
+    first, second = build_scenario("iso3888-1", 1.6), build_scenario("iso3888-2", 1.6)
+    assert [lane.width for lane in first.lanes] == pytest.approx([2.01, 2.17, 2.33])
+    assert [lane.width for lane in second.lanes] == pytest.approx([2.01, 2.60, 3.00])
+    assert first.lanes[1].right - first.lanes[0].right == pytest.approx(3.5)
+    assert second.lanes[1].right - second.lanes[0].right == pytest.approx(3.01)
+    brake = build_scenario("brake-avoid", 1.6)
+    speeds = brake.speed(np.array([0.0, brake.brake_begin, brake.brake_end, 90.0]))
+    assert speeds == pytest.approx([14.0, 14.0, 5.0, 5.0])
+
+
+def test_a_cone_is_hit_when_the_body_reaches_it():
+    cones = np.array([[5.0, 1.0 + CONE_RADIUS], [5.0, -1.2 - CONE_RADIUS], [20.0, 0.0]])
+    x = np.linspace(0.0, 12.0, 200)
+    still = np.zeros_like(x)
+    # A car 2 m wide passes along its border without touching; turned a little its corner does.
+    assert not cones_hit(cones, x, still, still, 2.0, 2.0, 2.0).any()
+    assert cones_hit(cones, x, still, still + 0.02, 2.0, 2.0, 2.0).tolist() == [True, False, False]
+    assert cones_hit(cones, x + 6.5, still, still, 2.0, 2.0, 2.0).tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"track": "nowhere"}, "no track"),
+        ({"learner": "guess"}, "no learner"),
+        ({"laps": -1}, "number of laps"),
+        ({"grip": 0.0}, "positive"),
+        ({"track": "small", "width": 9.0}, "wide at"),
+    ],
+)
+def test_what_cannot_be_driven_is_refused_before_the_first_step(options, says):
+    with pytest.raises(SplitError, match=says):
+        run_race(RaceSettings(**options), CAR)
+
+
+def test_a_set_of_another_vehicle_is_refused(tmp_path):
+    trained = tmp_path / "other.split"
+    other = str(ROOT / "sample_logs" / "formula_car.yaml")
+    log = str(ROOT / "sample_logs" / "road_car_tests.parquet")
+    done = invoke("train", log, "--vehicle", other, "--hyperparameters", "default", "-o", str(trained))
+    assert done.exit_code == 0, done.output
+    for command in (["race"], ["maneuver", "iso3888-1"]):
+        refused = invoke(*command, "--vehicle", CAR, "--start-set", str(trained))
+        with pytest.raises(SplitError, match="another vehicle"):
+            raise refused.exception

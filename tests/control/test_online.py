@@ -1,0 +1,104 @@
+"""Learning interval by interval is learning the drive; the committee that follows is the committee."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.control.iol_learner import DictionaryResidual, IolLearner
+from split_cli.control.learner import SplitLearner, learning_region
+from split_cli.control.residual import PredictorResidual
+from split_cli.learning.cells import empty_set, extend
+from split_cli.learning.features import Z2
+from split_cli.learning.iol import Dictionary
+from split_cli.learning.kernel import Kernel
+from split_cli.learning.labels import compute_labels
+from split_cli.learning.region import z2_grid
+from split_cli.prediction.bcm import BcmPredictor
+from split_cli.prediction.full import FullPredictor
+from tests.factories import MissingForce, make_drive, road_car
+
+PERIOD, WINDOW = 0.01, 5
+
+
+@pytest.fixture(scope="module")
+def drive():
+    terms = (MissingForce({"front_grip_loss": 0.1}),)
+    return make_drive(2, segments=1, seconds=30.0, period=PERIOD, terms=terms)
+
+
+@pytest.fixture(scope="module")
+def empty():
+    car = road_car()
+    region = learning_region(car, 0.18, 0.10, 0.9)
+    grid = z2_grid(car, region)
+    kernel = Kernel(2 * np.array(grid.edges), np.array([0.1, 0.5, 0.3]), np.array([0.01, 0.02, 0.01]))
+    return empty_set(car, Z2, region, grid, kernel, horizon=WINDOW * PERIOD)
+
+
+def driven(learner, drive):
+    learner.begin_lap("lap", float(drive["t"][0]))
+    for first in range(0, len(drive) - WINDOW, WINDOW):
+        learner.learn(drive.select(slice(first, first + WINDOW + 1)), first)
+    return learner.end_lap(float(drive["t"][-1] - drive["t"][0]))
+
+
+def test_a_lap_learned_online_is_the_lap_learned_from_its_drive(drive, empty):
+    online = driven(SplitLearner(empty), drive)
+    labels = compute_labels(drive, empty.vehicle, Z2, empty.region, horizon=empty.horizon)
+    offline = extend(empty, [labels])
+    assert online.size == offline.size > 50
+    for name in ("cell_numbers", "offsets", "z", "gamma", "t", "row"):
+        assert np.array_equal(getattr(online, name), getattr(offline, name)), name
+    # Labels of windows computed one by one and together are summed in another order.
+    assert online.y == pytest.approx(offline.y, abs=1e-9)
+    ours, theirs = online.sources[-1], offline.sources[-1]
+    assert (ours.accepted, ours.insertions, ours.replacements) == (
+        theirs.accepted, theirs.insertions, theirs.replacements
+    )  # fmt: skip
+
+
+def test_the_committee_that_follows_updates_is_the_committee(drive, empty):
+    learner = SplitLearner(empty)
+    trained = driven(learner, drive)
+    rng = np.random.default_rng(1)
+    z = trained.z[rng.integers(0, trained.size, 200)] + rng.normal(0, 0.01, (200, 3))
+    found = learner.residual.along(z)
+    reference = BcmPredictor(trained)
+    # Cells beyond the distance at which a kernel entry is 1e-6 are left out; their weights are a few deviations.
+    expected = reference.predict(z)
+    assert found.mean == pytest.approx(expected.mean, abs=1e-4)
+    assert found.variance == pytest.approx(expected.variance, rel=1e-3)
+    undamped = PredictorResidual(reference, damped=False).along(z)
+    damped = PredictorResidual(reference).along(z)
+    assert found.slope == pytest.approx(damped.slope, abs=2e-2)
+    assert (np.abs(damped.slope) <= np.abs(undamped.slope) + 1e-12).all()
+
+
+def test_the_dictionary_in_the_loop_is_the_dense_process(drive, empty):
+    learner = IolLearner(empty, printed=False)
+    trained = driven(learner, drive)
+    assert 20 < trained.size <= 400
+    learner.residual.refresh()
+    assert learner.size == trained.size
+    z = trained.z[:50] + 0.003
+    found, expected = learner.residual.along(z), FullPredictor(trained).predict(z)
+    assert found.mean == pytest.approx(expected.mean, abs=1e-6)
+    assert found.variance == pytest.approx(expected.variance, abs=1e-6)
+    step = 1e-6
+    ahead = DictionaryResidual(learner.dictionary, empty, damped=False)
+    for feature in range(3):
+        move = np.zeros(3)
+        move[feature] = step
+        slope = (ahead.along(z + move).mean - ahead.along(z - move).mean) / (2 * step)
+        assert ahead.along(z).slope[:, :, feature] == pytest.approx(slope, abs=1e-4)
+
+
+def test_a_slow_dictionary_skips_what_comes_while_it_works(drive, empty):
+    fast, slow = IolLearner(empty, printed=False), IolLearner(empty, printed=True)
+    slow._costs = {1: 0.5, 400: 0.5}  # half a second an update: ten intervals of 50 ms
+    everything, some = driven(fast, drive), driven(slow, drive)
+    assert slow.skipped > 200
+    # After each update nine or ten intervals pass unseen, so that 30 s hold no more than 60 updates.
+    assert some.size <= 60 < everything.size
+    assert isinstance(slow.dictionary, Dictionary)
