@@ -58,7 +58,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     show_default=True,
     callback=_list_of(str),
     metavar="LIST",
-    help="Of bcm, rbcm, grbcm, local, weights, full, fitc, iol.",
+    help="Of bcm, rbcm, grbcm, local, weights, table, full, fitc, iol.",
 )
 @click.option(
     "--protocol",

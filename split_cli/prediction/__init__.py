@@ -23,6 +23,7 @@ PREDICTORS = {
     "fitc": ("split_cli.prediction.fitc", "FitcPredictor"),
     "local": ("split_cli.prediction.local", "LocalPredictor"),
     "weights": ("split_cli.prediction.weights", "WeightsPredictor"),
+    "table": ("split_cli.prediction.table", "TablePredictor"),
     "iol": ("split_cli.prediction.iol", "IolPredictor"),
 }
 

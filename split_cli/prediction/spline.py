@@ -1,0 +1,116 @@
+"""A tricubic B-spline over a box of three features: nodes, coefficients, and zero outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_banded
+
+from split_cli.prediction import _compiled
+
+__all__ = ["Lattice", "Spline", "fit_spline", "lattice_over", "smooth_step"]
+
+#: Coefficients that are 0 on each side of an axis, so that a query beyond the box meets nothing else.
+PADDING = 3
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Nodes at whole multiples of a spacing, so that a lattice over a larger box has the same nodes.
+
+    Attributes
+    ----------
+    spacing : ndarray, shape (3,)
+        In the features' units.
+    first : ndarray of int64, shape (3,)
+        Number of the first node an axis; node n lies at n times the spacing.
+    shape : tuple of int
+        Nodes an axis.
+    """
+
+    spacing: np.ndarray
+    first: np.ndarray
+    shape: tuple[int, int, int]
+
+    @property
+    def size(self) -> int:
+        """Number of nodes."""
+        return int(np.prod(self.shape))
+
+    def axes(self) -> tuple[np.ndarray, ...]:
+        """Return the nodes' places along each axis."""
+        return tuple(
+            (first + np.arange(count)) * step
+            for first, count, step in zip(self.first, self.shape, self.spacing, strict=True)
+        )
+
+    def nodes(self) -> np.ndarray:
+        """Return all nodes, shape (size, 3), last axis fastest."""
+        return np.stack(np.meshgrid(*self.axes(), indexing="ij"), axis=-1).reshape(-1, 3)
+
+    def around(self, lower: np.ndarray, upper: np.ndarray) -> Lattice:
+        """Return the smallest lattice of the same nodes that holds this one and the box given."""
+        own = self.first + np.array(self.shape) - 1
+        first = np.minimum(self.first, np.floor(lower / self.spacing).astype(np.int64))
+        last = np.maximum(own, np.ceil(upper / self.spacing).astype(np.int64))
+        return replace(self, first=first, shape=tuple((last - first + 1).tolist()))
+
+
+def lattice_over(lower: np.ndarray, upper: np.ndarray, spacing: np.ndarray) -> Lattice:
+    """Return the lattice over the box from `lower` to `upper`, shape (3,) each, rounded outwards."""
+    first = np.floor(lower / spacing).astype(np.int64)
+    last = np.ceil(upper / spacing).astype(np.int64)
+    return Lattice(np.asarray(spacing, dtype=float), first, tuple((last - first + 1).tolist()))
+
+
+@dataclass(frozen=True)
+class Spline:
+    """Values s(z) = sum of coefficients times products of cubic B-splines; twice continuously differentiable.
+
+    Attributes
+    ----------
+    origin : ndarray, shape (3,)
+        Place of the first coefficient.
+    spacing : ndarray, shape (3,)
+    coefficients : ndarray, shape (n0, n1, n2, W)
+        float64 or float32; the outer `PADDING` of each axis are 0, so that s is 0 outside the box.
+    """
+
+    origin: np.ndarray
+    spacing: np.ndarray
+    coefficients: np.ndarray
+
+    def value(self, z: np.ndarray) -> np.ndarray:
+        """Return the values at `z` (N, 3), shape (N, W); NaN where a query is not a number."""
+        return _compiled.spline(z, self.origin, 1.0 / self.spacing, self.coefficients, False)[0]
+
+    def value_and_slope(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return values (N, W) and their derivatives (N, W, 3)."""
+        return _compiled.spline(z, self.origin, 1.0 / self.spacing, self.coefficients, True)
+
+
+def fit_spline(lattice: Lattice, values: np.ndarray, dtype: type = np.float64) -> Spline:
+    """Return the spline that takes `values`, shape (size, W), at the nodes and is 0 beyond the padding.
+
+    Notes
+    -----
+    A cubic B-spline at a node is c_(i-1)/6 + 4 c_i/6 + c_(i+1)/6: one tridiagonal system an axis, with
+    coefficients outside the lattice 0. Interpolation of a smooth function is of fourth order in the spacing.
+    """
+    table = values.reshape(*lattice.shape, -1)
+    for axis, count in enumerate(lattice.shape):
+        bands = np.full((3, count), 1.0 / 6.0)
+        bands[1] = 4.0 / 6.0
+        lines = np.moveaxis(table, axis, 0)
+        solved = solve_banded((1, 1), bands, lines.reshape(count, -1), check_finite=False)
+        table = np.moveaxis(solved.reshape(lines.shape), 0, axis)
+    padded = np.pad(table, [(PADDING, PADDING)] * 3 + [(0, 0)]).astype(dtype)
+    origin = (lattice.first - PADDING) * lattice.spacing
+    return Spline(origin, lattice.spacing, np.ascontiguousarray(padded))
+
+
+def smooth_step(position: np.ndarray) -> np.ndarray:
+    """Return 0 below 0, 1 above 1, and between them the quintic with two derivatives 0 at both ends."""
+    x = np.clip(position, 0.0, 1.0)
+    return x * x * x * (10.0 + x * (6.0 * x - 15.0))

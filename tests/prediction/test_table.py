@@ -1,0 +1,165 @@
+"""The table against the process it is filled from, at its edges, and after updates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from split_cli.learning.cells import extend
+from split_cli.learning.kernel import Kernel
+from split_cli.prediction.full import FullPredictor
+from split_cli.prediction.projected import ProjectedProcess
+from split_cli.prediction.spline import fit_spline, lattice_over
+from split_cli.prediction.table import TablePredictor
+from tests.factories import make_labels, make_training_set, smooth_residual
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return make_training_set(3, 500, length_scale_cells=3.0, noise=0.1)
+
+
+@pytest.fixture(scope="module")
+def table(trained):
+    return TablePredictor(trained)
+
+
+def near(stored, count, seed, spread=0.5):
+    """Queries whose coordinates are within `spread` length scales of a point's."""
+    rng = np.random.default_rng(seed)
+    away = rng.uniform(-spread, spread, (count, 3)) * stored.kernel.length_scales
+    return stored.z[rng.integers(0, stored.size, count)] + away
+
+
+def test_projection_on_every_point_is_the_dense_process(trained):
+    z = near(trained, 300, 1)
+    mean, known = ProjectedProcess(trained.z, trained.y, trained.kernel).mean_and_known(z)
+    full = FullPredictor(trained).predict(z)
+    # Points of a gain below 1e-8 are left out and directions of a share below 1e-5 count as unknown.
+    np.testing.assert_allclose(mean, full.mean, atol=1e-4)
+    np.testing.assert_allclose(1.0 - known, full.variance / trained.kernel.signal_variance, atol=1e-4)
+
+
+def test_projection_on_half_the_points_is_near_and_hardly_more_certain(trained):
+    z = near(trained, 300, 2)
+    mean, known = ProjectedProcess(trained.z, trained.y, trained.kernel, most=250).mean_and_known(z)
+    full = FullPredictor(trained).predict(z)
+    left = 1.0 - full.variance / trained.kernel.signal_variance
+    # The labels of the points left out are taken for labels of their projections, which they nearly are.
+    assert (known <= left + 1e-3).all()
+    assert np.abs(mean - full.mean).max() < 0.2 * np.sqrt(trained.kernel.signal_variance.max())
+
+
+def test_a_spline_takes_the_values_at_its_nodes_and_converges_with_the_fourth_order():
+    """A function that vanishes at the edge with its derivatives, so that nothing but the spacing matters."""
+
+    def bump(z):
+        return np.exp(-0.5 * np.square(z).sum(axis=1, keepdims=True)) * np.array([1.0, -2.0])
+
+    rng = np.random.default_rng(3)
+    z = rng.uniform(-2.0, 2.0, (400, 3))
+    errors = []
+    for spacing in (1.0, 0.5, 0.25):
+        lattice = lattice_over(np.full(3, -7.0), np.full(3, 7.0), np.full(3, spacing))
+        spline = fit_spline(lattice, bump(lattice.nodes()))
+        np.testing.assert_allclose(spline.value(lattice.nodes()), bump(lattice.nodes()), atol=1e-10)
+        errors.append(np.abs(spline.value(z) - bump(z)).max())
+    # Sixteen times a halving in the limit; before it, higher orders of a Gaussian help.
+    assert errors[0] > 10.0 * errors[1] > 140.0 * errors[2]
+
+
+def test_slopes_are_derivatives_and_continuous_across_nodes():
+    rng = np.random.default_rng(4)
+    lattice = lattice_over(np.zeros(3), np.full(3, 5.0), np.array([1.0, 0.5, 0.7]))
+    spline = fit_spline(lattice, rng.normal(size=(lattice.size, 2)))
+    z = rng.uniform(-0.5, 5.5, (200, 3))
+    z[:60] = np.round(z[:60] / lattice.spacing) * lattice.spacing  # on nodes, where the pieces meet
+    slope = spline.value_and_slope(z)[1]
+    for d in range(3):
+        step = np.zeros(3)
+        step[d] = 1e-5
+        expected = (spline.value(z + step) - spline.value(z - step)) / 2e-5
+        np.testing.assert_allclose(slope[:, :, d], expected, atol=2e-4)
+
+
+def test_the_table_equals_the_dense_process_within_its_stated_bound(trained, table):
+    assert table.error.met and table.error.queries == 1000
+    z = near(trained, 600, 5)
+    full, got = FullPredictor(trained).predict(z), table.predict(z)
+    deviation = np.sqrt(trained.kernel.signal_variance)
+    error = np.abs(got.mean - full.mean) / deviation
+    # Other places than the thousand tried: the largest may be a little larger.
+    assert error.max() <= 2.0 * table.bound and np.sqrt(np.mean(error**2)) <= 0.2 * table.bound
+    assert np.abs(np.sqrt(got.variance) - np.sqrt(full.variance)).max() <= 0.02 * deviation.max()
+
+
+def test_a_tighter_bound_comes_nearer_to_the_dense_process(trained, table):
+    finer = TablePredictor(trained, bound=1e-3)
+    z, dense = near(trained, 300, 6), FullPredictor(trained)
+    errors = [np.sqrt(np.mean((t.mean(z) - dense.mean(z)) ** 2)) for t in (table, finer)]
+    assert errors[1] < 0.4 * errors[0] and finer.error.mean < table.error.mean
+
+
+def test_outside_the_box_it_is_the_prior_and_on_the_way_there_it_is_smooth(trained, table):
+    deviation = np.sqrt(trained.kernel.signal_variance)
+    line = np.linspace(0.0, 1.0, 4001)[:, None]
+    start = trained.z[np.argmax(trained.z[:, 2])]
+    path = start + line * np.array([0.0, 0.0, 6.0]) * trained.kernel.length_scales
+    got = table.predict(path)
+    assert np.array_equal(got.mean[-1], np.zeros(3))
+    np.testing.assert_allclose(got.variance[-1], deviation**2, rtol=1e-15)
+    # 0.0015 length scales a step: a cliff would show as a step of the size of the mean itself.
+    assert np.abs(np.diff(got.mean, axis=0)).max() < 0.01 * deviation.max()
+    slopes = table.jacobian(path)[:, :, 2] * trained.kernel.length_scales[2]
+    assert np.abs(np.diff(slopes, axis=0)).max() < 0.05 * deviation.max()
+    assert (got.variance <= trained.kernel.signal_variance).all() and (got.variance > 0.0).all()
+
+
+def test_queries_that_are_not_finite(trained, table):
+    z = np.array([[np.nan, 0.0, 0.0], [0.0, np.inf, 0.0], [0.0, 0.0, -np.inf], [1e300, 0.0, 0.0]])
+    got = table.predict(z)
+    assert np.isnan(got.mean[0]).all() and np.isnan(got.variance[0]).all()
+    assert np.array_equal(got.mean[1:], np.zeros((3, 3)))
+    np.testing.assert_allclose(got.variance[1:], np.tile(trained.kernel.signal_variance, (3, 1)))
+
+
+def test_single_precision_keeps_six_digits_in_half_the_memory(trained, table):
+    single = TablePredictor(trained, real="float")
+    z = near(trained, 300, 7)
+    assert single.nbytes * 2 == table.nbytes
+    scale = np.abs(table.mean(z)).max()
+    np.testing.assert_allclose(single.mean(z), table.mean(z), atol=2e-6 * scale)
+
+
+def test_an_update_fills_only_nodes_in_reach_and_equals_a_new_table():
+    """A long set in torque; the new labels lie at one end of it, so most nodes stay."""
+    stored = make_training_set(8, 400, length_scale_cells=2.0, noise=0.1)
+    kernel = Kernel(np.array([0.08, 0.08, 0.2]), stored.kernel.signal_variance, stored.kernel.noise_variance)
+    stored = extend(replace(stored, kernel=kernel, **_no_points(stored)), [_labels(stored.z, stored)])
+    rng = np.random.default_rng(9)
+    added = np.column_stack([rng.uniform(-0.03, 0.03, (20, 2)), rng.uniform(0.85, 1.0, 20)])
+    grown = extend(stored, [_labels(added, stored)])
+    table = TablePredictor(stored)
+    followed, fresh = table.updated(grown), TablePredictor(grown)
+    assert 0 < followed.rebuilt < 0.7 * fresh.rebuilt
+    z = near(grown, 400, 10)
+    deviation = np.sqrt(kernel.signal_variance)
+    changed = np.abs(table.mean(z) - fresh.mean(z)).max()
+    error = np.abs(followed.predict(z).mean - fresh.predict(z).mean) / deviation
+    assert error.max() < 4.0 * table.bound < 0.5 * (changed / deviation.min())
+    assert table.updated(stored).rebuilt == 0
+    with pytest.raises(ValueError, match="kernel"):
+        table.updated(replace(grown, kernel=Kernel(2.0 * kernel.length_scales, np.ones(3), np.ones(3))))
+
+
+def _no_points(stored):
+    arrays = ("cell_numbers", "z", "y", "gamma", "t", "source", "row")
+    empty = {name: getattr(stored, name)[:0] for name in arrays}
+    return {**empty, "offsets": np.zeros(1, dtype=np.int64), "sources": ()}
+
+
+def _labels(z, stored):
+    rng = np.random.default_rng(len(z))
+    return make_labels(z, smooth_residual(z) + 0.1 * rng.normal(size=(len(z), 3)), stored.vehicle)
