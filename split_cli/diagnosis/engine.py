@@ -80,13 +80,13 @@ def diagnose(
         Called with the name of each step.
     """
     settings, described = policy.comparison, policy.described()
-    drives, notes = clean_drives([*real, *simulated, *holdout])
+    drives, notes = clean_drives([*real, *simulated, *holdout], policy.screening)
     roles = ["real"] * len(real) + ["sim"] * len(simulated) + ["holdout"] * len(holdout)
-    reasons = [reason for drive in drives for reason in unfit(drive, vehicle)]
-    reasons = [*reasons, *notes] if reasons else idle(drives[: len(real)], vehicle)
+    reasons = [reason for drive in drives for reason in unfit(drive, vehicle, policy.screening)]
+    reasons = [*reasons, *notes] if reasons else idle(drives[: len(real)], vehicle, policy.screening)
     if reasons:
         return _undecided(reasons, 0.0, inputs, described)
-    drives = [moving(drive, vehicle) for drive in drives]
+    drives = [moving(drive, vehicle, policy.screening) for drive in drives]
     progress("smoothing")
     places, lap = places_of(drives, vehicle.wheelbase)
     series = together(
@@ -94,17 +94,17 @@ def diagnose(
         zip(drives, roles, places, strict=True),
     )
     progress("whitening")
-    case = gather_case(vehicle, series, inflation=settings.inflation, reach=settings.reach)
+    case = gather_case(vehicle, series, policy)
     reach, kept = settings.reach, _rows(case)
     if kept < settings.least_rows and case.simulated:
         reach = settings.far_reach
-        case = case.compared(reach)
+        case = case.compared(reach, policy)
         kept = _rows(case)
     share = kept / max(sum(len(one.at) for one in case.real), 1)
-    not_judged = (*notes, *judgeable(case.real, vehicle, share))
+    not_judged = (*notes, *judgeable(case.real, vehicle, share, policy))
     if reach > settings.reach:
         not_judged += (_FAR,)
-    contradictions = out_of_scale(case.kinematics, case.simulated_kinematics)
+    contradictions = out_of_scale(case.kinematics, case.simulated_kinematics, policy.screening)
     not_judged += contradictions
     if kept < settings.least_rows:
         reasons = [
@@ -114,7 +114,10 @@ def diagnose(
         ]
         return _undecided(reasons, share, inputs, described)
     candidates = tellable(
-        build_candidates(vehicle, case.real[0].series), [one.series for one in case.real], vehicle
+        build_candidates(vehicle, case.real[0].series),
+        [one.series for one in case.real],
+        vehicle,
+        policy.screening,
     )
     reading = read(case, candidates, reach=reach, policy=policy, progress=progress)
     if reading.known.ratio > policy.selection.much_misfit:
@@ -165,20 +168,20 @@ def _compare(case: Case, reading: Reading, contradictions: tuple[str, ...]) -> _
 
     A sensor that contradicts position or yaw is one, however small the rest.
     """
-    rules = reading.structure.judge.policy.abstention
+    policy = reading.structure.judge.policy
     structure, selection, usual_wander = reading.structure, reading.selection, reading.known.wander
     nameless = reading.gap
     if selection.chosen.parts and not any(selection.named):
         # Physics that has a name, and is too small to be called by it, is no difference.
         nameless = structure.fit(selection.chosen.entries, reading.inflation)
     line = strongest_line(structure.judge, selection.terms, case.simulated)
-    line = line if line is not None and line.severity > rules.severity else None
+    line = line if line is not None and line.severity > policy.abstention.severity else None
     wander = wander_of(structure, selection.chosen.entries)
     ways = [
         nameless.p_value,
         selection.first_p if any(selection.named) else 1.0,
         line.p_value if line else 1.0,
-        wander.p_value(usual_wander) if wanders(wander, usual_wander, rules) else 1.0,
+        wander.p_value(usual_wander, policy.unnamed) if wanders(wander, usual_wander, policy) else 1.0,
     ]
     p_value = 0.0 if contradictions else min(1.0, _WAYS * min(ways))
     return _Comparison(reading, line, p_value, contradictions)
@@ -192,12 +195,14 @@ def _tell(case: Case, found: _Comparison, policy: Policy) -> Diagnosis:
     forces = [gap_forces(one, (), rates) for one, rates in zip(case.real, shared, strict=True)]
     after = [gap_forces(one, selection.terms, rates) for one, rates in zip(case.real, shared, strict=True)]
     if unexplained:
-        lead = found.line.in_words() if found.line else sparse_formula(case.real, after, case.keep)
+        lead = (
+            found.line.in_words() if found.line else sparse_formula(case.real, after, case.keep, policy.reporting)
+        )
         remainder = replace(remainder, formula=lead)
-    location = locate(case.real, forces, after, case.keep)
+    location = locate(case.real, forces, after, case.keep, policy.reporting)
     split = hold_out(
         case.real, case.keep, case.holdout, case.keep_holdout, case.knowledge, case.common, case.kinematics,
-        policy.comparison.holdout_share, to_the_letter=found.reading.structure.judge.to_the_letter,
+        policy, to_the_letter=found.reading.structure.judge.to_the_letter,
     )  # fmt: skip
     chosen = selection.chosen
     trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen

@@ -16,10 +16,14 @@ __all__ = [
     "STANDARD",
     "Abstention",
     "Allowances",
+    "Believing",
     "Comparison",
     "Policy",
+    "Reporting",
+    "Screening",
     "SelectionRules",
     "SelfTestRules",
+    "Unnamed",
     "deciding_numbers",
 ]
 
@@ -301,6 +305,175 @@ class SelfTestRules:
 
 
 @dataclass(frozen=True)
+class Screening:
+    """What a drive must be before it is judged; what is left out of it."""
+
+    least_seconds: float = _number(8.0, "s", "longest run without a gap below which a drive is refused", _CHOSEN)
+    longest_period: float = _number(
+        0.1, "s", "sample period above which a drive is refused", _JUDGEMENT + "a yaw mode of 1 to 2 Hz needs ten"
+    )
+    least_fast: float = _number(
+        0.2, "1", "share of the time at a valid speed below which a drive is refused", _CHOSEN
+    )
+    valid_speed: float = _number(
+        0.6, "1", "speed over the vehicle's minimum speed from which on rows are compared", _CHOSEN
+    )
+    crawl: float = _number(
+        0.5,
+        "1",
+        "the same below which rows are left out before anything is computed",
+        _JUDGEMENT + "below the one",
+    )
+    shortest_run: float = _number(
+        0.5,
+        "s",
+        "length below which a run between crawling is left out",
+        _THEORY + "longer than a smoothing window",
+    )
+    stuck_seconds: float = _number(
+        1.0, "s", "time after which a velocity that repeats itself stands still", _CHOSEN
+    )
+    held_seconds: float = _number(3.0, "s", "the same for a steer angle, which drivers hold", _CHOSEN)
+    answer_seconds: float = _number(
+        2.0, "s", "time that a car is given to answer a step of the steer angle", _CHOSEN
+    )
+    position_gap_seconds: float = _number(
+        0.5, "s", "gap of position and yaw that is filled by straight lines", _CHOSEN
+    )
+    least_torque: float = _number(
+        0.05, "1", "range of torque over the car's largest below which it is constant", _CHOSEN
+    )
+    least_steer_ratio: float = _number(
+        0.6, "1", "steering over what the file makes of it, below which the recording is of another car", _CHOSEN
+    )
+    most_steer_ratio: float = _number(1.6, "1", "the same ratio above which it is of another car", _CHOSEN)
+    least_torque_ratio: float = _number(
+        0.5, "1", "acceleration by torque over what the file makes of it, below which it is another car", _CHOSEN
+    )
+    most_torque_ratio: float = _number(2.0, "1", "the same ratio above which it is another car", _CHOSEN)
+    least_correlation: float = _number(
+        0.7, "1", "correlation below which such a ratio is not told", _JUDGEMENT + "half the variance explained"
+    )
+    least_scale_error: float = _number(
+        0.01,
+        "1",
+        "error of a sensor's scale that is told",
+        _JUDGEMENT + "wheels wear and gyroscopes drift by less",
+    )
+    sure_scale_error: float = _number(
+        6.0, "standard errors", "size of that error from which on it is told", _CHOSEN
+    )
+
+
+@dataclass(frozen=True)
+class Believing:
+    """How far rows are believed: wheels that slip, noise of a simulation, and where motion alone compares."""
+
+    rolling_share: float = _number(
+        0.9, "1", "share of an axle's peak force asked for, from which on wheels may spin or lock", _CHOSEN
+    )
+    lost_share: float = _number(0.1, "1", "share of the force asked for that is lost while they do", _CHOSEN)
+    rolling_seconds: float = _number(0.2, "s", "time that wheels take to roll again", _CHOSEN)
+    least_rolling: float = _number(
+        0.5,
+        "1",
+        "share of the time below which the vehicle file is wrong about the tyres instead",
+        _JUDGEMENT + "no driver slips half the time",
+    )
+    cycling_seconds: float = _number(0.3, "s", "time in which a slip control goes back and forth", _CHOSEN)
+    cycling_share: float = _number(
+        0.8, "1", "share of the peak force by which a slip control goes back and forth", _CHOSEN
+    )
+    least_noise: float = _number(
+        1e-3,
+        "1",
+        "least variance that a whitened residual of a simulation is believed to have",
+        _JUDGEMENT + "no dictionary holds the physics of a real car",
+    )
+    most_noise: float = _number(5.0, "1", "largest variance of the same, beyond which nothing is known", _CHOSEN)
+    motion_share: float = _number(
+        0.7, "1", "share of the tyres' peak up to which rows that moved the same are compared", _CHOSEN
+    )
+    huber: float = _number(
+        4.0, "spreads", "whitened residual from which on a row loses weight", _JUDGEMENT + "far outside the normal"
+    )
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """Lines of the spectrum and residual autocorrelation: what is no smooth function of the operating point."""
+
+    slowest: float = _number(
+        3.0, "Hz", "least frequency of a line in time, for a full-size car", _JUDGEMENT + "drivers steer slower"
+    )
+    longest: float = _number(
+        4.0, "wheelbases", "longest wave over distance", _JUDGEMENT + "longer waves are the track's"
+    )
+    fewest: int = _number(2048, "samples", "length of a recording below which no line is sought", _CHOSEN)
+    line_level: float = _number(
+        1e-3, "1", "p value below which a line is seen, all frequencies counted", _JUDGEMENT + "a usual level"
+    )
+    shared: float = _number(
+        0.5, "1", "share of a line's amplitude from which on the simulation shows it too", _CHOSEN
+    )
+    line_margin: float = _number(2.0, "1", "amplitude over lines that the simulation has elsewhere", _CHOSEN)
+    wander_margin: float = _number(
+        1.5, "1", "long-run variance over that of the simulation that is allowed", _CHOSEN
+    )
+
+
+@dataclass(frozen=True)
+class Reporting:
+    """What is said of a value, a place and a gap."""
+
+    systematic: float = _number(
+        0.03,
+        "effect-to-noise ratio",
+        "systematic error of a parameter: what one term may take of another",
+        _CHOSEN,
+    )
+    through_tires: float = _number(
+        0.10,
+        "1",
+        "share of itself by which a parameter that acts through the tyres is uncertain",
+        _JUDGEMENT + "two curves stand for four tyres",
+    )
+    least_heldout: int = _number(
+        60, "rows of 0.04 s", "rows kept out below which no share of the gap is told", _CHOSEN
+    )
+    least_dependence: float = _number(
+        0.15, "1", "share of the gap that a variable explains from which on a region of it is told", _CHOSEN
+    )
+    clearly_more: float = _number(
+        0.1, "1", "by how much place or time has to explain more than how the car is driven", _CHOSEN
+    )
+    everywhere: float = _number(
+        0.8,
+        "1",
+        "share of the samples from which on a region is everywhere",
+        _JUDGEMENT + "it tells nobody where to look",
+    )
+    local_gap: float = _number(0.3, "1", "share of the gap that a place or a time has to hold", _CHOSEN)
+    local_samples: float = _number(0.4, "1", "share of the samples that it may hold at most", _CHOSEN)
+    local_ratio: float = _number(2.0, "1", "the share of the gap over that of the samples", _CHOSEN)
+    most_gap: float = _number(
+        0.6, "1", "share of the gap from which on a place is told whatever depends on it less", _CHOSEN
+    )
+    most_ratio: float = _number(4.0, "1", "the same over the share of the samples", _CHOSEN)
+    stable: float = _number(
+        0.7,
+        "1",
+        "share of half samples that choose a function for it to stand in the formula",
+        _THEORY + "stability selection, Meinshausen and Buehlmann (2010), 0.6 to 0.9",
+    )
+    formula_terms: int = _number(3, "terms", "functions in the formula at most", _JUDGEMENT + "a lead is short")
+    much_slipping: float = _number(
+        0.02, "1", "share of the drive with slipping wheels from which on it is told", _CHOSEN
+    )
+    least_compared: float = _number(0.7, "1", "compared share of the drive below which it is told", _CHOSEN)
+
+
+@dataclass(frozen=True)
 class Policy:
     """All numbers that decide, by what they decide on.
 
@@ -311,6 +484,10 @@ class Policy:
     abstention : Abstention
     allowances : Allowances
     self_test : SelfTestRules
+    screening : Screening
+    believing : Believing
+    unnamed : Unnamed
+    reporting : Reporting
     """
 
     comparison: Comparison = Comparison()
@@ -318,6 +495,10 @@ class Policy:
     abstention: Abstention = Abstention()
     allowances: Allowances = Allowances()
     self_test: SelfTestRules = SelfTestRules()
+    screening: Screening = Screening()
+    believing: Believing = Believing()
+    unnamed: Unnamed = Unnamed()
+    reporting: Reporting = Reporting()
 
     def altered(self, group: str, **values: float) -> Policy:
         """Return a policy with other values of some numbers of one group."""

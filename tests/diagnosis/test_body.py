@@ -75,7 +75,7 @@ def test_an_inertia_is_found_beside_much_that_the_nominal_lacks(monkeypatch):
         build_series(one, role, s)
         for one, role, (s, _) in zip([reality, simulation], ("real", "sim"), places, strict=True)
     ]
-    case = gather_case(road_car(), series, inflation=1.5, reach=0.35)
+    case = gather_case(road_car(), series)
     candidate = next(one for one in build_candidates(road_car(), series[0]) if one.term == "yaw_inertia")
 
     def fitted() -> float:

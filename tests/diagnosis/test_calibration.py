@@ -54,7 +54,7 @@ def against_itself(simulation: Drive, reality: Drive) -> SelfTest:
     real, sim = (
         build_series(one, role, s) for one, role, (s, _) in zip(drives, ("real", "sim"), places, strict=True)
     )
-    case = gather_case(car, [real, sim], inflation=1.5, reach=0.35)
+    case = gather_case(car, [real, sim])
     return self_test(case.graded, case.common, build_candidates(car, real), inflation=1.5, reach=0.35)
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing, term_size
-from split_cli.diagnosis.verdict import estimates as module
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
@@ -26,6 +26,11 @@ def drive() -> Drive:
     return driven(41, (CATALOGUE["yaw_inertia"](TRUTH),), runs=6)
 
 
+def by_chance(judge: Judge) -> Judge:
+    """Return a judge under whose policy parameters have no systematic error."""
+    return replace(judge, policy=STANDARD.altered("reporting", systematic=0.0, through_tires=0.0))
+
+
 def fitted(judge: Judge, term: str, values: dict[str, float]) -> Fit:
     (one, *_) = candidates_of(judge, term)
     return fit_parts(judge, [Part(one, dict(values))])
@@ -34,13 +39,11 @@ def fitted(judge: Judge, term: str, values: dict[str, float]) -> Fit:
 @pytest.fixture(scope="module")
 def replicated(drive):
     """Values, standard errors and intervals, (REPLICATES,) each, and the last judge; systematic error left out."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_SYSTEMATIC", 0.0)
-        out = []
-        for seed in range(REPLICATES):
-            judge = noisy_judge(drive, 1000 + seed)
-            (one,) = parameter_estimates(judge, fitted(judge, "yaw_inertia", TRUTH))
-            out.append((one["scale"].value, one["scale"].std_error, *one["scale"].interval_95))
+    out = []
+    for seed in range(REPLICATES):
+        judge = by_chance(noisy_judge(drive, 1000 + seed))
+        (one,) = parameter_estimates(judge, fitted(judge, "yaw_inertia", TRUTH))
+        out.append((one["scale"].value, one["scale"].std_error, *one["scale"].interval_95))
     return np.array(out)
 
 
@@ -72,7 +75,7 @@ def test_four_times_the_time_halves_the_error():
         judge = noisy_judge(driven(42, (CATALOGUE["yaw_inertia"](TRUTH),), runs=runs), 5)
         (one,) = parameter_estimates(judge, fitted(judge, "yaw_inertia", TRUTH))
         size = term_size(judge, fitted(judge, "yaw_inertia", TRUTH), 0)
-        systematic = module._SYSTEMATIC * 0.1 / size
+        systematic = STANDARD.reporting.systematic * 0.1 / size
         errors.append(np.sqrt(one["scale"].std_error ** 2 - systematic**2))
     # Runs differ in what they excite; the sandwich is known to a tenth or two.
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.35)
@@ -103,7 +106,9 @@ def test_the_covariance_is_a_bootstrap_over_blocks(drive):
     moved = -scores[draws].sum(axis=1) / information.sum()
     size = term_size(judge, fit, 0)
     (one,) = parameter_estimates(judge, fit)
-    chance = np.sqrt(one["scale"].std_error ** 2 - (module._SYSTEMATIC * (one["scale"].value - 1.0) / size) ** 2)
+    chance = np.sqrt(
+        one["scale"].std_error ** 2 - (STANDARD.reporting.systematic * (one["scale"].value - 1.0) / size) ** 2
+    )
     # A sandwich takes the scores' mean for zero, as it is at a fit's end; with these entries it is not quite.
     expected = np.sqrt(np.mean(moved**2))
     mean = abs(scores.sum()) / information.sum()
@@ -127,10 +132,7 @@ def test_parameters_that_lean_against_each_other_are_known_as_a_bootstrap_says()
     blocks = len(scores)
     draws = np.random.default_rng(1).integers(0, blocks, (4000, blocks))
     moved = -np.linalg.solve(J.T @ J, scores[draws].sum(axis=1).T)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_SYSTEMATIC", 0.0)
-        patch.setattr(module, "_THROUGH_TIRES", 0.0)
-        (told,) = parameter_estimates(judge, fit)
+    (told,) = parameter_estimates(by_chance(judge), fit)
     for name, expected in zip(("front_scale", "rear_scale"), moved.std(axis=1), strict=True):
         # Two parameters of some twenty blocks, and a mean that is not quite zero: a tenth or two.
         assert told[name].std_error == pytest.approx(expected, rel=0.2)
@@ -170,7 +172,9 @@ def test_systematic_error_is_a_share_of_the_effect(drive):
     certain = replace(fit, sensitivity=1e6 * fit.sensitivity)
     (one,) = parameter_estimates(judge, certain)
     away = one["scale"].value - 1.0
-    assert one["scale"].std_error == pytest.approx(module._SYSTEMATIC * away / term_size(judge, fit, 0), rel=1e-3)
+    assert one["scale"].std_error == pytest.approx(
+        STANDARD.reporting.systematic * away / term_size(judge, fit, 0), rel=1e-3
+    )
 
 
 def test_misfit_widens_chance_and_systematic_error_by_its_root(drive):
@@ -178,7 +182,7 @@ def test_misfit_widens_chance_and_systematic_error_by_its_root(drive):
     fit = fitted(judge, "yaw_inertia", TRUTH)
     (own,), (wide,) = (parameter_estimates(one, fit) for one in (judge, replace(judge, misfit=25.0)))
     away, size = wide["scale"].value - 1.0, term_size(judge, fit, 0)
-    systematic = 5.0 * module._SYSTEMATIC * away / size
+    systematic = 5.0 * STANDARD.reporting.systematic * away / size
     chance = np.sqrt(wide["scale"].std_error ** 2 - systematic**2)
     assert chance == pytest.approx(5.0 / np.sqrt(np.sum(fit.sensitivity**2)), rel=1e-6)
     assert own["scale"].std_error < wide["scale"].std_error

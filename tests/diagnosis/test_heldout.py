@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
@@ -22,7 +23,8 @@ def evidence_of(seed: int, *terms):
 def split_of(evidence, others=(), share: float = 0.25) -> HeldOut:
     every = [np.ones(len(one.at), dtype=bool) for one in (evidence, *others)]
     common = bare_judge(evidence).common
-    return hold_out([evidence], every[:1], list(others), every[1:], None, common, (), share)
+    policy = STANDARD.altered("comparison", holdout_share=share)
+    return hold_out([evidence], every[:1], list(others), every[1:], None, common, (), policy)
 
 
 def fitted(judge: Judge, *terms: str):

@@ -47,3 +47,47 @@ def test_every_number_is_read_somewhere():
     read = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
     unread = [f"{group}.{one.name}" for group, one, _ in deciding_numbers() if one.name not in read]
     assert not unread
+
+
+# Numbers that stand beside their algorithm: how finely something is computed, told or averaged, or how long a
+# search may take. A new name here is a decision to be looked at; what decides belongs into the policy.
+BESIDE_THEIR_ALGORITHM = {
+    "baseline/common.py": {"_SMOOTH_DEVIATION"},
+    "innovations/autocovariance.py": {"LAG_ROWS"},
+    "innovations/comparable.py": {"_SMOOTHED_SECONDS"},
+    "innovations/evidence.py": {"_ROW_SECONDS", "_TUNING_ROWS"},
+    "innovations/judge.py": {"_LEAST_TOLD"},
+    "innovations/projection.py": {"_FEW"},
+    "innovations/rollouts.py": {"_STEP_SECONDS", "_MOST_STARTS", "_FEWEST_STARTS"},
+    "innovations/severity.py": {"_HORIZON"},
+    "recording/kinematics.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS"},
+    "recording/place.py": {"_CLOSE_DISTANCE", "_CLOSE_ANGLE", "_FULL_SIZE_WHEELBASE"},
+    "recording/scales.py": {"_BLOCKS"},
+    "recording/series.py": {"_SLACK", "_WORTHLESS"},
+    "remainder/flexible.py": {"_HARMONICS", "_KNOTS"},
+    "remainder/formula.py": {"_ROWS_APART", "_SUBSAMPLES", "_BLOCK_SECONDS"},
+    "remainder/location.py": {"_AVERAGE_SECONDS", "_ALIKE", "_FOLDS"},
+    "remainder/spectrum.py": {"_BACKGROUND"},
+    "remainder/structure.py": {"_RIDGE_SHARE"},
+    "remainder/wander.py": {"_NEAR_ROWS"},
+    "search/calibration.py": {"_BINS", "_WAVES"},
+    "search/fitting.py": {"_ITERATIONS", "_REFRESHES"},
+    "search/running.py": {"_TINY"},
+}
+# The rooms that only tell (statement), and those of held-out errors, hold what is said and not what is found.
+TELLING = ("statement/", "verdict/", "together.py", "engine.py")
+
+
+def test_no_number_that_decides_stands_outside_the_policy():
+    unknown = []
+    for path in sorted(ROOT.rglob("*.py")):
+        file = path.relative_to(ROOT).as_posix()
+        if file == "policy.py" or file.startswith(TELLING):
+            continue
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant | ast.UnaryOp):
+                value = node.value.operand if isinstance(node.value, ast.UnaryOp) else node.value
+                names = {one.id for one in node.targets if isinstance(one, ast.Name)}
+                if isinstance(value, ast.Constant) and isinstance(value.value, int | float):
+                    unknown += [f"{file}: {name}" for name in names - BESIDE_THEIR_ALGORITHM.get(file, set())]
+    assert not unknown, "give these a field of the policy, or say beside which algorithm they stand"

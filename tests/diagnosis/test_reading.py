@@ -35,7 +35,7 @@ def case_of(reality: Drive, simulation: Drive) -> Case:
     series = [
         build_series(one, role, s) for one, role, (s, _) in zip(drives, ("real", "sim"), places, strict=True)
     ]
-    return gather_case(road_car(), series, inflation=1.5, reach=0.35)
+    return gather_case(road_car(), series)
 
 
 def commanded(drive: Drive, gain: float) -> Drive:

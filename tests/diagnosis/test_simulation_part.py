@@ -80,7 +80,7 @@ def test_no_real_pair_is_compared_with_a_simulation_that_diverges(tmp_path, data
         build_series(half, role, place, lap_length=lap, place_reference=reference)
         for half, role, (place, reference) in zip(halves, ("sim", "real"), places, strict=True)
     ]
-    case = gather_case(vehicle, series, inflation=1.5, reach=0.35)
+    case = gather_case(vehicle, series)
     recordings = [(one, held_last_quarter(one)) for one in case.real]
     told = measure_improvement(recordings, (), case.common, case.knowledge, case.simulated)
     last = told.rollouts[-1]

@@ -11,6 +11,7 @@ from split_cli.diagnosis.baseline.common import CommonPhysics, build_common_phys
 from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, graded_as
 from split_cli.diagnosis.innovations.judge import CommonKnowledge, learn_common
+from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import Kinematics, build_kinematics, common_habit
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.together import together
@@ -50,10 +51,10 @@ class Case:
     keep_holdout: tuple[np.ndarray, ...] = ()
     graded: tuple[Evidence, ...] = ()
 
-    def compared(self, reach: float) -> Case:
+    def compared(self, reach: float, policy: Policy = STANDARD) -> Case:
         """Return the case with those real rows compared that are within `reach` of a simulated one."""
         keep, kept_out = (
-            tuple(comparable(one, self.simulated, self.common, reach) for one in several)
+            tuple(comparable(one, self.simulated, self.common, reach, policy) for one in several)
             for several in (self.real, self.holdout)
         )
         return replace(self, keep=keep, keep_holdout=kept_out)
@@ -65,28 +66,26 @@ class Case:
         return self.common.rates(evidence.series, self.knowledge.weights)
 
 
-def gather_case(vehicle: Vehicle, series: Sequence[Series], *, inflation: float, reach: float) -> Case:
+def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STANDARD) -> Case:
     """Whiten every recording and learn the common physics.
 
     Parameters
     ----------
     vehicle : Vehicle
     series : sequence of Series
-    inflation : float
-        By which autocorrelation widens chi squared.
-    reach : float
-        How far, in scaled features, a real row may be from the nearest simulated one.
+    policy : Policy
     """
+    rules = policy.believing
     by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
     common = build_common_physics(vehicle, (by_role["sim"] or by_role["real"])[0])
-    simulated = together(lambda one: gather_evidence(vehicle, one, common), by_role["sim"])
+    simulated = together(lambda one: gather_evidence(vehicle, one, common, rules=rules), by_role["sim"])
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
-    real = together(lambda one: gather_evidence(vehicle, one, common, least), by_role["real"])
-    holdout = together(lambda one: gather_evidence(vehicle, one, common, least), by_role["holdout"])
+    real = together(lambda one: gather_evidence(vehicle, one, common, least, rules), by_role["real"])
+    holdout = together(lambda one: gather_evidence(vehicle, one, common, least, rules), by_role["holdout"])
     noise = np.median([one.series.told_noise for one in real], axis=0)
     disturbance = np.max([one.disturbance for one in real], axis=0)
     graded = [graded_as(one, noise, disturbance, common) for one in simulated]
-    knowledge = learn_common(graded, inflation) if graded else None
+    knowledge = learn_common(graded, policy.comparison.inflation, rules) if graded else None
     theirs = [one for one in map(build_kinematics, by_role["sim"]) if one]
     habit = common_habit(theirs)
     kinematics = [one for one in (build_kinematics(series, habit) for series in by_role["real"]) if one]
@@ -94,4 +93,4 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], *, inflation: float,
         vehicle, tuple(real), tuple(holdout), common, knowledge, (), tuple(kinematics), tuple(theirs),
         tuple(simulated), graded=tuple(graded),
     )  # fmt: skip
-    return case.compared(reach)
+    return case.compared(policy.comparison.reach, policy)

@@ -13,15 +13,20 @@ from scipy.ndimage import uniform_filter1d
 
 from split_cli.diagnosis.baseline.common import CommonPhysics, features
 from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.policy import STANDARD, Policy
 
 __all__ = ["comparable"]
 
 _SMOOTHED_SECONDS = 0.2
-# Of what the tyres have: beyond it the same motion may come of other slips, and a row nearby proves nothing.
-_SURE_SHARE = 0.7
 
 
-def comparable(one: Evidence, simulated: Sequence[Evidence], common: CommonPhysics, reach: float) -> np.ndarray:
+def comparable(
+    one: Evidence,
+    simulated: Sequence[Evidence],
+    common: CommonPhysics,
+    reach: float,
+    policy: Policy = STANDARD,
+) -> np.ndarray:
     """Return the rows of a recording that are fast enough and near where a simulation has been, shape (G,).
 
     Parameters
@@ -32,8 +37,9 @@ def comparable(one: Evidence, simulated: Sequence[Evidence], common: CommonPhysi
     common : CommonPhysics
     reach : float
         How far a row may be from the nearest simulated one, in scaled features.
+    policy : Policy
     """
-    fast = one.series.smooth[one.at, 0] >= 0.6 * one.vehicle.minimum_speed
+    fast = one.series.smooth[one.at, 0] >= policy.screening.valid_speed * one.vehicle.minimum_speed
     usable = fast & (one.weight > 0.0)
     if not simulated:
         return usable
@@ -47,7 +53,8 @@ def comparable(one: Evidence, simulated: Sequence[Evidence], common: CommonPhysi
     scale = np.maximum(np.quantile(np.abs(moved), 0.995, axis=0), 1e-9)
     scale[3] = common.width[3]
     mine = _forces(one)
-    sure = _share_of_grip(mine, one) < _SURE_SHARE
+    # Nearer the tyres' limit the same motion may come of other slips, and a row nearby proves nothing.
+    sure = _share_of_grip(mine, one) < policy.believing.motion_share
     return usable & (_near(asked(one), there, reach) | (sure & _near(mine / scale, moved / scale, reach)))
 
 

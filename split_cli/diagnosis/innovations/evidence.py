@@ -11,6 +11,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from split_cli.diagnosis.baseline.common import CommonPhysics
 from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener
+from split_cli.diagnosis.policy import STANDARD, Believing
 from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
@@ -19,14 +20,6 @@ __all__ = ["Evidence", "gather_evidence", "graded_as", "rolling"]
 
 _ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000
-# Of an axle's peak force: asked for more along the car, its wheels may spin or lock, which takes a while to end.
-_ROLLING_SHARE = 0.9
-_LOST_SHARE = 0.1
-_ROLLING_SECONDS = 0.2
-_LEAST_ROLLING = 0.5
-# Back and forth within this time by this share of the peak, that is a slip control at work.
-_CYCLING_SECONDS = 0.3
-_CYCLING_SHARE = 0.8
 
 
 @dataclass(frozen=True)
@@ -112,7 +105,11 @@ def integrated(series: Series, columns: np.ndarray) -> np.ndarray:
 
 
 def gather_evidence(
-    vehicle: Vehicle, series: Series, common: CommonPhysics, least_disturbance: np.ndarray | None = None
+    vehicle: Vehicle,
+    series: Series,
+    common: CommonPhysics,
+    least_disturbance: np.ndarray | None = None,
+    rules: Believing = STANDARD.believing,
 ) -> Evidence:
     """Whiten a recording, with the strength of nameless disturbances found by maximum likelihood.
 
@@ -123,6 +120,7 @@ def gather_evidence(
     common : CommonPhysics
     least_disturbance : ndarray, shape (3,), optional
         Found on another recording of the same kind; never less is assumed.
+    rules : Believing
     """
     rows = series.smooth.T
     jacobian = extended_model(vehicle).velocity_jacobian(
@@ -132,7 +130,7 @@ def gather_evidence(
     plain = motion(series, jacobian, series.measured, series.smooth) - integrated(series, rates)
     columns = integrated(series, common.columns(series))
     group, at = _row_groups(series)
-    rolls = rolling(series, vehicle)
+    rolls = rolling(series, vehicle, rules)
     begins = _begins_anew(series, rolls)
     kept = np.ones(len(at), dtype=bool)
     kept[group[(group >= 0) & ~rolls[:-1]]] = False
@@ -146,7 +144,7 @@ def gather_evidence(
     whitener = build_whitener(jacobian, series.period, series.told_noise, disturbance, begins, group)
     u, phi = whitener(plain), whitener(columns)
     left = u - phi @ _common_weights(u, phi, kept)
-    weight = _robust_weight(left) * kept
+    weight = _robust_weight(left, rules.huber) * kept
     return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls)
 
 
@@ -169,7 +167,7 @@ def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common:
     return replace(one, whitener=whitener, plain=whitener(one.left(())), common=columns)
 
 
-def rolling(series: Series, vehicle: Vehicle) -> np.ndarray:
+def rolling(series: Series, vehicle: Vehicle, rules: Believing = STANDARD.believing) -> np.ndarray:
     """Return where the wheels roll, shape (N,): a single track knows neither spinning nor locked ones.
 
     They do not where an axle is asked for most of its peak force, at the load it stands with, and for a while the
@@ -182,25 +180,27 @@ def rolling(series: Series, vehicle: Vehicle) -> np.ndarray:
     used = np.maximum(*(np.abs(axle.longitudinal_force) / axle.D for axle in axles))
     asked = sum(axle.longitudinal_force for axle in axles) + 0.0 * series.t
     got = vehicle.mass * (np.gradient(series.smooth[:, 0], series.period) - model.balance(flow)[0])
-    reach = max(1, int(round(_ROLLING_SECONDS / series.period)))
+    reach = max(1, int(round(rules.rolling_seconds / series.period)))
     lost, wanted = (uniform_filter1d(one, reach + 1) for one in (-np.sign(asked) * got, np.abs(asked)))
-    slipping = (used > _ROLLING_SHARE) & (lost > _LOST_SHARE * wanted)
-    slipping |= _cycling([np.asarray(axle.longitudinal_force) / axle.D for axle in axles], used, series.period)
+    slipping = (used > rules.rolling_share) & (lost > rules.lost_share * wanted)
+    slipping |= _cycling(
+        [np.asarray(axle.longitudinal_force) / axle.D for axle in axles], used, series.period, rules
+    )
     rolls = ~maximum_filter1d(slipping, 2 * reach + 1)
     # A car that asks for more most of the time has other tyres than its file says.
-    return rolls if rolls.mean() > _LEAST_ROLLING else np.ones_like(rolls)
+    return rolls if rolls.mean() > rules.least_rolling else np.ones_like(rolls)
 
 
-def _cycling(asked: Sequence[np.ndarray], used: np.ndarray, period: float) -> np.ndarray:
+def _cycling(asked: Sequence[np.ndarray], used: np.ndarray, period: float, rules: Believing) -> np.ndarray:
     """Return where an axle's force along the car [of its peak] swings as far up as down around the limit, (N,)."""
-    window = max(3, int(round(_CYCLING_SECONDS / period)))
+    window = max(3, int(round(rules.cycling_seconds / period)))
 
     def travel(steps: np.ndarray) -> np.ndarray:
         return window * uniform_filter1d(np.maximum(steps, 0.0), window)
 
     steps = [np.diff(one, prepend=one[0]) for one in asked]
     swing = np.maximum(*(np.minimum(travel(one), travel(-one)) for one in steps))
-    return (swing > _CYCLING_SHARE) & (maximum_filter1d(used, window) > _ROLLING_SHARE)
+    return (swing > rules.cycling_share) & (maximum_filter1d(used, window) > rules.rolling_share)
 
 
 def _begins_anew(series: Series, rolls: np.ndarray) -> np.ndarray:
@@ -232,11 +232,11 @@ def _row_groups(series: Series) -> tuple[np.ndarray, np.ndarray]:
     return group, np.concatenate(at).astype(np.int64)
 
 
-def _robust_weight(rows: np.ndarray) -> np.ndarray:
-    """Return roots of Huber weights of rows (G, 3), each channel scaled by its own spread."""
+def _robust_weight(rows: np.ndarray, most: float) -> np.ndarray:
+    """Return roots of Huber weights of rows (G, 3), of `most` spreads, each channel scaled by its own."""
     spread = 1.4826 * np.median(np.abs(rows), axis=0) + 1e-12
     worst = np.max(np.abs(rows) / spread, axis=1)
-    return np.sqrt(np.minimum(1.0, 4.0 / np.maximum(worst, 1e-12)))
+    return np.sqrt(np.minimum(1.0, most / np.maximum(worst, 1e-12)))
 
 
 def _likely_disturbance(series, jacobian, defect, begins, rolls, start) -> np.ndarray:

@@ -13,12 +13,11 @@ from split_cli.diagnosis.baseline.common import CommonPhysics
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.projection import damped
-from split_cli.diagnosis.policy import STANDARD, Policy
+from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import Kinematics
 from split_cli.vehicle.effects import Term
 
 _LEAST_TOLD = 2e-3
-_LEAST_NOISE, _MOST_NOISE = 1e-3, 5.0  # variance that a row of simulation is believed to have
 
 __all__ = ["CommonKnowledge", "Judge", "build_judge", "learn_common"]
 
@@ -37,7 +36,9 @@ class CommonKnowledge:
     precision: np.ndarray
 
 
-def learn_common(simulations: Sequence[Evidence], inflation: float = 1.0) -> CommonKnowledge:
+def learn_common(
+    simulations: Sequence[Evidence], inflation: float = 1.0, rules: Believing = STANDARD.believing
+) -> CommonKnowledge:
     """Learn the common physics from whitened simulations.
 
     Parameters
@@ -45,6 +46,7 @@ def learn_common(simulations: Sequence[Evidence], inflation: float = 1.0) -> Com
     simulations : sequence of Evidence
     inflation : float
         By which autocorrelation widens the noise.
+    rules : Believing
 
     Notes
     -----
@@ -63,7 +65,8 @@ def learn_common(simulations: Sequence[Evidence], inflation: float = 1.0) -> Com
     for _ in range(2):
         weights = np.linalg.solve(prior + normal / noise, score / noise)
         left = (target - columns @ weights).reshape(-1, 3)
-        noise = inflation * float(np.clip(_long_run_variance(left).max(), _LEAST_NOISE, _MOST_NOISE))
+        long_run = _long_run_variance(left).max()
+        noise = inflation * float(np.clip(long_run, rules.least_noise, rules.most_noise))
     precision = prior + normal / noise
     return CommonKnowledge(np.linalg.solve(precision, score / noise), precision)
 

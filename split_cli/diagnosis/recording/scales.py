@@ -10,12 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from split_cli.diagnosis.policy import STANDARD, Screening
 from split_cli.diagnosis.recording.kinematics import Kinematics
 
 __all__ = ["in_sentences", "out_of_scale", "scale_of"]
 
-_LEAST = 0.01  # of the scale; wheels wear and gyroscopes drift by less
-_SURE = 6.0  # standard errors
 _BLOCKS = 20
 _WORDS = {
     "v_x": "speed against position: v_x covers {share} {more} ground than X and Y do",
@@ -24,23 +23,26 @@ _WORDS = {
 _ADVICE = "; mend that sensor's scale and diagnose again, physics is not named before"
 
 
-def out_of_scale(real: Sequence[Kinematics], simulated: Sequence[Kinematics]) -> tuple[str, ...]:
+def out_of_scale(
+    real: Sequence[Kinematics], simulated: Sequence[Kinematics], rules: Screening = STANDARD.screening
+) -> tuple[str, ...]:
     """Return in words which of v_x and r contradict position and yaw in reality, and not so in the simulation.
 
     Parameters
     ----------
     real, simulated : sequence of Kinematics
         Without any simulated, scales are held against 1.
+    rules : Screening
     """
-    out = []
+    out, least = [], rules.least_scale_error
     for name, words in _WORDS.items():
         theirs = scale_of(name, simulated) if simulated else (1.0, 0.0)
         ours = scale_of(name, real)
         if ours is None or theirs is None:
             continue
         excess, error = ours[0] - theirs[0], float(np.hypot(ours[1], theirs[1]))
-        if abs(excess) > max(_LEAST, _SURE * error):
-            and_not = ", in the simulation they agree" if simulated and abs(theirs[0] - 1.0) < 0.5 * _LEAST else ""
+        if abs(excess) > max(least, rules.sure_scale_error * error):
+            and_not = ", in the simulation they agree" if simulated and abs(theirs[0] - 1.0) < 0.5 * least else ""
             share = f"{100.0 * abs(excess):.2g} %"
             out.append(words.format(share=share, more="more" if excess > 0.0 else "less") + and_not + _ADVICE)
     return tuple(out)

@@ -7,34 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
+from split_cli.diagnosis.policy import STANDARD, Screening
 from split_cli.logs.drive import Drive
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["clean_drives", "cleaned", "idle", "moving", "torque_is_constant", "torque_is_derived", "unfit"]
 
-_LEAST_SECONDS = 8.0
-_CRAWL = 0.5  # of the speed from which on the nominal model is valid; rows are compared from 0.6 of it
-_SHORTEST_RUN = 0.5
-_LONGEST_PERIOD = 0.1
-_STUCK_SECONDS = 1.0
-_HELD_SECONDS = 3.0
-_ANSWER_SECONDS = 2.0
-_POSITION_GAP_SECONDS = 0.5
-# Beyond these no fault of a car, but another car: ratios that recordings and vehicle file should share.
-_STEER_RATIO = (0.6, 1.6)
-_TORQUE_RATIO = (0.5, 2.0)
-_LEAST_CORRELATION = 0.7
 # A velocity that stands still contradicts what it always moves with.
 _MOVES_WITH = {"vx": ("vy", "r"), "vy": ("r",), "r": ("vy",), "delta": ("r",)}
 
 
-def cleaned(drive: Drive) -> tuple[Drive, tuple[str, ...]]:
+def cleaned(drive: Drive, rules: Screening = STANDARD.screening) -> tuple[Drive, tuple[str, ...]]:
     """Leave out of a drive what is no recording, and say so.
 
     Parameters
     ----------
     drive : Drive
+    rules : Screening
 
     Returns
     -------
@@ -62,7 +52,7 @@ def cleaned(drive: Drive) -> tuple[Drive, tuple[str, ...]]:
         )
         breaks = np.concatenate([[False], jumps | (np.diff(drive.segment) != 0)])
         drive = replace(drive, segment=np.cumsum(breaks).astype(np.int32))
-    stuck = {name: _stuck(drive, name) for name in _MOVES_WITH}
+    stuck = {name: _stuck(drive, name, rules) for name in _MOVES_WITH}
     for name, rows in stuck.items():
         # A channel that never moves is no dropout; `unfit` speaks of it.
         if rows.any() and np.ptp(drive[name]) > 0.0:
@@ -74,27 +64,29 @@ def cleaned(drive: Drive) -> tuple[Drive, tuple[str, ...]]:
     moving = ~np.any([rows for name, rows in stuck.items() if np.ptp(drive[name]) > 0.0] or [[False]], axis=0)
     if not moving.all():
         drive = drive.select(np.broadcast_to(moving, (len(drive),)))
-    drive, told = _with_sound_position(drive)
+    drive, told = _with_sound_position(drive, rules)
     return drive, (*notes, *told)
 
 
-def clean_drives(drives: Sequence[Drive]) -> tuple[list[Drive], tuple[str, ...]]:
+def clean_drives(
+    drives: Sequence[Drive], rules: Screening = STANDARD.screening
+) -> tuple[list[Drive], tuple[str, ...]]:
     """Clean several drives; return them, and what was left out of all of them."""
-    pairs = [cleaned(drive) for drive in drives]
+    pairs = [cleaned(drive, rules) for drive in drives]
     return [drive for drive, _ in pairs], tuple(note for _, notes in pairs for note in notes)
 
 
-def unfit(drive: Drive, vehicle: Vehicle) -> list[str]:
+def unfit(drive: Drive, vehicle: Vehicle, rules: Screening = STANDARD.screening) -> list[str]:
     """Return why a drive cannot be diagnosed at all; empty when it can."""
     longest = max((run.stop - run.start for run in drive.segments()), default=0)
     seconds = longest * drive.period
-    if seconds < _LEAST_SECONDS:
+    if seconds < rules.least_seconds:
         return [
-            f"{drive.name} has {seconds:.1f} s without a gap at most; {_LEAST_SECONDS:.0f} s are needed, a minute "
-            "is better."
+            f"{drive.name} has {seconds:.1f} s without a gap at most; {rules.least_seconds:.0f} s are needed, a "
+            "minute is better."
         ]
-    if drive.period > _LONGEST_PERIOD:
-        return [f"{drive.name} has {drive.rate:.3g} samples a second; {1 / _LONGEST_PERIOD:.0f} are needed."]
+    if drive.period > rules.longest_period:
+        return [f"{drive.name} has {drive.rate:.3g} samples a second; {1 / rules.longest_period:.0f} are needed."]
     frozen = [name for name in ("vx", "vy", "r") if np.ptp(drive[name]) == 0.0]
     if np.ptp(drive["delta"]) == 0.0 and "r" not in frozen and _turns(drive):
         frozen.append("delta")
@@ -105,38 +97,39 @@ def unfit(drive: Drive, vehicle: Vehicle) -> list[str]:
             f"{drive.name}: {', '.join(frozen)} never changes while the car moves; a recorded signal does. Look "
             "at the map of signals it was ingested with."
         ]
-    fast = np.mean(drive["vx"] >= 0.6 * vehicle.minimum_speed)
-    if fast < 0.2:
+    slowest = rules.valid_speed * vehicle.minimum_speed
+    fast = np.mean(drive["vx"] >= slowest)
+    if fast < rules.least_fast:
         return [
-            f"{drive.name} is slower than {0.6 * vehicle.minimum_speed:.1f} m/s for {1 - fast:.0%} of its time; "
+            f"{drive.name} is slower than {slowest:.1f} m/s for {1 - fast:.0%} of its time; "
             "slip angles mean little there. Drive faster, or look whether it is a recording of this vehicle."
         ]
-    return _of_another_car(drive, vehicle)
+    return _of_another_car(drive, vehicle, rules)
 
 
-def moving(drive: Drive, vehicle: Vehicle) -> Drive:
+def moving(drive: Drive, vehicle: Vehicle, rules: Screening = STANDARD.screening) -> Drive:
     """Return a drive without its crawling and standing: slip is not defined there, and nothing of it is compared.
 
     Runs too short for a smoothing window go with it. A drive without such rows is returned as it is.
     """
-    rows = drive["vx"] >= _CRAWL * vehicle.minimum_speed
+    rows = drive["vx"] >= rules.crawl * vehicle.minimum_speed
     if rows.all():
         return drive
     left = drive.select(rows)
-    long = [run for run in left.segments() if (run.stop - run.start) * drive.period > _SHORTEST_RUN]
+    long = [run for run in left.segments() if (run.stop - run.start) * drive.period > rules.shortest_run]
     kept = np.zeros(len(left), dtype=bool)
     for run in long:
         kept[run] = True
     return left.select(kept)
 
 
-def idle(real: Sequence[Drive], vehicle: Vehicle) -> list[str]:
+def idle(real: Sequence[Drive], vehicle: Vehicle, rules: Screening = STANDARD.screening) -> list[str]:
     """Return why nothing was excited in the real drives; empty when something was."""
     for drive in real:
         torque = np.ptp(np.quantile(drive["T"], [0.02, 0.98]))
         speed = np.ptp(np.quantile(drive["vx"], [0.02, 0.98]))
         across = np.quantile(np.abs(drive["vx"] * drive["r"]), 0.99)
-        still = torque < 0.05 * vehicle.max_torque and speed < 0.1 * np.mean(drive["vx"])
+        still = torque < rules.least_torque * vehicle.max_torque and speed < 0.1 * np.mean(drive["vx"])
         if across > 0.5 or not still:
             return []
     return [
@@ -150,9 +143,9 @@ def torque_is_derived(drive: Drive) -> bool:
     return drive.metadata.kinds.get("T", "").startswith("derived")
 
 
-def torque_is_constant(torque: np.ndarray, vehicle: Vehicle) -> bool:
+def torque_is_constant(torque: np.ndarray, vehicle: Vehicle, rules: Screening = STANDARD.screening) -> bool:
     """Return whether the torque varies by less than a twentieth of what the car has."""
-    return bool(np.ptp(np.quantile(torque, [0.02, 0.98])) < 0.05 * vehicle.max_torque)
+    return bool(np.ptp(np.quantile(torque, [0.02, 0.98])) < rules.least_torque * vehicle.max_torque)
 
 
 def _turns(drive: Drive) -> bool:
@@ -165,10 +158,10 @@ def _changes_speed(drive: Drive) -> bool:
     return bool(np.ptp(np.quantile(np.concatenate(steps), [0.05, 0.95])) > 1.0)
 
 
-def _stuck(drive: Drive, name: str) -> np.ndarray:
+def _stuck(drive: Drive, name: str, rules: Screening) -> np.ndarray:
     """Return rows of runs in which a channel repeats itself while its companions move, shape (N,)."""
     values, found = drive[name], np.zeros(len(drive), dtype=bool)
-    least = int(round((_HELD_SECONDS if name == "delta" else _STUCK_SECONDS) / drive.period))
+    least = int(round((rules.held_seconds if name == "delta" else rules.stuck_seconds) / drive.period))
     for run in drive.segments():
         same = np.flatnonzero(np.diff(values[run]) != 0.0)
         edges = np.concatenate([[0], same + 1, [run.stop - run.start]])
@@ -177,14 +170,14 @@ def _stuck(drive: Drive, name: str) -> np.ndarray:
                 continue
             rows = slice(run.start + int(begin), run.start + int(end))
             # To a steer angle that is held after a step the car first has to answer.
-            answer = int(round(_ANSWER_SECONDS / drive.period)) if name == "delta" else 0
+            answer = int(round(rules.answer_seconds / drive.period)) if name == "delta" else 0
             later = slice(rows.start + answer, rows.stop)
             if any(np.std(drive[other][later]) > 0.1 * np.std(drive[other]) > 0.0 for other in _MOVES_WITH[name]):
                 found[rows] = True
     return found
 
 
-def _with_sound_position(drive: Drive) -> tuple[Drive, tuple[str, ...]]:
+def _with_sound_position(drive: Drive, rules: Screening) -> tuple[Drive, tuple[str, ...]]:
     """Fill short gaps of position and yaw; leave them off where gaps are long, or where they stand still."""
     if not drive.has_position:
         return drive, ()
@@ -194,10 +187,10 @@ def _with_sound_position(drive: Drive) -> tuple[Drive, tuple[str, ...]]:
     gaps = np.diff(np.flatnonzero(np.concatenate([[True], known, [True]])))
     still = (np.diff(drive["X"]) == 0.0) & (np.diff(drive["Y"]) == 0.0)
     standing = np.diff(np.flatnonzero(np.concatenate([[True], ~still, [True]])))
-    fast = np.median(drive["vx"]) * _STUCK_SECONDS > 1.0
-    if (gaps.max() - 1) * drive.period > _POSITION_GAP_SECONDS:
+    fast = np.median(drive["vx"]) * rules.stuck_seconds > 1.0
+    if (gaps.max() - 1) * drive.period > rules.position_gap_seconds:
         reason = f"it is not known for {(gaps.max() - 1) * drive.period:.1f} s"
-    elif fast and (standing.max() - 1) * drive.period > _STUCK_SECONDS:
+    elif fast and (standing.max() - 1) * drive.period > rules.stuck_seconds:
         reason = f"it stands still for {(standing.max() - 1) * drive.period:.1f} s while the car drives"
     else:
         if not known.all():
@@ -210,7 +203,7 @@ def _with_sound_position(drive: Drive) -> tuple[Drive, tuple[str, ...]]:
     return replace(drive, columns=columns), (f"{drive.name}: position and yaw: {reason}",)
 
 
-def _of_another_car(drive: Drive, vehicle: Vehicle) -> list[str]:
+def _of_another_car(drive: Drive, vehicle: Vehicle, rules: Screening) -> list[str]:
     """Return how grossly steering and torque of a recording contradict a vehicle file.
 
     Notes
@@ -231,8 +224,8 @@ def _of_another_car(drive: Drive, vehicle: Vehicle) -> list[str]:
     gentle = sound & (across < 0.4 * grip) & (across > 0.02 * grip)
     expected = v["r"] / np.maximum(v["vx"], 1e-3) * (vehicle.wheelbase + understeer * v["vx"] ** 2)
     reasons = []
-    ratio = _ratio(expected[gentle], v["delta"][gentle])
-    if ratio is not None and not _STEER_RATIO[0] < ratio < _STEER_RATIO[1]:
+    ratio = _ratio(expected[gentle], v["delta"][gentle], rules)
+    if ratio is not None and not rules.least_steer_ratio < ratio < rules.most_steer_ratio:
         sign = " Its sign may be turned." if ratio < 0.0 else ""
         reasons.append(
             f"{drive.name} does not fit this vehicle file: in gentle turns it steers {ratio:.2g} times what a "
@@ -240,9 +233,10 @@ def _of_another_car(drive: Drive, vehicle: Vehicle) -> list[str]:
         )
     along = np.gradient(v["vx"], drive.period) - v["vy"] * v["r"]
     ratio = None
-    if not torque_is_derived(drive) and not torque_is_constant(v["T"][sound], vehicle):
-        ratio = _ratio(v["T"][sound], (vehicle.mass * vehicle.wheel_radius * along)[sound], v["vx"][sound] ** 2)
-    if ratio is not None and not _TORQUE_RATIO[0] < ratio < _TORQUE_RATIO[1]:
+    if not torque_is_derived(drive) and not torque_is_constant(v["T"][sound], vehicle, rules):
+        made = (vehicle.mass * vehicle.wheel_radius * along)[sound]
+        ratio = _ratio(v["T"][sound], made, rules, v["vx"][sound] ** 2)
+    if ratio is not None and not rules.least_torque_ratio < ratio < rules.most_torque_ratio:
         reasons.append(
             f"{drive.name} does not fit this vehicle file: torque accelerates it {ratio:.2g} times as much as a "
             f"mass of {vehicle.mass:.4g} kg on wheels of {vehicle.wheel_radius:.3g} m would. Is it a recording of "
@@ -251,11 +245,13 @@ def _of_another_car(drive: Drive, vehicle: Vehicle) -> list[str]:
     return reasons
 
 
-def _ratio(expected: np.ndarray, found: np.ndarray, beside: np.ndarray | None = None) -> float | None:
+def _ratio(
+    expected: np.ndarray, found: np.ndarray, rules: Screening, beside: np.ndarray | None = None
+) -> float | None:
     """Return the slope of `found` over `expected`; None where too few rows or too loose a relation tell none."""
     if len(expected) < 100 or np.std(expected) == 0.0 or np.std(found) == 0.0:
         return None
-    if abs(np.corrcoef(expected, found)[0, 1]) < _LEAST_CORRELATION:
+    if abs(np.corrcoef(expected, found)[0, 1]) < rules.least_correlation:
         return None
     columns = [expected, np.ones_like(expected)]
     if beside is not None:

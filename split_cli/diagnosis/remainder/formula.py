@@ -7,19 +7,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.policy import STANDARD, Reporting
 from split_cli.diagnosis.remainder.location import FORCES, variables
 from split_cli.diagnosis.statement.wording import percent
 
 __all__ = ["sparse_formula"]
 
 _ROWS_APART = 5  # rows of 0.04 s: gap forces are averages over 0.2 s
-_MOST_TERMS = 3
 _SUBSAMPLES = 20
-_STABLE = 0.7
 _BLOCK_SECONDS = 4.0
 
 
-def sparse_formula(evidence: Sequence[Evidence], forces: Sequence[np.ndarray], keep: Sequence[np.ndarray]) -> str:
+def sparse_formula(
+    evidence: Sequence[Evidence],
+    forces: Sequence[np.ndarray],
+    keep: Sequence[np.ndarray],
+    rules: Reporting = STANDARD.reporting,
+) -> str:
     """Return the best formula of few terms for gap forces, such as ``front_lateral = 310 N (T/T_max)^2``.
 
     Parameters
@@ -28,6 +32,7 @@ def sparse_formula(evidence: Sequence[Evidence], forces: Sequence[np.ndarray], k
     forces : sequence of ndarray, shape (N, 3)
         Gap forces of each recording that no finding explains [N].
     keep : sequence of ndarray of bool, shape (G,)
+    rules : Reporting
 
     Returns
     -------
@@ -50,7 +55,7 @@ def sparse_formula(evidence: Sequence[Evidence], forces: Sequence[np.ndarray], k
     ])  # fmt: skip
     best, text = 0.0, ""
     for channel, force in enumerate(FORCES):
-        chosen = _stable_terms(columns, gap[:, channel], block)
+        chosen = _stable_terms(columns, gap[:, channel], block, rules)
         if not chosen:
             continue
         weights = np.linalg.lstsq(columns[:, chosen], gap[:, channel], rcond=None)[0]
@@ -62,21 +67,21 @@ def sparse_formula(evidence: Sequence[Evidence], forces: Sequence[np.ndarray], k
     return text
 
 
-def _stable_terms(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> list[int]:
+def _stable_terms(columns: np.ndarray, target: np.ndarray, block: np.ndarray, rules: Reporting) -> list[int]:
     rng = np.random.default_rng(20240601)
     blocks = np.unique(block)
     votes = np.zeros(columns.shape[1])
     for _ in range(_SUBSAMPLES):
         half = np.isin(block, rng.choice(blocks, max(len(blocks) // 2, 1), replace=False))
-        votes[_greedy(columns[half], target[half])] += 1.0 / _SUBSAMPLES
-    return [k for k in _greedy(columns, target) if votes[k] >= _STABLE]
+        votes[_greedy(columns[half], target[half], rules.formula_terms)] += 1.0 / _SUBSAMPLES
+    return [k for k in _greedy(columns, target, rules.formula_terms) if votes[k] >= rules.stable]
 
 
-def _greedy(columns: np.ndarray, target: np.ndarray) -> list[int]:
+def _greedy(columns: np.ndarray, target: np.ndarray, most: int) -> list[int]:
     chosen: list[int] = []
     count = len(target)
     score = count * np.log(np.mean(target**2) + 1e-300)
-    while len(chosen) < _MOST_TERMS:
+    while len(chosen) < most:
         trials = []
         for k in range(columns.shape[1]):
             if k in chosen:

@@ -8,6 +8,7 @@ import numpy as np
 
 from split_cli.diagnosis.baseline.common import features
 from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.policy import STANDARD, Reporting
 from split_cli.diagnosis.statement.result import GapSeries, Location, Place
 from split_cli.vehicle.effects import Term
 
@@ -17,9 +18,6 @@ _AVERAGE_SECONDS = 0.2
 _ALIKE = 5  # rows of 0.04 s that say the same, since each is an average over 0.2 s
 _STEPS = (8, 16, 40)
 _FOLDS = 5
-_LEAST_SCORE = 0.15
-_CLEARLY_MORE = 0.1
-_EVERYWHERE = 0.8  # an interval with more of the samples tells nobody where to look
 FORCES = ("longitudinal", "front_lateral", "rear_lateral")
 
 
@@ -71,6 +69,7 @@ def locate(
     before: Sequence[np.ndarray],
     after: Sequence[np.ndarray],
     keep: Sequence[np.ndarray],
+    rules: Reporting = STANDARD.reporting,
 ) -> Location:
     """Describe the gap.
 
@@ -81,6 +80,7 @@ def locate(
         Gap forces of each recording [N], and what the findings leave of them.
     keep : sequence of ndarray of bool, shape (G,)
         Rows that are compared.
+    rules : Reporting
     """
     rows = [one.at[mask] for one, mask in zip(evidence, keep, strict=True)]
     gap = np.concatenate([force[at] for force, at in zip(before, rows, strict=True)])
@@ -104,19 +104,19 @@ def locate(
     size += max(_least_above(len(size)) - float(np.mean(size)), 0.0)
     region = {}
     for name, score in ranked[:3]:
-        if score > _LEAST_SCORE and name not in ("t", "s"):
+        if score > rules.least_dependence and name not in ("t", "s"):
             low, high, of_gap, of_samples = _interval(values[name], size)
-            if of_samples < _EVERYWHERE and of_gap > of_samples:
+            if of_samples < rules.everywhere and of_gap > of_samples:
                 region[name] = (low, high)
     # What follows from how the car is driven is wherever it is driven so: a place or a time has to tell more.
     driven = max(score for name, score in ranked if name not in ("t", "s"))
-    place, s_share = _place(evidence, values["s"], size)
-    if s_share and not (scores["s"] > driven + _CLEARLY_MORE or _concentrated(s_share)):
+    place, s_share = _place(evidence, values["s"], size, rules)
+    if s_share and not (scores["s"] > driven + rules.clearly_more or _concentrated(s_share, rules)):
         place = s_share = None
-    when, t_share = _local(_interval(values["t"], size))
-    if t_share and not (scores["t"] > driven + _CLEARLY_MORE or _concentrated(t_share)):
+    when, t_share = _local(_interval(values["t"], size), rules)
+    if t_share and not (scores["t"] > driven + rules.clearly_more or _concentrated(t_share, rules)):
         when = t_share = None
-    if s_share and t_share and s_share[0] - s_share[1] > t_share[0] - t_share[1] + _CLEARLY_MORE:
+    if s_share and t_share and s_share[0] - s_share[1] > t_share[0] - t_share[1] + rules.clearly_more:
         when = None  # one of several passes of the place
     share = s_share or t_share or (1.0, 1.0)
     return Location(dict(zip(FORCES, shares.tolist(), strict=True)), ranked, region, place, when, *share)
@@ -236,20 +236,20 @@ def _interval(x: np.ndarray, size: np.ndarray) -> tuple[float, float, float, flo
     return float(x[order][begin]), float(x[order][end]), share, (end + 1 - begin) / len(x)
 
 
-def _local(found: tuple[float, float, float, float]):
+def _local(found: tuple[float, float, float, float], rules: Reporting):
     """Return an interval and its shares, or two None where the gap is not much larger there than elsewhere."""
     low, high, gap, samples = found
-    if gap > 2.0 * samples and samples < 0.4 and gap > 0.3:
+    if gap > rules.local_ratio * samples and samples < rules.local_samples and gap > rules.local_gap:
         return (low, high), (gap, samples)
     return None, None
 
 
-def _concentrated(share: tuple[float, float]) -> bool:
+def _concentrated(share: tuple[float, float], rules: Reporting) -> bool:
     """Return whether most of the gap lies in a small part of the samples."""
-    return share[0] > 0.6 and share[0] > 4.0 * share[1]
+    return share[0] > rules.most_gap and share[0] > rules.most_ratio * share[1]
 
 
-def _place(evidence: Sequence[Evidence], s: np.ndarray, size: np.ndarray):
+def _place(evidence: Sequence[Evidence], s: np.ndarray, size: np.ndarray, rules: Reporting):
     series = evidence[0].series
     found, lap = _interval(s, size), series.lap_length
     if lap:
@@ -257,7 +257,7 @@ def _place(evidence: Sequence[Evidence], s: np.ndarray, size: np.ndarray):
         turned = _interval(np.mod(s + 0.5 * lap, lap), size)
         if turned[2] - turned[3] > found[2] - found[3]:
             found = (*np.mod(np.array(turned[:2]) - 0.5 * lap, lap).tolist(), *turned[2:])
-    interval, share = _local(found)
+    interval, share = _local(found, rules)
     if interval is None:
         return None, None
     length = interval[1] - interval[0]

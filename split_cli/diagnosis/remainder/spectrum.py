@@ -15,16 +15,12 @@ from scipy.ndimage import median_filter
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.judge import Judge
 from split_cli.diagnosis.innovations.severity import severity
+from split_cli.diagnosis.policy import Unnamed
 from split_cli.vehicle.effects import Term
 
 __all__ = ["Line", "strongest_line"]
 
-_SLOWEST = 3.0  # [Hz] for a full-size car; slower than this, drivers steer
-_LONGEST = 4.0  # wavelengths in wheelbases; longer ones are the track's
 _BACKGROUND = 201  # bins
-_FEWEST = 2048  # samples
-_SHARED = 0.5  # of the amplitude, that the simulation shows too
-_MARGIN = 2.0  # over lines that the simulation has elsewhere
 _CHANNELS = ("v_x", "v_y", "r")
 
 
@@ -82,11 +78,12 @@ def strongest_line(judge: Judge, terms: Sequence[Term], simulated: Sequence[Evid
     Periodograms of whitened samples over their running median: a ratio above x ln 2 has probability exp(-x) in
     noise of any smooth spectrum (Brockwell and Davis, 1991, section 10.2).
     """
-    lines = [line for one in judge.evidence for line in _lines(one, _left(judge, one, terms))]
-    lines = [line for line in lines if line.p_value < 1e-3]
+    rules = judge.policy.unnamed
+    lines = [line for one in judge.evidence for line in _lines(one, _left(judge, one, terms), rules)]
+    lines = [line for line in lines if line.p_value < rules.line_level]
     # A simulation that has lines of its own is a recording: another line of their size is no difference.
-    own = [line for one in simulated for line in _lines(one, _left(judge, one, ()))] if lines else []
-    lines = [line for line in lines if line.amplitude > _MARGIN * max(map(line.like, own), default=0.0)]
+    own = [line for one in simulated for line in _lines(one, _left(judge, one, ()), rules)] if lines else []
+    lines = [line for line in lines if line.amplitude > rules.line_margin * max(map(line.like, own), default=0.0)]
     for line in sorted(lines, key=lambda line: line.p_value):
         if not any(_shows(judge, one, line) for one in simulated):
             return line
@@ -101,9 +98,9 @@ def _left(judge: Judge, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
     return left
 
 
-def _lines(one: Evidence, left: np.ndarray) -> list[Line]:
+def _lines(one: Evidence, left: np.ndarray, rules: Unnamed) -> list[Line]:
     """Return the strongest line of each channel, over time and over distance."""
-    if len(left) < _FEWEST:
+    if len(left) < rules.fewest:
         return []
     white = one.whitener.of_every_sample()(left)
     white = np.clip(white, -6.0, 6.0)
@@ -117,13 +114,13 @@ def _lines(one: Evidence, left: np.ndarray) -> list[Line]:
         frequency = np.fft.rfftfreq(len(even), step)
         background = median_filter(power, size=(_BACKGROUND, 1), mode="reflect") / np.log(2.0) + 1e-300
         ratio = power / background
-        allowed = _fast_enough(one, over, frequency)
+        allowed = _fast_enough(one, over, frequency, rules)
         count = max(3 * int(allowed.sum()), 1)
         for channel in range(3):
             strength = np.where(allowed, ratio[:, channel], 0.0)
             peak = int(np.argmax(strength))
             p_value = float(min(1.0, 2.0 * count * np.exp(-strength[peak])))
-            if p_value < 1e-3:
+            if p_value < rules.line_level:
                 amplitude, size = _size(one, left, clock, float(frequency[peak]), channel)
                 found.append(Line(over, float(frequency[peak]), _CHANNELS[channel], amplitude, size, p_value))
     return found
@@ -136,13 +133,13 @@ def _clock(one: Evidence, over: str) -> np.ndarray:
     return np.cumsum(np.maximum(one.series.smooth[:-1, 0], 0.0)) * one.series.period
 
 
-def _fast_enough(one: Evidence, over: str, frequency: np.ndarray) -> np.ndarray:
+def _fast_enough(one: Evidence, over: str, frequency: np.ndarray, rules: Unnamed) -> np.ndarray:
     wheelbase = one.vehicle.wheelbase
     if over == "time":
-        return frequency > _SLOWEST * np.sqrt(2.7 / wheelbase)
+        return frequency > rules.slowest * np.sqrt(2.7 / wheelbase)
     # Shorter waves than a few samples at speed are not seen evenly.
     shortest = 3.0 * float(np.quantile(one.series.smooth[:, 0], 0.9)) * one.series.period
-    return (frequency > 1.0 / (_LONGEST * wheelbase)) & (frequency < 1.0 / shortest)
+    return (frequency > 1.0 / (rules.longest * wheelbase)) & (frequency < 1.0 / shortest)
 
 
 def _size(
@@ -164,4 +161,6 @@ def _shows(judge: Judge, one: Evidence, line: Line) -> bool:
     left, clock = _left(judge, one, ()), _clock(one, line.over)
     channel = _CHANNELS.index(line.channel)
     nearby = line.frequency * np.linspace(0.98, 1.02, 9)
-    return max(_size(one, left, clock, f, channel)[0] for f in nearby) > _SHARED * line.amplitude
+    return (
+        max(_size(one, left, clock, f, channel)[0] for f in nearby) > judge.policy.unnamed.shared * line.amplitude
+    )

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
+from split_cli.diagnosis.policy import STANDARD, Unnamed
 from split_cli.diagnosis.remainder.structure import Structure
 
 __all__ = ["Wander", "wander_of"]
 
 _NEAR_ROWS = 4
-_MARGIN = 1.5
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Wander:
     severity: float
     rows: int
 
-    def p_value(self, usual: float) -> float:
+    def p_value(self, usual: float, rules: Unnamed = STANDARD.unnamed) -> float:
         """Return the probability of wandering this much where `usual` is the simulation's own ratio.
 
         Notes
@@ -46,7 +46,7 @@ class Wander:
         """
         from scipy.stats import norm
 
-        allowed = _MARGIN * max(usual, 1.0)
+        allowed = rules.wander_margin * max(usual, 1.0)
         spread = allowed * np.sqrt(4.0 * LAG_ROWS / (3.0 * max(self.rows, 1)))
         return float(norm.sf((self.ratio - allowed) / spread))
 

@@ -212,15 +212,15 @@ def _judge_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[
     if not any((one.weight > 0.0).any() for one in taught):
         return None
     keep = [
-        comparable(one, taught, common, sides.reach) & ~mask for one, mask in zip(graded, teaching, strict=True)
+        comparable(one, taught, common, sides.reach, sides.policy) & ~mask
+        for one, mask in zip(graded, teaching, strict=True)
     ]
     rows = sum(int(mask.sum()) for mask in keep)
     if rows < sides.policy.self_test.least_rows:
         return None
     positions, windows = sides.windows(teaching)
-    judge = build_judge(
-        graded, learn_common(taught, sides.inflation), common, keep, positions, policy=sides.policy
-    )
+    knowledge = learn_common(taught, sides.inflation, sides.policy.believing)
+    judge = build_judge(graded, knowledge, common, keep, positions, policy=sides.policy)
     if sides.to_the_letter:
         judge = judge.believed_to_the_letter()
     entries = judge.whiten(judge.residual(()))

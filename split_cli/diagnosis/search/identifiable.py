@@ -8,6 +8,7 @@ import numpy as np
 
 from split_cli.diagnosis.baseline.common import features
 from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.policy import STANDARD, Policy, Screening
 from split_cli.diagnosis.recording.screening import torque_is_constant, torque_is_derived
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.search.candidates import Candidate
@@ -15,11 +16,10 @@ from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["judgeable", "tellable"]
 
-_LEAST_SHARE = 0.7
-_MUCH_SLIPPING = 0.02
 
-
-def judgeable(real: Sequence[Evidence], vehicle: Vehicle, share: float = 1.0) -> tuple[str, ...]:
+def judgeable(
+    real: Sequence[Evidence], vehicle: Vehicle, share: float = 1.0, policy: Policy = STANDARD
+) -> tuple[str, ...]:
     """Return which kinds of physics the real recordings could not show, and the manoeuvre that would.
 
     Parameters
@@ -28,15 +28,16 @@ def judgeable(real: Sequence[Evidence], vehicle: Vehicle, share: float = 1.0) ->
     vehicle : Vehicle
     share : float
         Of the real recordings, how much is compared.
+    policy : Policy
     """
     out = []
-    if share < _LEAST_SHARE:
+    if share < policy.reporting.least_compared:
         out.append(
             f"{1.0 - share:.0%} of the real drive, where the simulation has not been; drive both over the same "
             "speeds, torques and turns"
         )
     slipping = 1.0 - np.mean(np.concatenate([one.rolls for one in real]))
-    if slipping > _MUCH_SLIPPING:
+    if slipping > policy.reporting.much_slipping:
         out.append(
             f"{slipping:.0%} of the real drive, where an axle is asked for more force along the car than its "
             "tyres have and wheels may spin or lock; drive and brake less hard"
@@ -48,7 +49,7 @@ def judgeable(real: Sequence[Evidence], vehicle: Vehicle, share: float = 1.0) ->
     peak = [1.0 / tire.B for tire in (vehicle.front_tire, vehicle.rear_tire)]
     if np.ptp(np.quantile(speed, [0.02, 0.98])) < 0.15 * np.mean(speed):
         out.append("drag against rolling resistance: the speed hardly changes; coast down from high speed")
-    if torque_is_constant(torque, vehicle):
+    if torque_is_constant(torque, vehicle, policy.screening):
         out.append("drive gain, lag and delay: the torque hardly changes; drive torque steps")
     elif np.quantile(torque, 0.02) > -0.02 * vehicle.max_brake_torque:
         out.append("brake gain: there is no braking; brake hard once")
@@ -68,7 +69,12 @@ def judgeable(real: Sequence[Evidence], vehicle: Vehicle, share: float = 1.0) ->
     return tuple(out)
 
 
-def tellable(candidates: Sequence[Candidate], real: Sequence[Series], vehicle: Vehicle) -> list[Candidate]:
+def tellable(
+    candidates: Sequence[Candidate],
+    real: Sequence[Series],
+    vehicle: Vehicle,
+    rules: Screening = STANDARD.screening,
+) -> list[Candidate]:
     """Return the candidates that recordings of this kind can tell at all.
 
     Places are told only with position, since a distance travelled is nothing but a time; wind only with position
@@ -81,6 +87,6 @@ def tellable(candidates: Sequence[Candidate], real: Sequence[Series], vehicle: V
         lacking.add("position")
     if any(map(torque_is_derived, drives)):
         lacking.add("torque")
-    if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle):
+    if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle, rules):
         lacking.add("torque changes")
     return [one for one in candidates if not lacking & one.needs]

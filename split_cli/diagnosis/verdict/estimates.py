@@ -11,12 +11,6 @@ from split_cli.diagnosis.statement.result import ParameterEstimate
 
 __all__ = ["parameter_estimates"]
 
-# What a single track calls one thing and a car does as another: this share of the one-step noise, put wholly on
-# one term, is the systematic error each parameter is given beside chance.
-_SYSTEMATIC = 0.03
-# And this share of itself, where it acts through the tyres: two curves stand for four tyres, and which value suits
-# them best depends on how they are driven.
-_THROUGH_TIRES = 0.10
 _CHI2_95 = 3.84  # of one parameter
 _PLACES = ("s_start", "s_end")
 
@@ -34,7 +28,7 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
     """
     from scipy.stats import t as student
 
-    J = fit.sensitivity
+    J, rules = fit.sensitivity, judge.policy.reporting
     if not J.shape[1]:
         return ()
     scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-150
@@ -52,8 +46,8 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
     for k, part in enumerate(fit.parts):
         size = term_size(judge, fit, k)
         term, entries = part.term, {}
-        systematic = _SYSTEMATIC * np.sqrt(max(judge.misfit, 1.0))
-        relative = np.hypot(systematic / max(size, 1e-9), _THROUGH_TIRES if term.through_tires else 0.0)
+        systematic = rules.systematic * np.sqrt(max(judge.misfit, 1.0))
+        relative = np.hypot(systematic / max(size, 1e-9), rules.through_tires if term.through_tires else 0.0)
         for name, unit in term.parameter_units(part.candidate.variant).items():
             value = term.parameters[name]
             away = value - term.neutral.get(name, value)

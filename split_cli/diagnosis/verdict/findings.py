@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.diagnosis.innovations.judge import Judge
-from split_cli.diagnosis.policy import Abstention
+from split_cli.diagnosis.policy import STANDARD, Abstention, Policy
 from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.remainder.wander import Wander, wander_of
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
@@ -88,16 +88,17 @@ def _is_unexplained(
     most_terms = reading.structure.judge.policy.selection.most_terms
     if len(findings) < most_terms:  # as many names as there may be, and yet something left: no name is
         large = max(large, min(rules.size * reading.gap.severity, rules.most))
-    if wanders(wander, reading.known.wander, rules) and wander.severity > large:
+    if wanders(wander, reading.known.wander, reading.structure.judge.policy) and wander.severity > large:
         return True
     if remainder.p_value >= rules.level or remainder.severity < rules.severity:
         return False
     return remainder.severity > large or remainder.share > rules.share
 
 
-def wanders(wander: Wander, usual: float, rules: Abstention) -> bool:
+def wanders(wander: Wander, usual: float, policy: Policy = STANDARD) -> bool:
     """Return whether rows vary together by more than they usually do, and by enough to matter."""
-    return wander.severity > rules.severity and wander.p_value(usual) < rules.level
+    rules = policy.abstention
+    return wander.severity > rules.severity and wander.p_value(usual, policy.unnamed) < rules.level
 
 
 def with_shares(findings: Sequence[Finding], chosen: Fit, shares: Sequence[float] | None) -> tuple[Finding, ...]:

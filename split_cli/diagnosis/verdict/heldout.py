@@ -10,12 +10,11 @@ import numpy as np
 from split_cli.diagnosis.baseline.common import CommonPhysics
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge, build_judge
+from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import Kinematics
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 
 __all__ = ["HeldOut", "explained_shares", "hold_out"]
-
-_LEAST_ROWS = 60
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ def hold_out(
     knowledge: CommonKnowledge | None,
     common: CommonPhysics,
     kinematics: Sequence[Kinematics],
-    share: float,
+    policy: Policy = STANDARD,
     *,
     to_the_letter: bool = False,
 ) -> HeldOut:
@@ -58,26 +57,26 @@ def hold_out(
         Rows that are compared.
     knowledge, common, kinematics
         As for `build_judge`.
-    share : float
+    policy : Policy
     to_the_letter : bool
         Whether the simulation is believed without reserve.
     """
 
     def judge_of(recordings: Sequence[Evidence], rows: Sequence[np.ndarray], *positions) -> Judge:
-        judge = build_judge(recordings, knowledge, common, rows, *positions)
+        judge = build_judge(recordings, knowledge, common, rows, *positions, policy=policy)
         return judge.believed_to_the_letter() if to_the_letter else judge
 
     if others:
         masks = tuple(np.zeros(len(one.series), dtype=bool) for one in real)
     else:
-        masks = tuple(one.series.t > (1.0 - share) * one.series.t[-1] for one in real)
+        masks = tuple(one.series.t > (1.0 - policy.comparison.holdout_share) * one.series.t[-1] for one in real)
     before = [mask & ~held[one.at] for one, mask, held in zip(real, keep, masks, strict=True)]
     training = judge_of(real, before, kinematics)
     pairs = list(zip(others, keep_others, strict=True)) if others else []
     if not others:
         pairs = [(one, mask & held[one.at]) for one, mask, held in zip(real, keep, masks, strict=True)]
     pairs = [(one, mask) for one, mask in pairs if mask.any()]
-    if sum(int(mask.sum()) for _, mask in pairs) < _LEAST_ROWS:
+    if sum(int(mask.sum()) for _, mask in pairs) < policy.reporting.least_heldout:
         return HeldOut(training, None, masks)
     judging = judge_of([one for one, _ in pairs], [mask for _, mask in pairs])
     return HeldOut(training, judging, masks)
