@@ -71,6 +71,7 @@ BESIDE_THEIR_ALGORITHM = {
     "remainder/structure.py": {"_RIDGE_SHARE"},
     "remainder/wander.py": {"_NEAR_ROWS"},
     "search/calibration.py": {"_BINS", "_WAVES"},
+    "search/candidates.py": {"_NEAR"},
     "search/fitting.py": {"_ITERATIONS", "_REFRESHES"},
     "search/running.py": {"_TINY"},
 }
