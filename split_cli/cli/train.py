@@ -64,6 +64,11 @@ class TimeSpan(click.ParamType):
     "--plain-labels", "plain", is_flag=True, help="The paper's plain difference, damped; for reproduction."
 )
 @click.option(
+    "--trust",
+    metavar="held-out|full|VX,VY,R",
+    help="Share of each correction to apply; default: what held-out blocks show. full: the paper's way.",
+)
+@click.option(
     "--exclude",
     type=TimeSpan(),
     multiple=True,
@@ -74,9 +79,9 @@ class TimeSpan(click.ParamType):
 def command(drives, vehicle_path, output, append, as_json, **settings) -> None:
     """Learn what the nominal model gets wrong, cell by cell, into a trained set.
 
-    Drives are learned in the order given; with the same hyperparameters one run and several appended ones give
-    the same file, bit for bit. Printed are, a drive and in total, samples by what became of them, updates of the
-    set, its size, non-empty cells, their share of the valid region, time a sample and memory.
+    Drives are learned in the order given; with the same hyperparameters and trust one run and several appended
+    ones give the same file, bit for bit. Printed are, a drive and in total, samples by what became of them,
+    updates of the set, its size, non-empty cells, their share of the valid region, time a sample and memory.
 
     \b
     Example:
@@ -121,6 +126,7 @@ def _print_rows(result) -> None:
     if result.fit:
         fit = result.fit
         click.echo(f"fitted to {fit.points} points in {fit.blocks} blocks, {fit.evaluations} evaluations")
+    click.echo(f"trust {result.trust.words()}")
     click.echo(f"written: {result.output}")
 
 

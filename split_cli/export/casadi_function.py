@@ -83,8 +83,11 @@ def committee(tables: BcmTables, name: str) -> casadi.Function:
         # that: where both sides of a maximum are equal its derivative is half of either, and Hessians are wrong.
         share = 1.0 / casadi.fmax(1.0 - q, casadi.DM(0.5 * ratio / (counts + ratio)))
         precision = 1.0 + casadi.dot(q, share)
-        mean.append(casadi.dot(m, share) / precision)
-        variance.append(float(tables.signal_variance[output]) / precision)
+        learned, trust = casadi.dot(m, share) / precision, float(tables.trust[output])
+        prior = float(tables.signal_variance[output])
+        mean.append(trust * learned)
+        # What is not trusted returns to the prior.
+        variance.append(trust * prior / precision + (1.0 - trust) * (prior + trust * learned**2))
     outputs = [casadi.vertcat(*mean), casadi.vertcat(*variance)]
     return casadi.Function(name, [z], outputs, ["z"], ["mean", "variance"])
 

@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.errors import ExportError
 from split_cli.export.reference import Reference
 from split_cli.learning.training_set import TrainingSet
-from split_cli.prediction.bcm import BcmPredictor
+from split_cli.prediction import make_predictor
 
 __all__ = [
     "TOLERANCE",
@@ -150,7 +150,7 @@ def make_oracle(training_set: TrainingSet, count: int, real: str = "double") -> 
     reference = Reference(training_set)
     expected = reference.predict(z)
     finite = np.isfinite(z).all(axis=1) & (np.abs(z) < 1e100).all(axis=1)
-    predictor = BcmPredictor(training_set).predict(z[finite])
+    predictor = make_predictor("bcm", training_set).predict(z[finite])
     kernel = training_set.kernel
     error = max(
         float(np.max(np.abs(predictor.mean - expected.mean[finite]) / reference.deviation, initial=0.0)),

@@ -32,8 +32,10 @@ __all__ = [
     "write_npz",
 ]
 
-DOCUMENT_FORMAT = "split-export/1"
-ARRAYS = ("cell_numbers", "offsets", "z", "y", "gamma", "length_scales", "signal_variance", "noise_variance")
+DOCUMENT_FORMAT = "split-export/2"
+ARRAYS = (
+    "cell_numbers", "offsets", "z", "y", "gamma", "length_scales", "signal_variance", "noise_variance", "trust",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Document:
     Attributes
     ----------
     arrays : dict of str to ndarray
-        `ARRAYS`: cells and points as in `TrainingSet`, and the kernel's hyperparameters.
+        `ARRAYS`: cells and points as in `TrainingSet`, the kernel's hyperparameters, and the trust an output.
     metadata : dict
         Format, provenance, conventions, grid, region.
     """
@@ -69,6 +71,7 @@ def document_of(training_set: TrainingSet, provenance: Provenance) -> Document:
         "length_scales": kernel.length_scales,
         "signal_variance": kernel.signal_variance,
         "noise_variance": kernel.noise_variance,
+        "trust": training_set.trust.array,
     }
     grid, region = training_set.grid, training_set.region
     metadata = {
@@ -157,7 +160,7 @@ def _checked(document: Document, path: Path) -> Document:
     fits = (
         fits and a["z"].shape == (points, width) and a["y"].shape == (points, 3) and a["gamma"].shape == (points,)
     )
-    fits = fits and a["signal_variance"].shape == a["noise_variance"].shape == (3,)
+    fits = fits and a["signal_variance"].shape == a["noise_variance"].shape == a["trust"].shape == (3,)
     fits = fits and a["offsets"].shape == (cells + 1,) and a["offsets"][0] == 0 and a["offsets"][-1] == points
     if not (fits and (np.diff(a["offsets"]) > 0).all()):
         raise ExportError(f"is not a whole export of format {DOCUMENT_FORMAT}", where=str(path))
@@ -201,6 +204,8 @@ def document_answer(document: Document) -> Answer:
             q, m = t**2 @ (1.0 / damped), t @ (turned / damped)
             top += m / (1.0 - q)
             precision += q / (1.0 - q)
-        return top / precision, a["signal_variance"] / precision
+        mean, trust, prior = top / precision, a["trust"], a["signal_variance"]
+        variance = trust * prior / precision + (1.0 - trust) * (prior + trust * mean**2)
+        return trust * mean, variance
 
     return Answer(predict)

@@ -48,11 +48,12 @@ class Reference:
             self._groups.append((points, vectors, 1.0 / damped, turned))
 
     def predict(self, z: np.ndarray) -> Prediction:
-        """Return mean and latent variance at `z`, shape (N, D)."""
+        """Return mean and latent variance at `z`, shape (N, D), as far as the set is trusted."""
         z = np.asarray(z, dtype=float)
         parts = [self._chunk(z[first : first + _CHUNK]) for first in range(0, len(z), _CHUNK)]
         mean, variance = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return Prediction(mean, variance)
+        signal = self.training_set.kernel.signal_variance
+        return Prediction(*self.training_set.trust.apply(mean, variance, signal))
 
     def _chunk(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         kernel = self.training_set.kernel

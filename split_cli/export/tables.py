@@ -30,6 +30,8 @@ class BcmTables:
         S0.
     noise_ratio : ndarray, shape (3,)
         rho = s^2/S0.
+    trust : ndarray, shape (3,)
+        tau, the share of the correction that is applied.
     offsets : ndarray of int64, shape (C + 1,)
         Points of cell c are rows ``offsets[c]:offsets[c + 1]``.
     reference : ndarray, shape (C, D)
@@ -65,6 +67,7 @@ class BcmTables:
     length_scales: np.ndarray
     signal_variance: np.ndarray
     noise_ratio: np.ndarray
+    trust: np.ndarray
     offsets: np.ndarray
     reference: np.ndarray
     points: np.ndarray
@@ -97,7 +100,7 @@ class BcmTables:
     def digest(self) -> str:
         """Return the SHA-256 of every number in the tables."""
         digest = hashlib.sha256(self.real.encode())
-        for name in ("length_scales", "signal_variance", "noise_ratio", "offsets", "reference", "points"):
+        for name in ("length_scales", "signal_variance", "noise_ratio", "trust", "offsets", "reference", "points"):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
         for name in ("eigenvectors", "gains", "weights", "reach"):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
@@ -153,6 +156,7 @@ def build_tables(training_set: TrainingSet, real: str = "double") -> BcmTables:
         "length_scales": kernel.length_scales,
         "signal_variance": kernel.signal_variance,
         "noise_ratio": ratio,
+        "trust": training_set.trust.array,
         "reference": reference,
         "points": points,
         "eigenvectors": np.concatenate(eigenvectors),

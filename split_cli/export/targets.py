@@ -376,6 +376,7 @@ def _manifest(
         "vehicle_digest": provenance.vehicle_digest,
         "conventions": provenance.conventions,
         **({"memory": provenance.memory} if provenance.memory is not None else {}),
+        "trust": list(training_set.trust.share),
         "tables_sha256": tables_digest,
         "predictor_error": oracle.predictor_error,
         "verification": verification,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +17,13 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS, Kernel
 from split_cli.learning.region import Grid, Region, valid_cells
 from split_cli.learning.set_limits import check_header, check_points
+from split_cli.learning.trust import Trust
 from split_cli.vehicle.parameters import Vehicle, vehicle_from_mapping, vehicle_to_mapping
 
 __all__ = ["CellPoints", "SetFile", "SetSource", "TrainingSet", "read_set", "write_set"]
 
-SET_FORMAT = "split-set/1"
+SET_FORMAT = "split-set/2"
+_READABLE = (SET_FORMAT, "split-set/1")  # the first one knew no trust: all of it
 _RETRAIN = "Train it again with `split train`."
 
 
@@ -102,6 +104,8 @@ class TrainingSet:
         Whether y are the paper's plain differences, which depend on the horizon: for reproduction only.
     learner : {"split", "iol"}
         What chose the points: cells by themselves, or one dictionary of `capacity` points (learning/iol.py).
+    trust : Trust
+        How far each output is believed; every predictor and every export applies it.
     """
 
     vehicle: Vehicle
@@ -124,6 +128,7 @@ class TrainingSet:
     sources: tuple[SetSource, ...] = ()
     plain: bool = False
     learner: str = "split"
+    trust: Trust = field(default_factory=Trust.full)
 
     @property
     def size(self) -> int:
@@ -228,7 +233,7 @@ class SetFile:
         except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
             reason = "truncated, damaged or of another kind"
             raise SetError(f"is not a whole trained set ({reason})", where=str(path), advice=_RETRAIN) from error
-        if found != SET_FORMAT:
+        if found not in _READABLE:
             raise SetError(
                 f"is a trained set of format {found!r}, this version reads {SET_FORMAT!r}",
                 where=str(path),
@@ -347,6 +352,7 @@ def _describe(training_set: TrainingSet) -> dict:
         },
         "horizon": s.horizon,
         "plain": s.plain,
+        "trust": {**asdict(s.trust), "share": list(s.trust.share)},
         "capacity": s.capacity,
         "threshold": s.threshold,
         "forgetting": s.forgetting,
@@ -386,6 +392,7 @@ def _header_from(described: Mapping) -> TrainingSet:
         source=np.empty(0, dtype=np.int16),
         row=np.empty(0, dtype=np.int64),
         sources=tuple(SetSource(**source) for source in described["sources"]),
+        trust=Trust(**described["trust"]) if described["format"] == SET_FORMAT else Trust.full(),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from split_cli.errors import SplitError, nearest_names
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.predictor import Prediction, Predictor
+from split_cli.prediction.trusted import TrustedPredictor
 
 __all__ = ["PREDICTORS", "Prediction", "Predictor", "make_predictor"]
 
@@ -29,7 +30,7 @@ PREDICTORS = {
 
 
 def make_predictor(name: str, training_set: TrainingSet, **options: Any) -> Predictor:
-    """Return the predictor called `name` over a trained set.
+    """Return the predictor called `name` over a trained set, as far as the set is trusted.
 
     Parameters
     ----------
@@ -47,4 +48,5 @@ def make_predictor(name: str, training_set: TrainingSet, **options: Any) -> Pred
     if name not in PREDICTORS:
         raise SplitError(f"no predictor {name!r}", advice=nearest_names(name, PREDICTORS))
     module, attribute = PREDICTORS[name]
-    return getattr(importlib.import_module(module), attribute)(training_set, **options)
+    predictor = getattr(importlib.import_module(module), attribute)(training_set, **options)
+    return predictor if training_set.trust.is_full else TrustedPredictor(predictor)

@@ -73,6 +73,7 @@ def _trained_set(path: Path) -> FileDescription:
     facts += [
         ("cell edges", ", ".join(f"{edge:g}" for edge in trained.grid.edges)),
         ("label interval", f"{trained.horizon:g} s"),
+        ("trust", trained.trust.words()),
         ("length scales", ", ".join(f"{v:.4g}" for v in kernel.length_scales) + f" ({kernel.origin})"),
         ("signal deviation", ", ".join(f"{v:.4g}" for v in np.sqrt(kernel.signal_variance))),
         ("noise deviation", ", ".join(f"{v:.4g}" for v in np.sqrt(kernel.noise_variance))),

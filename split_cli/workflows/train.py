@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,11 +28,13 @@ from split_cli.learning.labels import DEFAULT_HORIZON, Labels, compute_labels
 from split_cli.learning.region import Grid, Region, build_grid
 from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
 from split_cli.logs.drive import Drive, read_drive, untold_inputs
+from split_cli.learning.trust import Trust
+from split_cli.scoring.trust import MOST_ROWS, TrainingDrive, estimate_trust
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.label import drive_notes
 from split_cli.workflows.recordings import RecordingCorrection
 
-__all__ = ["TrainResult", "TrainRow", "TrainSettings", "train_set"]
+__all__ = ["TrainResult", "TrainRow", "TrainSettings", "parse_trust", "train_set", "trust_notes"]
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,9 @@ class TrainSettings:
         ``split`` (default), or ``iol``: one dictionary of `capacity` points, 300 by default.
     held : tuple of str
         Inputs that keep their value between samples, whatever the files say.
+    trust : str or None
+        ``held-out`` (default): found on held-out blocks of the drives; ``full``: the plain method; or three
+        numbers from 0 to 1 for v_x, v_y and r, separated by commas. Only for a new set.
     """
 
     features: str | None = None
@@ -76,6 +81,7 @@ class TrainSettings:
     exclude: tuple[tuple[float, float], ...] = ()
     learner: str | None = None
     held: tuple[str, ...] = ()
+    trust: str | None = None
 
 
 @dataclass(frozen=True)
@@ -128,6 +134,8 @@ class TrainResult:
         Label interval of each drive of this run [s].
     kernel : Kernel
     fit : KernelFit or None
+    trust : Trust
+        How far each output of the set is believed.
     notes : tuple of str
     """
 
@@ -137,6 +145,7 @@ class TrainResult:
     horizons: tuple[float, ...]
     kernel: Kernel
     fit: KernelFit | None
+    trust: Trust
     notes: tuple[str, ...]
 
 
@@ -218,8 +227,9 @@ def _train_set(
     total = _row(trained, trained.sources, "total", seconds, offered)
     horizons = tuple(source.horizon for source in trained.sources[-len(table) :])
     return TrainResult(
-        str(output), tuple(table), total, horizons, trained.kernel, fit, (*run.notes, *run.correct.notes)
-    )
+        str(output), tuple(table), total, horizons, trained.kernel, fit, trained.trust,
+        (*run.notes, *run.correct.notes),
+    )  # fmt: skip
 
 
 class _Run:
@@ -283,8 +293,25 @@ class _Run:
         )
         if dictionary:
             points = DEFAULT_DICTIONARY if settings.capacity is None else settings.capacity
-            empty = empty_dictionary(empty, points)
-        return empty, fit
+            return empty_dictionary(replace(empty, trust=self._trust(empty, "full")), points), fit
+        return replace(empty, trust=self._trust(empty, "held-out")), fit
+
+    def _trust(self, empty: TrainingSet, usual: str) -> Trust:
+        """Return the trust asked for, else the usual one of the learner; the rival's way is to believe all."""
+        asked = self.settings.trust or usual
+        if asked != "held-out":
+            return parse_trust(asked)
+        parts, rows = [], 0
+        for position in range(len(self.paths)):
+            drive = self._drive(position)
+            rows += len(drive)
+            if parts and rows > MOST_ROWS:
+                self.notes.append(f"trust was found on the first {len(parts)} of {len(self.paths)} drives")
+                break
+            parts.append(TrainingDrive(drive, self._label(drive, position)))
+        trust = estimate_trust(parts, empty, say=self.say)
+        self.notes += trust_notes(trust)
+        return trust
 
     def _fit(self, grid: Grid, start: Kernel) -> KernelFit | None:
         """Fit to the valid labels of all drives; None, with a note, when they are too few."""
@@ -346,6 +373,38 @@ class _Run:
         self.seen[drive.sha256] = drive.name
 
 
+def parse_trust(text: str) -> Trust:
+    """Return the trust that ``full`` or ``0.5,0.6,1`` stands for.
+
+    Raises
+    ------
+    SetError
+        If it is neither.
+    """
+    if text == "full":
+        return Trust.full()
+    try:
+        return Trust(tuple(float(part) for part in text.split(",")), "given")
+    except ValueError:
+        raise SetError(
+            f"the trust {text!r} cannot be read",
+            advice="Give held-out, full, or three numbers from 0 to 1 for v_x, v_y and r, such as 0.5,0.8,1.",
+        ) from None
+
+
+def trust_notes(trust: Trust) -> list[str]:
+    """Return what the reader of a training must know of its trust."""
+    if trust.origin == "unjudged":
+        return ["the drives are too short to judge the correction on held-out blocks; all of it is applied"]
+    left_out = [n for n, share in zip(("v_x", "v_y", "r"), trust.share, strict=True) if share == 0.0]
+    if not left_out:
+        return []
+    return [
+        f"no correction of {', '.join(left_out)} is applied: on held-out blocks it did not help beyond chance, or "
+        "made some of the driving worse"
+    ]
+
+
 def _row(
     trained: TrainingSet, sources: Sequence[SetSource], name: str, seconds: float, offered: int | None = None
 ) -> TrainRow:
@@ -382,6 +441,12 @@ def _check_continues(known: TrainingSet, vehicle: Vehicle, settings: TrainSettin
             f"keeps its hyperparameters ({known.kernel.origin}) when appended to",
             where=where,
             advice="Leave out --hyperparameters, or train anew with all drives.",
+        )
+    if settings.trust is not None:
+        raise SetError(
+            f"keeps its trust, {known.trust.words()}, when appended to",
+            where=where,
+            advice="Leave out --trust, or train anew with all drives.",
         )
     asked = parse_features(settings.features).names if settings.features is not None else known.features.names
     for what, theirs, ours in (

@@ -1,0 +1,91 @@
+"""How far each output of a trained set is believed, and what that does to mean and variance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.learning.kernel import OUTPUTS
+
+__all__ = ["Trust"]
+
+ORIGINS = ("full", "given", "held-out", "unjudged")
+
+
+@dataclass(frozen=True)
+class Trust:
+    """The share of the learned correction that is applied, an output each.
+
+    Attributes
+    ----------
+    share : tuple of float
+        Of v_x', v_y' and r'; 1 applies the whole correction, 0 leaves the nominal model as it is.
+    origin : {"full", "given", "held-out", "unjudged"}
+        ``held-out``: found on held-out blocks of the training drives. ``unjudged``: the drives are too short for
+        that, and the whole correction is applied.
+    blocks : int
+        Held-out blocks of time that the share was found on.
+
+    Notes
+    -----
+    The residual is taken to be the learned one with probability tau, and a draw from the prior N(0, S0) otherwise.
+    With m and v the mean and the latent variance of the process, the mixture's moments are
+    tau m and tau v + (1 - tau) S0 + tau (1 - tau) m^2: what is not trusted returns to the prior.
+    """
+
+    share: tuple[float, float, float]
+    origin: str = "full"
+    blocks: int = 0
+
+    def __post_init__(self) -> None:
+        share = tuple(float(value) for value in self.share)
+        if len(share) != len(OUTPUTS) or not all(0.0 <= value <= 1.0 for value in share):
+            raise ValueError(f"trust is {self.share}, three numbers from 0 to 1 were expected")
+        if self.origin not in ORIGINS:
+            raise ValueError(f"the origin of trust is {self.origin!r}, one of {', '.join(ORIGINS)} was expected")
+        object.__setattr__(self, "share", share)
+
+    @classmethod
+    def full(cls) -> Trust:
+        """Return the trust of the plain method: every correction is applied whole."""
+        return cls((1.0, 1.0, 1.0))
+
+    @property
+    def array(self) -> np.ndarray:
+        """The shares, shape (3,)."""
+        return np.array(self.share)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether every output is trusted fully, so that nothing changes."""
+        return self.share == (1.0, 1.0, 1.0)
+
+    def apply(
+        self, mean: np.ndarray, variance: np.ndarray, signal_variance: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean and the latent variance that are believed.
+
+        Parameters
+        ----------
+        mean, variance : ndarray, shape (N, 3)
+            Of the process.
+        signal_variance : ndarray, shape (3,)
+            S0, the prior's.
+        """
+        share = self.array
+        doubt = (1.0 - share) * (signal_variance + share * np.square(mean))
+        return share * mean, share * variance + doubt
+
+    def words(self) -> str:
+        """Return the trust for a reader, for example ``v_x 0.52, v_y 0.60, r 1 (found on 20 held-out blocks)``."""
+        shares = ", ".join(
+            f"{name} {value:.2g}" for name, value in zip(("v_x", "v_y", "r"), self.share, strict=True)
+        )
+        how = {
+            "full": "the plain method, not judged on held-out driving",
+            "given": "as given",
+            "held-out": f"found on {self.blocks} held-out blocks of time",
+            "unjudged": "the drives are too short to judge it on held-out blocks",
+        }
+        return f"{shares} ({how[self.origin]})"

@@ -1,0 +1,47 @@
+"""A predictor as far as its set is trusted: the one place where trust acts on predictions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from split_cli.prediction.predictor import Prediction, Predictor
+
+__all__ = ["TrustedPredictor"]
+
+
+class TrustedPredictor(Predictor):
+    """Mean, variance and Jacobian of another predictor, with the trust of its set applied.
+
+    Parameters
+    ----------
+    inner : Predictor
+        Answers as the Gaussian process alone does; its set says how far each output is trusted.
+
+    Notes
+    -----
+    `split_cli.learning.trust.Trust` has the formula. `make_predictor` wraps where trust is not full.
+    """
+
+    def __init__(self, inner: Predictor) -> None:
+        super().__init__(inner.training_set)
+        self.inner = inner
+        self.name = inner.name
+        self.needs_context = inner.needs_context
+
+    def at(self, context: np.ndarray) -> TrustedPredictor:
+        """Return the predictor for a situation, `context` (P, D), equally trusted."""
+        return TrustedPredictor(self.inner.at(context))
+
+    def predict(self, z: np.ndarray) -> Prediction:
+        """Return the believed mean and latent variance at queries `z`, shape (N, D)."""
+        raw = self.inner.predict(z)
+        signal = self.training_set.kernel.signal_variance
+        return Prediction(*self.training_set.trust.apply(raw.mean, raw.variance, signal))
+
+    def mean(self, z: np.ndarray) -> np.ndarray:
+        """Return the believed mean alone, shape (N, 3)."""
+        return self.training_set.trust.array * self.inner.mean(z)
+
+    def jacobian(self, z: np.ndarray) -> np.ndarray:
+        """Return the believed mean's Jacobian, shape (N, 3, D)."""
+        return self.training_set.trust.array[:, None] * self.inner.jacobian(z)

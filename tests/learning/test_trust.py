@@ -1,0 +1,64 @@
+"""Trust: the moments of a mixture, the plain method untouched, and its place in the set's file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from split_cli.learning.training_set import _content_digest, read_set, write_set
+from split_cli.learning.trust import Trust
+from tests.factories import make_training_set
+
+SIGNAL = np.array([0.5, 2.0, 0.1])
+
+
+def test_mean_and_variance_are_those_of_the_mixture():
+    """Drawn a million times: from the posterior with probability tau, from the prior otherwise."""
+    trust, rng, draws = Trust((0.3, 0.8, 0.5)), np.random.default_rng(0), 1_000_000
+    mean, variance = np.array([[0.7, -2.0, 0.2]]), np.array([[0.1, 0.4, 0.02]])
+    believed = rng.random((draws, 3)) < trust.array
+    learned = mean + np.sqrt(variance) * rng.standard_normal((draws, 3))
+    sample = np.where(believed, learned, np.sqrt(SIGNAL) * rng.standard_normal((draws, 3)))
+    m, v = trust.apply(mean, variance, SIGNAL)
+    # Five standard errors of a mean, and of a variance with at most the kurtosis of a two-component mixture.
+    assert np.all(np.abs(m[0] - sample.mean(axis=0)) < 5.0 * np.sqrt(v[0] / draws))
+    np.testing.assert_allclose(v[0], sample.var(axis=0), rtol=0.01)
+
+
+def test_full_trust_changes_no_bit_and_none_leaves_the_prior():
+    rng = np.random.default_rng(1)
+    mean, variance = rng.normal(size=(50, 3)), rng.random((50, 3)) * SIGNAL
+    m, v = Trust.full().apply(mean, variance, SIGNAL)
+    assert m.tobytes() == mean.tobytes() and v.tobytes() == variance.tobytes()
+    m, v = Trust((0.0, 0.0, 0.0)).apply(mean, variance, SIGNAL)
+    assert not m.any() and np.array_equal(v, np.tile(SIGNAL, (50, 1)))
+
+
+@pytest.mark.parametrize("share", [(1.0, 0.5), (1.0, 0.5, 1.1), (-0.1, 0.0, 0.0), (np.nan, 0.0, 0.0)])
+def test_what_is_no_share_is_refused(share):
+    with pytest.raises(ValueError, match="three numbers from 0 to 1"):
+        Trust(share)
+
+
+def test_the_file_keeps_trust_and_an_older_one_is_read_as_fully_trusted(tmp_path):
+    path, old = tmp_path / "car.split", tmp_path / "old.split"
+    trained = replace(make_training_set(0, 300), trust=Trust((0.25, 0.0, 1.0), "held-out", 12))
+    write_set(trained, path)
+    assert read_set(path).trust == trained.trust
+    with pa.memory_map(str(path)) as source:
+        reader = pa.ipc.open_file(source)
+        described = json.loads(reader.schema.metadata[b"split"])
+        for key in ("trust", "content_sha256"):
+            described.pop(key)
+        described["format"] = "split-set/1"
+        described["content_sha256"] = _content_digest(described, trained)
+        schema = reader.schema.with_metadata({b"split": json.dumps(described).encode()})
+        with pa.ipc.new_file(str(old), schema) as writer:
+            for number in range(reader.num_record_batches):
+                writer.write_batch(reader.get_batch(number).replace_schema_metadata(schema.metadata))
+    again = read_set(old)
+    assert again.trust.is_full and np.array_equal(again.z, trained.z)

@@ -1,0 +1,79 @@
+"""Trust found on held-out blocks: a true correction is kept, chance is not believed, and harm is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from split_cli.learning.cells import empty_set
+from split_cli.learning.features import Z2
+from split_cli.learning.hyperparameters import default_kernel, scatter_variance
+from split_cli.learning.labels import compute_labels
+from split_cli.learning.region import z2_grid
+from split_cli.scoring.trust import Evidence, TrainingDrive, estimate_trust, trust_from
+from tests.factories import MissingForce, make_drive, road_car
+
+BLOCKS, EACH = 20, 100
+
+
+def evidence(truth, harm=0.0, seed=0, noise=1.0):
+    """Evidence of three states whose corrections d explain `truth` d; at a third of the speeds -`harm` d."""
+    rng, parts = np.random.default_rng(seed), []
+    block = np.repeat(np.arange(BLOCKS), EACH)
+    conditions = rng.random((len(block), 7))
+    conditions[:, -1] = 0.0
+    slow = conditions[:, 2] < 1 / 3
+    for state, share in enumerate(truth):
+        learned = rng.normal(size=len(block))
+        believed = np.where(slow & (state == 0) & (harm > 0.0), -harm, share)
+        change = np.zeros((len(block), 3))
+        change[:, state] = learned
+        error = believed * learned + noise * rng.normal(size=len(block))
+        parts.append(Evidence(state, 0.0, error, change, np.zeros(len(block)), block, conditions))
+    return parts
+
+
+def test_the_share_that_the_held_out_errors_ask_for_is_found():
+    # The estimate of a share has the standard error 1/sqrt(2000) = 0.02, and the grid 0.05.
+    np.testing.assert_allclose(trust_from(evidence((1.0, 0.6, 0.3))), (1.0, 0.6, 0.3), atol=0.1)
+
+
+def test_gains_within_chance_are_not_believed():
+    """Nothing to be learned, six times: each time a spurious share of 0.02 deviation either way is there."""
+    given = np.array([trust_from(evidence((0.0, 0.0, 0.0), seed=seed)) for seed in range(6)])
+    # A one-sided level of 95 % lets 1 of 20 shares through, and then no further than the grid's first step.
+    assert (given > 0.0).sum() <= 3 and given.max() <= 0.05
+
+
+def test_a_correction_that_harms_a_third_of_the_driving_is_refused_though_it_gains_on_the_whole():
+    assert trust_from(evidence((1.0, 1.0, 1.0)))[0] > 0.9
+    refused = trust_from(evidence((1.0, 1.0, 1.0), harm=0.8))
+    assert refused[0] <= 0.2 and refused[1] > 0.9 and refused[2] > 0.9
+
+
+def trust_of(drive):
+    car = road_car()
+    labels = compute_labels(drive, car, Z2)
+    grid = z2_grid(car, labels.region)
+    kernel = default_kernel(grid, labels.y[labels.accepted], scatter_variance(labels))
+    empty = empty_set(car, Z2, labels.region, grid, kernel, horizon=labels.horizon)
+    return estimate_trust([TrainingDrive(drive, labels)], empty)
+
+
+def test_on_a_drive_a_missing_force_is_trusted_and_noise_is_not():
+    missing = make_drive(0, segments=24, terms=[MissingForce({"front_lateral": 600.0})])
+    found = trust_of(missing)
+    assert found.origin == "held-out" and found.blocks >= 20
+    # The least-squares share of this thin set is 0.85; less its uncertainty remains.
+    assert min(found.share[1:]) >= 0.6
+    plain = make_drive(1, segments=24)
+    rng = np.random.default_rng(2)
+    noisy = {name: plain[name] + scale * rng.normal(size=len(plain)) for name, scale in
+             (("vx", 0.02), ("vy", 0.02), ("r", 0.003))}  # fmt: skip
+    plain = type(plain)(plain.name, {**plain.columns, **noisy}, plain.segment, plain.period)
+    assert max(trust_of(plain).share) <= 0.1
+
+
+def test_too_little_driving_is_not_judged_and_says_so():
+    short = make_drive(3, segments=2)
+    found = trust_of(short)
+    assert found.origin == "unjudged" and found.is_full and "too short" in found.words()
