@@ -83,7 +83,8 @@ def committee(tables: BcmTables, name: str) -> casadi.Function:
         # that: where both sides of a maximum are equal its derivative is half of either, and Hessians are wrong.
         share = 1.0 / casadi.fmax(1.0 - q, casadi.DM(0.5 * ratio / (counts + ratio)))
         precision = 1.0 + casadi.dot(q, share)
-        learned, trust = casadi.dot(m, share) / precision, float(tables.trust[output])
+        # CasADi drops what is multiplied by zero, and with it the answer to a query that is not a number.
+        learned, trust = casadi.dot(m, share) / precision, max(float(tables.trust[output]), 1e-300)
         prior = float(tables.signal_variance[output])
         mean.append(trust * learned)
         # What is not trusted returns to the prior.

@@ -261,6 +261,8 @@ def _rolled_out(
     window, speed = labels.window, labels.region.minimum_speed
     found: list[Evidence] = []
     for horizon in HORIZONS[::-1]:
+        if any(part.horizon >= horizon for part in found):
+            continue  # read off the longer rollouts
         steps = max(1, round(horizon / labels.horizon))
         most = _STARTS_A_BLOCK * max(1, len(np.unique(block[test])))
         # Neighbouring blocks of one fold never touch, so a run of test rows is one block.
@@ -270,7 +272,7 @@ def _rolled_out(
         rolled = _with_each_output(model, drive, starts, steps, labels, z, learned)
         nominal = rolled[0]
         change = np.stack([corrected - nominal for corrected in rolled[1:]], axis=-1)
-        for asked in [h for h in HORIZONS if h <= horizon and not any(h == f.horizon for f in found)]:
+        for asked in [h for h in HORIZONS if h <= horizon]:
             step = max(1, round(asked / labels.horizon)) - 1
             rows = starts + (step + 1) * window
             begin, end = (
@@ -337,22 +339,24 @@ def trust_from(evidence: Sequence[Evidence]) -> np.ndarray:
     gain beyond chance it is taken.
     """
     shares = np.stack(np.meshgrid(_GRID, _GRID, _GRID, indexing="ij"), axis=-1).reshape(-1, 3)
-    terms = np.concatenate([-2.0 * shares, *(shares[:, i, None] * shares for i in range(3))], axis=1)
-    allowed = np.ones(len(shares), dtype=bool)
     gain = np.zeros(len(shares))
     for part in evidence:
-        base, unnoticed = _sizes(part, np.ones(len(part.error), dtype=bool))
-        if base + unnoticed <= 0.0:
-            continue
-        worse, error = _increase(part, np.ones(len(part.error), dtype=bool), terms)
-        gain -= (worse + _quantile(len(np.unique(part.block))) * error) / (base + unnoticed)
-        allowed &= worse <= _NEGLIGIBLE * base + unnoticed
+        everything = np.ones(len(part.error), dtype=bool)
+        base, unnoticed = _sizes(part, everything)
+        if base + unnoticed > 0.0:
+            worse, error = _increase(part, everything, shares)
+            gain -= (worse + _quantile(len(np.unique(part.block))) * error) / (base + unnoticed)
+            gain[worse > _NEGLIGIBLE * base + unnoticed] = -np.inf
+    # Trust of nothing gains nothing and is always allowed; what gains less need not be looked at.
+    kept = np.flatnonzero(gain >= 0.0)
+    shares, gain = shares[kept], gain[kept]
+    for part in evidence:
         for inside in _thirds(part.conditions):
-            worse, error = _increase(part, inside, terms)
             base, unnoticed = _sizes(part, inside)
-            allowed &= worse <= _NEGLIGIBLE_IN_A_THIRD * base + unnoticed + error
-    # Trust of nothing is always allowed, and its gain is zero.
-    return shares[int(np.argmax(np.where(allowed, gain, -np.inf)))]
+            worse, error = _increase(part, inside, shares)
+            allowed = worse <= _NEGLIGIBLE_IN_A_THIRD * base + unnoticed + error
+            shares, gain = shares[allowed], gain[allowed]
+    return shares[int(np.argmax(gain))]
 
 
 def _sizes(part: Evidence, inside: np.ndarray) -> tuple[float, float]:
@@ -361,8 +365,9 @@ def _sizes(part: Evidence, inside: np.ndarray) -> tuple[float, float]:
     return float(np.square(part.error[inside]).sum()), float(np.square(moved).sum())
 
 
-def _increase(part: Evidence, inside: np.ndarray, terms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _increase(part: Evidence, inside: np.ndarray, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return how the sum of squares changes for every trust, and the standard error of that over blocks."""
+    terms = np.concatenate([-2.0 * shares, *(shares[:, i, None] * shares for i in range(3))], axis=1)
     numbers, member = np.unique(part.block[inside], return_inverse=True)
     error, change = part.error[inside], part.change[inside]
     products = np.concatenate([error[:, None] * change, *(change[:, i, None] * change for i in range(3))], axis=1)

@@ -31,7 +31,19 @@ def depot(tmp_path_factory) -> Path:
             name=f"d{number}.parquet",
         )
         write_drive(drive, folder / drive.name)
-    assert tool("train", folder / "d0.parquet", "--vehicle", folder / "car.yaml", "-o", folder / "a.split")[0] == 0
+    assert (
+        tool(
+            "train",
+            folder / "d0.parquet",
+            "--vehicle",
+            folder / "car.yaml",
+            "-o",
+            folder / "a.split",
+            "--trust",
+            "full",
+        )[0]
+        == 0
+    )
     settings = SimulateSettings(track="small", duration=8.0, seed=1)
     simulate_log(settings, folder / "lap.csv")
     simulate_log(settings, folder / "lap.parquet")

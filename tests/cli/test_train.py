@@ -69,13 +69,13 @@ def test_one_run_equals_appended_runs_and_any_batch(garage, tmp_path, features, 
         hyperparameters = garage / hyperparameters
     first, second, third = drives_of(garage)
     common = ("--vehicle", garage / "car.yaml")
-    new = ("--features", features, "--hyperparameters", hyperparameters)
+    new = ("--features", features, "--hyperparameters", hyperparameters, "--trust", "full")
     one, two = tmp_path / "one.split", tmp_path / "two.split"
     assert run("train", first, second, third, *common, *new, "-o", one).exit_code == 0
     assert run("train", first, *common, *new, "-o", two).exit_code == 0
     assert run("train", second, third, *common, "--append", "-o", two).exit_code == 0
     assert digest(one) == digest(two)
-    settings = TrainSettings(features=features, hyperparameters=str(hyperparameters))
+    settings = TrainSettings(features=features, hyperparameters=str(hyperparameters), trust="full")
     for batch in (37, 1000):
         train_set([first, second, third], garage / "car.yaml", two, settings, batch=batch)
         assert digest(one) == digest(two)
@@ -86,7 +86,7 @@ def test_a_fitted_kernel_is_kept_by_appending_and_repeats(garage, tmp_path):
     first, second, _ = drives_of(garage)
     one, two = tmp_path / "one.split", tmp_path / "two.split"
     for path in (one, two):
-        assert run("train", first, "--vehicle", garage / "car.yaml", "-o", path).exit_code == 0
+        assert run("train", first, "--vehicle", garage / "car.yaml", "-o", path, "--trust", "full").exit_code == 0
     assert digest(one) == digest(two)
     fitted = read_set(one)
     assert fitted.kernel.origin == "fitted"
@@ -96,7 +96,19 @@ def test_a_fitted_kernel_is_kept_by_appending_and_repeats(garage, tmp_path):
     # Given to a fresh run, the fitted values give the same points.
     given = tmp_path / "fitted.yaml"
     given.write_text(kernel_to_yaml(fitted.kernel, fitted.features))
-    both = ("train", first, second, "--vehicle", garage / "car.yaml", "-o", two, "--hyperparameters", given)
+    both = (
+        "train",
+        first,
+        second,
+        "--vehicle",
+        garage / "car.yaml",
+        "-o",
+        two,
+        "--hyperparameters",
+        given,
+        "--trust",
+        "full",
+    )
     assert run(*both).exit_code == 0
     assert read_set(two).gamma.tobytes() == appended.gamma.tobytes()
 
@@ -112,7 +124,9 @@ def test_another_process_writes_the_same_bits(garage, tmp_path):
 
 def test_json_accounts_for_every_sample_and_matches_the_file(garage, tmp_path):
     path = tmp_path / "a.split"
-    outcome = run("train", *drives_of(garage), "--vehicle", garage / "car.yaml", "-o", path, "--json")
+    outcome = run(
+        "train", *drives_of(garage), "--vehicle", garage / "car.yaml", "-o", path, "--json", "--trust", "full"
+    )
     told = json.loads(outcome.stdout)
     trained = read_set(path)
     assert [row["drive"] for row in told["rows"]] == ["d0.parquet", "d1.parquet", "d2.parquet"]
@@ -130,7 +144,8 @@ def test_json_accounts_for_every_sample_and_matches_the_file(garage, tmp_path):
 
 
 def test_the_table_has_a_row_a_drive_and_a_total(garage, tmp_path):
-    outcome = run("train", *drives_of(garage), "--vehicle", garage / "car.yaml", "-o", tmp_path / "a.split")
+    made = ("--vehicle", garage / "car.yaml", "-o", tmp_path / "a.split", "--trust", "full")
+    outcome = run("train", *drives_of(garage), *made)
     lines = outcome.stdout.splitlines()
     assert lines[0].split()[:3] == ["drive", "samples", "accepted"]
     for column in ("gap", "gain", "updates", "set size", "cells", "valid region %", "us/sample", "MB"):
@@ -141,7 +156,18 @@ def test_the_table_has_a_row_a_drive_and_a_total(garage, tmp_path):
 
 def test_points_are_the_labels_of_their_rows(garage, tmp_path):
     path = tmp_path / "a.split"
-    run("train", *drives_of(garage), "--vehicle", garage / "car.yaml", "-o", path, "--hyperparameters", "default")
+    run(
+        "train",
+        *drives_of(garage),
+        "--vehicle",
+        garage / "car.yaml",
+        "-o",
+        path,
+        "--hyperparameters",
+        "default",
+        "--trust",
+        "full",
+    )
     trained = read_set(path)
     for source, drive_path in enumerate(drives_of(garage)):
         drive = read_drive(drive_path)
@@ -156,7 +182,7 @@ def test_points_are_the_labels_of_their_rows(garage, tmp_path):
 
 def test_excluded_time_is_not_learned(garage, tmp_path):
     path = tmp_path / "a.split"
-    options = ("--vehicle", garage / "car.yaml", "-o", path, "--hyperparameters", "default")
+    options = ("--vehicle", garage / "car.yaml", "-o", path, "--hyperparameters", "default", "--trust", "full")
     assert (
         run("train", drives_of(garage)[0], *options, "--exclude", "20:60", "--exclude", "100:120").exit_code == 0
     )
@@ -167,7 +193,7 @@ def test_excluded_time_is_not_learned(garage, tmp_path):
     assert trained.size > 300
     drive = read_drive(drives_of(garage)[0])
     rows = ~(((drive["t"] >= 20) & (drive["t"] < 60)) | ((drive["t"] >= 100) & (drive["t"] < 120)))
-    settings = TrainSettings(hyperparameters="default")
+    settings = TrainSettings(hyperparameters="default", trust="full")
     train_set(drives_of(garage)[:1], garage / "car.yaml", tmp_path / "b.split", settings, rows=[rows])
     assert digest(path) == digest(tmp_path / "b.split")
     assert run("train", drives_of(garage)[0], *options, "--exclude", "60:20").exit_code == 2
@@ -184,12 +210,13 @@ def test_excluded_time_is_not_learned(garage, tmp_path):
         (("--vehicle", "car.yaml", "--capacity", "5"), "its capacity: 10; asked for: 5"),
         (("--vehicle", "car.yaml", "--plain-labels"), "its plain labels: False; asked for: True"),
         (("--vehicle", "car.yaml", "--hyperparameters", "fit"), "keeps its hyperparameters"),
+        (("--vehicle", "car.yaml", "--trust", "held-out"), "keeps its trust"),
     ],
 )
 def test_append_refuses_what_does_not_fit_and_leaves_the_set(garage, tmp_path, arguments, message):
     path = tmp_path / "a.split"
     first, second, _ = drives_of(garage)
-    assert run("train", first, "--vehicle", garage / "car.yaml", "-o", path).exit_code == 0
+    assert run("train", first, "--vehicle", garage / "car.yaml", "-o", path, "--trust", "full").exit_code == 0
     before = path.read_bytes()
     named = [garage / part if part.endswith(".yaml") else part for part in arguments]
     outcome = run("train", second, *named, "--append", "-o", path)
@@ -225,6 +252,7 @@ def test_bad_input_is_one_line_and_exit_code_1(garage, tmp_path):
         (["train", good, "--vehicle", car, "--features", "alpha_q"], "no feature 'alpha_q'. Did you mean alpha_"),
         (["train", good, "--vehicle", car, "--hyperparameters", "fti"], "Give fit, default, or a YAML file"),
         (["train", good, "--vehicle", car, "--threshold", "2"], "the gain threshold is 2"),
+        (["train", good, "--vehicle", car, "--trust", "1,2"], "the trust '1,2' cannot be read"),
         (["train", good, "--vehicle", car, "--horizon", "-1"], "the label horizon is -1"),
         (["train", good, "--vehicle", car, "--stride", "0"], "the stride is 0"),
     ]
@@ -284,7 +312,7 @@ def test_label_writes_what_the_library_computes(garage, tmp_path):
 def test_learning_twice_is_noted_and_changes_nothing(garage, tmp_path):
     path = tmp_path / "a.split"
     first = drives_of(garage)[0]
-    run("train", first, "--vehicle", garage / "car.yaml", "-o", path)
+    run("train", first, "--vehicle", garage / "car.yaml", "-o", path, "--trust", "full")
     before = read_set(path)
     outcome = run("train", first, "--vehicle", garage / "car.yaml", "-o", path, "--append")
     assert "d0.parquet was learned before" in outcome.stderr

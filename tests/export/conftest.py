@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from split_cli.export.check import Oracle, make_oracle
 from split_cli.export.compiler import Compiler, find_compiler
 from split_cli.learning.training_set import TrainingSet
+from split_cli.learning.trust import Trust
 from tests.factories import make_training_set
 
 
 @pytest.fixture(scope="session")
 def small_set() -> TrainingSet:
-    """About 400 points in 250 cells."""
-    return make_training_set(seed=3, points=400)
+    """About 400 points in 250 cells, trusted in part, not at all, and fully."""
+    return replace(make_training_set(seed=3, points=400), trust=Trust((0.6, 0.0, 1.0), "given"))
 
 
 @pytest.fixture(scope="session")
