@@ -27,8 +27,8 @@ from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.labels import DEFAULT_HORIZON, Labels, compute_labels
 from split_cli.learning.region import Grid, Region, build_grid
 from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
-from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.learning.trust import Trust
+from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.scoring.trust import MOST_ROWS, TrainingDrive, estimate_trust
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.label import drive_notes
