@@ -12,11 +12,11 @@ from split_cli.cli.ingest import command
 from split_cli.diagnosis.baseline.common import build_common_physics
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.judge import learn_common
-from split_cli.diagnosis.innovations.rollouts import HORIZONS, _that_returns
+from split_cli.diagnosis.innovations.rollouts import HORIZONS, SharedRates, _that_returns, shared_rates
 from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.verdict.improvement import measure_improvement
-from split_cli.diagnosis.verdict.simulation_part import believed_parts
+from split_cli.diagnosis.verdict.simulation_part import SimulationPart, believed_parts, part_of
 from split_cli.logs.drive import read_drive
 from split_cli.proof.injection import split_in_blocks
 from split_cli.vehicle.effects import CATALOGUE
@@ -35,8 +35,9 @@ def test_what_was_taught_rightly_is_believed_and_what_reality_does_not_have_is_n
     common = build_common_physics(taught.vehicle, taught.series)
     knowledge = learn_common([taught])
     for real, believed in ((recorded(43, (RESISTANCE,)), True), (other, False)):
-        parts = believed_parts([(real, held_last_quarter(real))], [taught], common, knowledge)
-        assert (parts[0] != "nominal") == believed
+        known = shared_rates(real.series, common, knowledge)
+        parts = believed_parts([(real, held_last_quarter(real))], [taught], common, [known], [known])
+        assert (parts[0].longitudinal != "nominal") == believed
 
 
 def test_a_part_that_fails_on_the_simulation_itself_is_not_believed():
@@ -47,8 +48,20 @@ def test_a_part_that_fails_on_the_simulation_itself_is_not_believed():
     rng = np.random.default_rng(3)
     noise = replace(simulated, plain=5.0 * rng.normal(size=simulated.plain.shape))
     real = recorded(45, (RESISTANCE,))
-    parts = believed_parts([(real, held_last_quarter(real))], [noise], common, learn_common([noise]))
-    assert parts == ("nominal", "nominal")
+    known = shared_rates(real.series, common, learn_common([noise]))
+    parts = believed_parts([(real, held_last_quarter(real))], [noise], common, [known], [known])
+    assert parts == (SimulationPart(), SimulationPart())
+
+
+def test_a_part_acts_in_its_outputs_alone():
+    """Rates of 1, 2, 3 with a slope of 5 in every entry, believed elsewhere in v_y and r, and at all in no v_x."""
+    whole = SharedRates(np.tile([1.0, 2.0, 3.0], (4, 1)), np.full((4, 3, 3), 5.0), np.zeros((4, 3)))
+    kept = part_of(SimulationPart("nominal", "taught_elsewhere"), whole)
+    aside = np.tile([0.1, 0.0, 0.0], (4, 1))
+    np.testing.assert_allclose(kept.at(np.arange(4), aside), np.tile([0.0, 2.5, 3.5], (4, 1)))
+    kept = part_of(SimulationPart("taught", "nominal"), whole)
+    np.testing.assert_allclose(kept.at(np.arange(4), aside), np.tile([1.0, 0.0, 0.0], (4, 1)))
+    assert part_of(SimulationPart(), whole) is None
 
 
 def test_slopes_keep_their_size_where_errors_fade_and_lose_it_where_they_would_grow():
@@ -84,7 +97,7 @@ def test_no_real_pair_is_compared_with_a_simulation_that_diverges(tmp_path, data
     recordings = [(one, held_last_quarter(one)) for one in case.real]
     told = measure_improvement(recordings, (), case.common, case.knowledge, case.simulated)
     last = told.rollouts[-1]
-    assert last.horizon == 2.0 and told.simulation_part["before"] != "nominal"
+    assert last.horizon == 2.0 and told.simulation_part["before"]["lateral"] != "nominal"
     # Measured 0.015 m/s and 0.003 rad/s, where holding the velocity has 0.059 and 0.047, and it had 3.4 and 1.1.
     assert np.all(np.array(last.before) < last.persistence)
     assert np.all(np.array(last.after) < 1.1 * np.array(last.before))

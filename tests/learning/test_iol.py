@@ -54,9 +54,7 @@ def test_rounding_does_not_pile_up_over_many_exchanges():
 
 def rival(capacity: int = 80):
     start = make_training_set(0, 50)
-    fresh = empty_set(
-        start.vehicle, start.features, start.region, start.grid, start.kernel, horizon=start.horizon
-    )
+    fresh = empty_set(start.vehicle, start.features, start.region, start.grid, start.kernel, horizon=start.horizon)
     return empty_dictionary(fresh, capacity)
 
 

@@ -65,9 +65,9 @@ class SharedRates:
         moved = np.einsum("nij,nj->ni", self.slope[rows], velocity - self.around[rows])
         return self.base[rows] + np.clip(moved, -most, most)
 
-    def at_recorded_states(self) -> SharedRates:
-        """Return the same without slope: the rates of the recorded states, wherever a model is."""
-        return replace(self, slope=np.zeros_like(self.slope))
+    def only(self, outputs: np.ndarray, sloped: np.ndarray) -> SharedRates:
+        """Return the rates of a choice of outputs, and slopes of a choice; masks of shape (3,)."""
+        return replace(self, base=self.base * outputs, slope=self.slope * (outputs & sloped)[:, None])
 
 
 def shared_rates(
@@ -155,8 +155,11 @@ class Rest:
     grid: Grid
     trust: np.ndarray
 
-    def at(self, z: np.ndarray) -> np.ndarray:
-        """Return what is predicted at features z (M, 3), shape (M, 3) [m/s^2], [m/s^2], [rad/s^2]."""
+    def at(self, z: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return what is predicted at features z (M, 3), shape (M, 3) [m/s^2], [m/s^2], [rad/s^2].
+
+        Which rows of the recording these are plays no part.
+        """
         out = np.zeros((len(z), 3))
         inside = self.grid.index(z)[1]
         if inside.any() and np.any(self.trust):
@@ -252,9 +255,10 @@ def _correction(stage: Stage, z: np.ndarray, drive: Drive, window: int) -> Corre
     recorded[:, count : count + 3] = np.stack([drive[name] for name in ("vx", "vy", "r")], axis=1)
 
     def residual(at: np.ndarray) -> np.ndarray:
-        out = np.zeros((len(at), 3)) if stage.rest is None else stage.rest.at(at[:, :count])
+        rows = np.rint(at[:, -1]).astype(np.int64)
+        out = np.zeros((len(at), 3)) if stage.rest is None else stage.rest.at(at[:, :count], rows)
         if shared is not None:
-            out = out + shared.at(np.rint(at[:, -1]).astype(np.int64), at[:, count : count + 3])
+            out = out + shared.at(rows, at[:, count : count + 3])
         return out
 
     return Correction(_FEATURES, recorded, residual)

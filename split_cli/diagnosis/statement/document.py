@@ -120,7 +120,7 @@ def _improvement(improvement: Improvement | None) -> dict[str, Any] | None:
         "persistence": list(improvement.persistence),
         "noise_floor": None if improvement.noise_floor is None else list(improvement.noise_floor),
         "confidence": _plain({**improvement.confidence, **_removed(improvement)}),
-        "simulation_part": dict(improvement.simulation_part),
+        "simulation_part": _plain(improvement.simulation_part),
         "split_trust": _plain(improvement.trust),
         "rollouts": [_rollout(one) for one in improvement.rollouts],
     }

@@ -256,9 +256,10 @@ class Improvement:
     removed : mapping of str to (float, float, float) or None
         For ``physics``, ``split_only`` and ``after``: the share of the squared error above the noise floor that is
         gone, channels weighed by their noise, and its 95 % interval; None where nothing was left to improve.
-    simulation_part : mapping of str to str
-        What of the simulation the models ``before`` and ``physics`` hold: ``nominal`` for the nominal model alone,
-        ``taught`` with what the simulation taught at recorded states, ``taught_elsewhere`` also of others.
+    simulation_part : mapping of str to mapping
+        What of the simulation the models ``before`` and ``physics`` hold, ``longitudinal`` and ``lateral``:
+        ``nominal`` for the nominal model alone, ``taught`` with what the simulation taught at recorded states,
+        ``taught_elsewhere`` also of others.
     trust : mapping of str to (float, float, float)
         Share of SPLIT's prediction that ``split_only`` and ``after`` apply, an output [1].
     """
@@ -272,7 +273,7 @@ class Improvement:
     confidence: Mapping[str, object]
     rollouts: tuple[HorizonErrors, ...] = ()
     removed: Mapping[str, tuple[float, float, float] | None] = field(default_factory=dict)
-    simulation_part: Mapping[str, str] = field(default_factory=dict)
+    simulation_part: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     trust: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from split_cli.diagnosis.innovations.rollouts import (
     RolloutErrors,
     Stage,
     roll_out_stages,
+    shared_rates,
 )
 from split_cli.diagnosis.statement.result import HorizonErrors, Improvement
 from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, blocks_of_time, label_errors
@@ -60,9 +62,12 @@ def measure_improvement(
     easy to beat.
     """
     terms = tuple(terms)
-    chosen = believed_parts(recordings, simulated, common, knowledge, terms)
-    plain = [part_of(chosen[0], one, common, knowledge) for one, _ in recordings]
-    named = [part_of(chosen[1], one, common, knowledge, terms) for one, _ in recordings] if terms else plain
+    plain = [shared_rates(one.series, common, knowledge) for one, _ in recordings]
+    named = [shared_rates(one.series, common, knowledge, terms) for one, _ in recordings] if terms else plain
+    chosen = believed_parts(recordings, simulated, common, plain, named, terms)
+    plain, named = (
+        [part_of(part, one) for one in several] for part, several in zip(chosen, (plain, named), strict=True)
+    )
     parts = [
         label_errors(one, terms, *both, held) for (one, held), *both in zip(recordings, plain, named, strict=True)
     ]
@@ -103,7 +108,7 @@ def measure_improvement(
     return Improvement(
         rms["before"], rms["physics"], rms["after"], rms["split_only"], rms["persistence"],
         tuple(np.sqrt(floor.mean(axis=0)).tolist()), intervals, _pooled([one for one in rollouts if one]), removed,
-        dict(zip(("before", "physics"), chosen, strict=True)),
+        {stage: asdict(part) for stage, part in zip(("before", "physics"), chosen, strict=True)},
         {
             name: (0.0, 0.0, 0.0) if rest is None else tuple(rest.trust.tolist())
             for name, rest in (("split_only", split_only), ("after", both))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from split_cli.diagnosis.innovations.evidence import Evidence
-from split_cli.diagnosis.innovations.rollouts import HORIZONS, Rest, Stage, roll_out_stages
+from split_cli.diagnosis.innovations.rollouts import Rest, Stage, roll_out_stages
 from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, LabelErrors, blocks_of_time
 from split_cli.learning.cells import learn
 from split_cli.learning.hyperparameters import default_kernel, scatter_variance
@@ -19,8 +19,8 @@ __all__ = ["learn_rest", "without_rest"]
 
 _FEWEST_TO_LEARN = 100
 _FOLDS = 4
-_STARTS = 30  # of rollouts, a fold
-_SHARES = (1.0, 0.5)  # of the trust that labels earn, the largest is kept that rollouts bear
+_STARTS = 120  # of rollouts, a recording
+_SHARES = (1.0, 0.5, 0.0)  # of the trust that labels earn; the largest is kept that rollouts bear
 # Lateral velocity and yaw rate move together; what is said of one acts on the other within a tenth of a second.
 _GROUPS = ((0,), (1, 2))
 _BEYOND_CHANCE = 1.0  # standard errors of a difference, by blocks of time
@@ -54,8 +54,8 @@ def learn_rest(
     Each quarter of the training time is predicted from the three others. An output's trust is the share w of the
     prediction p that leaves least of the error e, sum(e p)/sum(p^2) between 0 and 1; it is 0 where that saves no
     more than chance. Rollouts over the same quarters then show what small steps cannot: a correction that makes a
-    velocity drift. It is halved, and left away, while an error at any horizon is larger than without it beyond
-    chance.
+    velocity drift. It is halved, and left away, while an error is larger than without it: at all at the longest
+    horizon, beyond chance at any other.
     """
     vehicle = recordings[0][0].vehicle
     folds = [_folds(part) for part in parts]
@@ -63,11 +63,7 @@ def learn_rest(
     if whole is None:
         return None
     others = [_learned(parts, errors, [(f >= 0) & (f != k) for f in folds], vehicle) for k in range(_FOLDS)]
-    trust = _trust_in_labels(parts, errors, folds, others)
-    for group in _GROUPS:
-        wanted = np.zeros(3)
-        wanted[list(group)] = trust[list(group)]
-        trust[list(group)] = _borne_share(recordings, stages, parts, folds, others, wanted) * wanted[list(group)]
+    trust = _borne(recordings, stages, parts, folds, others, _trust_in_labels(parts, errors, folds, others))
     return replace(whole, trust=trust) if np.any(trust) else None
 
 
@@ -76,7 +72,7 @@ def without_rest(part: LabelErrors, error: np.ndarray, rest: Rest | None) -> np.
     left = error.copy()
     if rest is not None:
         use = part.held & part.labels.accepted
-        left[use] -= rest.at(part.labels.z[use])
+        left[use] -= rest.at(part.labels.z[use], part.labels.row[use])
     return left
 
 
@@ -111,7 +107,7 @@ def _trust_in_labels(parts, errors, folds, others: Sequence[Rest | None]) -> np.
         for k, rest in enumerate(others):
             rows = (fold == k) & part.labels.accepted
             if rest is not None and rows.any():
-                guess[rows] = rest.at(part.labels.z[rows])
+                guess[rows] = rest.at(part.labels.z[rows], part.labels.row[rows])
         used = (fold >= 0) & part.labels.accepted
         error.append(left[used])
         predicted.append(guess[used])
@@ -132,38 +128,76 @@ def _in_standard_errors(values: np.ndarray, block: np.ndarray) -> np.ndarray:
     return sums.sum(axis=0) / np.maximum(error, 1e-300)
 
 
-def _borne_share(recordings, stages, parts, folds, others, trust: np.ndarray) -> float:
-    """Return the largest of `_SHARES` of a trust with which no rollout error grows beyond chance, else 0."""
-    if not np.any(trust):
-        return 0.0
-    for share in _SHARES:
+@dataclass(frozen=True)
+class _LeftOut:
+    """SPLIT at every row of a recording as learned from the other quarters of it; a `Rest` for rollouts.
+
+    Attributes
+    ----------
+    others : sequence of Rest or None
+        Learned without each quarter.
+    fold : ndarray of int, shape (N,)
+        Quarter of each row, -1 for held-out ones.
+    trust : ndarray, shape (3,)
+    """
+
+    others: Sequence[Rest | None]
+    fold: np.ndarray
+    trust: np.ndarray
+
+    def at(self, z: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        out = np.zeros((len(z), 3))
+        for k, rest in enumerate(self.others):
+            here = self.fold[rows] == k
+            if rest is not None and here.any():
+                out[here] = self.trust * rest.at(z[here], rows[here])
+        return out
+
+
+def _borne(recordings, stages, parts, folds, others, trust: np.ndarray) -> np.ndarray:
+    """Return the trust, less by `_SHARES` in every group until no rollout error of it grows beyond chance."""
+    of_rows = [
+        _fold_of_rows(part, fold, len(one.series))
+        for (one, _), part, fold in zip(recordings, parts, folds, strict=True)
+    ]
+    plain = [
+        roll_out_stages(one, {"it": stage}, _inside(fold), most_starts=_STARTS)
+        for (one, _), stage, fold in zip(recordings, stages, of_rows, strict=True)
+    ]
+    steps = np.zeros(3, dtype=int)
+    while np.any(now := trust * np.array(_SHARES)[steps]):
         change, block = [], []
-        for number, ((evidence, _), stage, part, fold) in enumerate(
-            zip(recordings, stages, parts, folds, strict=True)
-        ):
-            for k, rest in enumerate(others):
-                if rest is None:
-                    continue
-                trusted = replace(stage, rest=replace(rest, trust=share * trust))
-                compared = {"without": stage, "with": trusted}
-                rows = _rows_of(part, fold == k, len(evidence.series))
-                errors = roll_out_stages(evidence, compared, rows, most_starts=_STARTS)
-                if errors is None or len(errors.horizons) < len(HORIZONS):
-                    continue
-                change.append(errors.squared["with"] - errors.squared["without"])
-                block.append(errors.t // BLOCK_SECONDS + 1e6 * number)
+        for number, without in enumerate(plain):
+            if without is None:
+                continue
+            (one, _), fold = recordings[number], of_rows[number]
+            trusted = replace(stages[number], rest=_LeftOut(others, fold, now))
+            errors = roll_out_stages(one, {"it": trusted}, _inside(fold), most_starts=_STARTS)
+            change.append(errors.squared["it"] - without.squared["it"])
+            block.append(errors.t // BLOCK_SECONDS + 1e6 * number)
         if not change:
-            return 0.0
-        worse = _in_standard_errors(np.concatenate(change), np.concatenate(block))
-        if np.all(worse <= _BEYOND_CHANCE):
-            return share
-    return 0.0
+            return np.zeros(3)
+        horizons = min(one.shape[1] for one in change)
+        more = np.concatenate([one[:, :horizons] for one in change])
+        worse = np.any(_in_standard_errors(more, np.concatenate(block)) > _BEYOND_CHANCE, axis=0)
+        worse |= more[:, -1].sum(axis=0) > 0.0
+        failing = [list(group) for group in _GROUPS if np.any(worse[list(group)]) and np.any(now[list(group)])]
+        if not failing:
+            # What is worse in a channel that nothing acts on comes of the other group.
+            return now * ~np.any(worse)
+        for group in failing:
+            steps[group] += 1
+    return np.zeros(3)
 
 
-def _rows_of(part: LabelErrors, labels: np.ndarray, length: int) -> np.ndarray:
-    """Return the rows between the first and the last of a choice of labels, as a mask of shape (N,)."""
-    rows = np.zeros(length, dtype=bool)
-    at = part.labels.row[labels]
-    if len(at):
-        rows[at[0] : at[-1] + 1] = True
-    return rows
+def _fold_of_rows(part: LabelErrors, fold: np.ndarray, length: int) -> np.ndarray:
+    """Return the fold of every row, that of the label before it; -1 in held-out time, shape (N,)."""
+    last = np.searchsorted(part.labels.row, np.arange(length), side="right") - 1
+    return np.where(last >= 0, fold[np.maximum(last, 0)], -1)
+
+
+def _inside(fold: np.ndarray) -> np.ndarray:
+    """Return a mask of the rows of the folds, one row at each border taken out so that no rollout crosses it."""
+    inside = fold >= 0
+    inside[1:] &= fold[1:] == fold[:-1]
+    return inside

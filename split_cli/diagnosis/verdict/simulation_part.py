@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from split_cli.diagnosis.baseline.common import CommonPhysics
 from split_cli.diagnosis.innovations.evidence import Evidence
-from split_cli.diagnosis.innovations.judge import CommonKnowledge, learn_common
+from split_cli.diagnosis.innovations.judge import learn_common
 from split_cli.diagnosis.innovations.rollouts import (
     HORIZONS,
     RolloutErrors,
@@ -20,38 +21,51 @@ from split_cli.diagnosis.innovations.rollouts import (
 )
 from split_cli.vehicle.effects import Term
 
-__all__ = ["PARTS", "believed_parts", "part_of", "relative_error"]
+__all__ = ["OFFERS", "SimulationPart", "believed_parts", "part_of", "relative_error"]
 
 #: What a simulation offers to predict with: the nominal model alone; with what the simulation taught at the
 #: recorded states; and with what it taught of other states.
-PARTS = ("nominal", "taught", "taught_elsewhere")
+OFFERS = ("nominal", "taught", "taught_elsewhere")
+# Lateral velocity and yaw rate move together.
+_LONGITUDINAL, _LATERAL = (0,), (1, 2)
 _JUDGED = (0.05, *HORIZONS)  # [s]
 _CHECKED_SHARE = 0.25  # of each simulation's time, at its end, as of the real drives
-_STARTS = 60
+_STARTS = 40
 
 
-def part_of(
-    part: str,
-    evidence: Evidence,
-    common: CommonPhysics,
-    knowledge: CommonKnowledge | None,
-    terms: Sequence[Term] = (),
-) -> SharedRates | None:
-    """Return what a part (one of `PARTS`) adds to the nominal model along a recording; None adds nothing."""
-    if part == "nominal":
+@dataclass(frozen=True)
+class SimulationPart:
+    """What of a simulation predicts beside the nominal model, one of `OFFERS` each.
+
+    Attributes
+    ----------
+    longitudinal : str
+        In v_x.
+    lateral : str
+        In v_y and r.
+    """
+
+    longitudinal: str = "nominal"
+    lateral: str = "nominal"
+
+
+def part_of(part: SimulationPart, whole: SharedRates | None) -> SharedRates | None:
+    """Return what a part adds to the nominal model along a recording; None adds nothing."""
+    offers = np.array([part.longitudinal, part.lateral, part.lateral])
+    if whole is None or np.all(offers == "nominal"):
         return None
-    shared = shared_rates(evidence.series, common, knowledge, terms)
-    return shared if shared is None or part == "taught_elsewhere" else shared.at_recorded_states()
+    return whole.only(offers != "nominal", offers == "taught_elsewhere")
 
 
 def believed_parts(
     recordings: Sequence[tuple[Evidence, np.ndarray]],
     simulated: Sequence[Evidence],
     common: CommonPhysics,
-    knowledge: CommonKnowledge | None,
+    plain: Sequence[SharedRates | None],
+    named: Sequence[SharedRates | None],
     terms: Sequence[Term] = (),
-) -> tuple[str, str]:
-    """Return which of `PARTS` predicts best without and with terms, never one that fails on the simulation itself.
+) -> tuple[SimulationPart, SimulationPart]:
+    """Return which parts predict best without and with terms, never one that fails on the simulation itself.
 
     Parameters
     ----------
@@ -59,42 +73,47 @@ def believed_parts(
         Real recordings and which of their rows are held out; those are not looked at.
     simulated : sequence of Evidence
     common : CommonPhysics
-    knowledge : CommonKnowledge or None
-        Learned from all of the simulation.
+    plain, named : sequence of SharedRates or None
+        All that the simulation knows along each recording, without and with terms.
     terms : sequence of Term
 
     Notes
     -----
-    A part must predict the end of every simulation no worse than the nominal model does, learned from what comes
-    before; of those that do, the one is taken that predicts the real drives' training time best. Both by
-    `relative_error`.
+    An offer must predict the end of every simulation no worse than the nominal model does, learned from what comes
+    before; of the pairs of those that do, the one is taken that predicts the real drives' training time best. Both
+    by `relative_error`.
     """
-    if knowledge is None:
-        return "nominal", "nominal"
-    passed = _that_predict_the_simulation(simulated, common)
-    plain = _best(recordings, common, knowledge, (), passed)
-    return plain, _best(recordings, common, knowledge, terms, passed) if terms else plain
+    if any(one is None for one in plain):
+        return SimulationPart(), SimulationPart()
+    believable = _that_predict_the_simulation(simulated, common)
+    rows = [(one, ~held) for one, held in recordings]
+    before = _best(rows, plain, (), believable)
+    return before, _best(rows, named, terms, believable) if terms else before
 
 
-def _best(recordings, common, knowledge, terms: Sequence[Term], parts: Sequence[str]) -> str:
-    judged = [_errors(one, ~held, common, knowledge, parts, terms) for one, held in recordings]
-    judged = [errors for errors in judged if errors is not None]
-    if not judged:
-        return "nominal"
-    return min(parts, key=lambda part: sum(relative_error(errors, part) for errors in judged))
-
-
-def _that_predict_the_simulation(simulated: Sequence[Evidence], common: CommonPhysics) -> list[str]:
+def _that_predict_the_simulation(
+    simulated: Sequence[Evidence], common: CommonPhysics
+) -> tuple[Sequence[str], Sequence[str]]:
+    """Return the longitudinal and the lateral offers that predict the simulations' ends."""
     ends = [one.series.t > (1.0 - _CHECKED_SHARE) * one.series.t[-1] for one in simulated]
     taught = learn_common([_without(one, end) for one, end in zip(simulated, ends, strict=True)])
-    judged = [
-        errors
-        for one, end in zip(simulated, ends, strict=True)
-        if (errors := _errors(one, end, common, taught, PARTS)) is not None
-    ]
-    if not judged:
-        return list(PARTS)
-    return [part for part in PARTS if sum(relative_error(errors, part) for errors in judged) <= 0.0]
+    rates = [shared_rates(one.series, common, taught) for one in simulated]
+    parts = {offer: SimulationPart(offer, offer) for offer in OFFERS}
+    judged = _errors(list(zip(simulated, ends, strict=True)), rates, (), parts)
+    return tuple(
+        [offer for offer in OFFERS if _excess(judged, offer, "nominal", channels) <= 0.0]
+        for channels in (_LONGITUDINAL, _LATERAL)
+    )
+
+
+def _best(rows, rates, terms: Sequence[Term], believable: tuple[Sequence[str], Sequence[str]]) -> SimulationPart:
+    parts = {str(pair): SimulationPart(*pair) for pair in product(*believable)}
+    judged = _errors(rows, rates, terms, parts)
+    return parts[min(parts, key=lambda name: _excess(judged, name, str(("nominal", "nominal")), (0, 1, 2)))]
+
+
+def _excess(judged: Sequence[RolloutErrors], stage: str, than: str, channels: Sequence[int]) -> float:
+    return sum(len(one.t) * relative_error(one, stage, than, channels) for one in judged)
 
 
 def _without(evidence: Evidence, rows: np.ndarray) -> Evidence:
@@ -106,27 +125,25 @@ def _without(evidence: Evidence, rows: np.ndarray) -> Evidence:
 
 
 def _errors(
-    evidence: Evidence,
-    rows: np.ndarray,
-    common: CommonPhysics,
-    knowledge: CommonKnowledge,
-    parts: Sequence[str],
-    terms: Sequence[Term] = (),
-) -> RolloutErrors | None:
-    terms = tuple(terms)
-    stages = {part: Stage(terms, part_of(part, evidence, common, knowledge, terms)) for part in parts}
-    return roll_out_stages(evidence, stages, rows, horizons=_JUDGED, most_starts=_STARTS)
+    rows: Sequence[tuple[Evidence, np.ndarray]],
+    rates: Sequence[SharedRates | None],
+    terms: Sequence[Term],
+    parts: dict[str, SimulationPart],
+) -> list[RolloutErrors]:
+    """Return rollout errors with each part; recordings too short for one are left out."""
+    out = []
+    for (one, judged), known in zip(rows, rates, strict=True):
+        stages = {name: Stage(tuple(terms), part_of(part, known)) for name, part in parts.items()}
+        out.append(roll_out_stages(one, stages, judged, horizons=_JUDGED, most_starts=_STARTS))
+    return [errors for errors in out if errors is not None]
 
 
-def relative_error(errors: RolloutErrors, stage: str, than: str = "nominal") -> float:
-    """Return by how much a stage's errors exceed another's, in the mean over horizons and channels [1].
+def relative_error(errors: RolloutErrors, stage: str, than: str, channels: Sequence[int] = (0, 1, 2)) -> float:
+    """Return by how much a stage's errors exceed another's [1].
 
-    Notes
-    -----
-    The mean of log(rms/rms) times the starts, so that recordings count by their length. Below the noise floor all
-    errors are alike.
+    The mean of log(rms/rms) over horizons and channels. Below the noise floor all errors are alike.
     """
-    squared: Mapping[str, np.ndarray] = errors.squared
-    floor = errors.floor.mean(axis=0)
-    one, other = (np.maximum(squared[name].mean(axis=0), floor) for name in (stage, than))
-    return 0.5 * float(np.mean(np.log(one / other))) * len(errors.t)
+    columns = list(channels)
+    floor = errors.floor[:, :, columns].mean(axis=0)
+    one, other = (np.maximum(errors.squared[name][:, :, columns].mean(axis=0), floor) for name in (stage, than))
+    return 0.5 * float(np.mean(np.log(one / other)))
