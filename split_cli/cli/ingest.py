@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from split_cli.cli.options import (
+    engine_options,
     existing_file,
     json_option,
     output_option,
@@ -68,6 +69,7 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
 @click.option("--list", "list_only", is_flag=True, help="List the channels of the logs, and stop.")
 @click.option("--list-maps", is_flag=True, help="List the presets, and stop.")
 @click.option("--suggest-map", is_flag=True, help="Print a draft of a map for the log, and stop.")
+@engine_options
 @json_option
 def command(logs, maps, vehicle_path, output, topics, message_paths, keep_going, as_json, **options) -> int:
     """Read recordings into drives: one uniform clock, SI units, ISO 8855 axes at the CG.
@@ -78,9 +80,11 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, keep_going,
     Example:
       split ingest lap.mcap --list
       split ingest lap.mcap --vehicle car.yaml --map map.yaml -o lap.parquet
+      split ingest archive/ --vehicle car.yaml --map map.yaml -o drives/ --jobs 2 --keep-going
       split ingest cpg_slow_lap.mat --vehicle genesis --map genesis_slow \\
           --derive torque-from-acceleration -o genesis.parquet
     """
+    from split_cli.workflows.engine import open_engine
     from split_cli.workflows.ingest import IngestSettings, ingest_logs
 
     if options["list_maps"]:
@@ -99,19 +103,21 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, keep_going,
         estimate_delays=options["estimate_delays"],
         derive=options["derive"],
     )
-    results, failures = ingest_logs(
-        logs,
-        output,
-        maps=[Path(name) for name in maps],
-        vehicle_path=vehicle_path,
-        settings=settings,
-        topics=topics,
-        message_paths=message_paths,
-        keep_going=keep_going,
-        progress=_progress,
-    )
-    _show(results, failures, as_json)
-    return 1 if failures else 0
+    with open_engine(options["engine"], jobs=options["jobs"], scheduler=options["scheduler"]) as engine:
+        run = ingest_logs(
+            logs,
+            output,
+            maps=[Path(name) for name in maps],
+            vehicle_path=vehicle_path,
+            settings=settings,
+            topics=topics,
+            message_paths=message_paths,
+            keep_going=keep_going,
+            progress=_progress,
+            engine=engine,
+        )
+    _show(run, as_json)
+    return 1 if run.failures else 0
 
 
 def _progress(text: str) -> None:
@@ -119,14 +125,19 @@ def _progress(text: str) -> None:
         click.echo(text, err=True)
 
 
-def _show(results, failures, as_json: bool) -> None:
-    for failure in failures:
-        click.echo(f"split: {failure.error}", err=True)
+def _show(run, as_json: bool) -> None:
     if as_json:
-        print_json([result.to_mapping() for result in results])
-        return
-    for result in results:
-        click.echo(result.to_text())
+        print_json([result.to_mapping() for result in run.results])
+    else:
+        for result in run.results:
+            click.echo(result.to_text())
+    if run.unchanged:
+        click.echo(f"note: {len(run.unchanged)} unchanged since they were ingested, not read again", err=True)
+    if run.failures:
+        made = len(run.results) + len(run.unchanged)
+        click.echo(f"split: {len(run.failures)} of {made + len(run.failures)} logs gave no drive:", err=True)
+    for failure in run.failures:
+        click.echo(f"split: {failure.error}", err=True)
 
 
 def _list_maps(as_json: bool) -> int:

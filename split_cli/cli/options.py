@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 __all__ = [
+    "engine_options",
     "existing_file",
     "held_option",
     "json_option",
@@ -46,6 +47,20 @@ def held_option(function: Callable) -> Callable:
 def json_option(function: Callable) -> Callable:
     """``--json``: print the result as JSON on stdout instead of a table."""
     return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")(function)
+
+
+def engine_options(function: Callable) -> Callable:
+    """``--engine``, ``--scheduler``, ``--jobs``: where the work is done; results do not depend on it."""
+    for option in (
+        click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes to use."),
+        click.option("--scheduler", metavar="ADDRESS", help="A running Dask scheduler, tcp://HOST:PORT."),
+        click.option(
+            "--engine", type=click.Choice(["process", "dask"]), default="process", show_default=True,
+            help="Work on this machine or on a Dask cluster; the result is the same.",
+        ),
+    ):  # fmt: skip
+        function = option(function)
+    return function
 
 
 def output_option(meaning: str, required: bool = True) -> Callable:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
 
 from split_cli.errors import LogError, MapError, SplitError, nearest_names
 from split_cli.files import atomic_directory, refuse_overwriting_inputs
@@ -20,10 +19,14 @@ from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import SignalMap, read_map
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
+from split_cli.workflows.engine import Engine
+from split_cli.workflows.ingest_manifest import IngestManifest, settings_digest
+from split_cli.workflows.sources import SourceFile, find_sources, is_remote
 
 __all__ = [
     "IngestFailure",
     "IngestResult",
+    "IngestRun",
     "IngestSettings",
     "ingest_logs",
     "list_channels",
@@ -99,6 +102,24 @@ class IngestFailure:
     error: SplitError
 
 
+class IngestRun(NamedTuple):
+    """What became of the recordings.
+
+    Attributes
+    ----------
+    results : tuple of IngestResult
+        Drives that were made.
+    failures : tuple of IngestFailure
+        Only with `keep_going`.
+    unchanged : tuple of str
+        Sources whose drive was there already.
+    """
+
+    results: tuple[IngestResult, ...]
+    failures: tuple[IngestFailure, ...]
+    unchanged: tuple[str, ...]
+
+
 def ingest_logs(
     logs: Sequence[str | Path],
     output: str | Path,
@@ -109,16 +130,18 @@ def ingest_logs(
     topics: dict[str, str] | None = None,
     message_paths: Sequence[str | Path] = (),
     keep_going: bool = False,
+    engine: Engine | None = None,
     progress: Callable[[str], None] = lambda text: None,
-) -> tuple[tuple[IngestResult, ...], tuple[IngestFailure, ...]]:
+) -> IngestRun:
     """Make a drive of every recording.
 
     Parameters
     ----------
     logs : sequence of path-like
-        Recordings; a folder that is no rosbag2 stands for the recordings in it.
+        Recordings; folders, globs and addresses as `find_sources` takes them.
     output : path-like
-        The drive's file for one log; for several a folder, one Parquet a log named after it.
+        The drive's file for one log; for several a folder, one Parquet a log named after it, and a manifest: a
+        source that is there already, unchanged and with the same settings, is not read again.
     maps : sequence of path-like
         Presets or files, later over earlier; none for a table whose columns are named as a drive's.
     vehicle_path : path-like, optional
@@ -129,47 +152,123 @@ def ingest_logs(
     message_paths : sequence of path-like
         Folders of ``.msg`` files.
     keep_going : bool
-        Write the drives that can be made when some recordings fail.
+        Write each drive as soon as it is made, whatever becomes of the others.
+    engine : Engine, optional
+        Where recordings are read; by default in this process.
     progress : callable
         Told in words what is being done.
-
-    Returns
-    -------
-    results, failures : tuple of IngestResult, tuple of IngestFailure
-        Failures only with `keep_going`.
 
     Raises
     ------
     SplitError
-        If a recording, the map or the vehicle is at fault; nothing is written then.
+        If a recording, the map or the vehicle is at fault; nothing is written then, unless `keep_going`.
     """
+    engine = engine or Engine("this process", 1, map)
     vehicle = read_vehicle(vehicle_path) if vehicle_path is not None else None
-    paths = _expand(logs)
+    sources = find_sources(logs)
     output = Path(output)
-    single = len(paths) == 1 and not output.is_dir() and output.suffix.lower() in (".parquet", ".pq")
+    single = len(sources) == 1 and not output.is_dir() and output.suffix.lower() in (".parquet", ".pq")
     if not single:
-        _check_folder(output, paths)
-    for path in paths:
-        refuse_overwriting_inputs(output if single else output / f"{path.stem}.parquet", paths)
+        _check_folder(output, sources)
+    inputs = [source.address for source in sources if not is_remote(source.address)]
+    for source in sources:
+        refuse_overwriting_inputs(output if single else output / _drive_name(source), inputs)
     signal_map = read_map(maps) if maps else None
+    prepared = _Job(signal_map, vehicle, settings, tuple((topics or {}).items()), tuple(map(str, message_paths)))
+    if single:
+        progress(sources[0].name)
+        made = _make_drive(replace(prepared, source=sources[0], target=str(output), shown=str(output)))
+        if isinstance(made, IngestFailure):
+            if not keep_going:
+                raise made.error
+            return IngestRun((), (made,), ())
+        return IngestRun((made,), (), ())
+    if keep_going:
+        output.mkdir(parents=False, exist_ok=True)
+        return _into_folder(prepared, sources, output, output, engine, keep_going, progress)
+    # A folder is shown only when all of its drives are made.
+    with atomic_directory(output) as folder:
+        return _into_folder(prepared, sources, output, folder, engine, keep_going, progress)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One recording to read, with all that reading it needs; travels to other processes.
+
+    `target` is where the drive is written, `shown` where it will be found.
+    """
+
+    signal_map: SignalMap | None
+    vehicle: Vehicle | None
+    settings: IngestSettings | None
+    topics: tuple[tuple[str, str], ...]
+    message_paths: tuple[str, ...]
+    source: SourceFile = SourceFile("", "")
+    target: str = ""
+    shown: str = ""
+
+
+def _into_folder(
+    prepared: _Job,
+    sources: Sequence[SourceFile],
+    output: Path,
+    folder: Path,
+    engine: Engine,
+    keep_going: bool,
+    progress: Callable[[str], None],
+) -> IngestRun:
+    """Make the drives that `output` lacks, in `folder`, and enter them in its manifest."""
+    manifest = IngestManifest.of(output)
+    digest = settings_digest(prepared.signal_map, prepared.vehicle, prepared.settings, dict(prepared.topics))
     results: list[IngestResult] = []
     failures: list[IngestFailure] = []
-    # Each drive is written as soon as it is made, so that memory holds one; a folder is shown only when all are.
-    with contextlib.ExitStack() as stack:
-        folder = None if single else stack.enter_context(atomic_directory(output))
-        for number, path in enumerate(paths, 1):
-            progress(f"[{number}/{len(paths)}] {path.name}")
-            try:
-                made = _assemble(path, signal_map, vehicle, settings, topics or {}, message_paths)
-            except SplitError as error:
-                if not keep_going:
-                    raise
-                failures.append(IngestFailure(path.name, error))
-                continue
-            target = output if folder is None else folder / f"{path.stem}.parquet"
-            write_drive(made.drive, target)
-            results.append(_result(path, output if folder is None else output / target.name, made))
-    return tuple(results), tuple(failures)
+    unchanged: list[str] = []
+    jobs: list[_Job] = []
+    prints: list[str] = []
+    for source in sources:
+        try:
+            fingerprint = source.fingerprint()
+        except SplitError as error:
+            if not keep_going:
+                raise
+            failures.append(IngestFailure(source.place, error))
+            continue
+        if manifest.is_done(source.place, fingerprint, digest):
+            unchanged.append(source.place)
+            continue
+        name = _drive_name(source)
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        prints.append(fingerprint)
+        jobs.append(replace(prepared, source=source, target=str(folder / name), shown=str(output / name)))
+    for number, (job, fingerprint, made) in enumerate(zip(jobs, prints, engine.map(_make_drive, jobs)), 1):  # noqa: B905
+        progress(f"[{number}/{len(jobs)}] {job.source.place}")
+        if isinstance(made, IngestFailure):
+            if not keep_going:
+                raise made.error
+            failures.append(made)
+            continue
+        results.append(made)
+        manifest.add(job.source.place, fingerprint, digest, _drive_name(job.source), Path(job.target))
+        if keep_going:
+            manifest.write(now_and_then=True)
+    if results:
+        manifest.write(folder)
+    return IngestRun(tuple(results), tuple(failures), tuple(unchanged))
+
+
+def _make_drive(job: _Job) -> IngestResult | IngestFailure:
+    """Read one recording and write its drive, whole or not at all; an error is returned, to be told in order."""
+    try:
+        with job.source.local() as path:
+            made = _assemble(path, job.signal_map, job.vehicle, job.settings, dict(job.topics), job.message_paths)
+            write_drive(made.drive, job.target)
+            return _result(path, Path(job.shown), made)
+    except SplitError as error:
+        return IngestFailure(job.source.place, error)
+
+
+def _drive_name(source: SourceFile) -> str:
+    return str(PurePosixPath(source.place).with_suffix(".parquet"))
 
 
 def list_channels(
@@ -252,36 +351,18 @@ def _check_topics(topics: dict[str, str], signal_map: SignalMap) -> None:
             )
 
 
-def _expand(logs: Sequence[str | Path]) -> list[Path]:
-    paths: list[Path] = []
-    for log in logs:
-        path = Path(log)
-        is_bag = (path / "metadata.yaml").is_file() or any(path.glob("*.db3"))
-        if path.is_dir() and not is_bag:
-            inside = sorted(p for p in path.iterdir() if not p.name.startswith(".") and p.suffix in _LOG_SUFFIXES)
-            if not inside:
-                raise SplitError(
-                    "holds no recording", where=str(path), advice=f"Known are {', '.join(_LOG_SUFFIXES)}."
-                )
-            paths.extend(inside)
-        else:
-            paths.append(path)
-    return paths
-
-
-_LOG_SUFFIXES = (".mcap", ".bag", ".db3", ".csv", ".parquet", ".mat", ".mf4")
-
-
-def _check_folder(output: Path, paths: Sequence[Path]) -> None:
-    if len(paths) > 1 and output.suffix.lower() in (".parquet", ".pq"):
+def _check_folder(output: Path, sources: Sequence[SourceFile]) -> None:
+    if len(sources) > 1 and output.suffix.lower() in (".parquet", ".pq"):
         raise SplitError(
-            f"{len(paths)} recordings cannot go into one drive", where=str(output), advice="Name a folder."
+            f"{len(sources)} recordings cannot go into one drive", where=str(output), advice="Name a folder."
         )
-    stems = [path.stem for path in paths]
-    twice = next((stem for stem in stems if stems.count(stem) > 1), None)
+    names = [_drive_name(source) for source in sources]
+    twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
     if twice:
         raise SplitError(
-            f"two recordings are called {twice}", where=str(output), advice="Ingest them into two folders."
+            f"two recordings are called {twice.removesuffix('.parquet')}",
+            where=str(output),
+            advice="Ingest them into two folders.",
         )
 
 

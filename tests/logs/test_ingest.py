@@ -45,7 +45,7 @@ def frame(drive: PlantedDrive, rate: float = 100.0) -> pd.DataFrame:
 
 def ingest(folder: Path, table: pd.DataFrame, **settings):
     table.to_csv(folder / "log.csv", index=False)
-    results, _ = ingest_logs(
+    results, _, _ = ingest_logs(
         [folder / "log.csv"],
         folder / "drive.parquet",
         maps=[folder / "map.yaml"],
@@ -169,13 +169,13 @@ def test_several_logs_go_into_a_folder_all_or_none(folder, drive):
         frame(drive).to_csv(folder / name, index=False)
     (folder / "c.csv").write_text("t,vx\n")
     kwargs = {"maps": [folder / "map.yaml"], "vehicle_path": folder / "car.yaml"}
-    results, _ = ingest_logs([folder / "a.csv", folder / "b.csv"], folder / "drives", **kwargs)
+    results, _, _ = ingest_logs([folder / "a.csv", folder / "b.csv"], folder / "drives", **kwargs)
     assert [r.drive_path.name for r in results] == ["a.parquet", "b.parquet"]
     assert len(read_drive(folder / "drives" / "b.parquet")) == results[1].rows
     with pytest.raises(SplitError):
         ingest_logs([folder / "a.csv", folder / "c.csv"], folder / "none", **kwargs)
     assert not (folder / "none").exists() or not list((folder / "none").iterdir())
-    results, failures = ingest_logs(
+    results, failures, _ = ingest_logs(
         [folder / "a.csv", folder / "c.csv"], folder / "some", keep_going=True, **kwargs
     )
     assert len(results) == 1 and [f.log for f in failures] == ["c.csv"]

@@ -21,7 +21,7 @@ def lap(tmp_path_factory, sample_logs) -> tuple[IngestResult, Drive, Drive]:
     folder = tmp_path_factory.mktemp("lap")
     settings = SimulateSettings(car="f1tenth_car", track="f1tenth", laps=1.0, aggressiveness=0.8, seed=4)
     simulate_log(settings, folder / "lap.mcap", truth=folder / "truth.parquet")
-    results, _ = ingest_logs(
+    results, _, _ = ingest_logs(
         [folder / "lap.mcap"],
         folder / "lap.parquet",
         maps=["split_sim"],
@@ -84,7 +84,7 @@ def test_a_sound_log_has_no_findings_and_no_delays(lap):
     ],
 )
 def test_every_bundled_log_becomes_a_drive_without_findings(tmp_path, sample_logs, log, vehicle, preset):
-    results, _ = ingest_logs(
+    results, _, _ = ingest_logs(
         [sample_logs / log], tmp_path / "drive.parquet", maps=[preset], vehicle_path=sample_logs / vehicle
     )
     made = read_drive(Path(results[0].drive_path))
@@ -96,7 +96,7 @@ def test_every_bundled_log_becomes_a_drive_without_findings(tmp_path, sample_log
 
 def test_log_time_instead_of_header_time_makes_channels_late_and_the_estimate_sees_it(tmp_path, sample_logs):
     """Latency is 1 to 4 ms by design of the sensors, with jitter; position comes 30 ms late."""
-    results, _ = ingest_logs(
+    results, _, _ = ingest_logs(
         [sample_logs / "f1tenth_laps.mcap"],
         tmp_path / "drive.parquet",
         maps=["split_sim"],

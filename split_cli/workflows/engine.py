@@ -1,0 +1,138 @@
+"""Where work is done: in this process, in several on this machine, or on a Dask cluster: same results."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from split_cli.errors import SplitError
+
+__all__ = ["Engine", "open_engine"]
+
+_T = TypeVar("_T")
+_R = TypeVar("_R")
+_AHEAD = 2
+"""Items handed out beyond those being worked on, per worker [1]; judgement: enough that no worker waits."""
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Applies a function to items; results come in the order of the items, whoever is done first.
+
+    Attributes
+    ----------
+    name : str
+        In words, for the report.
+    workers : int
+    apply : callable
+        ``apply(function, items)`` yields results in order; an error of an item is raised at its place.
+    """
+
+    name: str
+    workers: int
+    apply: Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
+
+    def map(self, function: Callable[[_T], _R], items: Iterable[_T]) -> Iterator[_R]:
+        """Yield ``function(item)`` of every item, in order.
+
+        `function` is a plain function of a module and items are values that can be pickled: they may travel.
+        """
+        yield from self.apply(function, list(items))
+
+
+@contextlib.contextmanager
+def open_engine(name: str = "process", *, jobs: int = 1, scheduler: str | None = None) -> Iterator[Engine]:
+    """Give an engine, and close what it opened.
+
+    Parameters
+    ----------
+    name : {"process", "dask"}
+    jobs : int
+        Processes on this machine; 1 works in this process. With ``dask`` and no scheduler, workers of a cluster of
+        its own on this machine.
+    scheduler : str, optional
+        Address of a running Dask scheduler, ``tcp://HOST:PORT``. Its workers must see the same files.
+
+    Raises
+    ------
+    SplitError
+        If the package is missing or the scheduler does not answer.
+    """
+    if name == "dask":
+        with _dask(jobs, scheduler) as engine:
+            yield engine
+    elif scheduler is not None:
+        raise SplitError("needs `--engine dask`", where="--scheduler")
+    elif jobs <= 1:
+        yield Engine("this process", 1, lambda function, items: map(function, items))
+    else:
+        context = multiprocessing.get_context("spawn")
+        # multiprocessing's own pool: concurrent.futures can hang when it replaces workers (Python 3.11).
+        with context.Pool(jobs, _start_worker) as pool:
+            yield Engine(f"{jobs} processes", jobs, lambda function, items: pool.imap(function, items))
+
+
+def _start_worker() -> None:
+    """Let the parent decide about interrupts; one thread each, since there is a process a core."""
+    import os
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+
+
+@contextlib.contextmanager
+def _dask(jobs: int, scheduler: str | None) -> Iterator[Engine]:
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise SplitError(
+            "needs the packages dask and distributed",
+            where="--engine dask",
+            advice="Install them with `pip install 'split-cli[cluster]'`.",
+        ) from error
+    with contextlib.ExitStack() as stack:
+        try:
+            if scheduler is None:
+                cluster = stack.enter_context(
+                    LocalCluster(n_workers=max(jobs, 1), threads_per_worker=1, dashboard_address=None)
+                )
+                client = stack.enter_context(Client(cluster))
+            else:
+                client = stack.enter_context(Client(scheduler, timeout=5))
+                client.wait_for_workers(1, timeout=30)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise SplitError(
+                f"no Dask scheduler with workers answers ({str(error).splitlines()[0][:120]})",
+                where=str(scheduler or "--engine dask"),
+                advice="Start one with `dask scheduler` and `dask worker`.",
+            ) from error
+        workers = len(client.scheduler_info(n_workers=-1)["workers"])
+        name = f"Dask, {workers} workers"
+        yield Engine(name, workers, lambda function, items: _on_cluster(client, function, items))
+
+
+def _on_cluster(client: Any, function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
+    """Yield results in order with a bounded number of items under way, so that memory here does not grow."""
+    workers = max(len(client.scheduler_info(n_workers=-1)["workers"]), 1)
+    waiting: list[Any] = []
+    rest = iter(items)
+
+    def hand_out() -> None:
+        for item in rest:
+            # Not pure: a source may have changed since a task of the same arguments ran.
+            waiting.append(client.submit(function, item, pure=False))
+            return
+
+    for _ in range(workers * (1 + _AHEAD)):
+        hand_out()
+    while waiting:
+        future = waiting.pop(0)
+        result = future.result()
+        future.release()
+        hand_out()
+        yield result

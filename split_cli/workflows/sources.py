@@ -1,0 +1,219 @@
+"""Where inputs are: files, folders, globs and addresses of other file systems (s3://, memory://, ...)."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import hashlib
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from split_cli.errors import SplitError
+from split_cli.files import sha256_of_file
+
+__all__ = ["DRIVE_SUFFIXES", "LOG_SUFFIXES", "SourceFile", "find_sources", "is_remote", "local_copies"]
+
+LOG_SUFFIXES = (
+    ".mcap", ".bag", ".db3", ".csv", ".txt", ".vbo", ".parquet", ".feather", ".mat", ".mf4", ".blf", ".asc",
+)  # fmt: skip
+DRIVE_SUFFIXES = (".parquet", ".pq", ".csv")
+_COPY_BYTES = 1 << 22
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """One input, wherever it is.
+
+    Attributes
+    ----------
+    address : str
+        Path, or ``protocol://...``.
+    place : str
+        Its name below the folder that was asked for, with ``/``: ``lap.mcap``, ``monday/lap.mcap``.
+    """
+
+    address: str
+    place: str
+
+    @property
+    def name(self) -> str:
+        """File or folder name."""
+        return PurePosixPath(self.place).name
+
+    def fingerprint(self) -> str:
+        """Return what changes when the content does.
+
+        The SHA-256 of a local file; of a remote one, what its file system tells (size, time, entity tag), so that
+        nothing is downloaded to find out that nothing changed.
+        """
+        if not is_remote(self.address):
+            return sha256_of_file(self.address)
+        system, path = _system(self.address)
+        with _told(self.address):
+            info = system.info(path)
+        known = {key: str(info[key]) for key in sorted(info) if key.lower() in _IDENTITY}
+        return "remote:" + hashlib.sha256(repr(known).encode()).hexdigest()
+
+    @contextlib.contextmanager
+    def local(self) -> Iterator[Path]:
+        """Give a local path to the content; a remote file is copied for as long as the body runs."""
+        if not is_remote(self.address):
+            yield Path(self.address)
+            return
+        system, path = _system(self.address)
+        folder = Path(tempfile.mkdtemp(prefix="split-fetch-"))
+        try:
+            target = folder / self.name
+            with _told(self.address), system.open(path, "rb") as remote, target.open("wb") as copy:
+                shutil.copyfileobj(remote, copy, _COPY_BYTES)
+            yield target
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+_IDENTITY = {
+    "size", "etag", "mtime", "lastmodified", "last_modified", "modified", "created", "generation", "version_id",
+}  # fmt: skip
+
+
+def is_remote(address: str | Path) -> bool:
+    """Tell whether an address names another file system; ``file://`` does not count."""
+    return bool(re.match(r"^(?!file:)[a-z][a-z0-9+.-]+:/", _text(address)))
+
+
+def _text(address: str | Path) -> str:
+    # A Path has made one slash of two: s3:/bucket/lap.mcap.
+    return re.sub(r"^([a-z][a-z0-9+.-]+):/(?=[^/])", r"\1://", str(address))
+
+
+def _system(address: str) -> tuple[Any, str]:
+    try:
+        import fsspec
+    except ImportError as error:
+        raise SplitError(
+            "needs the package fsspec", where=address, advice="Install it with `pip install 'split-cli[cluster]'`."
+        ) from error
+    with _told(address):
+        return fsspec.core.url_to_fs(_text(address))
+
+
+@contextlib.contextmanager
+def _told(address: str) -> Iterator[None]:
+    """Turn what a file system raises into one line that names the address."""
+    try:
+        yield
+    except SplitError:
+        raise
+    except FileNotFoundError as error:
+        raise SplitError("does not exist", where=_text(address)) from error
+    except Exception as error:  # each file system has errors of its own: credentials, network, permission
+        reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+        raise SplitError(f"cannot be read ({reason})", where=_text(address)) from error
+
+
+def find_sources(
+    addresses: Sequence[str | Path], suffixes: Sequence[str] = LOG_SUFFIXES, *, what: str = "recording"
+) -> list[SourceFile]:
+    """Return the files that addresses stand for, each once, in the order given and then of their names.
+
+    Parameters
+    ----------
+    addresses : sequence of path-like or str
+        A file; a folder, for all files of known kinds in and below it; a glob such as ``logs/**/*.mcap``; or the
+        address of any of these on a file system that fsspec knows. A rosbag2 folder is one recording.
+    suffixes : sequence of str
+        Kinds looked for in folders.
+    what : str
+        What such a file is called in errors.
+
+    Raises
+    ------
+    SplitError
+        If an address stands for nothing.
+    """
+    found: dict[str, SourceFile] = {}
+    for address in addresses:
+        text = _text(address)
+        sources = _remote(text, suffixes) if is_remote(text) else _local(text, suffixes)
+        if not sources:
+            kinds = ", ".join(suffixes)
+            raise SplitError(f"holds no {what}", where=text, advice=f"Known are {kinds}.")
+        for source in sources:
+            found.setdefault(source.address, source)
+    return list(found.values())
+
+
+def _local(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
+    path = Path(text.removeprefix("file://"))
+    if path.is_dir() and not _is_bag(path):
+        return _in_folder(path, path, suffixes)
+    if not path.exists() and glob.has_magic(str(path)):
+        base = Path(_before_magic(str(path)) or ".")
+        hits = [Path(hit) for hit in sorted(glob.glob(str(path), recursive=True))]
+        inside = [hit for hit in hits if hit.is_file() or _is_bag(hit)]
+        return [SourceFile(str(hit), _place(hit, base)) for hit in inside if not _hidden(hit.relative_to(base))]
+    return [SourceFile(str(path), path.name or str(path))]
+
+
+def _before_magic(path: str) -> str:
+    """Return the folder down to which a glob names folders plainly."""
+    return re.split(r"[*?\[]", path, maxsplit=1)[0].rpartition("/")[0]
+
+
+def _in_folder(folder: Path, base: Path, suffixes: Sequence[str]) -> list[SourceFile]:
+    found: list[SourceFile] = []
+    for entry in sorted(folder.iterdir()):
+        if entry.name.startswith("."):
+            continue
+        if entry.is_dir():
+            if _is_bag(entry):
+                found.append(SourceFile(str(entry), _place(entry, base)))
+            elif not entry.is_symlink():
+                found += _in_folder(entry, base, suffixes)
+        elif entry.suffix.lower() in suffixes:
+            found.append(SourceFile(str(entry), _place(entry, base)))
+    return found
+
+
+def _place(path: Path, base: Path) -> str:
+    return path.relative_to(base).as_posix() if path.is_relative_to(base) else path.name
+
+
+def _hidden(path: Path) -> bool:
+    return any(part.startswith(".") for part in path.parts)
+
+
+def _is_bag(path: Path) -> bool:
+    return path.is_dir() and ((path / "metadata.yaml").is_file() or any(path.glob("*.db3")))
+
+
+def _remote(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
+    system, path = _system(text)
+    with _told(text):
+        if glob.has_magic(path):
+            base, hits = _before_magic(path), system.glob(path)
+        elif system.isdir(path):
+            base = path
+            hits = [hit for hit in system.find(path) if PurePosixPath(hit).suffix.lower() in suffixes]
+        else:
+            base, hits = path.rpartition("/")[0], [path]
+    sources = []
+    for hit in sorted(hits):
+        place = hit.removeprefix(base).lstrip("/")
+        if not _hidden(PurePosixPath(place)):  # type: ignore[arg-type]
+            sources.append(SourceFile(system.unstrip_protocol(hit), place or PurePosixPath(hit).name))
+    return sources
+
+
+@contextlib.contextmanager
+def local_copies(
+    addresses: Sequence[str | Path], suffixes: Sequence[str] = DRIVE_SUFFIXES, *, what: str = "drive"
+) -> Iterator[list[Path]]:
+    """Give local paths to all files that addresses stand for; remote ones are copied while the body runs."""
+    with contextlib.ExitStack() as stack:
+        yield [stack.enter_context(source.local()) for source in find_sources(addresses, suffixes, what=what)]

@@ -1,0 +1,160 @@
+"""A folder, a glob or an address stands for its logs, and what is done is not done again."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import fsspec
+import pytest
+
+from split_cli.errors import SplitError
+from split_cli.workflows.engine import open_engine
+from split_cli.workflows.ingest import ingest_logs
+from split_cli.workflows.ingest_manifest import MANIFEST_NAME
+from split_cli.workflows.simulate import SimulateSettings, simulate_log
+from split_cli.workflows.sources import find_sources
+
+
+@pytest.fixture(scope="session")
+def logs(tmp_path_factory) -> Path:
+    """Three logs named as drives, two of them in a folder below."""
+    folder = tmp_path_factory.mktemp("archive")
+    (folder / "monday").mkdir()
+    for seed, place in enumerate(("a.csv", "monday/a.csv", "monday/b.csv")):
+        simulate_log(SimulateSettings(track="small", duration=6.0, seed=seed), folder / place)
+    (folder / ".hidden").mkdir()
+    (folder / ".hidden" / "x.csv").write_text("no")
+    (folder / "notes.md").write_text("no log")
+    return folder
+
+
+@pytest.fixture
+def archive(logs, tmp_path) -> Path:
+    shutil.copytree(logs, tmp_path / "archive")
+    return tmp_path / "archive"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*.parquet"))}
+
+
+def test_a_folder_stands_for_the_logs_in_and_below_it(archive, tmp_path):
+    run = ingest_logs([archive], tmp_path / "drives")
+    assert sorted(contents(tmp_path / "drives")) == ["a.parquet", "monday/a.parquet", "monday/b.parquet"]
+    assert len(run.results) == 3 and not run.failures and not run.unchanged
+
+
+def test_a_glob_keeps_places_below_what_it_names(archive):
+    assert [s.place for s in find_sources([archive / "mon*" / "*.csv"])] == ["monday/a.csv", "monday/b.csv"]
+    assert [s.place for s in find_sources([archive / "**" / "a.csv"])] == ["a.csv", "monday/a.csv"]
+    with pytest.raises(SplitError, match="holds no recording"):
+        find_sources([archive / "*.mcap"])
+
+
+@pytest.mark.parametrize("keep_going", [False, True])
+def test_only_what_is_new_or_changed_is_read_again(archive, tmp_path, keep_going):
+    drives = tmp_path / "drives"
+    ingest_logs([archive], drives, keep_going=keep_going)
+    before = contents(drives)
+    shutil.copy(archive / "a.csv", archive / "new.csv")
+    text = (archive / "monday" / "b.csv").read_text().splitlines()
+    (archive / "monday" / "b.csv").write_text("\n".join(text[:-5]) + "\n")  # five rows fewer
+    run = ingest_logs([archive], drives, keep_going=keep_going)
+    assert sorted(r.log for r in run.results) == ["b.csv", "new.csv"]
+    assert sorted(run.unchanged) == ["a.csv", "monday/a.csv"]
+    after = contents(drives)
+    assert after["a.parquet"] == before["a.parquet"]
+    assert after["monday/b.parquet"] != before["monday/b.parquet"]
+    # A drive that went missing or was altered is made again, and other settings make all again.
+    (drives / "a.parquet").write_bytes(b"x")
+    assert [r.log for r in ingest_logs([archive], drives, keep_going=keep_going).results] == ["a.csv"]
+    from split_cli.workflows.ingest import IngestSettings
+
+    assert len(ingest_logs([archive], drives, settings=IngestSettings(rate=20.0)).results) == 4
+
+
+def test_one_bad_log_is_told_and_the_rest_is_there(archive, tmp_path):
+    (archive / "bad.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(50))
+    with pytest.raises(SplitError, match=r"bad\.mcap"):
+        ingest_logs([archive], tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+    run = ingest_logs([archive], tmp_path / "drives", keep_going=True)
+    assert [f.log for f in run.failures] == ["bad.mcap"] and len(run.results) == 3
+    again = ingest_logs([archive], tmp_path / "drives", keep_going=True)
+    assert len(again.unchanged) == 3 and len(again.failures) == 1
+
+
+def test_a_damaged_manifest_says_what_to_do(archive, tmp_path):
+    ingest_logs([archive], tmp_path / "drives")
+    (tmp_path / "drives" / MANIFEST_NAME).write_text("{")
+    with pytest.raises(SplitError, match="Remove it to ingest all again"):
+        ingest_logs([archive], tmp_path / "drives")
+
+
+def test_memory_is_a_file_system_too(logs, tmp_path):
+    system = fsspec.filesystem("memory")
+    system.put(str(logs), "/archive", recursive=True)
+    # A Path makes one slash of two; the address is understood all the same.
+    run = ingest_logs([Path("memory://archive")], tmp_path / "drives")
+    assert len(run.results) == 3
+    ingest_logs([logs], tmp_path / "local")
+    assert contents(tmp_path / "drives") == contents(tmp_path / "local")
+    assert len(ingest_logs(["memory://archive"], tmp_path / "drives").unchanged) == 3
+    system.pipe_file("/archive/a.csv", system.cat_file("/archive/monday/b.csv"))
+    assert [r.log for r in ingest_logs(["memory://archive"], tmp_path / "drives").results] == ["a.csv"]
+    with pytest.raises(SplitError, match=r"nowhere/x\.csv: does not exist"):
+        ingest_logs(["nowhere/x.csv"], tmp_path / "more")
+
+
+@pytest.mark.slow
+def test_a_bucket_of_an_s3_server(logs, tmp_path, monkeypatch):
+    from moto.server import ThreadedMotoServer
+
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0)
+    server.start()
+    try:
+        host, port = server.get_host_and_port()
+        for name, value in {
+            "AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test", "AWS_DEFAULT_REGION": "us-east-1",
+            "AWS_ENDPOINT_URL": f"http://{host}:{port}", "FSSPEC_S3_ENDPOINT_URL": f"http://{host}:{port}",
+        }.items():  # fmt: skip
+            monkeypatch.setenv(name, value)
+        fsspec.config.set_conf_env(fsspec.config.conf)
+        system = fsspec.filesystem("s3")
+        system.mkdir("laps")
+        system.put(str(logs / "a.csv"), "laps/a.csv")
+        system.put(str(logs / "monday"), "laps/monday", recursive=True)
+        run = ingest_logs(["s3://laps"], tmp_path / "drives")
+        assert len(run.results) == 3
+        system.put(str(logs / "monday" / "b.csv"), "laps/a.csv")
+        system.invalidate_cache()
+        again = ingest_logs(["s3://laps"], tmp_path / "drives")
+        assert [r.log for r in again.results] == ["a.csv"] and len(again.unchanged) == 2
+    finally:
+        server.stop()
+        fsspec.config.conf.pop("s3", None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "jobs"), [("process", 2), ("dask", 2)])
+def test_drives_are_the_same_bit_for_bit_on_every_engine(logs, tmp_path, name, jobs):
+    ingest_logs([logs], tmp_path / "one")
+    with open_engine(name, jobs=jobs) as engine:
+        assert engine.workers == 2
+        run = ingest_logs([logs], tmp_path / "many", engine=engine, keep_going=True)
+    assert len(run.results) == 3
+    assert contents(tmp_path / "one") == contents(tmp_path / "many")
+    stored = [json.loads((tmp_path / f / MANIFEST_NAME).read_text()) for f in ("one", "many")]
+    assert stored[0] == stored[1]
+
+
+def test_a_scheduler_that_is_not_there_is_told():
+    with (
+        pytest.raises(SplitError, match="no Dask scheduler with workers answers"),
+        open_engine("dask", scheduler="tcp://127.0.0.1:1"),
+    ):
+        pass
+    with pytest.raises(SplitError, match="needs `--engine dask`"), open_engine(scheduler="tcp://127.0.0.1:1"):
+        pass
