@@ -105,7 +105,7 @@ def test_memory_is_a_file_system_too(logs, tmp_path):
     system.pipe_file("/archive/a.csv", system.cat_file("/archive/monday/b.csv"))
     assert [r.log for r in ingest_logs(["memory://archive"], tmp_path / "drives").results] == ["a.csv"]
     with pytest.raises(SplitError, match=r"nowhere/x\.csv: does not exist"):
-        ingest_logs(["nowhere/x.csv"], tmp_path / "more")
+        ingest_logs(["memory://nowhere/x.csv"], tmp_path / "more")
 
 
 @pytest.mark.slow
