@@ -40,6 +40,20 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     return delays
 
 
+def _spans(
+    context: click.Context, parameter: click.Parameter, values: tuple[str, ...]
+) -> tuple[tuple[float, float], ...]:
+    """Parse A:B options."""
+    spans = []
+    for value in values:
+        try:
+            start, end = (float(part) for part in value.split(":"))
+        except ValueError as error:
+            raise click.BadParameter(f"{value!r} is not of the form 12.5:20", context, parameter) from error
+        spans.append((start, end))
+    return tuple(spans)
+
+
 @click.command("ingest")
 @click.argument("logs", nargs=-1, type=existing_file, metavar="LOG...")
 @vehicle_option(required=False)
@@ -65,13 +79,19 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
 @click.option(
     "--msg-path", "message_paths", multiple=True, type=existing_file, metavar="DIR", help="Folder of .msg files."
 )
+@click.option("--dbc", "databases", multiple=True, type=existing_file, metavar="FILE", help="Of a CAN log.")
+@click.option("--together", is_flag=True, help="The logs are one drive: files with clocks of their own.")
+@click.option("--row-rate", type=float, metavar="HZ", help="Of a table without a column of time.")
+@click.option("--start", type=float, metavar="S", help="Leave out what is before, from the first sample.")
+@click.option("--end", type=float, metavar="S", help="Leave out what is after, from the first sample.")
+@click.option("--cut", "cuts", multiple=True, callback=_spans, metavar="A:B", help="Leave out A to B [s].")
 @click.option("--keep-going", is_flag=True, help="Write the other drives when a log fails.")
 @click.option("--list", "list_only", is_flag=True, help="List the channels of the logs, and stop.")
 @click.option("--list-maps", is_flag=True, help="List the presets, and stop.")
 @click.option("--suggest-map", is_flag=True, help="Print a draft of a map for the log, and stop.")
 @engine_options
 @json_option
-def command(logs, maps, vehicle_path, output, topics, message_paths, keep_going, as_json, **options) -> int:
+def command(logs, maps, vehicle_path, output, topics, message_paths, databases, as_json, **options) -> int:
     """Read recordings into drives: one uniform clock, SI units, ISO 8855 axes at the CG.
 
     What was converted, assumed, dropped and found inconsistent is printed and stored in the drive.
@@ -91,8 +111,9 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, keep_going,
         return _list_maps(as_json)
     if not logs:
         raise click.UsageError("Missing argument 'LOG...'.")
+    message_paths = (*message_paths, *databases)
     if options["list_only"] or options["suggest_map"]:
-        return _look_at(logs, message_paths, options["suggest_map"], as_json)
+        return _look_at(logs, message_paths, options, vehicle_path, as_json)
     if output is None:
         raise click.UsageError("Missing option '-o'.")
     settings = IngestSettings(
@@ -102,6 +123,10 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, keep_going,
         delays=options["delays"],
         estimate_delays=options["estimate_delays"],
         derive=options["derive"],
+        row_rate=options["row_rate"],
+        start=options["start"],
+        end=options["end"],
+        cuts=options["cuts"],
     )
     with open_engine(options["engine"], jobs=options["jobs"], scheduler=options["scheduler"]) as engine:
         run = ingest_logs(
@@ -112,7 +137,8 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, keep_going,
             settings=settings,
             topics=topics,
             message_paths=message_paths,
-            keep_going=keep_going,
+            keep_going=options["keep_going"],
+            together=options["together"],
             progress=_progress,
             engine=engine,
         )
@@ -151,21 +177,24 @@ def _list_maps(as_json: bool) -> int:
     return 0
 
 
-def _look_at(logs, message_paths, suggest: bool, as_json: bool) -> int:
+def _look_at(logs, message_paths, options, vehicle_path, as_json: bool) -> int:
     from split_cli.workflows.ingest import list_channels, suggest_map_for
 
     described = []
-    for log in logs:
-        if suggest:
-            draft = suggest_map_for(log, message_paths=message_paths)
+    for log in [tuple(logs)] if options["together"] else logs:
+        if options["suggest_map"]:
+            draft = suggest_map_for(log, message_paths=message_paths, row_rate=options["row_rate"],
+                                    vehicle_path=vehicle_path)  # fmt: skip
             described.append({"log": str(log), "map": draft})
             if not as_json:
                 click.echo(draft)
             continue
         channels, clocks = list_channels(log, message_paths=message_paths)
         if as_json:
+            log = "+".join(log) if isinstance(log, tuple) else log
             described.append({"log": str(log), "clocks": list(clocks), "channels": list(channels)})
             continue
+        log = " + ".join(map(str, log)) if isinstance(log, tuple) else log
         click.echo(f"{log}: {len(channels)} channels; clocks: {', '.join(clocks) or 'none, time is a column'}")
         print_table(
             ["channel", "type", "count", "unit"], [[c.name, c.type_name, c.count, c.unit] for c in channels]

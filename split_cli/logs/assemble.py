@@ -19,7 +19,7 @@ from split_cli.logs.placing import move_to_cg
 from split_cli.logs.quality import QualityReport
 from split_cli.logs.raw import Clock, Recording
 from split_cli.logs.resample import Grid
-from split_cli.logs.signal_map import SignalMap
+from split_cli.logs.signal_map import SignalMap, TimeBase
 from split_cli.logs.synchronize import (
     Channels,
     clean_channels,
@@ -31,6 +31,7 @@ from split_cli.logs.synchronize import (
     sum_sources,
     without_missing,
 )
+from split_cli.logs.trim import trim
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
@@ -57,6 +58,12 @@ class IngestSettings:
     estimate_delays : bool
     derive : tuple of str
         Names of derivations.
+    row_rate : float or None
+        Rows a second of a table without a column of time [Hz], over the map's period.
+    start, end : float or None
+        What is before and after is left out, from the recording's first sample [s].
+    cuts : tuple of (float, float)
+        What is between is left out, from the recording's first sample [s]; a new segment starts after it.
     """
 
     clock: Clock | None = None
@@ -65,6 +72,10 @@ class IngestSettings:
     delays: Mapping[str, float] | None = None
     estimate_delays: bool = False
     derive: tuple[str, ...] = ()
+    row_rate: float | None = None
+    start: float | None = None
+    end: float | None = None
+    cuts: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -101,6 +112,10 @@ def assemble_drive(
     settings = settings or IngestSettings()
     if not settings.gap > 0:
         raise MapError(f"the gap is {settings.gap:g} s, it must be positive", advice="Give --gap in seconds.")
+    if settings.row_rate is not None:
+        if not settings.row_rate > 0:
+            raise MapError(f"the row rate is {settings.row_rate:g} Hz", advice="Give --row-rate in rows a second.")
+        signal_map = replace(signal_map, time=TimeBase(period=1.0 / settings.row_rate))
     derivations = _ordered([derivation_named(name).name for name in settings.derive])
     needed = _needed_channels(signal_map, derivations)
     gathered = gather(
@@ -112,6 +127,7 @@ def assemble_drive(
     )
     _check_required(gathered, derivations, signal_map, recording.name)
     series, joined = join_clock_resets(_with_delays(gathered, settings), settings.gap)
+    series, trimmed = trim(series, settings.start, settings.end, settings.cuts, settings.gap)
     channels, unusable = clean_channels(
         series, gathered.maps, needed, gap=settings.gap, despike=signal_map.despike
     )
@@ -124,7 +140,7 @@ def assemble_drive(
     columns = sum_sources(channels, resampled)
     grid, columns, dropped = without_missing(grid, columns, needed)
     slices = slices_of(grid.segment)
-    conversions = [*gathered.conversions, *joined]
+    conversions = [*gathered.conversions, *joined, *trimmed]
     made = _place_and_derive(derivations, columns, grid, slices, vehicle, signal_map, gathered, noise, conversions)
     kinds, warnings = _kinds(gathered, made, columns)
     if too_short or dropped:
@@ -144,8 +160,12 @@ def assemble_drive(
         skipped=gathered.skipped,
         warnings=(*warnings, *unusable, *(f"{n.where}: {n.count} x {n.what}" for n in recording.notes)),
     )
+    paths = getattr(recording, "paths", (recording.path,))
     metadata = DriveMetadata(
-        sources=(Source(recording.name, sha256_of_file(recording.path) if recording.path.exists() else ""),),
+        sources=tuple(
+            Source(path.name if len(paths) > 1 else recording.name, sha256_of_file(path) if path.exists() else "")
+            for path in paths
+        ),
         vehicle=vehicle.name if vehicle else "",
         kinds=kinds,
         signal_map={"map": signal_map.name, **signal_map.content},

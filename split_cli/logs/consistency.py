@@ -83,7 +83,9 @@ def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str,
     if not {"X", "Y", "yaw"} & wrong:
         findings += finer.direction_of_travel()
     unjudged = dict.fromkeys([*checks.unjudged, *finer.unjudged])
-    return Consistency(_with_compass(findings), tuple(checks.relations), tuple(unjudged))
+    # The functions were for the search; results travel between processes.
+    relations = tuple(replace(relation, corrected=None) for relation in checks.relations)
+    return Consistency(_with_compass(findings), relations, tuple(unjudged))
 
 
 def _after(finding: Finding, shared: Mapping[str, float]) -> Finding:

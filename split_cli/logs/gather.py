@@ -10,13 +10,12 @@ import numpy as np
 
 from split_cli.errors import LogError, MapError, nearest_names
 from split_cli.logs import transform
-from split_cli.logs.raw import Clock, RawSignal, Recording
+from split_cli.logs.raw import Clock, RawSignal, Recording, time_column
 from split_cli.logs.signal_map import EXTRA_UNITS, ChannelMap, SignalMap, Source
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
-__all__ = ["Gathered", "Series", "expected_unit", "gather", "topic_of"]
+__all__ = ["Gathered", "Series", "expected_unit", "gather", "row_rate_from_yaw", "topic_of"]
 
-TIME_COLUMNS = ("t", "time", "Time", "TIME", "timestamp", "Timestamp", "timestamps", "time_s", "time_sec", "t_s")
 _TIME_ADVICE = "Name the column as `time: {source: ..., unit: ...}`, or give `time: {period: SECONDS}`."
 _SUFFIXES = {
     "yaw_from_quaternion": ("x", "y", "z", "w"),
@@ -307,7 +306,7 @@ def _time_column(infos: Mapping, signal_map: SignalMap, recording: Recording) ->
             where=recording.name,
             advice=f"Give time: {{clock: ...}}, one of {', '.join(recording.clocks)}.",
         )
-    if recording.clocks or signal_map.time.period:
+    if recording.clocks or signal_map.time.period or hasattr(recording, "paths"):
         return None
     if signal_map.time.source:
         if signal_map.time.source not in infos:
@@ -317,7 +316,8 @@ def _time_column(infos: Mapping, signal_map: SignalMap, recording: Recording) ->
                 advice=nearest_names(signal_map.time.source, infos),
             )
         return signal_map.time.source
-    return next((name for name in TIME_COLUMNS if name in infos), None)
+    found = time_column(list(infos.values()))
+    return found.name if found is not None else None
 
 
 def _common_time(
@@ -336,7 +336,8 @@ def _common_time(
         notes.assumed.append(f"no time column: samples are {period:g} s apart, as the map says")
         return np.arange(len(bare[0].values)) * period, 0.0, f"row number times {period:g} s"
     if column is None:
-        raise MapError("no column of time was found", where=recording.name, advice=_TIME_ADVICE)
+        advice = f"{_TIME_ADVICE} Or give `--row-rate HZ`.{_rate_from_yaw(signal_map, signals)}"
+        raise MapError("no column of time was found", where=recording.name, advice=advice)
     raw = signals[column]
     unit = signal_map.time.unit or raw.unit
     if unit is None:
@@ -357,6 +358,43 @@ def _common_time(
             advice=f"Its unit was taken as {unit or 's'}; set `time: {{source: {column}, unit: ns}}` or as it is.",
         )
     return time, float(convert_to_si(np.array([first]), unit or "s")[0]), f"column {column}"
+
+
+def _rate_from_yaw(signal_map: SignalMap, signals: Mapping[str, RawSignal]) -> str:
+    """Return in words the rate at which yaw turns as the yaw rate says; empty where the two do not tell."""
+    entries = [signal_map.channel("yaw"), signal_map.channel("r")]
+    if any(e is None or len(e.sources) != 1 or len(e.sources[0].names) != 1 for e in entries):
+        return ""
+    made = []
+    for entry in entries:
+        source = entry.sources[0]
+        signal = signals[source.names[0]]
+        unit = find_unit(source.unit or signal.unit or expected_unit(entry.channel) or "1")
+        made.append((signal.values * source.scale + source.offset) * (unit.factor if unit else 1.0))
+    rate = row_rate_from_yaw(*made)
+    return f" Its yaw turns as its yaw rate says at {rate:.4g} Hz." if rate else ""
+
+
+def row_rate_from_yaw(yaw: np.ndarray, r: np.ndarray) -> float | None:
+    """Return the rows a second at which dyaw/dt = r [Hz]; None where the two do not go together.
+
+    Parameters
+    ----------
+    yaw, r : ndarray, shape (N,)
+        [rad], [rad/s], one value a row. Columns that hold their values over several rows are allowed.
+    """
+    good = np.isfinite(yaw) & np.isfinite(r)
+    if np.count_nonzero(good) < 200:
+        return None
+    turned = np.unwrap(yaw[good])
+    summed = np.concatenate([[0.0], np.cumsum(0.5 * (r[good][1:] + r[good][:-1]))])
+    # Over a fiftieth of the rows: noise and held samples average out, and a drift of yaw rate stays small.
+    step = max(len(turned) // 50, 2)
+    a, b = turned[step:] - turned[:-step], summed[step:] - summed[:-step]
+    if np.std(a) == 0.0 or np.std(b) == 0.0 or abs(np.corrcoef(a, b)[0, 1]) < 0.98:
+        return None
+    slope = float(np.sqrt(np.mean(b * b) / np.mean(a * a)))
+    return float(f"{slope:.3g}")
 
 
 class _Converter:

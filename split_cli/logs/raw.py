@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from split_cli.errors import LogError, nearest_names, printable
 from split_cli.signals import split_name_and_unit
 
 __all__ = [
+    "TIME_COLUMNS",
     "Clock",
     "LazyTableRecording",
     "RawChannelInfo",
@@ -22,8 +23,16 @@ __all__ = [
     "Recording",
     "TableRecording",
     "column_name_and_unit",
+    "nearest_column",
     "note_once",
+    "time_column",
 ]
+
+TIME_COLUMNS = (
+    "t", "time", "timestamp", "timestamps", "time_s", "time_sec", "t_s", "time_ms", "t_ms", "time_ns", "time_us",
+    "timestamp_ns", "timestamp_us", "timestamp_ms", "elapsed_time", "sec", "seconds",
+)  # fmt: skip
+"""Names of columns that hold the time, in lower case, blanks as underscores."""
 
 Clock = Literal["header", "publish", "log"]
 
@@ -185,6 +194,31 @@ class LazyTableRecording:
             if name not in known:
                 raise LogError(f"no column {name!r}", where=self.name, advice=nearest_names(name, known))
         return self.load(list(dict.fromkeys(names)))
+
+
+def time_column(infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
+    """Return the column that holds the time: of a known name, the better known first; None when there is none."""
+    # T is a torque.
+    named = [info for info in reversed(infos) if info.name.strip() != "T"]
+    names = {re.sub(r"[\s.]+", "_", info.name.strip().lower()): info for info in named}
+    for name in TIME_COLUMNS:
+        if name in names and names[name].type_name != "text":
+            return names[name]
+    timed = [info for name, info in names.items() if re.search(r"(^|_)(time|timestamp)(_|$)", name)]
+    return timed[0] if len(timed) == 1 and timed[0].type_name != "text" else None
+
+
+def nearest_column(known: Mapping[str, Any], name: str, where: str) -> Any:
+    """Return what is known by `name`.
+
+    Raises
+    ------
+    LogError
+        If nothing is; names the nearest.
+    """
+    if name not in known:
+        raise LogError(f"no column {name!r}", where=where, advice=nearest_names(name, known))
+    return known[name]
 
 
 def note_once(notes: list[ReadNote], note: ReadNote) -> None:

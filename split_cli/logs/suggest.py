@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from split_cli.logs.gather import TIME_COLUMNS, expected_unit
-from split_cli.logs.raw import RawChannelInfo, Recording
+from split_cli.logs.gather import expected_unit
+from split_cli.logs.raw import RawChannelInfo, Recording, time_column
 from split_cli.signals import REQUIRED_CHANNELS, find_unit
 
 __all__ = ["guess_channels", "suggest_map"]
@@ -57,6 +57,7 @@ _UNIT_SUFFIX = re.compile(
 def guess_channels(infos: Iterable[RawChannelInfo]) -> dict[str, RawChannelInfo]:
     """Return for each channel the recorded signal whose type or name suggests it; a wrong unit rules one out."""
     infos = list(infos)
+    time = time_column(infos)
     by_name = {info.name: info for info in infos}
     found: dict[str, RawChannelInfo] = {}
     for info in infos:
@@ -71,7 +72,7 @@ def guess_channels(infos: Iterable[RawChannelInfo]) -> dict[str, RawChannelInfo]
     for channel, pattern in _PATTERNS:
         expression = re.compile(pattern, re.IGNORECASE)
         for info in infos:
-            if info.name in TIME_COLUMNS:
+            if info == time:
                 continue
             unit = find_unit(info.unit) if info.unit else None
             if unit is not None and expected_unit(channel) not in (None, unit.si):
@@ -83,7 +84,7 @@ def guess_channels(infos: Iterable[RawChannelInfo]) -> dict[str, RawChannelInfo]
     return found
 
 
-def suggest_map(recording: Recording) -> str:
+def suggest_map(recording: Recording, *, row_rate: float | None = None, vehicle=None) -> str:
     """Return a draft map as YAML text, guesses marked, what is missing left as a comment."""
     infos = recording.channels()
     found = guess_channels(infos)
@@ -92,7 +93,7 @@ def suggest_map(recording: Recording) -> str:
         "name: draft",
     ]
     if not recording.clocks:
-        time = next((info for info in infos if info.name in TIME_COLUMNS), None)
+        time = time_column(infos)
         unit = f", unit: {time.unit}" if time is not None and time.unit else ""
         lines.append(
             f"time: {{source: {_quoted(time.name)}{unit}}}"

@@ -16,6 +16,7 @@ from split_cli.logs.presets import preset_abouts
 from split_cli.logs.quality import QualityReport, render_quality
 from split_cli.logs.raw import RawChannelInfo, Recording
 from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.readers.together import open_together
 from split_cli.logs.signal_map import SignalMap, read_map
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
@@ -131,6 +132,7 @@ def ingest_logs(
     message_paths: Sequence[str | Path] = (),
     keep_going: bool = False,
     engine: Engine | None = None,
+    together: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> IngestRun:
     """Make a drive of every recording.
@@ -150,9 +152,11 @@ def ingest_logs(
     topics : dict of str to str, optional
         Over the map's ``topics``.
     message_paths : sequence of path-like
-        Folders of ``.msg`` files.
+        Folders of ``.msg`` files, and CAN databases.
     keep_going : bool
         Write each drive as soon as it is made, whatever becomes of the others.
+    together : bool
+        All recordings make one drive: tables with clocks of their own that count from one instant.
     engine : Engine, optional
         Where recordings are read; by default in this process.
     progress : callable
@@ -167,6 +171,9 @@ def ingest_logs(
     vehicle = read_vehicle(vehicle_path) if vehicle_path is not None else None
     sources = find_sources(logs)
     output = Path(output)
+    if together:
+        paths = [Path(source.address) for source in sources]
+        return IngestRun((_ingest_together(paths, output, maps, vehicle, settings, message_paths),), (), ())
     single = len(sources) == 1 and not output.is_dir() and output.suffix.lower() in (".parquet", ".pq")
     if not single:
         _check_folder(output, sources)
@@ -271,11 +278,38 @@ def _drive_name(source: SourceFile) -> str:
     return str(PurePosixPath(source.place).with_suffix(".parquet"))
 
 
+def _ingest_together(
+    paths: Sequence[Path],
+    output: Path,
+    maps: Sequence[str | Path],
+    vehicle: Vehicle | None,
+    settings: IngestSettings | None,
+    message_paths: Sequence[str | Path],
+) -> IngestResult:
+    """Make one drive of several files; see `ingest_logs`."""
+    refuse_overwriting_inputs(output, paths)
+    recording = open_logs(paths, message_paths)
+    signal_map = read_map(maps) if maps else None
+    try:
+        made = _assemble_recording(recording, paths[0], signal_map, vehicle, settings, {})
+    except SplitError as error:
+        raise _told_of(error, recording) from error
+    write_drive(made.drive, output)
+    return _result(Path(recording.name), output, made)
+
+
+def open_logs(log: str | Path | Sequence[str | Path], message_paths: Sequence[str | Path] = ()) -> Recording:
+    """Open a recording, or several files that are one."""
+    if isinstance(log, str | Path):
+        return open_recording(log, message_paths=message_paths)
+    return open_together([open_recording(path, message_paths=message_paths) for path in log])
+
+
 def list_channels(
-    log: str | Path, *, message_paths: Sequence[str | Path] = ()
+    log: str | Path | Sequence[str | Path], *, message_paths: Sequence[str | Path] = ()
 ) -> tuple[tuple[RawChannelInfo, ...], tuple[str, ...]]:
-    """Return every channel of a recording, and the clocks it has."""
-    recording = open_recording(log, message_paths=message_paths)
+    """Return every channel of a recording (or of several files together), and the clocks it has."""
+    recording = open_logs(log, message_paths)
     return tuple(recording.channels()), tuple(recording.clocks)
 
 
@@ -284,11 +318,18 @@ def list_maps() -> dict[str, str]:
     return preset_abouts()
 
 
-def suggest_map_for(log: str | Path, *, message_paths: Sequence[str | Path] = ()) -> str:
-    """Return a draft of a signal map for a recording, as YAML, with guesses marked as such."""
+def suggest_map_for(
+    log: str | Path | Sequence[str | Path],
+    *,
+    message_paths: Sequence[str | Path] = (),
+    row_rate: float | None = None,
+    vehicle_path: str | Path | None = None,
+) -> str:
+    """Return a draft of a signal map for a recording, as YAML: each channel with its evidence or left open."""
     from split_cli.logs.suggest import suggest_map
 
-    return suggest_map(open_recording(log, message_paths=message_paths))
+    vehicle = read_vehicle(vehicle_path) if vehicle_path is not None else None
+    return suggest_map(open_logs(log, message_paths), row_rate=row_rate, vehicle=vehicle)
 
 
 def _assemble(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import io
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
-from split_cli.logs.readers.dialect import Dialect, Sniffed, sniff
+from split_cli.logs.readers.dialect import Dialect, Sniffed, sniff, unwrapped
 from split_cli.signals import find_unit
 
 __all__ = ["open_delimited"]
@@ -163,7 +164,7 @@ def _read_table(path: Path, dialect: Dialect, width: int, indices: list[int], ki
     with path.open("rb") as stream:
         stream.seek(dialect.offset)
         table = arrow_csv.read_csv(
-            stream,
+            _unquoted(stream, dialect) if dialect.quoted_whole else stream,
             read_options=arrow_csv.ReadOptions(
                 column_names=names, encoding=dialect.encoding, block_size=_BLOCK_BYTES
             ),
@@ -180,6 +181,12 @@ def _read_table(path: Path, dialect: Dialect, width: int, indices: list[int], ki
             ),
         )
     return table, ragged["rows"]
+
+
+def _unquoted(stream: BinaryIO, dialect: Dialect) -> io.BytesIO:
+    """Return the rest of a file whose lines are quoted whole, without those quotes."""
+    lines = stream.read().decode(dialect.encoding, errors="replace").splitlines(keepends=True)
+    return io.BytesIO("".join(unwrapped(line) for line in lines).encode(dialect.encoding))
 
 
 def _numbers(column: Any, decimal: str) -> tuple[np.ndarray, int]:

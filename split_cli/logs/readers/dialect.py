@@ -12,7 +12,7 @@ from pathlib import Path
 from split_cli.errors import LogError
 from split_cli.signals import find_unit
 
-__all__ = ["Dialect", "Sniffed", "sniff"]
+__all__ = ["Dialect", "Sniffed", "sniff", "unwrapped"]
 
 _SAMPLE_BYTES = 1 << 18
 _SEPARATORS = (",", ";", "\t", "|")
@@ -25,7 +25,7 @@ _MARKS = (
 )
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _NUMBER_WITH_COMMA = re.compile(r"^[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d+)?$")
-_UNIT_LIKE = re.compile(r"^[\[(]?[A-Za-z°µ%/*^·.\-\d² ]{0,12}[\])]?$")
+_UNIT_LIKE = re.compile(r"^[\[(]?[#A-Za-z°µ%/*^·.\-\d² ]{0,12}[\])]?$")
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,15 @@ class Dialect:
     encoding : str
     offset : int
         Byte at which the first row of values begins.
+    quoted_whole : bool
+        Whether each line stands in quotes as one cell, as a spreadsheet saves a file that it did not split.
     """
 
     separator: str
     decimal: str
     encoding: str
     offset: int
+    quoted_whole: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,17 +95,41 @@ def sniff(path: Path) -> Sniffed:
         lines.pop()
     if "\ufffd" in text[:1000] or sum(ch < " " and ch not in "\t\r\n\f" for ch in text[:1000]) > 5:
         raise LogError("is of no known format: neither a log nor text", where=path.name)
-    for separator, decimal in _candidates(lines):
-        rows = [_split(line, separator) for line in lines]
+    quoted = _is_quoted_whole(lines)
+    plain = [unwrapped(line) for line in lines] if quoted else lines
+    for separator, decimal in _candidates(plain):
+        rows = [_split(line, separator) for line in plain]
         first = _first_values(rows, decimal)
         if first is not None:
             offset = len(mark) + sum(len(line.encode(encoding)) for line in lines[:first])
-            return _described(rows, first, Dialect(separator, decimal, encoding, offset))
+            return _described(rows, first, Dialect(separator, decimal, encoding, offset, quoted))
     raise LogError(
         "is no table of numbers: no rows of numbers were found in its beginning",
         where=path.name,
         advice="Values are expected in columns, separated by comma, semicolon or tab.",
     )
+
+
+def unwrapped(line: str) -> str:
+    """Return what stands in the quotes around a whole line; a line without them as it is."""
+    text = line.rstrip("\r\n").rstrip(",;")
+    if len(text) > 1 and text.startswith('"') and text.endswith('"'):
+        return text[1:-1].replace('""', '"') + "\n"
+    return line
+
+
+def _is_quoted_whole(lines: list[str]) -> bool:
+    """Whether nine of ten lines are one quoted cell that holds separators itself."""
+    filled = [line.rstrip("\r\n").rstrip(",;") for line in lines if line.strip(" \r\n,;")]
+    whole = [
+        line
+        for line in filled
+        if line.startswith('"')
+        and line.endswith('"')
+        and any(separator in line for separator in _SEPARATORS)
+        and all(len(_split(line, separator)) == 1 for separator in _SEPARATORS)
+    ]
+    return len(filled) > 2 and 10 * len(whole) >= 9 * len(filled)
 
 
 def _encoding(sample: bytes) -> str:
@@ -153,7 +180,7 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
         return None
     width = max(widths, key=lambda w: (widths[w], w))
     for index, row in enumerate(rows):
-        if len(row) != width or not _holds_values(row, decimal):
+        if len(row) != width or not _holds_values(row, decimal) or _numbers_the_columns(row, rows[index + 1 :]):
             continue
         following = [later for later in rows[index + 1 :] if any(later)][:_CONFIRMING_ROWS]
         good = sum(len(later) == width and _holds_values(later, decimal) for later in following)
@@ -162,11 +189,18 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
     return None
 
 
+def _numbers_the_columns(row: list[str], following: list[list[str]]) -> bool:
+    """Whether a row is 1, 2, 3, ... before an empty one, as AiM writes it under the units."""
+    filled = [cell.strip() for cell in row if cell.strip()]
+    counted = filled == [str(number) for number in range(1, len(filled) + 1)]
+    return counted and bool(following) and not any(cell.strip() for cell in following[0])
+
+
 def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     width = len(rows[first])
     values = [row for row in rows[first : first + _CHECKED_ROWS] if len(row) == width]
     above = [row for row in rows[:first] if any(cell.strip() for cell in row)]
-    above = [row for row in reversed(above[-4:])]
+    above = [row for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
     while above and not _is_title_row(above[0], width) and not _is_unit_row(above[0], width):
         above.pop(0)
     units = None

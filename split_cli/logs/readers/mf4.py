@@ -19,15 +19,17 @@ from split_cli.signals import find_unit
 __all__ = ["open_mf4"]
 
 
-def open_mf4(path: Path) -> Recording:
+def open_mf4(path: Path, databases: Sequence[Path] = ()) -> Recording:
     """Open an MDF file. Every channel has the clock of its group, from the start of the measurement.
 
-    A name that occurs in several groups is addressed as ``group.name``, with the group's name or number.
+    A name that occurs in several groups is addressed as ``group.name``, with the group's name or number. Frames
+    of a CAN bus are decoded with `databases`.
 
     Raises
     ------
     LogError
-        If asammdf is not installed, or the file is damaged or empty.
+        If asammdf is not installed, the file is damaged or empty, or holds nothing but frames and no database is
+        given.
     """
     try:
         from asammdf import MDF
@@ -38,12 +40,22 @@ def open_mf4(path: Path) -> Recording:
     try:
         with _without_prints():
             file = MDF(path, raise_on_multiple_occurrences=False)
+            if databases:
+                file = file.extract_bus_logging({"CAN": [(str(database), 0) for database in databases]})
             places = _places(file)
     except Exception as error:  # asammdf passes on whatever damaged blocks lead to
         _mark_closed(error)
         raise _damaged(path, error) from error
     if not places:
-        raise LogError("holds no channel", where=path.name)
+        what = "holds no frame of a message that the database defines" if databases else "holds no channel"
+        raise LogError(what, where=path.name)
+    frames = [n for n in places if n.startswith(("CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame"))]
+    if frames and not databases and 2 * len(frames) >= len(places):
+        raise LogError(
+            "holds CAN frames: what they mean stands in a DBC file",
+            where=path.name,
+            advice="Give it with --dbc FILE.dbc.",
+        )
     infos = []
     for name, (group, index) in places.items():
         channel_group = file.groups[group].channel_group

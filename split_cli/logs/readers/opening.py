@@ -8,6 +8,7 @@ from pathlib import Path
 from split_cli.errors import LogError
 from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import Recording
+from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.guard import GuardedRecording, guarded
 from split_cli.logs.readers.messages import Container, MessageRecording
@@ -36,9 +37,10 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     Parameters
     ----------
     path : path-like
-        MCAP, rosbag2 folder or ``.db3``, ROS 1 ``.bag``, CSV, Parquet, Feather, MAT (v4, v5, v7.3), MF4.
+        MCAP, rosbag2 folder or ``.db3``, ROS 1 ``.bag``, CSV, Racelogic .vbo, Parquet, Feather, MAT (v4, v5,
+        v7.3), MF4, and logs of CAN frames (BLF, ASC, candump, TRC, MF4 bus logging).
     message_paths : sequence of path-like
-        Folders of ``.msg`` files, for message types that the recording does not define.
+        Folders of ``.msg`` files, for message types that the recording does not define, and CAN databases.
 
     Returns
     -------
@@ -83,7 +85,7 @@ def _open_file(path: Path, message_paths: Sequence[str | Path]) -> Recording:
         raise LogError(
             "is of no known format",
             where=path.name,
-            advice="Known are MCAP, rosbag2, ROS 1 bag, CSV, Parquet, Feather, MAT and MF4.",
+            advice="Known are MCAP, rosbag2, ROS 1 bag, CSV, VBO, Parquet, Feather, MAT and MF4.",
         )
     from split_cli.logs.readers.delimited import open_delimited
 
@@ -103,14 +105,22 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         from split_cli.logs.readers.bag1 import Bag1Container
 
         return _messages(path, Bag1Container(path), message_paths)
+    databases = [Path(p) for p in message_paths if Path(p).suffix.lower() in DATABASE_SUFFIXES]
     if head.startswith((b"MDF     ", b"UnFinMF ")):
         from split_cli.logs.readers.mf4 import open_mf4
 
-        return open_mf4(path)
+        return open_mf4(path, databases)
+    if is_can_log(path, head):
+        return open_can(path, databases)
     if head.startswith((b"PAR1", b"ARROW1\0\0")):
         from split_cli.logs.readers.parquet import open_arrow, open_parquet
 
         return open_parquet(path) if head.startswith(b"PAR1") else open_arrow(path)
+    lowered = head.lower()
+    if b"[column names]" in lowered or (path.suffix.lower() == ".vbo" and b"[header]" in lowered):
+        from split_cli.logs.readers.vbo import open_vbo
+
+        return open_vbo(path)
     # Version 4 has no magic number; its reader tells whether it is one.
     if head.startswith(b"MATLAB 5.0 MAT-file") or (path.suffix.lower() == ".mat" and not _is_hdf5(head)):
         from split_cli.logs.readers.mat import open_mat
@@ -135,7 +145,8 @@ def _open_folder(path: Path, message_paths: Sequence[str | Path]) -> Recording:
 
 
 def _messages(path: Path, container: Container, message_paths: Sequence[str | Path]) -> Recording:
-    return MessageRecording(path, container, Definitions(message_paths))
+    folders = [p for p in message_paths if Path(p).suffix.lower() not in DATABASE_SUFFIXES]
+    return MessageRecording(path, container, Definitions(folders))
 
 
 def _neighbours(path: Path) -> str:

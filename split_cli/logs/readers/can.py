@@ -1,0 +1,162 @@
+"""Logs of CAN frames (BLF, ASC, candump, TRC, MF4 bus logging), decoded with a user's DBC (extra ``can``)."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from split_cli.errors import LogError
+from split_cli.logs.raw import Clock, RawChannelInfo, RawSignal, ReadNote, Recording, nearest_column
+
+__all__ = ["DATABASE_SUFFIXES", "is_can_log", "open_can", "read_databases"]
+
+DATABASE_SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
+_CANDUMP = re.compile(rb"^\s*\(\d+\.\d+\)\s+\w+\s+[0-9A-Fa-f]{3,8}#", re.MULTILINE)
+_ASC = re.compile(rb"^date .*\r?\n\s*base\s+(hex|dec)", re.MULTILINE)
+
+
+def is_can_log(path: Path, head: bytes) -> bool:
+    """Tell a log of CAN frames by its first bytes."""
+    if head.startswith(b"LOGG") or head.startswith(b";$FILEVERSION"):
+        return True
+    return bool(_ASC.search(head)) or bool(_CANDUMP.match(head))
+
+
+def read_databases(paths: Sequence[Path]) -> Any:
+    """Read DBC files (or KCD, SYM, ARXML) into one cantools database.
+
+    Raises
+    ------
+    LogError
+        If cantools is not installed or a file cannot be read.
+    """
+    try:
+        import cantools
+    except ImportError as error:
+        raise LogError("needs cantools", where=str(paths[0]), advice="pip install 'split-cli[can]'") from error
+    database = cantools.database.Database(strict=False)
+    for path in paths:
+        try:
+            loaded = cantools.database.load_file(str(path), strict=False)
+            database.messages.extend(loaded.messages)
+        except Exception as error:  # cantools has an error for each grammar
+            reason = str(error).splitlines()[0][:160]
+            raise LogError(f"cannot be read as a CAN database ({reason})", where=str(path)) from error
+    database.refresh()
+    return database
+
+
+class _CanRecording:
+    """Decoded signals, each message with its own clock; see `open_can`."""
+
+    clocks: tuple[Clock, ...] = ("log",)
+
+    def __init__(
+        self,
+        path: Path,
+        origin: float,
+        signals: dict[str, RawSignal],
+        infos: list[RawChannelInfo],
+        notes: list[ReadNote],
+    ) -> None:
+        self.name, self.path, self.origin, self.notes = path.name, path, origin, notes
+        self._signals, self._infos = signals, infos
+
+    def channels(self) -> list[RawChannelInfo]:
+        """Return every signal that occurs, as ``/Message/Signal``."""
+        return self._infos
+
+    def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
+        """Return the named signals; see `split_cli.logs.raw.Recording`."""
+        return {name: nearest_column(self._signals, name, self.name) for name in names}
+
+
+def open_can(path: Path, databases: Sequence[Path]) -> Recording:
+    """Open a log of CAN frames; its signals are addressed as ``/Message/Signal`` and carry the database's units.
+
+    Frames of ids that no database defines, and frames that do not fit their definition, are counted in the notes.
+
+    Raises
+    ------
+    LogError
+        If no database is given, python-can or cantools is not installed, or no frame can be decoded.
+    """
+    if not databases:
+        raise LogError(
+            "holds CAN frames: what they mean stands in a DBC file",
+            where=path.name,
+            advice="Give it with --dbc FILE.dbc; it comes from the car's maker or from opendbc.",
+        )
+    try:
+        import can
+    except ImportError as error:
+        raise LogError("is a CAN log", where=path.name, advice="pip install 'split-cli[can]'") from error
+    database = read_databases(databases)
+    by_id = {message.frame_id: message for message in database.messages}
+    times: dict[str, list[float]] = {}
+    decoded: dict[str, list[float]] = {}
+    unknown: Counter[int] = Counter()
+    unfit: Counter[str] = Counter()
+    try:
+        with can.LogReader(str(path)) as reader:
+            for frame in reader:
+                if frame.is_error_frame or frame.is_remote_frame:
+                    continue
+                message = by_id.get(frame.arbitration_id)
+                if message is None:
+                    unknown[frame.arbitration_id] += 1
+                    continue
+                try:
+                    values = message.decode(bytes(frame.data), decode_choices=False, allow_truncated=True)
+                except Exception:  # cantools: too short, a multiplexer without that value
+                    unfit[message.name] += 1
+                    continue
+                for signal, value in values.items():
+                    if isinstance(value, int | float):
+                        name = f"/{message.name}/{signal}"
+                        times.setdefault(name, []).append(frame.timestamp)
+                        decoded.setdefault(name, []).append(float(value))
+    except LogError:
+        raise
+    except Exception as error:  # python-can passes on what damaged blocks lead to
+        if not decoded:
+            reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+            what = f"is cut off or damaged ({reason})"
+            raise LogError(what, where=path.name, advice="Record it again.") from error
+        unfit["(the file is cut off or damaged here)"] += 1
+    notes = [
+        ReadNote("frames that do not fit their definition", f"{path.name}, {name}", count)
+        for name, count in unfit.items()
+    ]
+    if unknown:
+        notes.append(ReadNote("frames of ids that no database defines", path.name, sum(unknown.values())))
+    if not decoded:
+        seen = ", ".join(f"0x{i:X}" for i, _ in unknown.most_common(5)) or "none"
+        raise LogError(
+            "no frame is of a message that the database defines",
+            where=path.name,
+            advice=f"Frames have the ids {seen}. Is it the DBC of this car and this bus?",
+        )
+    return _recording(path, database, times, decoded, notes)
+
+
+def _recording(
+    path: Path,
+    database: Any,
+    times: dict[str, list[float]],
+    decoded: dict[str, list[float]],
+    notes: list[ReadNote],
+) -> Recording:
+    units = {f"/{m.name}/{s.name}": s.unit for m in database.messages for s in m.signals}
+    origin = min(stamps[0] for stamps in times.values())
+    signals = {
+        name: RawSignal(name, np.array(times[name]) - origin, np.array(values), units.get(name) or None)
+        for name, values in decoded.items()
+    }
+    infos = [RawChannelInfo(name, "can", len(s.values), s.unit) for name, s in signals.items()]
+    return _CanRecording(path, origin, signals, infos, notes)

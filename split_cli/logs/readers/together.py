@@ -1,0 +1,107 @@
+"""Several files that were recorded together, each with a clock of its own, as one recording."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import LogError
+from split_cli.logs.raw import Clock, RawChannelInfo, RawSignal, ReadNote, Recording, time_column
+from split_cli.signals import convert_to_si, find_unit
+
+__all__ = ["JointRecording", "open_together"]
+
+
+class JointRecording:
+    """The channels of several tables; a name that occurs twice is addressed as ``file.name``.
+
+    Attributes
+    ----------
+    paths : tuple of Path
+        All files.
+    """
+
+    clocks: tuple[Clock, ...] = ()
+    origin = 0.0
+
+    def __init__(self, parts: Sequence[Recording]) -> None:
+        self.parts = tuple(parts)
+        self.paths = tuple(part.path for part in parts)
+        self.path = self.paths[0]
+        self.name = "+".join(part.name for part in parts)
+        self._own_notes: list[ReadNote] = []
+        self._time: dict[int, RawChannelInfo] = {}
+        self._places: dict[str, tuple[Recording, RawChannelInfo]] = {}
+        for part in parts:
+            infos = part.channels()
+            time = time_column(infos)
+            if time is None and not part.clocks:
+                raise LogError(
+                    "has no column of time, which several files together need",
+                    where=part.name,
+                    advice="Name one of its columns `time`, or ingest the files one by one.",
+                )
+            if time is not None:
+                self._time[id(part)] = time
+        counts = Counter(info.name for part in parts for info in part.channels())
+        for part in parts:
+            for info in part.channels():
+                if info is not self._time.get(id(part)) and info != self._time.get(id(part)):
+                    name = info.name if counts[info.name] == 1 else f"{Path(part.name).stem}.{info.name}"
+                    self._places[name] = (part, info)
+
+    @property
+    def notes(self) -> list[ReadNote]:
+        """Notes of all files."""
+        return [*self._own_notes, *(note for part in self.parts for note in part.notes)]
+
+    def channels(self) -> list[RawChannelInfo]:
+        """Return the channels of all files, without their columns of time."""
+        return [
+            RawChannelInfo(name, info.type_name, info.count, info.unit)
+            for name, (_, info) in self._places.items()
+        ]
+
+    def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
+        """Return the named signals, each on the clock of its file; see `Recording.read`."""
+        from split_cli.logs.raw import nearest_column
+
+        read: dict[str, RawSignal] = {}
+        for part in self.parts:
+            own = {
+                name: nearest_column(self._places, name, self.name)[1].name
+                for name in names
+                if nearest_column(self._places, name, self.name)[0] is part
+            }
+            if not own:
+                continue
+            time = self._time.get(id(part))
+            signals = part.read([*own.values(), *([time.name] if time else [])], clock)
+            stamps = None if time is None else self._seconds(part, signals[time.name])
+            for name, inside in own.items():
+                signal = signals[inside]
+                read[name] = RawSignal(name, signal.time if stamps is None else stamps, signal.values, signal.unit)
+        return {name: read[name] for name in names}
+
+    def _seconds(self, part: Recording, signal: RawSignal) -> np.ndarray:
+        unit = signal.unit
+        if unit is None or getattr(find_unit(unit), "si", "") != "s":
+            note = ReadNote(f"column {signal.name!r} taken as time in s", part.name)
+            if note not in self._own_notes:
+                self._own_notes.append(note)
+            unit = "s"
+        return convert_to_si(signal.values, unit, where=part.name)
+
+
+def open_together(parts: Sequence[Recording]) -> Recording:
+    """Join recordings whose clocks count from one instant.
+
+    Raises
+    ------
+    LogError
+        If one has no column of time.
+    """
+    return JointRecording(parts)

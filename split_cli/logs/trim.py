@@ -1,0 +1,75 @@
+"""Leaving out stretches of a recording by its time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from split_cli.errors import MapError
+from split_cli.logs.gather import Series
+
+__all__ = ["trim"]
+
+
+def trim(
+    series: Mapping[str, Sequence[Series]],
+    start: float | None,
+    end: float | None,
+    cuts: Sequence[tuple[float, float]],
+    gap: float,
+) -> tuple[dict[str, tuple[Series, ...]], tuple[str, ...]]:
+    """Leave out what is before `start`, after `end` and inside `cuts`, of all channels alike.
+
+    Parameters
+    ----------
+    series : mapping of str to sequence of Series
+    start, end : float or None
+        From the recording's first sample [s].
+    cuts : sequence of (float, float)
+        Likewise [s].
+    gap : float
+        A cut must be longer than it, or the drive would be interpolated across [s].
+
+    Returns
+    -------
+    series, told : dict of str to tuple of Series, tuple of str
+        What was left out, in words.
+
+    Raises
+    ------
+    MapError
+        If a span is empty, shorter than `gap`, or nothing is left.
+    """
+    spans = [(-np.inf, start)] if start is not None else []
+    spans += [*cuts, *([(end, np.inf)] if end is not None else [])]
+    if not spans:
+        return {channel: tuple(parts) for channel, parts in series.items()}, ()
+    if start is not None and end is not None and not start < end:
+        what = f"the end {end:g} s is not after the start {start:g} s"
+        raise MapError(what, advice="Give --start less than --end.")
+    for first, last in cuts:
+        if not last - first > gap:
+            raise MapError(
+                f"the cut {first:g}:{last:g} is not longer than the gap of {gap:g} s",
+                advice="Widen the cut, or give a smaller --gap.",
+            )
+    every = [part for parts in series.values() for part in parts]
+    zero = min(float(np.nanmin(part.time)) for part in every if np.isfinite(part.time).any())
+    made: dict[str, tuple[Series, ...]] = {}
+    for channel, parts in series.items():
+        kept = []
+        for part in parts:
+            time = part.time - part.delay - zero
+            keep = np.ones(len(time), dtype=bool)
+            for first, last in spans:
+                keep &= ~((time >= first) & (time < last))
+            if not keep.any():
+                what = f"nothing of {channel} is left after trimming"
+                raise MapError(what, advice="See --start, --end and --cut.")
+            kept.append(replace(part, time=part.time[keep], values=part.values[keep]))
+        made[channel] = tuple(kept)
+    told = [f"before {last:g} s" if np.isinf(first) else f"after {first:g} s" if np.isinf(last)
+            else f"from {first:g} to {last:g} s" for first, last in spans]  # fmt: skip
+    return made, (f"left out on request: {', '.join(told)}",)
