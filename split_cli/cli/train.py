@@ -38,7 +38,7 @@ class TimeSpan(click.ParamType):
 
 
 @click.command("train")
-@click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE...")
+@click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE|FOLDER...")
 @vehicle_option()
 @output_option("Trained set to write (NAME.split).")
 @click.option("--append", is_flag=True, help="Continue the set that -o names, with its own settings.")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import SetError
-from split_cli.files import exclusive_access, refuse_overwriting_inputs
+from split_cli.files import exclusive_access, refuse_overwriting_inputs, sha256_of_file
 from split_cli.learning.cells import DEFAULT_CAPACITY, DEFAULT_THRESHOLD, empty_set, extend, warm_up
 from split_cli.learning.features import parse_features
 from split_cli.learning.hyperparameters import (
@@ -33,6 +33,7 @@ from split_cli.scoring.trust import MOST_ROWS, TrainingDrive, estimate_trust
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.label import drive_notes
 from split_cli.workflows.recordings import RecordingCorrection
+from split_cli.workflows.sources import DRIVE_SUFFIXES, find_sources
 
 __all__ = ["TrainResult", "TrainRow", "TrainSettings", "parse_trust", "train_set", "trust_notes"]
 
@@ -165,6 +166,8 @@ def train_set(
     Parameters
     ----------
     drive_paths : sequence of path
+        Drives; folders, globs and addresses as `find_sources` takes them. Of a folder that is appended, only the
+        drives that the set has not learned.
     vehicle_path : path
     output : path
         The set; with `append` it must exist and is continued.
@@ -189,9 +192,31 @@ def train_set(
     say = progress or (lambda text: None)
     kernel_file = {settings.hyperparameters} - {None, "fit", "default"}
     refuse_overwriting_inputs(output, (*drive_paths, vehicle_path, *kernel_file))
+    sources = find_sources(drive_paths, DRIVE_SUFFIXES, what="drive")
+    expanded = [source.address for source in sources] != [str(path) for path in drive_paths]
     # Two runs that append to one set take turns: each would write what it read, without the other's drives.
-    with exclusive_access(output) if append else contextlib.nullcontext():
-        return _train_set(drive_paths, vehicle_path, output, settings, append, rows, batch, say)
+    with contextlib.ExitStack() as stack:
+        if append:
+            stack.enter_context(exclusive_access(output))
+        paths = [stack.enter_context(source.local()) for source in sources]
+        if append and expanded:
+            paths = _not_learned(paths, read_set(output))
+        return _train_set(paths, vehicle_path, output, settings, append, rows, batch, say)
+
+
+def _not_learned(paths: Sequence[Path], known: TrainingSet) -> list[Path]:
+    """Return the drives of a grown folder that the set has not learned.
+
+    Raises
+    ------
+    SetError
+        If there is none: the set would stay as it is.
+    """
+    learned = {source.sha256 for source in known.sources}
+    new = [path for path in paths if sha256_of_file(path) not in learned]
+    if not new:
+        raise SetError(f"all {len(paths)} drives were learned before; the set is as it was")
+    return new
 
 
 def _train_set(

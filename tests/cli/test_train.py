@@ -151,7 +151,9 @@ def test_the_table_has_a_row_a_drive_and_a_total(garage, tmp_path):
     for column in ("gap", "gain", "updates", "set size", "cells", "valid region %", "us/sample", "MB"):
         assert column in lines[0]
     assert [line.split()[0] for line in lines[2:6]] == ["d0.parquet", "d1.parquet", "d2.parquet", "total"]
-    assert outcome.stderr == ""  # not a terminal: no progress
+    # Not a terminal: no progress, and said once what these drives do not tell.
+    assert [line.split(":")[0] for line in outcome.stderr.splitlines()] == ["note"]
+    assert "--held T,delta" in outcome.stderr
 
 
 def test_points_are_the_labels_of_their_rows(garage, tmp_path):

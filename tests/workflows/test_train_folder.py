@@ -1,0 +1,51 @@
+"""A folder of drives is learned as its drives are, and a grown one costs only what is new."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from split_cli.errors import SetError
+from split_cli.logs.drive import write_drive
+from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows.train import TrainSettings, train_set
+from tests.factories import MissingForce, make_drive, road_car
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A car and three drives of it, the last one in a folder below."""
+    root = tmp_path_factory.mktemp("drives")
+    (root / "in" / "later").mkdir(parents=True)
+    car = road_car()
+    write_vehicle(car, root / "car.yaml")
+    for seed, place in enumerate(("a", "b", "later/c")):
+        terms = [MissingForce({"front_lateral": 150.0})]
+        drive = make_drive(seed, segments=8, seconds=3.0, vehicle=car, terms=terms, name=f"{place[-1]}.parquet")
+        write_drive(drive, root / "in" / f"{place}.parquet")
+    return root
+
+
+DEFAULT = TrainSettings(hyperparameters="default")
+
+
+def test_a_folder_and_its_drives_give_the_same_set_bit_for_bit(folder, tmp_path):
+    drives = [folder / "in" / name for name in ("a.parquet", "b.parquet", "later/c.parquet")]
+    train_set(drives, folder / "car.yaml", tmp_path / "one.split", DEFAULT)
+    train_set([folder / "in"], folder / "car.yaml", tmp_path / "all.split", DEFAULT)
+    assert (tmp_path / "one.split").read_bytes() == (tmp_path / "all.split").read_bytes()
+
+
+def test_of_a_grown_folder_only_what_is_new_is_learned(folder, tmp_path):
+    shutil.copytree(folder / "in", tmp_path / "in")
+    (tmp_path / "in" / "later" / "c.parquet").rename(tmp_path / "c.parquet")
+    train_set([tmp_path / "in"], folder / "car.yaml", tmp_path / "a.split", DEFAULT)
+    (tmp_path / "c.parquet").rename(tmp_path / "in" / "later" / "c.parquet")
+    result = train_set([tmp_path / "in"], folder / "car.yaml", tmp_path / "a.split", append=True)
+    assert [row.drive for row in result.rows] == ["c.parquet"]
+    before = (tmp_path / "a.split").read_bytes()
+    with pytest.raises(SetError, match="all 3 drives were learned before"):
+        train_set([tmp_path / "in"], folder / "car.yaml", tmp_path / "a.split", append=True)
+    assert (tmp_path / "a.split").read_bytes() == before
