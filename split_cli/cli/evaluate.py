@@ -100,6 +100,14 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 @click.option(
     "--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h, without --set."
 )
+@click.option(
+    "--trust",
+    type=click.Choice(["held-out", "full"]),
+    default="held-out",
+    show_default=True,
+    help="How far sets trained here are believed, without --set.",
+)
+@click.option("--any-vehicle", is_flag=True, help="Warn, do not refuse, where a drive contradicts the vehicle.")
 @output_option("Folder for figures.", required=False)
 @held_option
 @json_option
@@ -171,6 +179,8 @@ def _print_report(report) -> None:
             (r.name, r.features, r.horizon, r.starts, *map(float, r.rmse), _number(r.distance))
             for r in report.rollouts
         ])  # fmt: skip
+    for line in report.verdicts:
+        click.echo(f"\n{line}")
 
 
 def _score_row(score) -> list:

@@ -68,6 +68,7 @@ class TimeSpan(click.ParamType):
     metavar="held-out|full|VX,VY,R",
     help="Share of each correction to apply; default: what held-out blocks show. full: the paper's way.",
 )
+@click.option("--any-vehicle", is_flag=True, help="Warn, do not refuse, where a drive contradicts the vehicle.")
 @click.option(
     "--exclude",
     type=TimeSpan(),

@@ -16,7 +16,16 @@ from split_cli.learning.region import Grid, Region
 from split_cli.learning.training_set import SetSource, TrainingSet
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["DEFAULT_CAPACITY", "DEFAULT_THRESHOLD", "empty_set", "extend", "learn", "recompute_gains", "warm_up"]
+__all__ = [
+    "DEFAULT_CAPACITY",
+    "DEFAULT_THRESHOLD",
+    "empty_set",
+    "extend",
+    "learn",
+    "recompute_gains",
+    "warm_up",
+    "without_points",
+]
 
 DEFAULT_CAPACITY = 10
 DEFAULT_THRESHOLD = 1e-3
@@ -81,6 +90,15 @@ def empty_set(
         row=np.empty(0, dtype=np.int64),
         plain=plain,
     )
+
+
+def without_points(training_set: TrainingSet) -> TrainingSet:
+    """Return an empty set with the settings and the kernel of another."""
+    s = training_set
+    return empty_set(
+        s.vehicle, s.features, s.region, s.grid, s.kernel, horizon=s.horizon, capacity=s.capacity,
+        threshold=s.threshold, forgetting=s.forgetting, plain=s.plain,
+    )  # fmt: skip
 
 
 def learn(

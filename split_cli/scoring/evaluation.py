@@ -36,6 +36,7 @@ __all__ = [
     "pooled_noise_floor",
     "predictor_tally",
     "rollout_sums",
+    "rollout_trajectories",
     "score",
 ]
 
@@ -212,7 +213,18 @@ def pooled_noise_floor(model: SingleTrack, drives: Sequence[HeldOut]) -> NoiseFl
 def rollout_sums(
     held: HeldOut, model: SingleTrack, predictors: dict[tuple[str, str], tuple[HeldOut, Predictor]], steps: int
 ) -> dict[tuple[str, str], RolloutSums]:
-    """Roll out every contestant from the same start points of a drive's test blocks.
+    """Roll out every contestant from the same start points of a drive's test blocks, and sum the squared errors.
+
+    Parameters as of `rollout_trajectories`.
+    """
+    starts, trajectories = rollout_trajectories(held, model, predictors, steps)
+    return score_rollouts(held.drive, starts, held.labels.window, trajectories)
+
+
+def rollout_trajectories(
+    held: HeldOut, model: SingleTrack, predictors: dict[tuple[str, str], tuple[HeldOut, Predictor]], steps: int
+) -> tuple[np.ndarray, dict[tuple[str, str], np.ndarray]]:
+    """Return start rows in a drive's test blocks, and every contestant's rollout from them as `roll_out` does.
 
     Parameters
     ----------
@@ -235,4 +247,4 @@ def rollout_sums(
         residual = correction_from(predictor, own.drive, own.z, starts)
         correction = Correction(own.labels.features, own.z, residual)
         trajectories[key] = roll_out(model, held.drive, starts, steps, window, correction)
-    return score_rollouts(held.drive, starts, window, trajectories)
+    return starts, trajectories

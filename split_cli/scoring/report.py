@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.learning.kernel import Kernel
+from split_cli.learning.trust import Trust
 from split_cli.scoring.evaluation import Score
 from split_cli.scoring.noise import NoiseFloor
+from split_cli.scoring.verdict import Comparison
 
 __all__ = [
     "EVALUATION_FORMAT",
@@ -42,6 +44,10 @@ class EvaluationSettings:
         Horizons of the multi-step predictions [s].
     horizon : float
         Label interval h [s].
+    trust : {"held-out", "full"}
+        How far sets trained here are believed; a set of a file brings its own trust.
+    any_vehicle : bool
+        Score drives that contradict the vehicle all the same, with a warning.
     held : tuple of str
         Inputs that keep their value between samples, whatever the files say.
     """
@@ -55,6 +61,8 @@ class EvaluationSettings:
     guard: float = 1.0
     rollout: tuple[float, ...] = (0.5, 1.0, 2.0)
     horizon: float = 0.05
+    trust: str = "held-out"
+    any_vehicle: bool = False
     held: tuple[str, ...] = ()
 
 
@@ -92,12 +100,13 @@ class DriveFacts:
 
 @dataclass(frozen=True)
 class SetFacts:
-    """A trained set that was scored: its features, points, cells and kernel."""
+    """A trained set that was scored: its features, points, cells, kernel and trust."""
 
     features: str
     points: int
     cells: int
     kernel: Kernel
+    trust: Trust
 
 
 @dataclass(frozen=True)
@@ -157,6 +166,10 @@ class Evaluation:
         Pooled over drives.
     rollouts : tuple of RolloutScore
     sizes : tuple of SizeScore
+    comparisons : tuple of Comparison
+        Corrected beside nominal and persistence, by state and horizon, with intervals.
+    verdicts : tuple of str
+        One sentence a predictor and feature set.
     notes : tuple of str
         What the reader must know: recorded future used, in-sample scores, what could not be computed.
     format : str
@@ -170,5 +183,7 @@ class Evaluation:
     noise_floor: NoiseFloor
     rollouts: tuple[RolloutScore, ...]
     sizes: tuple[SizeScore, ...]
+    comparisons: tuple[Comparison, ...]
+    verdicts: tuple[str, ...]
     notes: tuple[str, ...]
     format: str = EVALUATION_FORMAT

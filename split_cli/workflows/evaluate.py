@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import DriveError, SetError, SplitError
-from split_cli.learning.cells import learn
+from split_cli.learning.cells import learn, without_points
 from split_cli.learning.features import Z1, Z2, FeatureSet, parse_features
 from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fit_kernel, scatter_variance
 from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.region import Region, build_grid
 from split_cli.learning.training_set import TrainingSet, read_set
+from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.prediction import PREDICTORS, Predictor, make_predictor
 from split_cli.scoring.application import time_per_query
@@ -25,21 +26,37 @@ from split_cli.scoring.evaluation import (
     baseline_tallies,
     pooled_noise_floor,
     predictor_tally,
-    rollout_sums,
+    rollout_trajectories,
     score,
 )
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, first_lap, informative_sets
 from split_cli.scoring.noise import fast_motion
 from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
-from split_cli.scoring.rollouts import RolloutSums
+from split_cli.scoring.rollouts import RolloutSums, score_rollouts
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
+from split_cli.scoring.trust import TrainingDrive, estimate_trust
+from split_cli.scoring.verdict import (
+    BlockErrors,
+    Comparison,
+    compare,
+    number_blocks,
+    one_step_errors,
+    rollout_errors,
+    verdict,
+    warnings_of,
+)  # fmt: skip
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import drive_notes
-from split_cli.workflows.recordings import RecordingCorrection
+from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
-__all__ = ["evaluate", "evaluate_files", "train_in_memory"]
+__all__ = ["PLAIN", "evaluate", "evaluate_files", "train_in_memory"]
+
+#: Marks a predictor that believes all it has learned, beside one that is trusted in part.
+PLAIN = ", all believed"
+#: A drive with the start rows of its rollouts and every contestant's trajectories.
+Rolled = tuple[HeldOut, np.ndarray, dict[tuple[str, str], np.ndarray]]
 
 
 def evaluate_files(
@@ -99,19 +116,21 @@ def evaluate(
         settings = replace(settings, features=(_short_name(trained.features),), horizon=trained.horizon)
     correct = RecordingCorrection(vehicle)
     drives = [correct(drive) for drive in drives]
+    doubts = vehicle_doubts(drives, vehicle, settings.any_vehicle)
     model = SingleTrack(vehicle)
     contestants = []
     for features in settings.features:
         say(f"{features}: labels and training")
         held = _hold_out(drives, vehicle, parse_features(features), settings, trained)
-        own = trained or train_in_memory([_training(h) for h in held], vehicle)
+        own = trained or _train(held, vehicle, settings)
         contestants.append((features, held, own))
     _require_samples(contestants[0][1])
     baseline_variance = np.mean(np.square(contestants[0][2].y), axis=0) if contestants[0][2].size else None
     baselines = [baseline_tallies(h, model, baseline_variance) for h in contestants[0][1]]
     scores, traces, tallies, predictors = _score_predictors(contestants, baselines, settings, say)
     say("rollouts")
-    rollouts, rollout_scores = _rollouts(contestants[0][1], model, predictors, settings)
+    rollouts, rollout_scores, rolled = _rollouts(contestants[0][1], model, predictors, settings)
+    comparisons, verdicts = _comparisons(model, traces, rolled, settings)
     sizes = _sizes(contestants, vehicle, baselines, settings, say)
     say("noise floor")
     facts = tuple(_facts(h, model, trained) for h in contestants[0][1])
@@ -119,16 +138,35 @@ def evaluate(
         settings=settings,
         vehicle=vehicle.name,
         drives=facts,
-        sets=tuple(SetFacts(name, own.size, own.cell_count, own.kernel) for name, _, own in contestants),
+        sets=tuple(
+            SetFacts(name, own.size, own.cell_count, own.kernel, own.trust) for name, _, own in contestants
+        ),
         scores=tuple(scores),
         noise_floor=pooled_noise_floor(model, contestants[0][1]),
         rollouts=tuple(rollout_scores),
         sizes=tuple(sizes),
-        notes=(*_notes(facts, contestants[0][1], settings, rollout_scores), *correct.notes),
+        comparisons=comparisons,
+        verdicts=verdicts,
+        notes=(
+            *doubts,
+            *_notes(facts, contestants[0][1], settings, rollout_scores),
+            *correct.notes,
+            *warnings_of([c for c in comparisons if c.name in settings.predictors]),
+        ),
     )
     sets = tuple(own for *_, own in contestants)
     drawn_from = tuple(tuple(held) for _, held, _ in contestants)
     return EvaluationRun(report, sets, drawn_from, tuple(traces), tallies, rollouts)
+
+
+def _train(held: Sequence[HeldOut], vehicle: Vehicle, settings: EvaluationSettings) -> TrainingSet:
+    """Return a set trained on the training blocks, trusted as far as those blocks show."""
+    labels = [_training(h) for h in held]
+    trained = train_in_memory(labels, vehicle)
+    if settings.trust == "full" or settings.protocol == "paper":
+        return trained
+    parts = [TrainingDrive(h.drive, own) for h, own in zip(held, labels, strict=True)]
+    return replace(trained, trust=estimate_trust(parts, without_points(trained)))
 
 
 def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
@@ -227,24 +265,35 @@ def _score_predictors(
     ]
     traces, predictors = [], {}
     for features, held, training_set in contestants:
-        for name in settings.predictors if settings.protocol == "held-out" else ():
+        for name, plain in _named(settings, training_set):
+            believed = replace(training_set, trust=Trust.full()) if plain else training_set
             say(f"{features}: {name} on {training_set.size} points")
-            predictor = make_predictor(name, training_set)
+            predictor = make_predictor(name, believed)
             parts = [predictor_tally(h, predictor) for h in held]
+            label = f"{name}{PLAIN}" if plain else name
             known = {"features": features, "points": training_set.size}
             known["uses_recorded_future"] = predictor.needs_context
             longest = max(held, key=lambda h: len(h.tested))
             rows = longest.labels.row[longest.tested]
-            tally = tallies[name, features] = _sum([part for part, _ in parts])
+            tally = tallies[label, features] = _sum([part for part, _ in parts])
             seconds = time_per_query(predictor, longest.drive, longest.z, rows)
-            scores.append(score(name, tally, pooled, time_per_query=seconds, **known))
-            predictors[name, features] = (held, predictor)
+            scores.append(score(label, tally, pooled, time_per_query=seconds, **known))
+            predictors[label, features] = (held, predictor)
             for h, own, (part, prediction) in zip(held, baselines, parts, strict=True):
-                by_drive.append(score(name, part, own, drive=h.drive.name, **known))
+                by_drive.append(score(label, part, own, drive=h.drive.name, **known))
                 noise = training_set.kernel.noise_variance
                 tested = h.labels.take(h.tested)
-                traces.append(Trace(name, features, h, tested, prediction, noise))
+                traces.append(Trace(label, features, h, tested, prediction, noise))
+    traces.sort(key=lambda trace: trace.name.endswith(PLAIN))  # figures show what is believed
     return scores + (by_drive if len(baselines) > 1 else []), traces, tallies, predictors
+
+
+def _named(settings: EvaluationSettings, training_set: TrainingSet) -> list[tuple[str, bool]]:
+    """Return the predictors and whether all is believed: the plain way first, where trust makes a difference."""
+    if settings.protocol != "held-out":
+        return []
+    ways = (False,) if training_set.trust.is_full else (True, False)
+    return [(name, plain) for name in settings.predictors for plain in ways]
 
 
 def _sum(parts: Sequence) -> object:
@@ -259,16 +308,19 @@ def _rollouts(
     model: SingleTrack,
     predictors: dict[tuple[str, str], tuple[list[HeldOut], Predictor]],
     settings: EvaluationSettings,
-) -> tuple[dict[tuple[str, str], RolloutSums], list[RolloutScore]]:
+) -> tuple[dict[tuple[str, str], RolloutSums], list[RolloutScore], list[Rolled]]:
     if not settings.rollout or settings.protocol == "paper":
-        return {}, []
+        return {}, [], []
     steps = max(1, round(max(settings.rollout) / drives[0].labels.horizon))
     pooled: dict[tuple[str, str], RolloutSums] = {}
+    rolled: list[Rolled] = []
     for position, held in enumerate(drives):
         if not _same_interval(held, drives[0]):
             continue
         own = {key: (parts[position], predictor) for key, (parts, predictor) in predictors.items()}
-        for key, sums in rollout_sums(held, model, own, steps).items():
+        starts, trajectories = rollout_trajectories(held, model, own, steps)
+        rolled.append((held, starts, trajectories))
+        for key, sums in score_rollouts(held.drive, starts, held.labels.window, trajectories).items():
             pooled[key] = pooled[key] + sums if key in pooled else sums
     scores = []
     for seconds in settings.rollout:
@@ -277,7 +329,39 @@ def _rollouts(
             if sums.count:
                 at = (sums.count, sums.diverged, sums.rmse[step], float(sums.distance[step]))
                 scores.append(RolloutScore(name, features, seconds, *at))
-    return pooled, scores
+    return pooled, scores, rolled
+
+
+def _comparisons(
+    model: SingleTrack, traces: Sequence[Trace], rolled: Sequence[Rolled], settings: EvaluationSettings
+) -> tuple[tuple[Comparison, ...], tuple[str, ...]]:
+    """Return every contestant beside the nominal model and persistence, and a verdict on each in words."""
+    blocks: dict[int, np.ndarray] = {}
+
+    def block_of(drive: Drive) -> np.ndarray:
+        if id(drive) not in blocks:
+            first = 1 + max((int(b.max()) for b in blocks.values()), default=-1)
+            blocks[id(drive)] = number_blocks(drive["t"], drive.segment, first)
+        return blocks[id(drive)]
+
+    comparisons: list[Comparison] = []
+    verdicts = []
+    for key in dict.fromkeys((trace.name, trace.features) for trace in traces):
+        parts: list[BlockErrors] = [
+            one_step_errors(t.held, model, t.prediction.mean, block_of(t.held.drive))
+            for t in traces
+            if (t.name, t.features) == key
+        ]
+        parts += [
+            rollout_errors(held, starts, trajectories, key, seconds, block_of(held.drive))
+            for held, starts, trajectories in rolled
+            for seconds in settings.rollout
+            if len(starts)
+        ]
+        found = compare(*key, parts)
+        comparisons += found
+        verdicts.append(f"{' '.join(key)} {verdict(found)}")
+    return tuple(comparisons), tuple(verdicts)
 
 
 def _same_interval(held: HeldOut, first: HeldOut) -> bool:

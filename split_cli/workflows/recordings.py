@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from split_cli.diagnosis.recording.place import TrackReference, build_reference, track_position
+from split_cli.errors import DriveError
 from split_cli.learning.features import recording_of
 from split_cli.logs.drive import Drive
+from split_cli.scoring.belonging import belonging
 from split_cli.vehicle.effects import build_terms
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["RecordingCorrection"]
+__all__ = ["RecordingCorrection", "vehicle_doubts"]
 
 
 class RecordingCorrection:
@@ -59,3 +62,34 @@ class RecordingCorrection:
         for term in self._sensors:
             columns = term.correct(columns, recording_of(drive))
         return replace(drive, columns=columns)
+
+
+def vehicle_doubts(drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool = False) -> tuple[str, ...]:
+    """Return warnings about drives that the vehicle can hardly have made.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+    vehicle : Vehicle
+    any_vehicle : bool
+        Warn, where the drive contradicts the vehicle, instead of refusing.
+
+    Raises
+    ------
+    DriveError
+        If a drive is of another vehicle: its geometry, grip or mass contradict the file by more than a factor 2.5.
+    """
+    told = []
+    for drive in drives:
+        shown = belonging(drive, vehicle)
+        wrong = "; ".join(shown.contradictions())
+        if wrong and not any_vehicle:
+            raise DriveError(
+                f"is not of the vehicle {vehicle.name!r}: {wrong}",
+                where=drive.name,
+                advice="Check vehicle file, units and signs with `split info`, or go on with --any-vehicle.",
+            )
+        if wrong:
+            told.append(f"WARNING: {drive.name} is not of the vehicle {vehicle.name!r}: {wrong}")
+        told += [f"WARNING: {drive.name}: {doubt}: other tyres, load or road" for doubt in shown.doubts()]
+    return tuple(told)

@@ -32,7 +32,7 @@ from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.scoring.trust import MOST_ROWS, TrainingDrive, estimate_trust
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.label import drive_notes
-from split_cli.workflows.recordings import RecordingCorrection
+from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 from split_cli.workflows.sources import DRIVE_SUFFIXES, find_sources
 
 __all__ = ["TrainResult", "TrainRow", "TrainSettings", "parse_trust", "train_set", "trust_notes"]
@@ -69,6 +69,8 @@ class TrainSettings:
     trust : str or None
         ``held-out`` (default): found on held-out blocks of the drives; ``full``: the plain method; or three
         numbers from 0 to 1 for v_x, v_y and r, separated by commas. Only for a new set.
+    any_vehicle : bool
+        Learn drives that contradict the vehicle all the same, with a warning.
     """
 
     features: str | None = None
@@ -83,6 +85,7 @@ class TrainSettings:
     learner: str | None = None
     held: tuple[str, ...] = ()
     trust: str | None = None
+    any_vehicle: bool = False
 
 
 @dataclass(frozen=True)
@@ -279,6 +282,7 @@ class _Run:
             self.horizon = DEFAULT_HORIZON if settings.horizon is None else settings.horizon
         self.seen = {source.sha256: source.name for source in known.sources} if known else {}
         self.notes: list[str] = []
+        self.checked: set[int] = set()
         self.correct = RecordingCorrection(vehicle)
 
     def labels(self) -> Iterator[tuple[Labels, float]]:
@@ -371,7 +375,11 @@ class _Run:
 
     def _drive(self, position: int) -> Drive:
         self.say(f"reading {self.paths[position].name}")
-        return self.correct(read_drive(self.paths[position], self.settings.held))
+        drive = self.correct(read_drive(self.paths[position], self.settings.held))
+        if position not in self.checked:
+            self.checked.add(position)
+            self.notes += vehicle_doubts([drive], self.vehicle, self.settings.any_vehicle)
+        return drive
 
     def _label(self, drive: Drive, position: int) -> Labels:
         labels = compute_labels(

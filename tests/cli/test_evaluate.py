@@ -62,7 +62,20 @@ def told(garage) -> dict:
 def test_the_keys_of_the_json_are_a_promise(told):
     assert told["format"] == "split-evaluation/1"
     assert sorted(told) == sorted(
-        ["settings", "vehicle", "drives", "sets", "scores", "noise_floor", "rollouts", "sizes", "notes", "format"]
+        [
+            "settings",
+            "vehicle",
+            "drives",
+            "sets",
+            "scores",
+            "noise_floor",
+            "rollouts",
+            "sizes",
+            "comparisons",
+            "verdicts",
+            "notes",
+            "format",
+        ]
     )
     scores = """name features drive points samples samples_valid rmse rmse_valid skill_nominal skill_velocity_held
         skill_label_held nlpd coverage_50 coverage_95 time_per_query uses_recorded_future"""
@@ -70,9 +83,21 @@ def test_the_keys_of_the_json_are_a_promise(told):
     rollouts = "name features horizon starts diverged rmse distance"
     for part, names in (("scores", scores), ("drives", drives), ("rollouts", rollouts)):
         assert sorted(told[part][0]) == sorted(names.split())
-    assert sorted(told["sets"][0]) == sorted(["features", "points", "cells", "kernel"])
+    assert sorted(told["sets"][0]) == sorted(["features", "points", "cells", "kernel", "trust"])
     assert sorted(told["settings"]) == sorted(
-        ["protocol", "predictors", "features", "sizes", "blocks", "holdout", "guard", "rollout", "horizon"]
+        [
+            "protocol",
+            "predictors",
+            "features",
+            "sizes",
+            "blocks",
+            "holdout",
+            "guard",
+            "rollout",
+            "horizon",
+            "trust",
+            "any_vehicle",
+        ]
     )
 
 

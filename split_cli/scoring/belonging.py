@@ -1,0 +1,115 @@
+"""Whether a drive can be of a vehicle: its geometry, its grip and its mass against what the recording shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["Belonging", "belonging"]
+
+#: Ratios beyond which no wrong value of one car explains it: a car of another size. A steering ratio left out or a
+#: mass off by half stay inside; a 1:10 car against a road car is off by 8.
+_ANOTHER_CAR = 2.5
+#: Ratio of lateral forces beyond which tyres or road are others than the file says; load and camber make 20 %.
+_ANOTHER_GRIP = 1.4
+_MOST_ROWS = 20_000
+_FEWEST = 200
+
+
+@dataclass(frozen=True)
+class Belonging:
+    """What a drive shows of a vehicle's numbers; None where the drive does not excite it.
+
+    Attributes
+    ----------
+    turning : float or None
+        Recorded yaw rate over that of steady turning with the file's wheelbase and stiffnesses [1].
+    grip : float or None
+        Recorded lateral force over the nominal one where the tyres are loaded by more than half their peak [1].
+    peak : float or None
+        Largest steady lateral acceleration (99.5 % quantile) over what both axles' peaks allow [1].
+    traction : float or None
+        Recorded longitudinal force over that of the torque [1].
+    """
+
+    turning: float | None
+    grip: float | None
+    peak: float | None
+    traction: float | None
+
+    def contradictions(self) -> tuple[str, ...]:
+        """Return what no recording of this vehicle can show, in words."""
+        said = []
+        if self.turning is not None and not 1.0 / _ANOTHER_CAR < self.turning < _ANOTHER_CAR:
+            said.append(f"it turns {self.turning:.2g} times as fast for its steer angle as this vehicle would")
+        if self.peak is not None and self.peak > _ANOTHER_CAR:
+            said.append(f"its lateral acceleration is {self.peak:.2g} times what this vehicle's tyres can carry")
+        if self.traction is not None and not 1.0 / _ANOTHER_CAR < self.traction < _ANOTHER_CAR:
+            said.append(f"it accelerates {self.traction:.2g} times as much for its torque as this vehicle would")
+        return tuple(said)
+
+    def doubts(self) -> tuple[str, ...]:
+        """Return what would take other tyres or another road, in words."""
+        if self.peak is not None and _ANOTHER_GRIP < self.peak <= _ANOTHER_CAR:
+            return (f"its lateral acceleration is {self.peak:.2g} times what this vehicle's tyres can carry",)
+        if self.grip is not None and not 1.0 / _ANOTHER_GRIP < self.grip < _ANOTHER_GRIP:
+            return (f"where its tyres work hard they carry {self.grip:.2g} times what the vehicle file says",)
+        return ()
+
+
+def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
+    """Return what a drive shows of a vehicle's numbers, each as a ratio of recorded to expected.
+
+    Notes
+    -----
+    Steady turning: r = v_x delta/(L + K v_x^2) with K = m (l_r/C_f - l_f/C_r)/L, at less than half the grip;
+    lateral force: m v_x r against that of the nominal tyres; longitudinal force: m dv_x/dt over 0.2 s against the
+    nominal balance. Ratios are least squares through the origin.
+    """
+    model = SingleTrack(vehicle, ())
+    step = max(1, round(0.2 / drive.period))
+    rows = np.arange(0, max(len(drive) - step, 0), max(1, len(drive) // _MOST_ROWS))
+    rows = rows[drive.segment[rows] == drive.segment[rows + step]]
+    names = ("vx", "vy", "r", "T", "delta")
+    vx, vy, r, torque, delta = (np.asarray(drive[name], dtype=float)[rows] for name in names)
+    moving = np.isfinite(vx + vy + r + torque + delta) & (vx > vehicle.minimum_speed)
+    if moving.sum() < _FEWEST:
+        return Belonging(None, None, None, None)
+    rows, vx, vy, r, torque, delta = (values[moving] for values in (rows, vx, vy, r, torque, delta))
+    car, carried = vehicle, (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
+    lateral = vx * r
+    gentle = np.abs(lateral) < 0.5 * carried
+    front, rear = car.front_tire.cornering_stiffness, car.rear_tire.cornering_stiffness
+    understeer = car.mass * (car.cg_to_rear_axle / front - car.cg_to_front_axle / rear) / car.wheelbase
+    expected = vx * delta / np.maximum(car.wheelbase + understeer * vx**2, 0.3 * car.wheelbase)
+    flow = model.flow(vx, vy, r, torque, delta)
+    front_force, rear_force = flow.front.lateral_force, flow.rear.lateral_force
+    nominal = (front_force + rear_force) / car.mass
+    loaded = np.abs(front_force) + np.abs(rear_force) > 0.5 * (car.front_tire.D + car.rear_tire.D)
+    change = (np.asarray(drive["vx"], dtype=float)[rows + step] - vx) / (step * drive.period) - vy * r
+    driven = torque / car.wheel_radius / car.mass
+    derived = "derived" in drive.metadata.kinds.get("T", "")
+    peak = float(np.quantile(np.abs(lateral), 0.995)) / carried
+    return Belonging(
+        _ratio(r[gentle], expected[gentle]),
+        # With effects in the file the plain tyres are not what it says.
+        None if vehicle.effects else _ratio(lateral[loaded], nominal[loaded]),
+        peak,
+        None if derived else _ratio(change, driven),
+    )
+
+
+def _ratio(recorded: np.ndarray, expected: np.ndarray) -> float | None:
+    """Return the slope through the origin, None where the two hardly go together."""
+    if len(recorded) < _FEWEST or not np.isfinite(recorded).all():
+        return None
+    product = float(recorded @ expected)
+    sizes = float(recorded @ recorded), float(expected @ expected)
+    if min(sizes) <= 0.0 or product / np.sqrt(sizes[0] * sizes[1]) < 0.7:
+        return None
+    return product / sizes[1]

@@ -1,0 +1,258 @@
+"""A verdict in words: is the corrected model better than the nominal one and than persistence, beyond chance?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, HeldOut
+from split_cli.scoring.persistence import velocity_persistence_errors
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = [
+    "BlockErrors", "Comparison", "compare", "number_blocks", "one_step_errors",
+    "rollout_errors", "verdict", "warnings_of",
+]  # fmt: skip
+
+STATES = ("v_x", "v_y", "r")
+#: Shortest block of time whose errors count as independent of the next one's [s]: twice the longest rollout.
+_BLOCK_SECONDS = 4.0
+_MOST_BLOCKS = 40
+_RESAMPLES = 2000
+_INTERVAL = (2.5, 97.5)
+_FEWEST_BLOCKS = 4
+
+
+@dataclass(frozen=True)
+class BlockErrors:
+    """Errors of three models on the same samples of one horizon.
+
+    Attributes
+    ----------
+    horizon : float
+        [s]; 0 is one step, in label units.
+    corrected, nominal, held : ndarray, shape (N, 3)
+        Errors of v_x, v_y, r; `held` is persistence: velocities as they were.
+    block : ndarray of int, shape (N,)
+        Block of time of each sample; numbers of different drives differ.
+    """
+
+    horizon: float
+    corrected: np.ndarray
+    nominal: np.ndarray
+    held: np.ndarray
+    block: np.ndarray
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The corrected model beside the nominal one and persistence, one state at one horizon.
+
+    Attributes
+    ----------
+    name, features : str
+        Predictor and features of the correction.
+    state : {"v_x", "v_y", "r"}
+    horizon : float
+        [s]; 0 is one step, in label units.
+    blocks : int
+        Blocks of time that were resampled.
+    corrected, nominal, held : float
+        Root mean square errors.
+    to_nominal, to_held : tuple of float
+        Corrected over the other: the ratio, and the ends of its 95 % interval (block bootstrap); NaN with fewer
+        than four blocks.
+    """
+
+    name: str
+    features: str
+    state: str
+    horizon: float
+    blocks: int
+    corrected: float
+    nominal: float
+    held: float
+    to_nominal: tuple[float, float, float]
+    to_held: tuple[float, float, float]
+
+    @property
+    def when(self) -> str:
+        """The horizon in words."""
+        return f"after {self.horizon:g} s" if self.horizon else "over one step"
+
+
+def number_blocks(time: np.ndarray, segment: np.ndarray, first: int = 0) -> np.ndarray:
+    """Return the block of every row of a drive: equal stretches of at least 4 s, at most 40, from `first` on.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+        [s]
+    segment : ndarray of int, shape (N,)
+    first : int
+        Number of the first block.
+    """
+    driven = np.concatenate([[0.0], np.cumsum(np.where(np.diff(segment) == 0, np.diff(time), 0.0))])
+    length = max(_BLOCK_SECONDS, driven[-1] / _MOST_BLOCKS)
+    count = max(1, int(driven[-1] / length))
+    return first + np.minimum((driven / max(driven[-1], 1e-9) * count).astype(np.int64), count - 1)
+
+
+def compare(name: str, features: str, parts: Sequence[BlockErrors], seed: int = 0) -> tuple[Comparison, ...]:
+    """Return the comparisons of all states at all horizons.
+
+    Parameters
+    ----------
+    name, features : str
+    parts : sequence of BlockErrors
+        Of any number of drives; those of one horizon are pooled by squares.
+    seed : int
+        Of the bootstrap.
+
+    Notes
+    -----
+    Whole blocks are drawn with replacement, 2,000 times; the same draw serves the three models, so that what they
+    have in common cancels in the ratio (Kuensch, The jackknife and the bootstrap for general stationary
+    observations, Annals of Statistics 17(3), 1989, with blocks that do not overlap).
+    """
+    found = []
+    for horizon in dict.fromkeys(part.horizon for part in parts):
+        same = [part for part in parts if part.horizon == horizon and len(part.block)]
+        if not same:
+            continue
+        columns = [np.concatenate([getattr(p, n) for p in same]) for n in ("corrected", "nominal", "held")]
+        block = np.concatenate([p.block for p in same])
+        finite = np.isfinite(np.stack(columns)).all(axis=(0, 2))
+        if not finite.any():
+            continue
+        numbers, member = np.unique(block[finite], return_inverse=True)
+        sums = np.zeros((3, len(numbers), 3))
+        for total, errors in zip(sums, columns, strict=True):
+            np.add.at(total, member, np.square(errors[finite]))
+        drawn = np.random.default_rng(seed).multinomial(
+            len(numbers), np.full(len(numbers), 1.0 / len(numbers)), _RESAMPLES
+        )
+        resampled = np.sqrt(np.einsum("rb,mbs->mrs", drawn, sums))
+        rmse = np.sqrt(sums.sum(axis=1) / finite.sum())
+        for state, label in enumerate(STATES):
+            ratios = [
+                _ratio(rmse[0, state], rmse[other, state], resampled[0, :, state], resampled[other, :, state])
+                if len(numbers) >= _FEWEST_BLOCKS
+                else (_divide(rmse[0, state], rmse[other, state]), float("nan"), float("nan"))
+                for other in (1, 2)
+            ]
+            values = (float(value) for value in rmse[:, state])
+            found.append(Comparison(name, features, label, horizon, len(numbers), *values, *ratios))
+    return tuple(found)
+
+
+def _divide(above: float, below: float) -> float:
+    return float(above / below) if below > 0.0 else float("nan")
+
+
+def _ratio(
+    ours: float, theirs: float, ours_drawn: np.ndarray, theirs_drawn: np.ndarray
+) -> tuple[float, float, float]:
+    """Return the ratio and the ends of its interval."""
+    good = theirs_drawn > 0.0
+    if not good.any():
+        return (float("nan"),) * 3
+    low, high = np.percentile(ours_drawn[good] / theirs_drawn[good], _INTERVAL)
+    return _divide(ours, theirs), float(low), float(high)
+
+
+def verdict(comparisons: Sequence[Comparison]) -> str:
+    """Return in one sentence what the correction is worth, state by state, beyond chance."""
+    judged = [c for c in comparisons if c.to_nominal[1] == c.to_nominal[1]]
+    if not judged:
+        return "verdict: too few blocks of time to tell whether the correction helps"
+    told = []
+    for state in STATES:
+        own = [c for c in judged if c.state == state]
+        worse = [c for c in own if c.to_nominal[1] > 1.0]
+        better = [c for c in own if c.to_nominal[2] < 1.0]
+        ratios = [c.to_nominal[0] for c in (worse or better)]
+        span = _span(ratios)
+        if worse:
+            told.append(f"{state} WORSE ({span} times the nominal error {_where(worse)})")
+        elif better:
+            told.append(f"{state} better ({span} times the nominal error {_where(better)})")
+        else:
+            told.append(f"{state} as the nominal model")
+    harm = any("WORSE" in part for part in told)
+    gain = any("better" in part for part in told)
+    head = (
+        "the correction does harm"
+        if harm
+        else "the correction helps"
+        if gain
+        else "the correction changes nothing"
+    )
+    return f"verdict: {head}: " + "; ".join(told)
+
+
+def _span(ratios: Sequence[float]) -> str:
+    if not ratios:
+        return ""
+    low, high = min(ratios), max(ratios)
+    return f"{low:.2f}" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f}"
+
+
+def _where(comparisons: Sequence[Comparison]) -> str:
+    return ", ".join(c.when for c in comparisons)
+
+
+def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
+    """Return a warning for every state that is worse than the nominal model or than persistence beyond chance."""
+    told = []
+    for state in STATES:
+        for other, attribute in (
+            ("the nominal model", "to_nominal"),
+            ("holding the velocities", "to_held"),
+        ):
+            worse = [c for c in comparisons if c.state == state and getattr(c, attribute)[1] > 1.0]
+            if worse:
+                c = max(worse, key=lambda c: getattr(c, attribute)[0])
+                ratio, low, high = getattr(c, attribute)
+                told.append(
+                    f"WARNING: {state} of the corrected model is worse than {other} {_where(worse)}: at most "
+                    f"{ratio:.2f} times its error (95 % interval {low:.2f} to {high:.2f}, {c.blocks} blocks)"
+                )
+    return tuple(told)
+
+
+def one_step_errors(held: HeldOut, model: SingleTrack, mean: np.ndarray, block: np.ndarray) -> BlockErrors:
+    """Return the errors over one step on a drive's test samples, in label units.
+
+    Parameters
+    ----------
+    held : HeldOut
+    model : SingleTrack
+    mean : ndarray, shape (N, 3)
+        Predicted residual of the test samples, in their order.
+    block : ndarray of int, shape (rows of the drive,)
+    """
+    tested = held.labels.take(held.tested)
+    persistence = velocity_persistence_errors(model, held.drive, tested)
+    return BlockErrors(0.0, tested.y - mean, tested.y, persistence, block[tested.row])
+
+
+def rollout_errors(
+    held: HeldOut,
+    starts: np.ndarray,
+    trajectories: Mapping[tuple[str, str], np.ndarray],
+    key: tuple[str, str],
+    horizon: float,
+    block: np.ndarray,
+) -> BlockErrors:
+    """Return the errors of rollouts after `horizon` [s]; `key` names the corrected model's trajectory."""
+    window = held.labels.window
+    step = max(1, round(horizon / held.labels.horizon))
+    rows = starts + step * window
+    truth = np.stack([held.drive[name][rows] for name in ("vx", "vy", "r")], axis=1)
+    errors = [
+        truth - trajectories[name][:, step - 1, -3:] for name in (key, (NOMINAL, ""), (VELOCITY_PERSISTENCE, ""))
+    ]
+    return BlockErrors(horizon, *errors, block[starts])

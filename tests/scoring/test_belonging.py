@@ -1,0 +1,55 @@
+"""A drive against a vehicle file: its own is never refused, another car is told by what contradicts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from split_cli.errors import DriveError
+from split_cli.scoring.belonging import belonging
+from split_cli.vehicle.tire import MagicFormula
+from split_cli.workflows.recordings import vehicle_doubts
+from tests.factories import make_drive, road_car
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return make_drive(5, segments=40, knot=1.0)
+
+
+def test_its_own_vehicle_is_not_doubted(drive):
+    shown = belonging(drive, road_car())
+    assert vehicle_doubts([drive], road_car()) == ()
+    # The drive turns by the very equations; steady turning leaves out what is transient.
+    assert 0.6 < shown.turning < 1.2 and 0.8 < shown.traction < 1.2
+
+
+def test_a_car_of_another_size_is_refused_and_with_the_flag_warned_of(drive):
+    small = road_car(
+        cg_to_front_axle=0.16, cg_to_rear_axle=0.17, wheel_radius=0.05, mass=4.0, yaw_inertia=0.05, max_torque=2.0,
+        max_brake_torque=2.0, front_tire=MagicFormula(9.0, 1.4, 18.0), rear_tire=MagicFormula(9.0, 1.4, 18.0),
+    )  # fmt: skip
+    with pytest.raises(DriveError, match="is not of the vehicle 'test car': it turns .* times as fast"):
+        vehicle_doubts([drive], small)
+    said = vehicle_doubts([drive], small, any_vehicle=True)
+    assert said[0].startswith("WARNING: made.parquet is not of the vehicle")
+
+
+def test_another_grip_is_told_by_its_size():
+    """Tyres of the recorded car carry 0.45 of what the file says: a wet road against a dry file."""
+    car = road_car()
+    slippery = road_car(
+        front_tire=replace(car.front_tire, D=0.45 * car.front_tire.D),
+        rear_tire=replace(car.rear_tire, D=0.45 * car.rear_tire.D),
+    )
+    shown = belonging(make_drive(6, segments=40, vehicle=slippery, knot=1.0), car)
+    # v_x r holds a transient part beside the tyres' force: some tenths of a ratio, far from 1.
+    assert shown.grip == pytest.approx(0.45, abs=0.15)
+    assert shown.contradictions() == () and "they carry 0.5" in shown.doubts()[0]
+
+
+def test_a_drive_that_hardly_moves_shows_nothing(drive):
+    still = replace(drive, columns={**drive.columns, "vx": np.zeros(len(drive))})
+    assert belonging(still, road_car()).contradictions() == ()

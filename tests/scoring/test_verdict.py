@@ -1,0 +1,60 @@
+"""The verdict: ratios of errors with intervals that cover, and words that follow them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from split_cli.scoring.verdict import BlockErrors, compare, number_blocks, verdict, warnings_of
+
+
+def errors(factor, seed, blocks=20, each=30):
+    """Errors of a nominal model with a common part a block, and of a corrected one `factor` times as large."""
+    rng = np.random.default_rng(seed)
+    block = np.repeat(np.arange(blocks), each)
+    strength = rng.lognormal(0.0, 0.5, blocks)[block][:, None]
+    nominal = strength * rng.normal(size=(len(block), 3))
+    corrected = np.asarray(factor) * strength * rng.normal(size=(len(block), 3))
+    return BlockErrors(0.5, corrected, nominal, 1.5 * strength * rng.normal(size=(len(block), 3)), block)
+
+
+def test_the_intervals_hold_the_true_ratio_as_often_as_they_say():
+    inside = [
+        c.to_nominal[1] < 0.8 < c.to_nominal[2]
+        for seed in range(60)
+        for c in compare("bcm", "z2", [errors((0.8, 0.8, 0.8), seed)], seed)
+    ]
+    # 180 intervals of 95 %: within three standard deviations, less the bootstrap's known shortfall at 20 blocks.
+    assert np.mean(inside) > 0.95 - 3.0 * np.sqrt(0.05 * 0.95 / 180) - 0.03
+
+
+def test_ratios_pool_squares_over_drives_and_two_drives_keep_their_blocks():
+    one, two = errors((0.5, 1.0, 2.0), 1), errors((0.5, 1.0, 2.0), 2)
+    two = BlockErrors(two.horizon, two.corrected, two.nominal, two.held, two.block + 20)
+    found = compare("bcm", "z2", [one, two])
+    assert all(c.blocks == 40 for c in found) and [c.state for c in found] == ["v_x", "v_y", "r"]
+    pooled = np.sqrt(np.square(np.concatenate([one.corrected, two.corrected])).mean(axis=0))
+    np.testing.assert_allclose([c.corrected for c in found], pooled, rtol=1e-12)
+
+
+def test_the_words_name_what_helps_what_harms_and_what_changes_nothing():
+    found = compare("bcm", "z2", [errors((0.5, 1.0, 2.0), 3)])
+    said = verdict(found)
+    assert said.startswith("verdict: the correction does harm: v_x better (0.")
+    assert "v_y as the nominal model" in said and "r WORSE (" in said and "after 0.5 s" in said
+    told = warnings_of(found)
+    assert [line.split()[1] for line in told] == ["r", "r"]
+    assert "the nominal model" in told[0] and "holding the velocities" in told[1]
+    assert verdict(compare("bcm", "z2", [errors((0.5, 0.5, 0.5), 4)])).startswith("verdict: the correction helps")
+
+
+def test_with_too_few_blocks_nothing_is_claimed():
+    found = compare("bcm", "z2", [errors((5.0, 5.0, 5.0), 5, blocks=3)])
+    assert "too few blocks" in verdict(found) and warnings_of(found) == ()
+
+
+def test_blocks_are_whole_stretches_of_at_least_four_seconds_of_driving():
+    time = np.concatenate([np.arange(0.0, 50.0, 0.01), 1000.0 + np.arange(0.0, 50.0, 0.01)])
+    segment = np.repeat([0, 1], 5000)
+    block = number_blocks(time, segment, first=7)
+    assert block[0] == 7 and np.all(np.diff(block) >= 0)
+    assert np.min(np.bincount(block - 7)) * 0.01 >= 3.99
