@@ -151,8 +151,6 @@ class IolLearner(LabellingLearner):
                 name: np.concatenate([getattr(part, name) for part in parts])
                 for name in ("t", "row", "segment", "z", "y", "reason")
             }
-            labels = replace(
-                parts[0], drive=self._name, start_time=self._start_time, duration=duration, **joined
-            )
+            labels = replace(parts[0], drive=self._name, start_time=self._start_time, duration=duration, **joined)
             self.set = extend_dictionary(self.set, [labels])
         return self.set

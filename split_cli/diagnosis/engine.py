@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.diagnosis.innovations.case import Case, gather_case
+from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale
@@ -24,13 +25,13 @@ from split_cli.diagnosis.search.reading import Reading, read
 from split_cli.diagnosis.statement.result import Diagnosis, InputFile
 from split_cli.diagnosis.statement.sentences import summarise
 from split_cli.diagnosis.together import together
+from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.diagnosis.verdict.detectable import smallest_named
 from split_cli.diagnosis.verdict.findings import describe, wanders, with_shares
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["diagnose"]
@@ -208,7 +209,9 @@ def _tell(case: Case, found: _Comparison, policy: Policy) -> Diagnosis:
     trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen
     findings = with_shares(findings, chosen, explained_shares(split, trained))
     named = tuple(term for term, is_named in zip(trained.terms, selection.named, strict=True) if is_named)
-    improvement = _improvement(case, split, named)
+    recordings = _held_out(case, split)
+    improvement = measure_improvement(recordings, named, case.common, case.knowledge, case.simulated)
+    corrected = judge_corrected(recordings, named)
     return Diagnosis(
         "mismatch",
         found.p_value,
@@ -230,15 +233,16 @@ def _tell(case: Case, found: _Comparison, policy: Policy) -> Diagnosis:
             in_sentences(found.contradictions),
             improvement,
             case.vehicle,
+            corrected,
         ),
+        corrected_vehicle=corrected,
     )
 
 
-def _improvement(case: Case, split: HeldOut, terms: Sequence[Term]):
-    """Compare on what was kept out; the terms were fitted on the rest."""
+def _held_out(case: Case, split: HeldOut) -> list[tuple[Evidence, np.ndarray]]:
+    """Return all real recordings and which of their rows are kept out; the terms were fitted on the rest."""
     everything = [np.ones(len(one.series), dtype=bool) for one in case.holdout]
-    recordings = [*zip(case.real, split.masks, strict=True), *zip(case.holdout, everything, strict=True)]
-    return measure_improvement(recordings, terms, case.common, case.knowledge, case.simulated)
+    return [*zip(case.real, split.masks, strict=True), *zip(case.holdout, everything, strict=True)]
 
 
 def _gaps(case: Case):

@@ -378,9 +378,7 @@ def _between(stored: Mapping[str, str]) -> dict[str, str]:
 
 def untold_inputs(drives: Sequence[Drive]) -> tuple[str, ...]:
     """Return what to say of inputs whose course between samples no drive's metadata tells; empty if all do."""
-    untold = {
-        name: None for drive in drives for name in INPUT_CHANNELS if name not in drive.metadata.between
-    }
+    untold = {name: None for drive in drives for name in INPUT_CHANNELS if name not in drive.metadata.between}
     if not untold:
         return ()
     named = " and ".join(untold)

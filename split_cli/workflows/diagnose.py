@@ -10,8 +10,9 @@ import numpy as np
 
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.remainder.location import FORCES
-from split_cli.diagnosis.statement.document import diagnosis_to_text
+from split_cli.diagnosis.statement.document import VEHICLES, diagnosis_to_text, vehicle_name
 from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, Improvement, InputFile
+from split_cli.diagnosis.statement.sentences import not_accepted
 from split_cli.files import atomic_directory, refuse_what_cannot_be_written, sha256_of_file
 from split_cli.learning.features import Z2
 from split_cli.learning.label_file import label_columns
@@ -25,6 +26,7 @@ __all__ = ["FIGURES", "STAGES", "corrected_vehicle", "diagnose_files", "read_and
 
 #: What may lie in the folder ``figures``.
 FIGURES = frozenset({"where.png", "what.png", "help.png", "help.csv"})
+_UNJUDGED = "Not judged: no held-out time to compare it with the vehicle given."
 #: Models compared on held-out time, as `Improvement` and `HorizonErrors` name them.
 STAGES = ("before", "physics", "split_only", "after", "persistence")
 CHANNELS, LABEL_UNITS, STATE_UNITS = ("v_x", "v_y", "r"), ("m/s^2", "m/s^2", "rad/s^2"), ("m/s", "m/s", "rad/s")
@@ -117,7 +119,10 @@ def write_diagnosis(
     produced = set()
     with atomic_directory(output) as folder:
         (folder / "diagnosis.json").write_text(diagnosis_to_text(diagnosis), encoding="utf-8")
-        write_vehicle(corrected_vehicle(diagnosis, vehicle), folder / "vehicle_corrected.yaml", comment=comment)
+        judged = vehicle_name(diagnosis)
+        write_vehicle(
+            corrected_vehicle(diagnosis, vehicle), folder / judged, comment=f"{_judged(diagnosis)}{comment}"
+        )
         _write_gap(diagnosis, drives, vehicle, folder / "gap.parquet")
         (folder / "report.html").write_text(report_page(diagnosis), encoding="utf-8")
         (folder / "figures").mkdir()
@@ -129,8 +134,20 @@ def write_diagnosis(
             produced.add("help.csv")
         if not produced:
             (folder / "figures").rmdir()
+    for other in VEHICLES - {judged}:
+        (Path(output) / other).unlink(missing_ok=True)
     for name in FIGURES - produced:
         (Path(output) / "figures" / name).unlink(missing_ok=True)
+
+
+def _judged(diagnosis: Diagnosis) -> str:
+    """Return what the head of the vehicle file says of its worth."""
+    corrected = diagnosis.corrected_vehicle
+    if corrected is None:
+        return "" if not any(f.exported for f in diagnosis.findings) else f"{_UNJUDGED} "
+    if corrected.accepted:
+        return ""
+    return f"NOT ACCEPTED. {not_accepted(corrected)} "
 
 
 def _write_help(improvement: Improvement, path: Path) -> None:

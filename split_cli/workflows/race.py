@@ -510,5 +510,3 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
             f"holds labels up to {huge:.3g} m/s^2: no car's model is wrong by more than three times gravity",
             where=str(where), advice="Check the recordings it was trained on with `split evaluate`.",
         )  # fmt: skip
-
-

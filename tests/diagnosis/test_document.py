@@ -52,7 +52,7 @@ FULL = Diagnosis(
     {"level": 0.01},
     detectable=(Detectable("drive_lag", {"tau": (0.004, "s")}), Detectable("wind", {})),
 )
-ADDED = {"detectable", "leads"}  # to the contract, which leaves room for more
+ADDED = {"corrected_vehicle", "detectable", "leads"}  # to the contract, which leaves room for more
 
 
 @pytest.mark.parametrize(

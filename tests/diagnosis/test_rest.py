@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from split_cli.diagnosis.innovations.rollouts import Stage, roll_out_stages
-from split_cli.diagnosis.verdict.label_errors import label_errors
-from split_cli.diagnosis.verdict.rest import _in_standard_errors, learn_rest
+from split_cli.diagnosis.verdict.label_errors import in_standard_errors, label_errors
+from split_cli.diagnosis.verdict.rest import learn_rest
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import recorded
 
@@ -38,5 +38,5 @@ def test_a_force_that_is_missing_earns_trust_and_is_predicted():
 
 def test_sums_in_standard_errors_by_hand():
     """Blocks that sum to 2 and 4: a sum of 6, an error of sqrt(2 (1 + 1)) = 2."""
-    told = _in_standard_errors(np.array([1.0, 1.0, 3.0, 1.0]), np.array([0, 0, 1, 1]))
+    told = in_standard_errors(np.array([1.0, 1.0, 3.0, 1.0]), np.array([0, 0, 1, 1]))
     assert told == 6.0 / 2.0

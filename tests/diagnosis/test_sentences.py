@@ -189,7 +189,7 @@ def test_the_summary_says_what_where_and_whether_it_helps():
         "mostly in front lateral force (80 % of it) and goes with track position, which alone explains 91 %",
         "87 % of it lies between s = 311 and 421 m, in 9 % of the samples",
         "removes 97 % of a step's squared error beyond sensor noise (95 %: 87 to 100 %)",
-        "the error of v_x goes from 0.54 to 0.014 m/s (sensor noise alone: 0.013)",
+        "the error of v_x goes from 0.54 to 0.014 m/s (velocity held: 1.0; sensor noise alone: 0.013)",
     ):
         assert part in said
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
 
@@ -19,7 +20,16 @@ from split_cli.diagnosis.statement.result import (
     ParameterEstimate,
 )
 
-__all__ = ["diagnosis_to_mapping", "diagnosis_to_text", "read_schema"]
+__all__ = ["VEHICLES", "diagnosis_to_mapping", "diagnosis_to_text", "read_schema", "vehicle_name"]
+
+#: Names that the vehicle file with the findings may have; one of them is written.
+VEHICLES = frozenset({"vehicle_corrected.yaml", "vehicle_rejected.yaml"})
+
+
+def vehicle_name(diagnosis: Diagnosis) -> str:
+    """Return the name of the vehicle file: another one where it is worse than the vehicle given."""
+    corrected = diagnosis.corrected_vehicle
+    return "vehicle_corrected.yaml" if corrected is None or corrected.accepted else "vehicle_rejected.yaml"
 
 
 def read_schema() -> dict[str, Any]:
@@ -45,11 +55,20 @@ def diagnosis_to_mapping(diagnosis: Diagnosis) -> dict[str, Any]:
         "findings": [_finding(finding) for finding in diagnosis.findings],
         "unexplained": diagnosis.unexplained,
         "improvement": _improvement(diagnosis.improvement),
+        "corrected_vehicle": _corrected(diagnosis),
         "leads": [_lead(one) for one in diagnosis.leads],
         "detectable": [_detectable(one) for one in diagnosis.detectable],
         "inputs": [{"name": f.name, "sha256": f.sha256, "role": f.role} for f in diagnosis.inputs],
         "settings": _plain(diagnosis.settings),
     }
+
+
+def _corrected(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    corrected = diagnosis.corrected_vehicle
+    if corrected is None:
+        return None
+    states = [{**asdict(one), "worse": one.is_worse} for one in corrected.states]
+    return {"file": vehicle_name(diagnosis), "accepted": corrected.accepted, "states": _plain(states)}
 
 
 def _location(location: Location | None) -> dict[str, Any] | None:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 __all__ = [
+    "CorrectedVehicle",
     "Detectable",
     "Diagnosis",
     "Finding",
@@ -21,6 +22,7 @@ __all__ = [
     "Place",
     "RemainderTest",
     "RivalSummary",
+    "StateChange",
     "Verdict",
 ]
 
@@ -213,6 +215,59 @@ class RemainderTest:
 
 
 @dataclass(frozen=True)
+class StateChange:
+    """Held-out rms errors of one velocity at the end of free running: nominal model and corrected vehicle.
+
+    Attributes
+    ----------
+    channel, unit : str
+    horizon : float
+        [s]
+    nominal, corrected, persistence, noise_floor : float
+        In `unit`.
+    change : float
+        Of the squared error, corrected less nominal, in standard errors by blocks of time [1].
+    """
+
+    channel: str
+    unit: str
+    horizon: float
+    nominal: float
+    corrected: float
+    persistence: float
+    noise_floor: float
+    change: float
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the corrected vehicle predicts worse than the nominal one, beyond chance and beyond noise."""
+        return self.change > _NORMAL_95 and self.corrected > self.noise_floor
+
+    @property
+    def is_better(self) -> bool:
+        """Whether it predicts better, beyond chance."""
+        return self.change < -_NORMAL_95
+
+
+@dataclass(frozen=True)
+class CorrectedVehicle:
+    """The vehicle with what was found of the car, judged beside the nominal model on held-out time.
+
+    Attributes
+    ----------
+    states : tuple of StateChange
+        Every velocity after one step of 0.05 s and at the longest horizon that fits, 2 s at most.
+    """
+
+    states: tuple[StateChange, ...]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it is no worse than the nominal model in any state beyond chance."""
+        return not any(one.is_worse for one in self.states)
+
+
+@dataclass(frozen=True)
 class HorizonErrors:
     """Held-out rms errors of open-loop rollouts of one length: v_x, v_y [m/s], r [rad/s].
 
@@ -227,6 +282,8 @@ class HorizonErrors:
     confidence : mapping of str to list
         95 % intervals by block bootstrap, channel by channel, and the number of ``blocks``.
     starts : int
+    change : mapping of str to (float, float, float)
+        Of a stage's squared error against ``before``, in standard errors by blocks of time [1].
     """
 
     horizon: float
@@ -238,6 +295,17 @@ class HorizonErrors:
     noise_floor: tuple[float, ...]
     confidence: Mapping[str, object]
     starts: int
+    change: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def most_changed(self, stage: str) -> int:
+        """Return the channel (0 to 2) whose error a stage changes most in units of noise, for better or worse."""
+        changes = zip(self.before, getattr(self, stage), self.noise_floor, strict=True)
+        sizes = [abs(other - before) / max(noise, 1e-12) for before, other, noise in changes]
+        return sizes.index(max(sizes))
+
+    def worse(self, stage: str) -> tuple[int, ...]:
+        """Return the channels whose error a stage makes larger beyond chance (5 %, two-sided)."""
+        return tuple(k for k, z in enumerate(self.change.get(stage, ())) if z > _NORMAL_95)
 
 
 @dataclass(frozen=True)
@@ -368,6 +436,8 @@ class Diagnosis:
         One paragraph a reader can act on.
     detectable : tuple of Detectable
         What a silence about each term is worth; none where nothing was decided.
+    corrected_vehicle : CorrectedVehicle or None
+        None where nothing of the car was found, or no held-out time can judge it.
     leads : tuple of Lead
         Explanations that no real car can have, with what it would take and what explains as much.
     """
@@ -387,4 +457,5 @@ class Diagnosis:
     history: tuple[str, ...] = ()
     summary: str = ""
     detectable: tuple[Detectable, ...] = ()
+    corrected_vehicle: CorrectedVehicle | None = None
     leads: tuple[Lead, ...] = ()

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from split_cli.diagnosis.statement.result import Finding, Improvement, Location, ParameterEstimate, RemainderTest
+from split_cli.diagnosis.statement.result import (
+    CorrectedVehicle,
+    Finding,
+    HorizonErrors,
+    Improvement,
+    Location,
+    ParameterEstimate,
+    RemainderTest,
+)
 from split_cli.diagnosis.statement.separation import separation
 from split_cli.diagnosis.statement.wording import number, percent, term_with_id, variable_name
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["lead_sentence", "sentence_for", "separations", "statement_for", "summarise"]
+__all__ = ["lead_sentence", "not_accepted", "sentence_for", "separations", "statement_for", "summarise"]
 
 # What a flexible fit calls its groups of functions, for a reader.
 _KINDS = {
@@ -19,6 +27,7 @@ _KINDS = {
     "operating point": "the operating point",
 }
 Parameters = Mapping[str, ParameterEstimate]
+_STATES = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))
 _CLEARLY = 0.02  # share of the gap from which on it is said to go with a variable
 _STANDS_FOR = 0.4  # of what place explains, from which on another variable is named in its stead
 
@@ -105,6 +114,7 @@ def summarise(
     reasons: Sequence[str] = (),
     improvement: Improvement | None = None,
     vehicle: Vehicle | None = None,
+    corrected: CorrectedVehicle | None = None,
 ) -> str:
     """Return the diagnosis in one paragraph: what differs, where, whether it helps, and what has no name.
 
@@ -134,6 +144,8 @@ def summarise(
         parts.append(_nameless(remainder, bool(findings)))
     if improvement is not None:
         parts.append(_help(improvement, "physics" if findings else "split_only"))
+    if corrected is not None and not corrected.accepted:
+        parts.append(not_accepted(corrected))
     return " ".join(part for part in parts if part)
 
 
@@ -180,15 +192,42 @@ def _help(improvement: Improvement, stage: str) -> str:
         told = percent(share) if share > 0.0 else "nothing"
         parts.append(f"it removes {told} of a step's squared error beyond sensor noise ({interval})")
     if improvement.rollouts:
-        last = improvement.rollouts[-1]
-        before, after, floor = last.before, getattr(last, stage), last.noise_floor
-        k = max(range(3), key=lambda k: before[k] / max(floor[k], 1e-12))
-        name, unit = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))[k]
-        parts.append(
-            f"after {last.horizon:g} s of free running the error of {name} goes from {number(before[k], 2)} to "
-            f"{number(after[k], 2)} {unit} (sensor noise alone: {number(floor[k], 2)})"
-        )
+        parts.append(_free_running(improvement.rollouts[-1], stage))
     return f"With {model}, on held-out time: {'; '.join(parts)}." if parts else ""
+
+
+def _free_running(last: HorizonErrors, stage: str) -> str:
+    """Return what becomes of the error that a stage changes most, and which errors get worse."""
+    k = last.most_changed(stage)
+    name, unit = _STATES[k]
+    before, after, held, floor = (
+        number(getattr(last, key)[k], 2) for key in ("before", stage, "persistence", "noise_floor")
+    )
+    text = (
+        f"after {last.horizon:g} s of free running the error of {name} goes from {before} to {after} {unit} "
+        f"(velocity held: {held}; sensor noise alone: {floor})"
+    )
+    others = [
+        f"the error of {_STATES[i][0]} gets worse, from {number(last.before[i], 2)} to "
+        f"{number(getattr(last, stage)[i], 2)} {_STATES[i][1]}"
+        for i in last.worse(stage)
+        if i != k
+    ]
+    return "; ".join([text, *others])
+
+
+def not_accepted(corrected: CorrectedVehicle) -> str:
+    """Return why a corrected vehicle is not to be used."""
+    worse = [
+        f"{one.channel} after {one.horizon:g} s "
+        f"({number(one.corrected, 2)} where the one given has {number(one.nominal, 2)} {one.unit})"
+        for one in corrected.states
+        if one.is_worse
+    ]
+    return (
+        "On held-out time the vehicle with what was found predicts worse than the one given: "
+        f"{', '.join(worse)}. It is written as vehicle_rejected.yaml, to be looked at and not to be used."
+    )
 
 
 def _nameless(remainder: RemainderTest, named: bool) -> str:

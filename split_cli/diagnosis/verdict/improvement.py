@@ -19,7 +19,12 @@ from split_cli.diagnosis.innovations.rollouts import (
     shared_rates,
 )
 from split_cli.diagnosis.statement.result import HorizonErrors, Improvement
-from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, blocks_of_time, label_errors
+from split_cli.diagnosis.verdict.label_errors import (
+    BLOCK_SECONDS,
+    blocks_of_time,
+    in_standard_errors,
+    label_errors,
+)
 from split_cli.diagnosis.verdict.rest import learn_rest, without_rest
 from split_cli.diagnosis.verdict.simulation_part import believed_parts, part_of
 from split_cli.vehicle.effects import Term
@@ -189,6 +194,10 @@ def _pooled(recordings: Sequence[RolloutErrors]) -> tuple[HorizonErrors, ...]:
             HorizonErrors(
                 horizon, rms["before"], rms["physics"], rms["split_only"], rms["after"], rms["persistence"],
                 tuple(np.sqrt(floor.mean(axis=0)).tolist()), intervals, len(block),
+                {
+                    name: tuple(in_standard_errors(squared[name] - squared["before"], block).tolist())
+                    for name in ("physics", "split_only", "after")
+                },
             )
         )  # fmt: skip
     return tuple(out)

@@ -15,7 +15,7 @@ from split_cli.learning.labels import Labels, compute_labels
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import integrate_recorded, phi_matrix, recorded_inputs, substep_count
 
-__all__ = ["BLOCK_SECONDS", "LabelErrors", "blocks_of_time", "label_errors"]
+__all__ = ["BLOCK_SECONDS", "LabelErrors", "blocks_of_time", "in_standard_errors", "label_errors"]
 
 BLOCK_SECONDS = 2.0
 _WANTED_BLOCKS = 10
@@ -118,3 +118,12 @@ def blocks_of_time(times: Sequence[np.ndarray], longest: float = BLOCK_SECONDS) 
     seconds = sum(float(np.ptp(t)) for t in times if len(t)) / _WANTED_BLOCKS
     length = float(np.clip(seconds, _SHORTEST_BLOCK, longest))
     return np.concatenate([1_000_000 * k + (t // length).astype(np.int64) for k, t in enumerate(times)])
+
+
+def in_standard_errors(values: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Return sums of values (L, ...) over their standard errors, blocks of time being independent."""
+    _, number = np.unique(block, return_inverse=True)
+    sums = np.zeros((int(number.max(initial=0)) + 1, *values.shape[1:]))
+    np.add.at(sums, number, values)
+    error = np.sqrt(np.sum((sums - sums.mean(axis=0)) ** 2, axis=0) * len(sums) / max(len(sums) - 1, 1))
+    return sums.sum(axis=0) / np.maximum(error, 1e-300)

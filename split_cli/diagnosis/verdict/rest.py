@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.rollouts import Rest, Stage, roll_out_stages
-from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, LabelErrors, blocks_of_time
+from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, LabelErrors, blocks_of_time, in_standard_errors
 from split_cli.learning.cells import learn
 from split_cli.learning.hyperparameters import default_kernel, scatter_variance
 from split_cli.learning.region import z2_grid
@@ -116,16 +116,7 @@ def _trust_in_labels(parts, errors, folds, others: Sequence[Rest | None]) -> np.
     e, p = np.concatenate(error), np.concatenate(predicted)
     share = np.clip(np.sum(e * p, axis=0) / np.maximum(np.sum(p * p, axis=0), 1e-300), 0.0, 1.0)
     saved = e**2 - (e - share * p) ** 2
-    return np.where(_in_standard_errors(saved, number) > _BEYOND_CHANCE, share, 0.0)
-
-
-def _in_standard_errors(values: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Return sums of values (L, ...) over their standard errors, blocks of time being independent."""
-    _, number = np.unique(block, return_inverse=True)
-    sums = np.zeros((int(number.max(initial=0)) + 1, *values.shape[1:]))
-    np.add.at(sums, number, values)
-    error = np.sqrt(np.sum((sums - sums.mean(axis=0)) ** 2, axis=0) * len(sums) / max(len(sums) - 1, 1))
-    return sums.sum(axis=0) / np.maximum(error, 1e-300)
+    return np.where(in_standard_errors(saved, number) > _BEYOND_CHANCE, share, 0.0)
 
 
 @dataclass(frozen=True)
@@ -179,7 +170,7 @@ def _borne(recordings, stages, parts, folds, others, trust: np.ndarray) -> np.nd
             return np.zeros(3)
         horizons = min(one.shape[1] for one in change)
         more = np.concatenate([one[:, :horizons] for one in change])
-        worse = np.any(_in_standard_errors(more, np.concatenate(block)) > _BEYOND_CHANCE, axis=0)
+        worse = np.any(in_standard_errors(more, np.concatenate(block)) > _BEYOND_CHANCE, axis=0)
         worse |= more[:, -1].sum(axis=0) > 0.0
         failing = [list(group) for group in _GROUPS if np.any(worse[list(group)]) and np.any(now[list(group)])]
         if not failing:

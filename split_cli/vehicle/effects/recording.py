@@ -9,7 +9,12 @@ from typing import Any
 import numpy as np
 
 __all__ = [
-    "Recording", "first_order_from_means", "first_order_response", "over_samples", "play_response", "shifted"
+    "Recording",
+    "first_order_from_means",
+    "first_order_response",
+    "over_samples",
+    "play_response",
+    "shifted",
 ]
 
 

@@ -28,7 +28,7 @@ def what_section(diagnosis: Diagnosis) -> str:
 def _finding(order: int, finding: Finding) -> str:
     name = finding.term + (f"/{finding.variant}" if finding.variant else "")
     kind = (
-        "Part of the car; it is in <code>vehicle_corrected.yaml</code>."
+        "Part of the car; it is in the corrected vehicle file."
         if finding.exported
         else "A fault of the measurement, not of the car; it stays out of the vehicle file."
     )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from split_cli.diagnosis.statement.document import vehicle_name
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, HorizonErrors, Improvement, Location
+from split_cli.diagnosis.statement.sentences import not_accepted
 from split_cli.workflows.report.findings import what_section
 from split_cli.workflows.report.markup import bar_row, section, table
 from split_cli.workflows.report.words import (
@@ -116,7 +118,7 @@ def _facts_of_help(shown: Improvement) -> Iterable[tuple[str, str, str]]:
         yield "Removed", percent(removed[0]), f"{note} ({span(removed)})"
     if shown.rollouts:
         last = shown.rollouts[-1]
-        k = max(range(3), key=lambda k: last.before[k] / max(last.noise_floor[k], 1e-12))
+        k = last.most_changed("physics")
         before, after = last.before[k], max(last.physics[k], 1e-12)
         ratio = f"÷ {number(before / after, 2)}" if after <= before else f"× {number(after / before, 2)}"
         unit = CHANNELS[k][2].replace("/s²", "/s")
@@ -208,12 +210,34 @@ def _help(diagnosis: Diagnosis, improvement: Improvement) -> str:
     stages = [one for one in _STAGES if diagnosis.findings or one[0] not in ("physics", "after")]
     if not improvement.tells:
         how += " That time shows too little of the gap to tell: give a drive that does with --holdout."
-    tables = _error_table(improvement, stages), _rollouts(improvement, stages)
+    tables = _error_table(improvement, stages), _rollouts(improvement, stages), _corrected(diagnosis)
     return section(
         "help",
         "Does it help",
         f"<p>One-step errors {escape(where)}, refitted without it.{escape(how)} Grey: what sensor noise makes."
         f'</p><div class="figures thirds" id="errors"></div>{"".join(tables)}',
+    )
+
+
+def _corrected(diagnosis: Diagnosis) -> str:
+    """Return the corrected vehicle beside the one given: every state after one step and after 2 s."""
+    corrected = diagnosis.corrected_vehicle
+    if corrected is None:
+        return ""
+    rows = []
+    for one in corrected.states:
+        values = (one.nominal, one.corrected, one.persistence, one.noise_floor)
+        verdict = "worse" if one.is_worse else "better" if one.is_better else "alike"
+        cells = "".join(f"<td>{number(value)}</td>" for value in values)
+        rows.append(
+            f"<tr><th scope=row><i>{one.channel}</i> after {one.horizon:g} s [{one.unit}]</th>{cells}"
+            f"<td>{verdict}</td></tr>"
+        )
+    said = "" if corrected.accepted else f"<p><strong>{escape(not_accepted(corrected))}</strong></p>"
+    heads = ["Rms error", "Vehicle given", "With what was found", "Velocity held", "Noise floor", "Beyond chance"]
+    return (
+        "<h3>The corrected vehicle</h3><p>What the vehicle file alone predicts, without what a simulation taught. "
+        f"Faults of sensors are taken off the recording for both.</p>{said}{table(heads, rows, 'errors')}"
     )
 
 
@@ -317,7 +341,7 @@ def _provenance(diagnosis: Diagnosis) -> str:
         f"<div><dt>{escape(name.replace('_', ' '))}</dt><dd>{escape(value)}</dd></div>"
         for name, value in diagnosis.settings.items()
     )
-    names = ["diagnosis.json", "vehicle_corrected.yaml", "gap.parquet"]
+    names = ["diagnosis.json", vehicle_name(diagnosis), "gap.parquet"]
     names += [f"figures/{name}.png" for name in ("where", "what", "help")] if diagnosis.improvement else []
     names += ["figures/help.csv"] if diagnosis.improvement else []
     links = " · ".join(f'<a href="{name}">{name}</a>' for name in names)

@@ -1,0 +1,74 @@
+"""Is the corrected vehicle file any better: beside the nominal model, on held-out time, without a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors, Stage, roll_out_stages
+from split_cli.diagnosis.statement.result import CorrectedVehicle, StateChange
+from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, blocks_of_time, in_standard_errors
+from split_cli.vehicle.effects import Term
+
+__all__ = ["judge_corrected"]
+
+_STEP = 0.05  # [s]
+_STATES = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))
+
+
+def judge_corrected(
+    recordings: Sequence[tuple[Evidence, np.ndarray]], terms: Sequence[Term]
+) -> CorrectedVehicle | None:
+    """Compare the nominal model with what a vehicle file can hold of the terms, after one step and after 2 s.
+
+    Parameters
+    ----------
+    recordings : sequence of (Evidence, ndarray of bool of shape (N,))
+        Real recordings and which of their rows are held out.
+    terms : sequence of Term
+        Fitted without the held-out rows. Faults of sensors are taken off the recording for both.
+
+    Returns
+    -------
+    CorrectedVehicle or None
+        None where nothing belongs into the file, or no rollout fits into the held-out time.
+
+    Notes
+    -----
+    A vehicle file goes where no simulation does, so nothing that a simulation taught stands beside it here. A
+    state is worse where its squared error grew by more than 1.96 standard errors, which blocks of time tell.
+    """
+    car = tuple(term for term in terms if term.exported)
+    if not car:
+        return None
+    sensors = tuple(term for term in terms if not term.exported)
+    stages = {"nominal": Stage(sensors, None), "corrected": Stage(tuple(terms), None)}
+    runs = [
+        errors
+        for one, held in recordings
+        if (errors := roll_out_stages(one, stages, held, horizons=(_STEP, *HORIZONS))) is not None
+    ]
+    if not runs:
+        return None
+    last = max(len(one.horizons) for one in runs) - 1
+    states = [_states_at(runs, k) for k in dict.fromkeys((0, last))]
+    return CorrectedVehicle(tuple(one for several in states for one in several))
+
+
+def _states_at(runs: Sequence[RolloutErrors], k: int) -> list[StateChange]:
+    having = [one for one in runs if len(one.horizons) > k]
+    horizon = having[0].horizons[k]
+    squared = {name: np.concatenate([one.squared[name][:, k] for one in having]) for name in having[0].squared}
+    floor = np.sqrt(np.concatenate([one.floor[:, k] for one in having]).mean(axis=0))
+    block = blocks_of_time([one.t for one in having], max(BLOCK_SECONDS, horizon))
+    change = in_standard_errors(squared["corrected"] - squared["nominal"], block)
+    rms = {name: np.sqrt(values.mean(axis=0)) for name, values in squared.items()}
+    return [
+        StateChange(
+            channel, unit, horizon, *(float(rms[name][i]) for name in ("nominal", "corrected", "persistence")),
+            float(floor[i]), float(change[i]),
+        )
+        for i, (channel, unit) in enumerate(_STATES)
+    ]  # fmt: skip

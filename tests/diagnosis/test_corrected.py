@@ -1,0 +1,110 @@
+"""The corrected vehicle is judged: true physics is accepted, wrong physics is not, and files and words say so."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from jsonschema import Draft202012Validator
+
+from split_cli.diagnosis.statement.document import diagnosis_to_text, read_schema
+from split_cli.diagnosis.statement.result import (
+    CorrectedVehicle,
+    Diagnosis,
+    Finding,
+    HorizonErrors,
+    Improvement,
+    ParameterEstimate,
+    StateChange,
+)
+from split_cli.diagnosis.statement.sentences import summarise
+from split_cli.diagnosis.verdict.corrected import judge_corrected
+from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.diagnose import write_diagnosis
+from tests.diagnosis.recordings import recorded
+from tests.factories import road_car
+
+
+def resistance(force: float):
+    return CATALOGUE["rolling_resistance"]({"force": force})
+
+
+@pytest.fixture(scope="module")
+def judged():
+    evidence = recorded(11, (resistance(450.0),))
+    held = evidence.series.t > 0.75 * evidence.series.t[-1]
+    return {force: judge_corrected([(evidence, held)], (resistance(force),)) for force in (450.0, -450.0)}
+
+
+def test_true_physics_is_accepted_and_its_opposite_is_worse(judged):
+    """450 N on 1,500 kg take 0.6 m/s in 2 s; left out that is the error, added with the wrong sign twice that."""
+    right, wrong = judged[450.0], judged[-450.0]
+    assert right.accepted and not wrong.accepted
+    last = {one.channel: one for one in right.states if one.horizon == 2.0}
+    assert last["v_x"].is_better and last["v_x"].corrected < 0.2 * last["v_x"].nominal
+    # Within one step a force along the car moves nothing but v_x.
+    assert [one.channel for one in wrong.states if one.is_worse and one.horizon < 0.1] == ["v_x"]
+    far = next(one for one in wrong.states if (one.channel, one.horizon) == ("v_x", 2.0))
+    assert far.corrected == pytest.approx(2.0 * far.nominal, rel=0.1)
+
+
+def test_nothing_of_the_car_is_nothing_to_judge(judged):
+    turned = CATALOGUE["sensor_misalignment"]({"angle": 0.02})
+    evidence = recorded(11)
+    assert judge_corrected([(evidence, np.ones(len(evidence.series), dtype=bool))], (turned,)) is None
+
+
+def found(corrected: CorrectedVehicle) -> Diagnosis:
+    force = ParameterEstimate(-450.0, 10.0, "N", (-470.0, -430.0))
+    finding = Finding("rolling_resistance", "", {"force": force}, 0.5, (), "Said.", 1.0)
+    return Diagnosis("mismatch", 1e-9, 1.0, findings=(finding,), corrected_vehicle=corrected)
+
+
+def test_a_vehicle_that_is_worse_is_marked_in_name_head_json_and_report(tmp_path, judged):
+    accepted, rejected = found(judged[450.0]), found(judged[-450.0])
+    write_diagnosis(accepted, road_car(), tmp_path)
+    assert (tmp_path / "vehicle_corrected.yaml").exists()
+    write_diagnosis(rejected, road_car(), tmp_path)
+    # The earlier file would be taken for this diagnosis's.
+    assert not (tmp_path / "vehicle_corrected.yaml").exists()
+    head = (tmp_path / "vehicle_rejected.yaml").read_text(encoding="utf-8")
+    assert head.startswith("# NOT ACCEPTED.") and "v_x after 2 s" in " ".join(head.replace("#", " ").split())
+    assert yaml.safe_load(head)["effects"] and read_vehicle(tmp_path / "vehicle_rejected.yaml").effects
+    told = json.loads((tmp_path / "diagnosis.json").read_text())["corrected_vehicle"]
+    assert told["file"] == "vehicle_rejected.yaml" and told["accepted"] is False
+    assert [one["worse"] for one in told["states"] if (one["channel"], one["horizon"]) == ("v_x", 2.0)] == [True]
+    Draft202012Validator(read_schema()).validate(json.loads(diagnosis_to_text(rejected)))
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "vehicle_rejected.yaml" in page and "vehicle_corrected.yaml" not in page
+
+
+def improvement_of(last: HorizonErrors) -> Improvement:
+    row = (0.1, 0.1, 0.1)
+    return Improvement(row, row, row, row, row, row, {}, (last,), {"physics": (0.5, 0.4, 0.6)})
+
+
+def test_the_summary_tells_what_changed_most_in_noise_and_what_got_worse():
+    """v_x changes most in m/s, r most in noise (90 against 20 times), v_y gets worse beyond chance."""
+    last = HorizonErrors(
+        2.0, (3.0, 0.2, 0.1), (1.0, 0.3, 0.01), (3.0, 0.2, 0.1), (1.0, 0.3, 0.01), (2.0, 0.25, 0.05),
+        (0.1, 0.01, 0.001), {}, 40, {"physics": (0.5, 3.0, -5.0)},
+    )  # fmt: skip
+    finding = found(CorrectedVehicle(())).findings
+    text = summarise("mismatch", finding, improvement=improvement_of(last))
+    assert "error of r goes from 0.10 to 0.010 rad/s (velocity held: 0.050; sensor noise alone: 0.0010)" in text
+    assert "the error of v_y gets worse, from 0.20 to 0.30 m/s" in text
+    assert "v_x" not in text
+    # A state that only changed within chance is not said to be worse.
+    calm = replace(last, change={"physics": (0.5, 1.0, -5.0)})
+    assert "worse" not in summarise("mismatch", finding, improvement=improvement_of(calm))
+
+
+def test_a_state_is_worse_beyond_chance_and_beyond_noise_only():
+    worse = StateChange("r", "rad/s", 2.0, 0.01, 0.02, 0.05, 0.001, 3.0)
+    assert worse.is_worse and not worse.is_better
+    assert not replace(worse, change=1.5).is_worse
+    assert not replace(worse, noise_floor=0.03).is_worse
