@@ -28,6 +28,7 @@ COMMANDS = {
     "prove": "Conceal known effects, diagnose them blind, and score.",
     "race": "Race the plant with a controller that learns while it drives.",
     "maneuver": "Drive ISO 3888 and brake-and-avoid between cones.",
+    "experiments": "Run the closed-loop experiments and fill their page.",
     "simulate": "Drive the double-track plant and write its logs.",
     "info": "Tell what a file of ours is.",
     "verify": "Check a trained set or an export against itself.",

@@ -1,0 +1,44 @@
+"""`split experiments`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from split_cli.cli.options import existing_file, output_option, vehicle_option
+
+__all__ = ["command"]
+
+
+@click.command("experiments")
+@vehicle_option()
+@click.option("--limit-vehicle", type=existing_file, metavar="FILE", help="Calibrated from tests near the limit.")
+@click.option("--physics-vehicle", type=existing_file, metavar="FILE", help="Corrected by split diagnose.")
+@click.option("--only", multiple=True, metavar="NAME", help="Run those whose names begin so; repeatable.")
+@click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Fill this page's tables.")
+@output_option("Folder of results.")
+def command(vehicle_path, limit_vehicle, physics_vehicle, only, page, output) -> None:
+    """Run the closed-loop experiments of docs/experiments.md, and fill its tables.
+
+    Every race and every sweep of a manoeuvre is kept in DIR; what is there is not run again. The whole plan takes
+    about an hour on one core.
+
+    \b
+    Example:
+      split experiments --vehicle road_car.yaml --only small -o results/
+      split experiments --vehicle road_car.yaml -o results/ --page docs/experiments.md
+    """
+    from split_cli.vehicle.parameters import read_vehicle
+    from split_cli.workflows.experiments import run_experiments, stored
+    from split_cli.workflows.experiments_page import fill_page
+
+    given = {"gentle": vehicle_path, "limit": limit_vehicle, "physics": physics_vehicle}
+    vehicles = {name: path for name, path in given.items() if path is not None}
+    ran = run_experiments(
+        output, vehicles, only=only, progress=lambda text: click.echo(f"experiments: {text}", err=True)
+    )
+    click.echo(f"run: {', '.join(ran) or 'nothing new'}")
+    if page is not None:
+        figures = fill_page(page, stored(output), read_vehicle(vehicle_path))
+        click.echo(f"written: {page}, {', '.join(figures)}")

@@ -1,0 +1,225 @@
+"""Tables and figures of the closed-loop experiments, put between the markers of a page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.control.scenarios import build_scenario
+from split_cli.errors import SplitError
+from split_cli.files import atomic_path, atomic_write_text
+from split_cli.plots.closed_loop import (
+    ManeuverPicture,
+    RacePicture,
+    draw_best_laps,
+    draw_lap_times,
+    draw_learning,
+    draw_maneuvers,
+)
+from split_cli.plots.style import save
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import slip_angles
+
+__all__ = ["fill_page", "tables"]
+
+PAPER_LAPS = {0: 60.12, 1: 58.36, 2: 57.80, 3: 57.56, 4: 57.20}
+"""Lap times of the SPLIT paper's racing in the real car, its table of racing results [s]."""
+
+
+def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> list[str]:
+    """Write tables between ``<!-- table: NAME -->`` and ``<!-- end -->``, figures beside the page; return figures.
+
+    Raises
+    ------
+    SplitError
+        If the page is missing or asks for a table that is not there.
+    """
+    page = Path(page)
+    if not page.is_file():
+        raise SplitError("no such page", where=str(page))
+    text, made = page.read_text(encoding="utf-8"), tables(results)
+
+    def put(found: re.Match) -> str:
+        name = found.group(1)
+        if name not in made:
+            raise SplitError(f"asks for the table {name!r}, which is not there", where=str(page))
+        return f"<!-- table: {name} -->\n{made[name]}\n<!-- end -->"
+
+    text = re.sub(r"<!-- table: ([\w-]+) -->\n.*?<!-- end -->", put, text, flags=re.S)
+    figures = _figures(results, vehicle, page.parent / "figures")
+    atomic_write_text(page, text)
+    return figures
+
+
+def tables(results: dict[str, dict]) -> dict[str, str]:
+    """Return the tables by name, as Markdown."""
+    groups: dict[str, list[dict]] = {}
+    for result in results.values():
+        groups.setdefault(result["group"], []).append(result)
+    made = {f"laps-{name}": _lap_table(group) for name, group in groups.items() if "laps" in group[0]["result"]}
+    made |= {
+        f"gain-{name}": _gain_table(group, groups["small"])
+        for name, group in groups.items()
+        if "laps" in group[0]["result"] and "small" in groups
+    }
+    sweeps = [result for result in results.values() if "runs" in result["result"]]
+    made["maneuvers"] = _sweep_table(sweeps)
+    made["timing"] = _timing_table([r for r in results.values() if "laps" in r["result"]])
+    return made
+
+
+def _markdown(header: list[str], rows: list[list[str]]) -> str:
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
+
+
+def _lap_table(group: list[dict]) -> str:
+    header = [
+        "model", "seed", "lap", "time s", "outside m", "mean speed m/s", "max a_y g", "updates", "set", "cells",
+        "error v_x, v_y, r", "of nominal", "failures",
+    ]  # fmt: skip
+    rows = []
+    for race in group:
+        for lap in race["result"]["laps"]:
+            after, before = np.array(lap["error_after"]), np.array(lap["error_before"])
+            share = " / ".join(f"{a / b:.2f}" if b else "-" for a, b in zip(after, before, strict=True))
+            time = "not finished" if lap["time"] is None else f"{lap['time']:.2f}"
+            rows.append([
+                race["model"], str(race["settings"]["seed"]), str(lap["number"]), time, f"{lap['outside']:.2f}",
+                f"{lap['mean_speed']:.2f}", f"{lap['max_lateral']:.2f}", str(lap["updates"]), str(lap["size"]),
+                str(lap["cells"]), ", ".join(f"{v:.3f}" for v in after), share, str(lap["failures"]),
+            ])  # fmt: skip
+    return _markdown(header, rows)
+
+
+def best_clean(race: dict) -> float | None:
+    """Return the best time of a finished lap that stayed on the track [s]; None when there is none."""
+    times = [lap["time"] for lap in race["result"]["laps"] if lap["time"] is not None and lap["outside"] == 0.0]
+    return min(times, default=None)
+
+
+def _gain_table(group: list[dict], reference: list[dict]) -> str:
+    """Return the best clean lap of each race against the best clean nominal one of the same group and seed."""
+    rows = []
+    nominal = {
+        race["settings"]["seed"]: best_clean(race) for race in group if race["model"].startswith("nominal")
+    } or {race["settings"]["seed"]: best_clean(race) for race in reference if race["model"] == "nominal"}
+    for race in group:
+        best, base = best_clean(race), nominal.get(race["settings"]["seed"])
+        clean = sum(lap["time"] is not None and lap["outside"] == 0.0 for lap in race["result"]["laps"])
+        gain = "-" if best is None or base is None else f"{100 * (1 - best / base):.1f}"
+        told = "none" if best is None else f"{best:.2f}"
+        rows.append([race["model"], str(race["settings"]["seed"]), told, gain,
+                     f"{clean} of {len(race['result']['laps'])}"])  # fmt: skip
+    return _markdown(["model", "seed", "best clean lap s", "gain on nominal %", "clean laps"], rows)
+
+
+def _sweep_table(sweeps: list[dict]) -> str:
+    rows = []
+    for sweep in sweeps:
+        result = sweep["result"]
+        best = result["highest_passed"]
+        told = ", ".join(f"{run['speed']:g}: {_ended(run)}" for run in result["runs"])
+        rows.append([result["scenario"], f"{result['grip']:g}", sweep["model"],
+                     "none" if best is None else f"{best:g}", told])  # fmt: skip
+    header = ["manoeuvre", "grip", "model", "highest speed passed m/s", "cones hit at each entry speed"]
+    return _markdown(header, rows)
+
+
+def _ended(run: dict) -> str:
+    return f"{run['hit']}{'*' if run['ended'] else ''}"
+
+
+def _timing_table(races: list[dict]) -> str:
+    rows = []
+    for race in races:
+        laps = race["result"]["laps"]
+        cells = []
+        for name in ("solver_ms", "step_ms", "update_ms"):
+            middle, most, worst = (np.array([lap[name][k] for lap in laps]) for k in range(3))
+            cells.append(f"{np.median(middle):.1f} / {most.max():.1f} / {worst.max():.1f}")
+        rows.append([race["name"], *cells, str(sum(lap["failures"] for lap in laps))])
+    return _markdown(
+        ["race", "HPIPM ms", "whole step ms", "label and update ms", "failures"], rows
+    )
+
+
+def _picture(race: dict, vehicle: Vehicle) -> RacePicture:
+    laps = race["result"]["laps"]
+
+    def column(name: str) -> np.ndarray:
+        return np.array([lap[name] for lap in laps], dtype=float)
+
+    time = np.array(
+        [np.nan if lap["time"] is None or lap["outside"] > 0.0 else lap["time"] for lap in laps], dtype=float
+    )
+    shown = int(np.nanargmin(time)) if np.isfinite(time).any() else 0
+    t = race["traces"][f"lap{laps[shown]['number']}"]
+    alpha = slip_angles(t[:, 5], t[:, 6], t[:, 7], t[:, 9], vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle)
+    s = np.mod(t[:, 1] + 0.5, race["result"]["length"])
+    order = np.argsort(s, kind="stable")
+    best = np.stack([s, t[:, 2], t[:, 3], t[:, 5], t[:, 10], t[:, 11], *alpha], axis=1)[order]
+    return RacePicture(
+        column("number"), time, column("mean_speed"), column("updates"), column("size"), column("cells"),
+        column("error_before"), column("error_after"), best,
+    )  # fmt: skip
+
+
+def _figures(results: dict[str, dict], vehicle: Vehicle, folder: Path) -> list[str]:
+    made = []
+    folder.mkdir(exist_ok=True)
+
+    def keep(name: str, draw: Callable, *what) -> None:
+        with atomic_path(folder / name) as temporary:
+            save(draw(*what), temporary)
+        made.append(name)
+
+    for track in ("small", "handling"):
+        races: dict[str, list[dict]] = {}
+        for result in results.values():
+            if result["group"] == track:
+                races.setdefault(result["model"], []).append(result)
+        if len(races) < 2:
+            continue
+        pictures = {name: [_picture(race, vehicle) for race in group] for name, group in races.items()}
+        keep(f"closed-loop-{track}-laps.png", draw_lap_times, pictures)
+        firsts = {name: group[0] for name, group in pictures.items()}
+        keep(f"closed-loop-{track}-best.png", draw_best_laps, firsts)
+        learned = {name: race for name, race in firsts.items() if name != "nominal"}
+        keep(f"closed-loop-{track}-learning.png", draw_learning, learned)
+    for road in ("dry", "wet"):
+        pictures = _maneuver_pictures(results, road)
+        if pictures:
+            keep(f"closed-loop-maneuvers-{road}.png", draw_maneuvers, pictures)
+    return made
+
+
+def _maneuver_pictures(results: dict[str, dict], road: str) -> list[ManeuverPicture]:
+    found = []
+    for name in ("iso3888-1", "iso3888-2", "brake-avoid"):
+        pair = {m: results.get(f"{name}-{road}-{m}") for m in ("nominal", "split")}
+        if not all(pair.values()):
+            continue
+        speeds = [run["speed"] for run in pair["nominal"]["result"]["runs"]]
+        # The slowest entry at which the two differ tells most; else the first.
+        differ = [
+            k
+            for k in range(len(speeds))
+            if pair["nominal"]["result"]["runs"][k]["hit"] != pair["split"]["result"]["runs"][k]["hit"]
+        ]
+        k = differ[0] if differ else 0
+        scenario = build_scenario(name, pair["nominal"]["result"]["width"], speeds[k])
+        runs = {
+            model: (
+                result["traces"][f"run{k}"][:, 1:3],
+                np.array(result["result"]["runs"][k]["hit_at"]).reshape(-1, 2),
+            )
+            for model, result in pair.items()
+        }
+        line = np.stack([scenario.path.x, scenario.path.y], axis=1)
+        title = f"{name} at {speeds[k]:g} m/s, {'dry' if road == 'dry' else 'grip 0.5'}"
+        found.append(ManeuverPicture(title, line, scenario.cones, runs))
+    return found
