@@ -64,9 +64,12 @@ __all__ = ["command"]
 @click.option("--no-delay", is_flag=True, help="Commands take effect at once, not one interval later.")
 @click.option("--set", "set_output", type=click.Path(path_type=Path), metavar="FILE",
               help="Save the set after each lap.")  # fmt: skip
+@click.option("--report", type=click.Path(path_type=Path), metavar="FILE", help="Write a page with the laps.")
 @output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
-def command(vehicle_path, output, set_output, p_ellipse, p_long, no_delay, iol_update, as_json, **options) -> None:
+def command(
+    vehicle_path, output, set_output, report, p_ellipse, p_long, no_delay, iol_update, as_json, **options
+) -> None:
     """Race the double-track plant with a contouring controller that learns while it drives.
 
     The controller (MPCC, 80 steps of 50 ms) drives with the vehicle's nominal model plus what the learner has
@@ -88,6 +91,11 @@ def command(vehicle_path, output, set_output, p_ellipse, p_long, no_delay, iol_u
         settings, vehicle_path, output=output, set_output=set_output,
         progress=lambda text: click.echo(f"race: {text}", err=True),
     )  # fmt: skip
+    if report is not None:
+        from split_cli.files import atomic_write_text
+        from split_cli.workflows.race_report.page import race_page
+
+        atomic_write_text(report, race_page([result], result.path))
     for note in result.notes:
         click.echo(f"note: {note}", err=True)
     if as_json:
@@ -113,6 +121,6 @@ def command(vehicle_path, output, set_output, p_ellipse, p_long, no_delay, iol_u
     for lap in result.laps:
         if lap.ended:
             click.echo(f"lap {lap.number} was not finished: {lap.ended}")
-    written = [str(path) for path in (result.output, result.set_path) if path]
+    written = [str(path) for path in (result.output, result.set_path, report) if path]
     if written:
         click.echo(f"written: {', '.join(written)}")

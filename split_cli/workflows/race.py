@@ -164,6 +164,8 @@ class RaceResult:
         The drive.
     set_path : str or None
     notes : tuple of str
+    path : Path
+        The track.
     traces : tuple of ndarray
         Of each lap, a row an interval: t, s, X, Y, yaw, v_x, v_y, r, T, delta, a_x, a_y, contour error.
     """
@@ -178,10 +180,11 @@ class RaceResult:
     set_path: str | None
     notes: tuple[str, ...]
     traces: tuple[np.ndarray, ...] = ()
+    path: Path | None = None
 
     def summary(self) -> RaceResult:
-        """Return the result without its traces."""
-        return replace(self, traces=())
+        """Return the result without its traces and its track."""
+        return replace(self, traces=(), path=None)
 
 
 def run_race(
@@ -295,7 +298,10 @@ class _Race:
         first = 0 if self.start_set is None else 1
         self.until = 0.0
         if self._drive(record=None) is None:
-            return
+            raise SplitError(
+                f"the run-up to the line was not finished: {self.ended}", where=self.path.name,
+                advice="Lower --p-ellipse or --max-speed: the nominal model asks for more than the road gives.",
+            )  # fmt: skip
         if first == 0:
             self.say("lap 0, nominal")
             self._lap(0)
@@ -431,7 +437,7 @@ class _Race:
             track=self.path.name, car=self.car.name, vehicle=self.vehicle.name, learner=self.settings.learner,
             length=self.path.length, laps=tuple(self.laps), output=None if output is None else str(output),
             set_path=None if self.set_output is None else str(self.set_output), notes=tuple(self.notes),
-            traces=tuple(self.traces),
+            traces=tuple(self.traces), path=self.path,
         )  # fmt: skip
 
 

@@ -1,0 +1,126 @@
+"""Put the page of a race together: one HTML document with its style, its script and its numbers inside."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Sequence
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from split_cli import __version__
+from split_cli.control.path import Path
+from split_cli.workflows.race import Lap, RaceResult
+from split_cli.workflows.report.payload import embedded_json
+from split_cli.workflows.report.words import escape
+
+__all__ = ["race_page"]
+
+_BORDER_POINTS = 600
+
+
+def race_page(races: Sequence[RaceResult], path: Path) -> str:
+    """Return a page of one race or of several on one track.
+
+    Parameters
+    ----------
+    races : sequence of RaceResult
+        With their traces.
+    path : Path
+        The track.
+
+    Notes
+    -----
+    Names are escaped wherever they stand, and a content security policy admits only the page's own script.
+    """
+    package = files("split_cli.workflows.race_report")
+
+    def part(name: str) -> str:
+        return package.joinpath(name).read_text(encoding="utf-8")
+
+    script = part("race.js")
+    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    learners = ", ".join(dict.fromkeys(race.learner for race in races))
+    return Template(part("race.html")).substitute(
+        title=escape(f"{path.name}: laps with {learners}"), version=escape(__version__), digest=digest,
+        style=part("race.css"), headline=escape(_headline(races)), about=escape(_about(races[0])),
+        table=_table(races), timing=_timing(races), numbers=embedded_json(_numbers(races, path)), script=script,
+    )  # fmt: skip
+
+
+def _laps(races: Sequence[RaceResult]) -> list[tuple[str, Lap, np.ndarray]]:
+    several = len(races) > 1
+    return [
+        (f"{race.learner}, lap {lap.number}" if several else f"lap {lap.number}", lap, trace)
+        for race in races
+        for lap, trace in zip(race.laps, race.traces, strict=True)
+        if len(trace)
+    ]
+
+
+def _headline(races: Sequence[RaceResult]) -> str:
+    clean = [(lap.time, name) for name, lap, _ in _laps(races) if lap.clean]
+    if not clean:
+        return "No lap was finished within the track."
+    nominal = [lap.time for race in races for lap in race.laps if lap.number == 0 and lap.clean]
+    best, name = min(clean)
+    if not nominal or best >= min(nominal):
+        return f"The best clean lap took {best:.2f} s ({name})."
+    gain = 100.0 * (1.0 - best / min(nominal))
+    return f"The best clean lap took {best:.2f} s ({name}), {gain:.1f} % less than the nominal lap."
+
+
+def _about(race: RaceResult) -> str:
+    return f"{race.track}, {race.length:.0f} m a lap, {race.car} with the vehicle file {race.vehicle}"
+
+
+def _table(races: Sequence[RaceResult]) -> str:
+    header = ("lap", "time s", "mean speed m/s", "largest a_y g", "updates", "points", "cells", "error v_x",
+              "error v_y", "error r", "outside m")  # fmt: skip
+    rows = []
+    for name, lap, _ in _laps(races):
+        time = f"{lap.time:.2f}" if lap.time is not None else f"not finished: {lap.ended}"
+        errors = [f"{a:.3f} of {b:.3f}" for a, b in zip(lap.error_after, lap.error_before, strict=True)]
+        speeds = f"{lap.mean_speed:.2f}", f"{lap.max_lateral:.2f}"
+        learned = str(lap.updates), str(lap.size), str(lap.cells)
+        rows.append((name, time, *speeds, *learned, *errors, f"{lap.outside:.2f}"))
+    return _html_table("laps", header, rows)
+
+
+def _timing(races: Sequence[RaceResult]) -> str:
+    header = ("lap", "HPIPM ms", "whole step ms", "label and update ms", "failures")
+    rows = []
+    for name, lap, _ in _laps(races):
+        times = [" / ".join(f"{v:.1f}" for v in t) for t in (lap.solver_ms, lap.step_ms, lap.update_ms)]
+        rows.append((name, *times, str(lap.failures)))
+    return _html_table("timing", header, rows)
+
+
+def _html_table(name: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    head = "".join(f"<th scope=col>{escape(text)}</th>" for text in header)
+    body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows)
+    return f'<table id="table-{name}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+
+
+def _numbers(races: Sequence[RaceResult], path: Path) -> dict[str, Any]:
+    """Return what the script reads: borders, and of each lap t, s, X, Y, yaw, speed, a_x, a_y."""
+    every = max(1, len(path.x) // _BORDER_POINTS)
+    sine, cosine = np.sin(path.direction), np.cos(path.direction)
+    left = np.stack([path.x - path.left * sine, path.y + path.left * cosine], axis=1)[::every]
+    right = np.stack([path.x + path.right * sine, path.y - path.right * cosine], axis=1)[::every]
+    laps = []
+    for name, lap, trace in _laps(races):
+        s = trace[:, 1] - np.floor((trace[0, 1] + 0.5 * path.length * 0.01) / path.length) * path.length
+        laps.append({
+            "name": name, "time": lap.time, "t": _rounded(trace[:, 0] - trace[0, 0], 2), "s": _rounded(s, 1),
+            "x": _rounded(trace[:, 2], 2), "y": _rounded(trace[:, 3], 2), "yaw": _rounded(trace[:, 4], 3),
+            "v": _rounded(trace[:, 5], 2), "ax": _rounded(trace[:, 10], 2), "ay": _rounded(trace[:, 11], 2),
+        })  # fmt: skip
+    return {"left": _rounded(left, 2), "right": _rounded(right, 2), "length": path.length, "laps": laps}
+
+
+def _rounded(values: np.ndarray, digits: int) -> list:
+    return np.round(values, digits).tolist()

@@ -1,0 +1,155 @@
+"use strict";
+(() => {
+  const race = JSON.parse(document.getElementById("numbers").textContent);
+  const colours = ["#1b1f27", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
+  const find = (id) => document.getElementById(id);
+  const slider = find("time"), clock = find("clock"), play = find("play"), pace = find("pace"), status = find("status");
+  const best = race.laps.reduce((a, lap, k) => (lap.time !== null && (a < 0 || lap.time < race.laps[a].time) ? k : a), -1);
+  const chosen = new Set([0, best < 0 ? race.laps.length - 1 : best].filter((k) => k >= 0));
+  const colour = (k) => colours[k % colours.length];
+  let now = 0, running = false, before = 0;
+
+  race.laps.forEach((lap, k) => {
+    const label = document.createElement("label"), box = document.createElement("input"), swatch = document.createElement("span");
+    box.type = "checkbox";
+    box.checked = chosen.has(k);
+    box.dataset.lap = String(k);
+    box.addEventListener("change", () => { box.checked ? chosen.add(k) : chosen.delete(k); setTime(Math.min(now, longest())); });
+    swatch.className = "swatch";
+    swatch.style.background = colour(k);
+    label.append(box, swatch, `${lap.name}${lap.time === null ? ", not finished" : `, ${lap.time.toFixed(2)} s`}`);
+    find("choice").append(label);
+  });
+
+  const laps = () => [...chosen].sort((a, b) => a - b);
+  const last = (k) => race.laps[k].t[race.laps[k].t.length - 1];
+  const longest = () => Math.max(0.05, ...laps().map(last));
+
+  // Where a lap is at a time: between samples in a straight line.
+  function at(lap, time) {
+    const t = lap.t;
+    let low = 0, high = t.length - 1;
+    if (time >= t[high]) return high;
+    while (high - low > 1) { const middle = (low + high) >> 1; if (t[middle] <= time) low = middle; else high = middle; }
+    return low + (time - t[low]) / (t[high] - t[low]);
+  }
+  const value = (list, place) => {
+    const low = Math.floor(place), high = Math.min(low + 1, list.length - 1);
+    return list[low] + (place - low) * (list[high] - list[low]);
+  };
+
+  function frame(canvas, xs, ys, equal, pad) {
+    let [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    let sx = (canvas.width - 2 * pad) / (x1 - x0 || 1), sy = (canvas.height - 2 * pad) / (y1 - y0 || 1);
+    if (equal) sx = sy = Math.min(sx, sy);
+    const left = (canvas.width - sx * (x1 - x0)) / 2, top = (canvas.height - sy * (y1 - y0)) / 2;
+    return (x, y) => [left + (x - x0) * sx, canvas.height - top - (y - y0) * sy];
+  }
+  function line(pen, points, style, width, close) {
+    pen.beginPath();
+    points.forEach(([x, y], k) => (k ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+    if (close) pen.closePath();
+    pen.strokeStyle = style;
+    pen.lineWidth = width;
+    pen.stroke();
+  }
+
+  const track = find("track"), ground = race.left.concat(race.right);
+  const onTrack = frame(track, ground.map((p) => p[0]), ground.map((p) => p[1]), true, 16);
+  function drawTrack() {
+    const pen = track.getContext("2d");
+    pen.clearRect(0, 0, track.width, track.height);
+    for (const border of [race.left, race.right]) line(pen, border.map(([x, y]) => onTrack(x, y)), "#9aa1ad", 1.5, true);
+    for (const k of laps()) {
+      const lap = race.laps[k];
+      line(pen, lap.x.map((x, i) => onTrack(x, lap.y[i])), colour(k), 1.4, false);
+    }
+    for (const k of laps()) {
+      const lap = race.laps[k], place = at(lap, now), [x, y] = onTrack(value(lap.x, place), value(lap.y, place));
+      pen.save();
+      pen.translate(x, y);
+      pen.rotate(-value(lap.yaw, place));
+      pen.fillStyle = colour(k);
+      pen.fillRect(-9, -4.5, 18, 9);
+      pen.fillStyle = "#fff";
+      pen.fillRect(4, -3, 3, 6);
+      pen.restore();
+    }
+  }
+
+  const speed = find("speed");
+  function drawSpeed() {
+    const pen = speed.getContext("2d"), shown = laps();
+    pen.clearRect(0, 0, speed.width, speed.height);
+    if (!shown.length) return;
+    const most = Math.ceil(Math.max(...shown.flatMap((k) => race.laps[k].v)) / 5) * 5;
+    const place = frame(speed, [0, race.length], [0, most], false, 30);
+    pen.font = "12px system-ui, sans-serif";
+    pen.fillStyle = "#5a6271";
+    for (let v = 0; v <= most; v += 5) {
+      line(pen, [place(0, v), place(race.length, v)], "#e3e5ea", 1, false);
+      pen.fillText(`${v}`, 6, place(0, v)[1] + 4);
+    }
+    pen.fillText("m/s", 4, 14);
+    pen.fillText(`${race.length.toFixed(0)} m`, speed.width - 60, speed.height - 8);
+    for (const k of shown) {
+      const lap = race.laps[k];
+      line(pen, lap.s.map((s, i) => place(s, lap.v[i])), colour(k), 1.5, false);
+      const here = at(lap, now), [x, y] = place(value(lap.s, here), value(lap.v, here));
+      pen.fillStyle = colour(k);
+      pen.beginPath();
+      pen.arc(x, y, 4, 0, 7);
+      pen.fill();
+    }
+  }
+
+  const gg = find("gg");
+  function drawAccelerations() {
+    const pen = gg.getContext("2d"), place = frame(gg, [-1.2, 1.2], [-1.2, 1.2], true, 24), g = 9.80665;
+    pen.clearRect(0, 0, gg.width, gg.height);
+    pen.font = "12px system-ui, sans-serif";
+    pen.fillStyle = "#5a6271";
+    for (const v of [-1, -0.5, 0, 0.5, 1]) {
+      line(pen, [place(-1.2, v), place(1.2, v)], "#e3e5ea", 1, false);
+      line(pen, [place(v, -1.2), place(v, 1.2)], "#e3e5ea", 1, false);
+      pen.fillText(`${v} g`, place(v, -1.2)[0] - 10, gg.height - 6);
+    }
+    for (const k of laps()) {
+      pen.fillStyle = colour(k);
+      race.laps[k].ay.forEach((ay, i) => { const [x, y] = place(ay / g, race.laps[k].ax[i] / g); pen.fillRect(x - 1, y - 1, 2, 2); });
+    }
+  }
+
+  function tell() {
+    const shown = laps();
+    status.textContent = shown.length
+      ? shown.map((k) => { const lap = race.laps[k], p = at(lap, now); return `${lap.name}: ${value(lap.s, p).toFixed(0)} m, ${value(lap.v, p).toFixed(1)} m/s`; }).join("; ")
+      : "No lap is chosen.";
+  }
+  function setTime(time) {
+    now = Math.max(0, time);
+    slider.max = String(longest());
+    slider.value = String(now);
+    clock.textContent = `${now.toFixed(1)} s`;
+    drawTrack(); drawSpeed(); drawAccelerations(); tell();
+  }
+  function tick(stamp) {
+    if (!running) return;
+    const passed = Math.min(0.2, (stamp - before) / 1000);
+    before = stamp;
+    if (now >= longest()) { stop(); return; }
+    setTime(Math.min(longest(), now + passed * Number(pace.value)));
+    requestAnimationFrame(tick);
+  }
+  function stop() { running = false; play.textContent = "Play"; }
+  play.addEventListener("click", () => {
+    if (running) { stop(); return; }
+    if (now >= longest()) setTime(0);
+    running = true;
+    play.textContent = "Pause";
+    before = performance.now();
+    requestAnimationFrame(tick);
+  });
+  slider.addEventListener("input", () => { stop(); setTime(Number(slider.value)); });
+  setTime(0);
+})();

@@ -1,0 +1,116 @@
+"""The page of a race: its numbers, names that cannot act, and a page that works in a browser."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from split_cli.control.path import resampled
+from split_cli.workflows.race import Lap, RaceResult
+from split_cli.workflows.race_report.page import race_page
+
+HOSTILE = "</script><script>window.taken = 1</script>"
+
+
+def race(name: str = "ring") -> RaceResult:
+    angle = np.arange(60) * 2 * np.pi / 60
+    width = np.full(60, 4.0)
+    path = resampled(name, 40 * np.stack([np.cos(angle), np.sin(angle)], axis=1), width, width, closed=True)
+    laps, traces = [], []
+    for number, speed in enumerate((10.0, 12.5, 11.0)):
+        t = np.arange(0.0, path.length / speed, 0.05)
+        s, turn = speed * t, speed * t / 40
+        trace = np.zeros((len(t), 13))
+        trace[:, 0], trace[:, 1], trace[:, 4], trace[:, 5] = 7.0 + t, s + number * path.length, turn, speed
+        trace[:, 2], trace[:, 3], trace[:, 11] = 40 * np.cos(turn), 40 * np.sin(turn), speed**2 / 40
+        errors = (0.4, 0.5, 0.3), (0.3, 0.2, 0.1)
+        laps.append(
+            Lap(number, path.length / speed, speed, speed**2 / 40 / 9.81, 9, 8, 7, *errors, len(t), len(t),
+                (5.0, 9.0, 12.0), (8.0, 15.0, 20.0), (1.0, 2.0, 3.0), 0, 0.0)
+        )  # fmt: skip
+        traces.append(trace)
+    told = name, "road_car", "car", "split", path.length
+    return RaceResult(*told, tuple(laps), None, None, (), tuple(traces), path)
+
+
+def test_the_page_holds_the_laps_and_loads_nothing():
+    result = race()
+    page = race_page([result], result.path)
+    numbers = json.loads(re.search(r'id="numbers">(.*?)</script>', page, flags=re.S).group(1))
+    assert [lap["v"][3] for lap in numbers["laps"]] == [10.0, 12.5, 11.0]
+    assert all(abs(lap["s"][0]) < 1.0 for lap in numbers["laps"])
+    gap = np.linalg.norm(np.array(numbers["left"]) - np.array(numbers["right"]), axis=1)
+    assert gap == pytest.approx(np.full(len(gap), 8.0), abs=0.02)
+    assert "20.11 s (lap 1), 20.0 % less than the nominal lap" in page
+    assert not re.search(r"""(src|href)=["']?(?!data:)[a-z]+:""", page)
+
+
+def test_a_name_cannot_act():
+    result = race(HOSTILE)
+    page = race_page([result], result.path)
+    assert HOSTILE not in page
+    assert page.count("<script") == 2
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    try:
+        from selenium import webdriver
+    except ImportError:
+        pytest.skip("selenium is not installed: pip install 'split-cli[test]'")
+    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not chromium or not chromedriver:
+        pytest.skip("no chromium with chromedriver on the path: apt-get install chromium chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for flag in ("headless", "no-sandbox", "disable-gpu", "no-first-run", "disable-background-networking",
+                 f"user-data-dir={tmp_path_factory.mktemp('profile')}"):  # fmt: skip
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver))
+    yield driver
+    driver.quit()
+
+
+def test_laps_are_chosen_compared_and_played_in_a_browser(browser, tmp_path):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    result = race(HOSTILE)
+    file = tmp_path / "race.html"
+    file.write_text(race_page([result], result.path), encoding="utf-8")
+    browser.get(file.as_uri())
+    assert browser.get_log("browser") == []
+    assert browser.execute_script("return window.taken") is None
+
+    def one(selector: str):
+        return browser.find_element("css selector", selector)
+
+    boxes = browser.find_elements("css selector", "#choice input")
+    # The nominal lap and the best one are chosen at first.
+    assert [box.is_selected() for box in boxes] == [True, True, False]
+    ink = "const c = document.getElementById(arguments[0]), d = c.getContext('2d').getImageData(0, 0, c.width, " \
+          "c.height).data; let n = 0; for (let i = 3; i < d.length; i += 4) n += d[i] > 0; return n"  # fmt: skip
+    assert all(browser.execute_script(ink, name) > 500 for name in ("track", "speed", "gg"))
+    # Half way through the slower lap's time the cars are where their speeds bring them.
+    browser.execute_script(
+        "const s = document.getElementById('time'); s.value = '10'; s.dispatchEvent(new Event('input'))"
+    )
+    assert one("#clock").text == "10.0 s"
+    assert one("#status").text == "lap 0: 100 m, 10.0 m/s; lap 1: 125 m, 12.5 m/s"
+    boxes[1].click()
+    boxes[2].click()
+    assert one("#status").text == "lap 0: 100 m, 10.0 m/s; lap 2: 110 m, 11.0 m/s"
+    one("#play").click()
+    assert one("#play").text == "Pause"
+    WebDriverWait(browser, 10).until(lambda _: float(one("#clock").text.split()[0]) > 11.0)
+    one("#play").click()
+    assert one("#play").text == "Play"
+    for box in browser.find_elements("css selector", "#choice input:checked"):
+        box.click()
+    assert one("#status").text == "No lap is chosen."
+    assert len(browser.find_elements("css selector", "#table-laps tbody tr")) == 3
+    assert browser.get_log("browser") == []
