@@ -142,7 +142,7 @@ def _maneuvers() -> list[Experiment]:
         found.append(Experiment(f"{group}-split", group, "split", replace(basic, start_set=origin)))
     for road, grip in (("dry", 1.0), ("wet", 0.5)):
         speed = 22.0 if road == "dry" else 12.0
-        first = _careful(TUNED["split"], grip)
+        first = TUNED["split"] if road == "dry" else replace(TUNED["split"], limits=Limits(1.2, 0.4))
         settings = RaceSettings(
             learner="split", laps=1, max_speed=speed, max_torque=1000.0, grip=grip, seed=0, settings=first
         )
