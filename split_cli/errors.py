@@ -81,22 +81,17 @@ class NumericalRepairWarning(UserWarning):
     """A bounded numerical repair (jitter) was needed; said each time."""
 
 
-# Characters that make a terminal do something, or turn the direction of writing: shown by their codes.
-_CODES = {
-    number: f"\\x{number:02x}" if number < 256 else f"\\u{number:04x}"
-    for number in (*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A))
-}
-
-
 def printable(text: str) -> str:
-    """Return text that a terminal only shows: control characters and changes of direction as their codes.
+    """Return text that a terminal only shows: control characters, separators and directions as their codes.
 
     Examples
     --------
     >>> printable("lap\x1b[31m")
     'lap\\x1b[31m'
     """
-    return text if text.isprintable() else text.translate(_CODES)
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" if ord(c) < 256 else f"\\u{ord(c):04x}" for c in text)
 
 
 def nearest_names(name: str, known: Iterable[str], count: int = 3) -> str:

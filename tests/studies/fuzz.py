@@ -1,0 +1,242 @@
+"""Mutate valid files of every kind and see that a reader answers with a result or a clear error, soon and small.
+
+Example: ``python -m tests.studies.fuzz --inputs 20000 --seed 1``. Prints, for each kind of file, how many inputs were
+read, read with counted drops, and refused, and every input that broke a rule; exits with 1 if there is any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import json
+import random
+import resource
+import signal
+import struct
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import SplitError
+from split_cli.learning.training_set import read_set, write_set
+from split_cli.logs.drive import read_drive, write_drive
+from split_cli.logs.presets import preset_path
+from split_cli.logs.readers import open_recording
+from split_cli.logs.signal_map import read_map
+from split_cli.vehicle.parameters import read_vehicle, write_vehicle
+from tests.factories import make_drive, make_training_set, road_car
+from tests.logs import readers_support as support
+
+LONGEST_SECONDS = 10.0
+"""Of one input [s]: the bound the project promises."""
+MOST_MEMORY = 1 << 30
+"""Resident, of the whole process [bytes]: the bound the project promises."""
+
+
+@dataclass
+class Tally:
+    """What became of the inputs of one kind."""
+
+    read: int = 0
+    dropped: int = 0
+    refused: int = 0
+    broken: list[str] = field(default_factory=list)
+    slowest: float = 0.0
+
+
+class TooLong(BaseException):
+    """Raised by the alarm; no reader may catch it."""
+
+
+def read_recording(path: Path) -> bool:
+    """Open a recording and read every channel; tell whether anything was dropped."""
+    recording = open_recording(path)
+    recording.read([info.name for info in recording.channels()][:200])
+    return bool(recording.notes)
+
+
+def seeds(folder: Path) -> dict[str, tuple[Path, Callable[[Path], object]]]:
+    """Write one small valid file of every kind; return each with the function that reads it."""
+    planted = support.plant(40)
+    out: dict[str, tuple[Path, Callable[[Path], object]]] = {}
+
+    def add(name: str, path: Path, read: Callable[[Path], object] = read_recording) -> None:
+        out[name] = (path, read)
+
+    add("mcap ros2", support.write_ros2_mcap(folder / "ros2.mcap", planted))
+    add("mcap ros1", support.write_ros1_mcap(folder / "ros1.mcap", planted))
+    add("mcap json", support.write_json_mcap(folder / "json.mcap", planted, lambda t: t))
+    add("mcap protobuf", support.write_protobuf_mcap(folder / "proto.mcap", planted))
+    none = support.CompressionType.NONE
+    add("mcap plain", support.write_ros2_mcap(folder / "plain.mcap", planted, compression=none))
+    add("bag", support.write_bag1(folder / "plain.bag", planted))
+    add("bag bz2", support.write_bag1(folder / "packed.bag", planted, "BZ2"))
+    bag = support.write_rosbag2(folder / "rosbag2", planted, "SQLITE3")
+    add("db3", next(bag.glob("*.db3")))
+    rows = ["t [s],vx [m/s],vy [m/s],r [rad/s]"]
+    rows += [f"{0.01 * i},{planted.vx[i]},{planted.vy[i]},{planted.r[i]}" for i in range(40)]
+    (folder / "lap.csv").write_text("\n".join(rows) + "\n")
+    add("csv", folder / "lap.csv")
+    car = road_car()
+    write_drive(make_drive(0, segments=2, seconds=2.0, vehicle=car), folder / "lap.parquet")
+    add("parquet", folder / "lap.parquet")
+    add("drive", folder / "lap.parquet", lambda path: read_drive(path) and False)
+    from scipy.io import savemat
+
+    savemat(folder / "lap.mat", {"t": np.arange(40.0), "vx": planted.vx}, do_compression=True)
+    add("mat 5", folder / "lap.mat")
+    import h5py
+
+    with h5py.File(folder / "lap73.mat", "w") as file:
+        file.create_dataset("vx", data=planted.vx, compression="gzip")
+        file.create_dataset("t", data=np.arange(40.0))
+    add("mat 7.3", folder / "lap73.mat")
+    try:
+        from asammdf import MDF, Signal
+    except ImportError:
+        pass
+    else:
+        with MDF(version="4.10") as mdf:
+            mdf.append([Signal(planted.vx, np.arange(40) * 0.01, name="vx", unit="m/s")])
+            mdf.save(folder / "lap.mf4", overwrite=True)
+        add("mf4", folder / "lap.mf4")
+    write_vehicle(car, folder / "car.yaml")
+    add("vehicle", folder / "car.yaml", lambda path: read_vehicle(path) and False)
+    (folder / "map.yaml").write_text(preset_path("genesis_slow").read_text())
+    add("map", folder / "map.yaml", lambda path: read_map([path]) and False)
+    write_set(make_training_set(points=60), folder / "a.split")
+    add("trained set", folder / "a.split", lambda path: read_set(path) and False)
+    return out
+
+
+_EXTREMES = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 2**63 - 1, 2**64 - 1)
+_WORDS = (
+    b"", b"nan", b"inf", b"-1e999", b"1e308", b"9" * 400, b"\0", b"\xff\xfe", b"\x1b[31m", b"[" * 300, b"{{{{", b"&a *a",
+    b"../../etc", b"'", b'"', b"\r", b"%s", b"2023-02-31", "ü".encode("utf-16"), b"!!python/object:os.system", b"1_000",
+)  # fmt: skip
+
+
+def mutate(content: bytes, other: bytes, rng: random.Random) -> bytes:
+    """Return content with one to four mutations that respect fields: bits, integers, words, blocks, ends."""
+    out = bytearray(content)
+    for _ in range(rng.choice((1, 1, 1, 2, 4))):
+        at, kind = rng.randrange(len(out) + 1), rng.randrange(8)
+        if kind == 0 and out:
+            out[at % len(out)] ^= 1 << rng.randrange(8)
+        elif kind == 1:
+            size = rng.choice((1, 2, 4, 8))
+            value = rng.choice(_EXTREMES) & (256**size - 1)
+            out[at : at + size] = value.to_bytes(size, rng.choice(("little", "big")))
+        elif kind == 2:
+            del out[at:]
+        elif kind == 3:
+            del out[at : at + rng.choice((1, 4, 16, 100))]
+        elif kind == 4:
+            out[at:at] = out[at : at + rng.choice((1, 8, 64, 500))]
+        elif kind == 5:
+            out[at : at + rng.choice((0, 1, 8))] = rng.choice(_WORDS)
+        elif kind == 6 and other:
+            begin = rng.randrange(len(other))
+            out[at : at + 32] = other[begin : begin + rng.choice((8, 64, 400))]
+        elif kind == 7 and at + 8 <= len(out):
+            number = struct.unpack_from("<d", out, at)[0]
+            struct.pack_into("<d", out, at, rng.choice((float("nan"), float("inf"), -number, number * 1e300 or 1e300)))
+    return bytes(out)
+
+
+def judge(path: Path, read: Callable[[Path], object], tally: Tally) -> str | None:
+    """Read one input; count it, or return which rule it broke."""
+
+    def ring(*_: object) -> None:
+        raise TooLong
+
+    signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, LONGEST_SECONDS)
+    begin = time.perf_counter()
+    try:
+        dropped = read(path)
+        tally.dropped += bool(dropped)
+        tally.read += not dropped
+    except SplitError as error:
+        tally.refused += 1
+        text = str(error)
+        if not text.isprintable() or "needs more memory" in text or len(text) > 2000:
+            return f"unfit message {text[:200]!r}"
+    except TooLong:
+        return f"over {LONGEST_SECONDS:g} s"
+    except BaseException as error:
+        return f"{type(error).__name__}: {str(error)[:200]}"
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        tally.slowest = max(tally.slowest, time.perf_counter() - begin)
+    return None
+
+
+def fuzz(inputs: int, seed: int, keep: Path | None = None, only: str = "") -> dict[str, Tally]:
+    """Try `inputs` mutated files, spread over all kinds; inputs that break a rule are kept in `keep`."""
+    tallies: dict[str, Tally] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        kinds = {kind: what for kind, what in seeds(folder).items() if only in kind}
+        for kind, (path, read) in kinds.items():
+            tally = tallies[kind] = Tally()
+            rng = random.Random(f"{seed} {kind}")
+            content = path.read_bytes()
+            others = [p.read_bytes() for p, _ in kinds.values()]
+            target = folder / f"mutant{path.suffix}"
+            for number in range(inputs // len(kinds)):
+                mutant = mutate(content, rng.choice(others), rng)
+                target.write_bytes(mutant)
+                broken = judge(target, read, tally)
+                if broken is None:
+                    continue
+                tally.broken.append(f"{kind} {seed}/{number}: {broken}")
+                if keep:
+                    keep.mkdir(parents=True, exist_ok=True)
+                    (keep / f"{kind.replace(' ', '_')}-{seed}-{number}{path.suffix}.gz").write_bytes(
+                        gzip.compress(mutant)
+                    )
+    return tallies
+
+
+def main() -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--inputs", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--keep", type=Path, help="folder for inputs that broke a rule")
+    parser.add_argument("--only", default="", help="kinds whose name holds this")
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args()
+    begin = time.perf_counter()
+    tallies = fuzz(given.inputs, given.seed, given.keep, given.only)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    broken = [line for tally in tallies.values() for line in tally.broken]
+    if peak > MOST_MEMORY:
+        broken.append(f"memory: {peak / 1e6:.0f} MB, {MOST_MEMORY / 1e6:.0f} MB are promised")
+    if given.json:
+        print(json.dumps({kind: vars(tally) for kind, tally in tallies.items()}, indent=1))
+    else:
+        print(f"{'kind':14} {'inputs':>8} {'read':>8} {'drops':>8} {'refused':>8} {'broken':>7} {'slowest s':>9}")
+        for kind, tally in tallies.items():
+            count = tally.read + tally.dropped + tally.refused
+            print(
+                f"{kind:14} {count:8} {tally.read:8} {tally.dropped:8} {tally.refused:8} {len(tally.broken):7} "
+                f"{tally.slowest:9.2f}"
+            )
+        print(f"{time.perf_counter() - begin:.0f} s, peak memory {peak / 1e6:.0f} MB")
+    for kinds, count in Counter(line.split(":", 1)[1].split("(")[0][:90] for line in broken).most_common(20):
+        print(f"broken {count} x {kinds}", file=sys.stderr)
+    for line in broken[:40]:
+        print(line, file=sys.stderr)
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

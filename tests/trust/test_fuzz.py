@@ -1,0 +1,40 @@
+"""A short run of the study that mutates files of every kind; the long one is `python -m tests.studies.fuzz`."""
+
+from __future__ import annotations
+
+import random
+import time
+
+import pytest
+
+from split_cli.errors import LogError
+from tests.studies.fuzz import Tally, fuzz, judge, mutate
+
+
+@pytest.mark.slow
+def test_mutated_files_are_read_counted_or_refused():
+    tallies = fuzz(17 * 12, seed=20_26)
+    assert not [line for tally in tallies.values() for line in tally.broken]
+    assert {kind for kind, tally in tallies.items() if tally.read + tally.dropped + tally.refused < 12} == set()
+    assert sum(tally.refused for tally in tallies.values()) > 50
+
+
+@pytest.mark.parametrize(
+    ("read", "expected"),
+    [
+        (lambda path: {}["x"], "KeyError"),
+        (lambda path: (_ for _ in ()).throw(LogError("bad \x1b name\u2028")), None),
+        (lambda path: time.sleep(60), "over"),
+    ],
+)
+def test_the_judge_sees_a_rule_broken(tmp_path, monkeypatch, read, expected):
+    monkeypatch.setattr("tests.studies.fuzz.LONGEST_SECONDS", 0.2)
+    found = judge(tmp_path / "x", read, Tally())
+    assert (found is None) if expected is None else found.startswith(expected)
+
+
+def test_mutations_are_those_of_the_seed():
+    content, other = bytes(range(256)), b"other"
+    once = [mutate(content, other, random.Random(seed)) for seed in range(50)]
+    assert once == [mutate(content, other, random.Random(seed)) for seed in range(50)]
+    assert len(set(once)) > 40
