@@ -91,7 +91,9 @@ def printable(text: str) -> str:
     """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" if ord(c) < 256 else f"\\u{ord(c):04x}" for c in text)
+    unfit = [c for c in set(text) if not c.isprintable()]
+    codes = {c: f"\\x{ord(c):02x}" if ord(c) < 256 else f"\\u{ord(c):04x}" for c in unfit}
+    return text.translate(str.maketrans(codes))
 
 
 def nearest_names(name: str, known: Iterable[str], count: int = 3) -> str:
