@@ -14,6 +14,7 @@ from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale
 from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
 from split_cli.diagnosis.recording.series import build_series
+from split_cli.diagnosis.recording.witnesses import is_witness_of_position
 from split_cli.diagnosis.remainder.formula import sparse_formula
 from split_cli.diagnosis.remainder.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.remainder.spectrum import Line, strongest_line
@@ -105,13 +106,14 @@ def diagnose(
     not_judged = (*notes, *judgeable(case.real, vehicle, share, policy))
     if reach > settings.reach:
         not_judged += (_FAR,)
-    contradictions = out_of_scale(case.kinematics, case.simulated_kinematics, policy.screening)
-    not_judged += contradictions
+    positions = [
+        tuple(filter(is_witness_of_position, several)) for several in (case.kinematics, case.simulated_kinematics)
+    ]
     if kept < settings.least_rows:
         reasons = [
             f"Only {share:.0%} of the real drive ({kept} rows of 0.04 s) lies where the simulation has been; "
             "drive both over the same speeds, torques and turns.",
-            *in_sentences(contradictions),
+            *in_sentences(out_of_scale(*positions, rules=policy.screening)),
         ]
         return _undecided(reasons, share, inputs, described)
     candidates = tellable(
@@ -123,6 +125,9 @@ def diagnose(
     reading = read(case, candidates, reach=reach, policy=policy, progress=progress)
     if reading.known.ratio > policy.selection.much_misfit:
         not_judged += (_MUCH_MISFIT,)
+    # What a named sensor accounts for contradicts nothing any more.
+    contradictions = out_of_scale(*positions, reading.selection.terms, policy.screening)
+    not_judged += contradictions
     found = _compare(case, reading, contradictions)
     progress("sizing")
     detectable = smallest_named(reading.judges, candidates, reading.inflation, settings.level / _WAYS)

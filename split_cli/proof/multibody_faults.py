@@ -161,12 +161,15 @@ MULTIBODY_FAULTS: tuple[MultiBodyFault, ...] = (
     _recorded("velocity rotated", "sensor_misalignment", "angle", 0.01),
     _recorded("velocity moved", "sensor_lever_arm", "dx", 0.3),
     _recorded("clocks shifted", "sensor_delay", "delay", 0.03),
-    MultiBodyFault("speed read 3 % high", record=_column("vx", lambda vx: 1.03 * vx), in_catalogue=False),
+    MultiBodyFault(
+        "speed read 3 % high", "speed_scale", lambda car: (("scale", 1.03),),
+        record=_column("vx", lambda vx: 1.03 * vx),
+    ),
     MultiBodyFault(
         "yaw rate bent", record=_column("r", lambda r: r * (1.0 + 0.1 * np.abs(r))), in_catalogue=False
     ),
 )
-"""With the true values of their parameters; the last two have no name in the catalogue."""
+"""With the true values of their parameters; the last has no name in the catalogue."""
 
 
 def multibody_faults(only: Sequence[str] | None = None) -> tuple[MultiBodyFault, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from split_cli.errors import VehicleError
 from split_cli.proof.cases import Answer
 from split_cli.proof.outcome import OUTCOMES, Named, Rate, Statement, judge, rate_of
+from split_cli.proof.strange import NAMED_SINCE
 from split_cli.proof.truth import ExactDrive, removed_share
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
@@ -53,7 +54,10 @@ def score_case(
 ) -> CaseScore:
     """Score a statement against the answer."""
     truth = [effect.term for effect in answer.effects]
-    outcome = judge(truth, said, in_catalogue=answer.kind != "strange")
+    strange = answer.kind == "strange"
+    outcome = judge(truth, said, in_catalogue=not strange)
+    if strange and said.findings and {one.term for one in said.findings} == {NAMED_SINCE.get(truth[0])}:
+        outcome = "exact"
     by_term = {finding.term: finding for finding in said.findings}
     covered = []
     for effect in answer.effects:

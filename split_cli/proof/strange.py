@@ -175,6 +175,10 @@ STRANGE: dict[str, Callable[[np.random.Generator, World], Concealed]] = {
 }
 
 
+NAMED_SINCE = {"gyro_late": "channel_delay", "speed_gain": "speed_scale"}
+"""Kinds drawn as strangers, so that cases stay what they were, that the catalogue has a name for by now."""
+
+
 def draw_strange(kind: str, rng: np.random.Generator, world: World) -> Concealed:
     """Return an effect outside the catalogue, its shape drawn for a world."""
     return STRANGE[kind](rng, world)

@@ -61,6 +61,7 @@ BESIDE_THEIR_ALGORITHM = {
     "innovations/rollouts.py": {"_STEP_SECONDS", "_MOST_STARTS", "_FEWEST_STARTS"},
     "innovations/severity.py": {"_HORIZON"},
     "recording/kinematics.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS"},
+    "recording/witnesses.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS", "_LEAST_SPREAD"},
     "recording/place.py": {"_CLOSE_DISTANCE", "_CLOSE_ANGLE", "_FULL_SIZE_WHEELBASE"},
     "recording/scales.py": {"_BLOCKS"},
     "recording/series.py": {"_SLACK", "_WORTHLESS"},

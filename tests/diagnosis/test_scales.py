@@ -63,16 +63,20 @@ def test_a_car_that_does_not_turn_tells_no_scale_of_its_yaw_rate():
     assert scale_of("r", [still]) is None
 
 
-def test_a_speed_out_of_scale_is_a_difference_without_a_name():
-    """Alone it would be a match or a mass: 3 % of speed are 3 % of every force."""
+def test_a_speed_out_of_scale_is_named_and_contradicts_nothing_then():
+    """Without position it would be a match or a mass: 3 % of speed are 3 % of every force."""
     simulation = recording(81)
     said = diagnose([recording(83, vx=1.03)], road_car(), [simulation])
-    assert said.verdict == "mismatch" and said.unexplained and not said.findings
-    assert any("v_x covers 3 % more ground" in reason for reason in said.not_judged)
-    assert "The recording contradicts itself: speed against position" in said.summary
+    (finding,) = said.findings
+    assert said.verdict == "mismatch" and finding.term == "speed_scale" and not finding.exported
+    low, high = finding.parameters["scale"].interval_95
+    assert low <= 1.03 <= high and high - low < 0.02
+    assert not any("ground" in reason for reason in said.not_judged)
     jsonschema.validate(diagnosis_to_mapping(said), read_schema())
-    # A fault that position tells too is named beside it.
+    # A second fault that position tells too is named beside it.
     turned = faulty(recording(83, vx=1.03), angle=0.02)
-    assert [one.term for one in diagnose([turned], road_car(), [simulation]).findings] == ["sensor_misalignment"]
+    assert {one.term for one in diagnose([turned], road_car(), [simulation]).findings} == {
+        "speed_scale", "sensor_misalignment",
+    }  # fmt: skip
     right = diagnose([recording(83)], road_car(), [simulation])
     assert right.verdict == "match" and not any("ground" in reason for reason in right.not_judged)

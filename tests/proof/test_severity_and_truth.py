@@ -9,6 +9,7 @@ import pytest
 
 from split_cli.errors import SplitError
 from split_cli.proof.cases import build_case
+from split_cli.proof.effects import EFFECTS
 from split_cli.proof.plan import KINDS, TIERS, CasePlan, plan_case
 from split_cli.proof.truth import (
     ExactDrive,
@@ -131,7 +132,7 @@ def test_plans_keep_their_proportions_and_go_round_all_terms():
     share = {kind: sum(p.kind == kind for p in plans) for kind in KINDS}
     assert share == {"null": 70, "single": 80, "pair": 20, "strange": 30}
     singles = [p for p in plans if p.kind == "single"]
-    assert {p.terms[0] for p in singles} == set(CATALOGUE)
+    assert {p.terms[0] for p in singles} == set(EFFECTS)
     assert {p.tier for p in singles} == set(TIERS)
     assert all(plan_case(5, p.number) == p for p in plans[:20])
 

@@ -70,6 +70,18 @@ EXAMPLES = {
     ("sensor_delay", ""): {"delay": 0.06},
     ("sensor_lever_arm", ""): {"dx": 0.3},
     ("sensor_misalignment", ""): {"angle": 0.02},
+    ("velocity_bias", ""): {"angle": 0.02, "drift": 1e-3},
+    ("velocity_bias", "step"): {"angle": 0.02, "step": 0.01, "at": 20.0},
+    ("acceleration_bias", ""): {"ax": 0.2, "ay": -0.3},
+    ("yaw_rate_bias", ""): {"r": 0.01},
+    ("speed_scale", ""): {"scale": 1.03},
+    ("yaw_rate_scale", ""): {"scale": 0.97},
+    ("channel_delay", "r"): {"r": 0.04},
+    ("channel_delay", "vx"): {"vx": 0.04},
+    ("channel_delay", "vy"): {"vy": 0.04},
+    ("channel_delay", "velocity"): {"vx": 0.04, "vy": 0.05},
+    ("channel_delay", "ax"): {"ax": 0.04},
+    ("channel_delay", "ay"): {"ay": 0.04},
 }  # fmt: skip
 ONE_SIDED = {"steer_offset", "road_bank", "wind"}
 

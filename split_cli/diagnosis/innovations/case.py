@@ -12,8 +12,9 @@ from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, graded_as
 from split_cli.diagnosis.innovations.judge import CommonKnowledge, learn_common
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.kinematics import Kinematics, build_kinematics, common_habit
+from split_cli.diagnosis.recording.kinematics import Kinematics
 from split_cli.diagnosis.recording.series import Series
+from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.parameters import Vehicle
 
@@ -33,8 +34,8 @@ class Case:
         None where the nominal model is the simulation.
     keep, keep_holdout : tuple of ndarray of bool, shape (G,)
         Rows of each real and held-out recording that are compared.
-    kinematics, simulated_kinematics : tuple of Kinematics
-        Of the real and the simulated recordings that have position and yaw.
+    kinematics, simulated_kinematics : tuple of Kinematics or Witness
+        What the real and the simulated recordings know twice: position and yaw, accelerations.
     graded : tuple of Evidence
         The simulated recordings as if they had the noise and disturbance of the real ones.
     """
@@ -45,8 +46,8 @@ class Case:
     common: CommonPhysics
     knowledge: CommonKnowledge | None
     keep: tuple[np.ndarray, ...]
-    kinematics: tuple[Kinematics, ...]
-    simulated_kinematics: tuple[Kinematics, ...] = ()
+    kinematics: tuple[Kinematics | Witness, ...]
+    simulated_kinematics: tuple[Kinematics | Witness, ...] = ()
     simulated: tuple[Evidence, ...] = ()
     keep_holdout: tuple[np.ndarray, ...] = ()
     graded: tuple[Evidence, ...] = ()
@@ -86,9 +87,12 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     disturbance = np.max([one.disturbance for one in real], axis=0)
     graded = [graded_as(one, noise, disturbance, common) for one in simulated]
     knowledge = learn_common(graded, policy.comparison.inflation, rules) if graded else None
-    theirs = [one for one in map(build_kinematics, by_role["sim"]) if one]
-    habit = common_habit(theirs)
-    kinematics = [one for one in (build_kinematics(series, habit) for series in by_role["real"]) if one]
+    theirs = [one for series in by_role["sim"] for one in build_witnesses(series)]
+    habits = habits_of(theirs)
+    kinematics = [one for series in by_role["real"] for one in build_witnesses(series, habits)]
+    if by_role["sim"]:
+        # Where the simulation's recordings lack an instrument, nobody knows its habits.
+        kinematics = [one for one in kinematics if one.kind in habits]
     case = Case(
         vehicle, tuple(real), tuple(holdout), common, knowledge, (), tuple(kinematics), tuple(theirs),
         tuple(simulated), graded=tuple(graded),

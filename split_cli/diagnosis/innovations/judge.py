@@ -112,7 +112,7 @@ class Judge:
         Root of each entry's robust weight.
     root : ndarray, shape (C,)
         M, diagonal in the directions of V, with (I - V M V^T)^2 = I - V V^T.
-    kinematics : tuple of Kinematics
+    kinematics : tuple of Kinematics or Witness
         Recordings against themselves; their rows come last in every stack, and nothing but sensors moves them.
     nameless_floor : float
         Cost that a flexible fit may save without a difference: what simulation shows against itself, see
@@ -179,6 +179,11 @@ class Judge:
         if key not in self.memo:
             self.memo[key] = one.rows(())
         return self.memo[key]
+
+    def witnessed(self, terms: Sequence[Term], without: Sequence[Term] = ()) -> float:
+        """Return how far terms move what a recording knows twice, in spreads of a window, where most [rms]."""
+        moved = [self._kinematic_rows(one, terms) - self._kinematic_rows(one, without) for one in self.kinematics]
+        return max((float(np.sqrt(np.mean(rows**2))) for rows in moved if len(rows)), default=0.0)
 
     def shift(self, terms: Sequence[Term]) -> np.ndarray:
         """Return how the common physics' rows change where terms alter inputs or sensors, shape (R,).

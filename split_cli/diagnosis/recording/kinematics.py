@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -16,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Kinematics", "build_kinematics", "common_habit"]
+__all__ = ["Kinematics", "build_kinematics", "common_habit", "integral", "quiet"]
 
 _WINDOW_SECONDS = 0.5
 _EDGE_SECONDS = 0.1
@@ -59,15 +60,24 @@ class Kinematics:
         """Return what the velocities leave of the displacements [m], shape (W,)."""
         return self.across - self._travelled(terms)[1]
 
-    def against_position(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+    @property
+    def kind(self) -> str:
+        """Name among the witnesses of a recording."""
+        return "across"
+
+    def ahead(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return the way ahead that velocities make, as quiet as positions [m], shape (W,)."""
+        return self._travelled(terms, still=True)[0]
+
+    def against_position(self, name: str, terms: Sequence[Term] = ()) -> tuple[np.ndarray, np.ndarray]:
         """Return what v_x [m] or r [rad] makes of every window, and what position or yaw does, shape (W,) each.
 
         The way from velocities is made as quiet as positions and yaw are, which takes as much off quick turns.
         """
         if name == "v_x":
-            return self._travelled((), quiet=True)[0], self.along
-        _, velocity = self.series.corrected(())
-        return self._integral(velocity[:, 2], quiet=True), self.angle[self.end] - self.angle[self.begin]
+            return self.ahead(terms), self.along
+        _, velocity = self.series.corrected(terms)
+        return self._integral(velocity[:, 2], still=True), self.angle[self.end] - self.angle[self.begin]
 
     def causes(self) -> np.ndarray:
         """Return the yaw angle [rad] and the distance [m] of every window, shape (W, 2)."""
@@ -79,20 +89,18 @@ class Kinematics:
         chosen = {name: getattr(self, name)[windows] for name in ("begin", "end", "across", "along")}
         return replace(self, **chosen)
 
-    def _travelled(self, terms: Sequence[Term], quiet: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    def _travelled(self, terms: Sequence[Term], still: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Return displacements ahead and to the left at mid-window, from velocities [m], shape (W,) each."""
         _, velocity = self.series.corrected(terms)
         middle = self.angle[(self.begin + self.end) // 2]
         sine, cosine = np.sin(self.angle), np.cos(self.angle)
         # In the world frame once, then into the car's frame of each window.
-        x = self._integral(velocity[:, 0] * cosine - velocity[:, 1] * sine, quiet)
-        y = self._integral(velocity[:, 0] * sine + velocity[:, 1] * cosine, quiet)
+        x = self._integral(velocity[:, 0] * cosine - velocity[:, 1] * sine, still)
+        y = self._integral(velocity[:, 0] * sine + velocity[:, 1] * cosine, still)
         return _into(middle, x, y)
 
-    def _integral(self, rate: np.ndarray, quiet: bool = False) -> np.ndarray:
-        total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))]) * self.series.period
-        total = _quiet(total, self.series.period) if quiet else total
-        return total[self.end] - total[self.begin]
+    def _integral(self, rate: np.ndarray, still: bool = False) -> np.ndarray:
+        return integral(rate, self.begin, self.end, self.series.period, still=still)
 
 
 def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinematics | None:
@@ -111,7 +119,7 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
         return None
     begin = np.concatenate(begins).astype(np.int64)
     end = begin + size
-    x, y, angle = (_quiet(values, series.period) for values in (drive["X"], drive["Y"], series.yaw))
+    x, y, angle = (quiet(values, series.period) for values in (drive["X"], drive["Y"], series.yaw))
     middle = angle[(begin + end) // 2]
     along, across = _into(middle, x[end] - x[begin], y[end] - y[begin])
     plain = Kinematics(series, begin, end, across, along, angle, 1.0, np.zeros(2) if habit is None else habit)
@@ -121,11 +129,18 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
     return replace(plain, scale=scale)
 
 
+def integral(rate: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float, *, still: bool) -> np.ndarray:
+    """Return the integral of a rate over windows, shape (W,), made as quiet as positions are where `still`."""
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))]) * period
+    total = quiet(total, period) if still else total
+    return total[end] - total[begin]
+
+
 def _edge(period: float) -> int:
     return max(1, int(round(_EDGE_SECONDS / period)))
 
 
-def _quiet(values: np.ndarray, period: float) -> np.ndarray:
+def quiet(values: np.ndarray, period: float) -> np.ndarray:
     """Return means over an odd window, which are those of its middle but for curvature, alike at both ends."""
     return uniform_filter1d(values, 2 * _edge(period) + 1, mode="nearest")
 
@@ -135,10 +150,12 @@ def _into(angle: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, 
     return np.cos(angle) * x + np.sin(angle) * y, -np.sin(angle) * x + np.cos(angle) * y
 
 
-def common_habit(several: Sequence[Kinematics]) -> np.ndarray:
-    """Return what recordings leave of displacements, by yaw angle [m] and distance [1], shape (2,)."""
+def common_habit(several: Sequence[Any]) -> np.ndarray:
+    """Return what recordings leave by each cause of one kind of witness: of displacements across the car, by yaw
+    angle [m] and distance [1], shape (2,).
+    """
     if not sum(len(one.begin) for one in several):
-        return np.zeros(2)
+        return np.zeros(len(several[0].habit) if several else 2)
     causes = np.concatenate([one.causes() / one.scale for one in several])
     left = np.concatenate([one.left(()) / one.scale for one in several])
     return np.linalg.lstsq(causes, left, rcond=None)[0]

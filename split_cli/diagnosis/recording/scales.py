@@ -1,6 +1,6 @@
 """Whether speed and yaw rate have the scale of position and yaw, in reality as in the simulation.
 
-A sensor out of scale has no name in the catalogue, and what it does to the rest looks like mass, grip or inertia.
+What a sensor out of scale does to the rest looks like mass, grip or inertia, so it has to be named first.
 Position and yaw tell: a car that reads 3 % too fast covers 3 % more ground than it does.
 """
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from split_cli.diagnosis.policy import STANDARD, Screening
 from split_cli.diagnosis.recording.kinematics import Kinematics
+from split_cli.vehicle.effects import Term
 
 __all__ = ["in_sentences", "out_of_scale", "scale_of"]
 
@@ -24,7 +25,10 @@ _ADVICE = "; mend that sensor's scale and diagnose again, physics is not named b
 
 
 def out_of_scale(
-    real: Sequence[Kinematics], simulated: Sequence[Kinematics], rules: Screening = STANDARD.screening
+    real: Sequence[Kinematics],
+    simulated: Sequence[Kinematics],
+    terms: Sequence[Term] = (),
+    rules: Screening = STANDARD.screening,
 ) -> tuple[str, ...]:
     """Return in words which of v_x and r contradict position and yaw in reality, and not so in the simulation.
 
@@ -32,12 +36,14 @@ def out_of_scale(
     ----------
     real, simulated : sequence of Kinematics
         Without any simulated, scales are held against 1.
+    terms : sequence of Term
+        Found; the real sensors are corrected by them.
     rules : Screening
     """
     out, least = [], rules.least_scale_error
     for name, words in _WORDS.items():
         theirs = scale_of(name, simulated) if simulated else (1.0, 0.0)
-        ours = scale_of(name, real)
+        ours = scale_of(name, real, terms)
         if ours is None or theirs is None:
             continue
         excess, error = ours[0] - theirs[0], float(np.hypot(ours[1], theirs[1]))
@@ -53,7 +59,7 @@ def in_sentences(contradictions: Sequence[str]) -> list[str]:
     return [f"The recording contradicts itself: {one}." for one in contradictions]
 
 
-def scale_of(name: str, several: Sequence[Kinematics]) -> tuple[float, float] | None:
+def scale_of(name: str, several: Sequence[Kinematics], terms: Sequence[Term] = ()) -> tuple[float, float] | None:
     """Return what a channel makes over what position or yaw does, and its standard error; None if nothing moves.
 
     Notes
@@ -61,7 +67,7 @@ def scale_of(name: str, several: Sequence[Kinematics]) -> tuple[float, float] | 
     The median over blocks of time of sum(a b)/sum(b^2), b from position or yaw; its error from their median
     absolute deviation. Noise of b is left in: that of positions is far below half a second's way.
     """
-    pairs = [one.against_position(name) for one in several]
+    pairs = [one.against_position(name, terms) for one in several]
     if not pairs:
         return None
     made, true = (np.concatenate(columns) for columns in zip(*pairs, strict=True))

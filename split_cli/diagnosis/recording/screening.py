@@ -12,7 +12,16 @@ from split_cli.logs.drive import Drive
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["clean_drives", "cleaned", "idle", "moving", "torque_is_constant", "torque_is_derived", "unfit"]
+__all__ = [
+    "clean_drives",
+    "cleaned",
+    "idle",
+    "measures",
+    "moving",
+    "torque_is_constant",
+    "torque_is_derived",
+    "unfit",
+]
 
 # A velocity that stands still contradicts what it always moves with.
 _MOVES_WITH = {"vx": ("vy", "r"), "vy": ("r",), "r": ("vy",), "delta": ("r",)}
@@ -136,6 +145,12 @@ def idle(real: Sequence[Drive], vehicle: Vehicle, rules: Screening = STANDARD.sc
         "The real drive is straight at constant speed and torque. A slalom would show the steering and the tyres, "
         "torque steps the drive, a coast-down drag and resistance."
     ]
+
+
+def measures(drive: Drive, *channels: str) -> bool:
+    """Return whether channels were recorded, and not derived from others, which they could not contradict."""
+    kinds = drive.metadata.kinds
+    return all(name in drive.columns and not str(kinds.get(name, "")).startswith("derived") for name in channels)
 
 
 def torque_is_derived(drive: Drive) -> bool:

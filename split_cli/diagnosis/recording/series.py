@@ -83,9 +83,24 @@ class Series:
         for term in terms:
             # A sensor's delay is taken into account by the commands' clock, see `SensorDelay`.
             if term.corrects:
-                measured = _apply(term, measured, self.recording)
-                smooth = _apply(term, smooth, self.recording)
+                noise = measured - smooth
+                smooth = self._apply(term, smooth)
+                measured = smooth + noise if term.moves_samples else self._apply(term, measured)
         return measured, smooth
+
+    def accelerations(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
+        """Return recorded a_x and a_y [m/s^2], the sensors' faults among `terms` taken off, shape (N,) each."""
+        columns = {"ax": self.drive["ax"], "ay": self.drive["ay"], "t": self.t}
+        for term in terms:
+            if term.corrects:
+                velocity = dict(zip(("vx", "vy", "r"), self.smooth.T, strict=True))
+                columns = term.correct({**velocity, **columns}, self.recording)
+        return columns["ax"], columns["ay"]
+
+    def _apply(self, term: Term, velocity: np.ndarray) -> np.ndarray:
+        columns = dict(zip(("vx", "vy", "r"), velocity.T, strict=True))
+        good = term.correct({**columns, "t": self.t}, self.recording)
+        return np.stack([good["vx"], good["vy"], good["r"]], axis=1)
 
     def flow(self, model: SingleTrack, velocity: np.ndarray | None = None) -> Flow:
         """Evaluate a model in the middle of every sample, at the smoothed states unless others are given.
@@ -192,12 +207,6 @@ def build_series(
         torque=T, steer_angle=delta, t=t, s=s, yaw=yaw, noise=noise, lap_length=lap_length,
         place_reference=place_reference,
     )  # fmt: skip
-
-
-def _apply(term: Term, velocity: np.ndarray, recording: Recording) -> np.ndarray:
-    columns = dict(zip(("vx", "vy", "r"), velocity.T, strict=True))
-    good = term.correct(columns, recording)
-    return np.stack([good["vx"], good["vy"], good["r"]], axis=1)
 
 
 def _smoothed(values: np.ndarray, sigma: float, recording: Recording) -> np.ndarray:

@@ -18,7 +18,8 @@ from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge, build_judge, learn_common
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.kinematics import Kinematics, build_kinematics, common_habit
+from split_cli.diagnosis.recording.kinematics import Kinematics
+from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
 from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
 from split_cli.diagnosis.remainder.wander import wander_of
@@ -87,7 +88,7 @@ def self_test(
     graded: Sequence[Evidence],
     common: CommonPhysics,
     candidates: Sequence[Candidate],
-    kinematics: Sequence[Kinematics] = (),
+    kinematics: Sequence[Kinematics | Witness] = (),
     *,
     inflation: float,
     reach: float,
@@ -103,7 +104,7 @@ def self_test(
     common : CommonPhysics
     candidates : sequence of Candidate
         Terms that reality will be searched for.
-    kinematics : sequence of Kinematics
+    kinematics : sequence of Kinematics or Witness
         Of the real recordings; nothing but their noise is taken.
     inflation, reach : float
         As for reality.
@@ -116,14 +117,20 @@ def self_test(
     Noise is not drawn: rows are whitened as noisy ones are, and what noise of unit variance adds to a saving, one
     for each parameter, is added.
     """
-    scale = max((one.scale for one in kinematics), default=np.inf)
-    positions = [build_kinematics(one.series) if np.isfinite(scale) else None for one in graded]
-    positions = [one and replace(one, scale=max(one.scale, scale)) for one in positions]
+    scales: dict[str, float] = {}
+    for one in kinematics:
+        scales[one.kind] = max(one.scale, scales.get(one.kind, 0.0))
+    positions = tuple(
+        (k, replace(one, scale=max(one.scale, scales[one.kind])))
+        for k, recording in enumerate(graded)
+        for one in build_witnesses(recording.series)
+        if one.kind in scales
+    )
     all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
-    judge = build_judge(graded, knowledge, common, all_rows, [one for one in positions if one], policy=policy)
+    judge = build_judge(graded, knowledge, common, all_rows, [one for _, one in positions], policy=policy)
     offers = _offers(judge.believed_to_the_letter() if knowledge else judge, candidates)
     rows = tuple(flexible_rows(one, common) for one in graded)
-    sides = _Sides(tuple(graded), tuple(positions), rows, common, inflation, reach, knowledge is not None, policy)
+    sides = _Sides(tuple(graded), positions, rows, common, inflation, reach, knowledge is not None, policy)
     first = _first_half(graded)
     halves = [[mask ^ turned for mask in first] for turned in (False, True)]
     tests = together(lambda teaching: _judge_half(sides, teaching, offers), halves)
@@ -186,7 +193,7 @@ class _Sides:
     """A simulation with the noise of reality, half of it to teach and half to be judged."""
 
     graded: tuple[Evidence, ...]
-    positions: tuple[Kinematics | None, ...]
+    positions: tuple[tuple[int, Kinematics | Witness], ...]
     rows: tuple[FlexibleRows, ...]
     common: CommonPhysics
     inflation: float
@@ -194,15 +201,14 @@ class _Sides:
     to_the_letter: bool = False
     policy: Policy = STANDARD
 
-    def windows(self, teaching: Sequence[np.ndarray]) -> tuple[list[Kinematics], np.ndarray]:
+    def windows(self, teaching: Sequence[np.ndarray]) -> tuple[list[Kinematics | Witness], np.ndarray]:
         """Return kinematic windows outside the teaching half, with its habits, and which of all they are."""
-        sides = [
-            None if one is None else mask[np.searchsorted(evidence.at, one.begin).clip(max=len(mask) - 1)]
-            for one, evidence, mask in zip(self.positions, self.graded, teaching, strict=True)
-        ]
-        pairs = [(one, side) for one, side in zip(self.positions, sides, strict=True) if one is not None]
-        habit = common_habit([one.select(side) for one, side in pairs])
-        judged = [replace(one.select(~side), habit=habit) for one, side in pairs]
+        pairs = []
+        for k, one in self.positions:
+            mask = teaching[k]
+            pairs.append((one, mask[np.searchsorted(self.graded[k].at, one.begin).clip(max=len(mask) - 1)]))
+        habits = habits_of(one.select(side) for one, side in pairs)
+        judged = [replace(one.select(~side), habit=habits[one.kind]) for one, side in pairs]
         return judged, np.concatenate([~side for _, side in pairs]) if pairs else np.zeros(0, dtype=bool)
 
 

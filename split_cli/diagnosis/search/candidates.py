@@ -96,7 +96,9 @@ class Candidate:
     @property
     def needs(self) -> frozenset[str]:
         """What a recording has to have to show the term, see `Term.needs`; a place needs position."""
-        return CATALOGUE[self.term].needs | ({"position"} if self.located else set())
+        kind = CATALOGUE[self.term]
+        place = frozenset({"position"} if self.located else ())
+        return kind.needs | kind.variant_needs.get(self.variant, frozenset()) | place
 
     @property
     def label(self) -> str:

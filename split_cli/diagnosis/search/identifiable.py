@@ -9,7 +9,7 @@ import numpy as np
 from split_cli.diagnosis.baseline.common import features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy, Screening
-from split_cli.diagnosis.recording.screening import torque_is_constant, torque_is_derived
+from split_cli.diagnosis.recording.screening import measures, torque_is_constant, torque_is_derived
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.parameters import Vehicle
@@ -85,6 +85,10 @@ def tellable(
     drives = [one.drive for one in real]
     if not all(drive.has_position for drive in drives):
         lacking.add("position")
+    if not all(measures(drive, "X", "Y", "yaw") for drive in drives):
+        lacking.add("measured position")
+    if not all(measures(drive, "ax", "ay") for drive in drives):
+        lacking.add("accelerations")
     if any(map(torque_is_derived, drives)):
         lacking.add("torque")
     if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle, rules):

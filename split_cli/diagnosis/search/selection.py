@@ -176,7 +176,8 @@ def _believed_together(
     named: list[int] = []
     for k in sorted(sizes, key=lambda k: -sizes[k].max()):
         larger = _sizes(judge, tuple(chosen.terms[i] for i in named), ())
-        if not named or not _is_misfit(judge, sizes[k], larger, without[k], chosen, rules):
+        witnessed = _is_witnessed(judge, chosen, k, rules)
+        if not named or witnessed or not _is_misfit(judge, sizes[k], larger, without[k], chosen, rules):
             named.append(k)
     return tuple(k in named for k in range(len(chosen.parts)))
 
@@ -351,9 +352,18 @@ def _refusal(judge: Judge, chosen: Fit, sizes: np.ndarray, further: Fit, rules: 
     fast one. What is left of one term is of its own kind, so channels count apart. Or it may save all in a few
     moments, unless it acts at a place, which is passed once a lap.
     """
-    if _is_misfit(judge, _sizes(judge, further.terms, chosen.terms), sizes, chosen, further, rules):
+    size = _sizes(judge, further.terms, chosen.terms)
+    witnessed = _is_witnessed(judge, further, len(further.parts) - 1, rules)
+    if not witnessed and _is_misfit(judge, size, sizes, chosen, further, rules):
         return _MISFIT
     return "" if is_spread(judge, further, len(further.parts) - 1, chosen, rules) else _ONCE
+
+
+def _is_witnessed(judge: Judge, fit: Fit, k: int, rules: SelectionRules) -> bool:
+    """Return whether a sensor's fault moves what a recording knows twice, which no model-form error does."""
+    if not fit.parts[k].term.corrects:
+        return False
+    return judge.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :]) > rules.least_severity
 
 
 def _is_misfit(
@@ -391,7 +401,9 @@ def _sizes(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> 
         severities_of(one, one.at[mask], terms, without, partial(judge.carried, one))
         for one, mask in zip(judge.evidence, judge.keep, strict=True)
     ]
-    return np.max(sizes, axis=0)
+    size = np.max(sizes, axis=0)
+    # An accelerometer's fault moves no prediction of the velocities: it is as large as its witness says.
+    return size if size.any() else np.full(3, judge.witnessed(terms, without))
 
 
 def _part_sizes(judge: Judge, fit: Fit, k: int) -> np.ndarray:

@@ -87,8 +87,13 @@ class Term:
         Kind of physics, by which the manoeuvre is chosen that tells two terms apart: ``tires``, ``body``,
         ``along`` (forces along the car), ``steering``, ``place``, ``time``, ``air``, ``measurement``, ``clock``.
     needs : frozenset of str
-        What a recording has to have, to show the term: ``position`` (with yaw), ``torque`` (logged, not derived
-        from how the car moved), ``torque changes``.
+        What a recording has to have, to show the term: ``position`` (with yaw), ``measured position``
+        (not derived from velocities), ``torque`` (logged, not derived
+        from how the car moved), ``torque changes``, ``accelerations`` (a_x and a_y, measured).
+    variant_needs : mapping of str to frozenset of str
+        What a variant needs beside that.
+    moves_samples : bool
+        Whether a correction moves a channel in time: then the signal is moved and its noise stays.
     shows_late : bool
         Whether it acts in transients alone, though it has neither states nor delays.
     on_command_clock : bool
@@ -117,6 +122,8 @@ class Term:
     through_tires: ClassVar[bool] = False
     family: ClassVar[str] = "tires"
     needs: ClassVar[frozenset[str]] = frozenset()
+    variant_needs: ClassVar[Mapping[str, frozenset[str]]] = {}
+    moves_samples: ClassVar[bool] = False
     shows_late: ClassVar[bool] = False
     on_command_clock: ClassVar[bool] = False
     discrepancy: ClassVar[tuple[tuple[str, str, float], ...]] = ()

@@ -1,0 +1,167 @@
+"""What else a recording knows twice: the turn of yaw, the way between positions, and the accelerations.
+
+Every witness compares, over windows of half a second, what one instrument says with what the velocities make of
+it. Physics that a model lacks moves none of them; faults of sensors do. What the simulation's recordings leave in
+the same way (a scale, a bias and a delay of each witness) is their habit and no difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.diagnosis.recording.kinematics import Kinematics, build_kinematics, common_habit, integral, quiet
+from split_cli.diagnosis.recording.screening import measures
+from split_cli.diagnosis.recording.series import Series
+from split_cli.vehicle.effects import Term
+
+__all__ = ["Witness", "build_witnesses", "habits_of", "is_witness_of_position"]
+
+_KINDS = ("turn", "way", "a_x", "a_y")
+_WINDOW_SECONDS = 0.5
+_EDGE_SECONDS = 0.1
+_LEAST_WINDOWS = 12
+# A channel that is recorded finer than this share of its spread is no noise but the number of its last digit.
+_LEAST_SPREAD = 1e-3
+
+
+@dataclass(frozen=True)
+class Witness:
+    """One instrument of a recording against its velocities, window by window.
+
+    Attributes
+    ----------
+    kind : str
+        ``turn`` (yaw against r) [rad], ``way`` (positions against v_x) [m], ``a_x`` or ``a_y`` [m/s].
+    series : Series
+    begin, end : ndarray of int64, shape (W,)
+        First and last row of every window.
+    position : Kinematics or None
+        With the ways of the windows, for ``way`` and ``turn``.
+    scale : float
+        Spread of what the velocities leave.
+    habit : ndarray, shape (3,)
+        What the simulation's recordings leave by scale, bias and delay.
+    """
+
+    kind: str
+    series: Series
+    begin: np.ndarray
+    end: np.ndarray
+    position: Kinematics | None
+    scale: float
+    habit: np.ndarray
+
+    def rows(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return what the velocities, sensors corrected, leave of the instrument, in spreads, shape (W,)."""
+        return (self.left(terms) - self.causes() @ self.habit) / self.scale
+
+    def left(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return what the instrument says beyond what the velocities make of it, shape (W,)."""
+        said, made, _ = self._compared(terms)
+        return said - made
+
+    def causes(self) -> np.ndarray:
+        """Return what a scale, a bias and a delay of the instrument would leave, shape (W, 3)."""
+        _, made, rate = self._compared(())
+        rate = quiet(rate, self.series.period)
+        return np.stack(
+            [made, (self.end - self.begin) * self.series.period, rate[self.end] - rate[self.begin]], axis=1
+        )
+
+    def select(self, windows: np.ndarray) -> Witness:
+        """Return these windows alone."""
+        position = None if self.position is None else self.position.select(windows)
+        return replace(self, begin=self.begin[windows], end=self.end[windows], position=position)
+
+    def _compared(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what instrument and velocities say of each window, (W,), and the rate of either, (N,)."""
+        _, velocity = self.series.corrected(terms)
+        v_x, v_y, r = velocity.T
+        if self.kind == "turn":
+            angle = self.position.angle
+            return angle[self.end] - angle[self.begin], self._integral(r), r
+        if self.kind == "way":
+            return self.position.along, self.position.ahead(terms), v_x
+        a_x, a_y = self.series.accelerations(terms)
+        # In a turn the velocities' own axes turn: a_x = v_x' - v_y r and a_y = v_y' + v_x r.
+        felt, changing, turning = (a_x, v_x, -v_y * r) if self.kind == "a_x" else (a_y, v_y, v_x * r)
+        changing = quiet(changing, self.series.period)
+        made = changing[self.end] - changing[self.begin] + self._integral(turning)
+        return self._integral(felt), made, felt
+
+    def _integral(self, rate: np.ndarray) -> np.ndarray:
+        return integral(rate, self.begin, self.end, self.series.period, still=True)
+
+
+def build_witnesses(series: Series, habits: Mapping[str, np.ndarray] | None = None) -> list[Kinematics | Witness]:
+    """Return all that a recording can be held against; habits by kind, of the simulation's recordings."""
+    habits, found = habits or {}, []
+    measured_position = measures(series.drive, "X", "Y", "yaw")
+    position = build_kinematics(series, habits.get("across")) if measured_position else None
+    if position is not None:
+        found.append(position)
+    for kind in _KINDS:
+        one = _witness(kind, series, position)
+        if one is None:
+            continue
+        left, causes = one.left(()), one.causes()
+        own = left - causes @ _least_squares(causes, left)
+        spread = 1.4826 * float(np.median(np.abs(own - np.median(own))))
+        size = float(np.std(causes[:, 0]))
+        if not np.isfinite(spread) or size <= 0.0:
+            continue
+        habit = habits.get(kind)
+        found.append(
+            replace(one, scale=max(spread, _LEAST_SPREAD * size), habit=np.zeros(3) if habit is None else habit)
+        )
+    return found
+
+
+def habits_of(witnesses: Iterable[Kinematics | Witness]) -> dict[str, np.ndarray]:
+    """Return what recordings leave of each kind of witness: by kind, shape (2,) or (3,)."""
+    by_kind: dict[str, list[Kinematics | Witness]] = {}
+    for one in witnesses:
+        by_kind.setdefault(one.kind, []).append(one)
+    return {kind: common_habit(several) for kind, several in by_kind.items()}
+
+
+def is_witness_of_position(one: Kinematics | Witness) -> bool:
+    """Return whether a witness is the way across the car between positions."""
+    return isinstance(one, Kinematics)
+
+
+def _witness(kind: str, series: Series, position: Kinematics | None) -> Witness | None:
+    if kind in ("turn", "way"):
+        if position is None:
+            return None
+        # The yaw angle is made quiet, and then what it turned: twice the edge is unknown at both ends of a run.
+        edge = 2 * max(1, int(round(_EDGE_SECONDS / series.period)))
+        first, last = np.array(series.recording.segments, dtype=np.int64).T
+        run = np.searchsorted(first, position.begin, side="right") - 1
+        whole = (position.begin - edge >= first[run]) & (position.end + edge < last[run])
+        if whole.sum() < _LEAST_WINDOWS:
+            return None
+        position = position.select(whole)
+        return Witness(kind, series, position.begin, position.end, position, 1.0, np.zeros(3))
+    if not measures(series.drive, "ax", "ay") or not np.isfinite([series.drive["ax"], series.drive["ay"]]).all():
+        return None
+    size, edge = (
+        max(least, int(round(s / series.period))) for least, s in ((4, _WINDOW_SECONDS), (1, _EDGE_SECONDS))
+    )
+    begins = [
+        np.arange(first + edge, end - size - edge, size)
+        for first, end in series.recording.segments
+        if end - first > size + 2 * edge
+    ]
+    begin = np.concatenate([*begins, np.zeros(0)]).astype(np.int64)
+    if len(begin) < _LEAST_WINDOWS:
+        return None
+    return Witness(kind, series, begin, begin + size, None, 1.0, np.zeros(3))
+
+
+def _least_squares(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    scale = np.abs(columns).max(axis=0) + 1e-300
+    return np.linalg.lstsq(columns / scale, target, rcond=1e-8)[0] / scale

@@ -1,0 +1,276 @@
+"""Terms of single instruments: direction and scale of the recorded velocity, biases, a channel that is late.
+
+They are told by what the recording knows twice: position and yaw, accelerations, velocities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from split_cli.vehicle.effects.recording import Recording, shifted
+from split_cli.vehicle.effects.search import Course, Range, Search
+from split_cli.vehicle.effects.term import Mimic, Term
+from split_cli.vehicle.effects.wording import Estimates, amount, late, number, scaled
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["AccelerationBias", "ChannelDelay", "SpeedScale", "VelocityBias", "YawRateBias", "YawRateScale"]
+
+_TURNED = "judgement: a mounting that is off by more than nine degrees is seen"
+_WANDER = "judgement: what turns by half a degree in a second is no sensor of a direction"
+_TILTED = "judgement: an accelerometer tilted by eleven degrees measures a fifth of gravity"
+_GYRO = "judgement: three degrees a second, beyond any gyroscope that was switched on at rest"
+_WORN = "judgement: wheels wear and gyroscopes age by a few per cent, 15 % is another unit"
+_UNALIGNED = "judgement: filters, buses and clocks that nobody aligned make a channel late by up to 0.6 s"
+_WORDS = {
+    "r": "the yaw rate", "vx": "the longitudinal velocity", "vy": "the lateral velocity",
+    "velocity": "the velocity", "ax": "the longitudinal acceleration", "ay": "the lateral acceleration",
+}  # fmt: skip
+
+
+class _Instrument(Term):
+    """A fault of a recording that acts on some channels, each by itself."""
+
+    exported = False
+    family = "measurement"
+
+    def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
+        """Take the fault off the channels that are there."""
+        return self._changed(columns, recording, -1.0)
+
+    def corrupt(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
+        """Put the fault in."""
+        return self._changed(columns, recording, 1.0)
+
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+        raise NotImplementedError
+
+
+class VelocityBias(_Instrument):
+    """A recorded velocity that points beside the true one by an angle that changes in time.
+
+    Recorded v_y is v_y + angle(t) v_x to first order, counter-clockwise positive: the velocity is turned by
+    R(angle). By default the angle drifts, angle + drift (t - t_middle), `angle` its mean over the drive.
+    Variant ``step``: it is `angle` before the time `at` and `angle` + `step` after, as of an observer set anew.
+    A constant angle is `sensor_misalignment` with the opposite sign. Source: rotation; estimates of the slip angle
+    that integrate inertial sensors drift so (Bevly, Ryu and Gerdes, 2006). Witnesses: position and yaw.
+    """
+
+    id = "velocity_bias"
+    units: ClassVar = {"angle": "rad", "drift": "rad/s"}
+    variants: ClassVar = ("", "step")
+    variant_units: ClassVar = {"step": {"angle": "rad", "step": "rad", "at": "s"}}
+    neutral: ClassVar = {"angle": 0.0, "drift": 0.0, "step": 0.0}
+    needs: ClassVar = frozenset({"measured position"})
+    mimics: ClassVar = (
+        Mimic("sensor_misalignment", "a drift small against the mean", "a longer drive with position"),
+        Mimic("road_bank+steer_offset", "constant speed, without position", "position and yaw"),
+    )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        angle = Range(-0.15, 0.15, 0.0005, _TURNED)
+        if variant == "step":
+            at = Range(0.0, course.duration, 0.005 * course.duration)
+            starts = tuple(
+                {"angle": 0.001, "step": 0.005, "at": share * course.duration}
+                for share in (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+            )
+            return Search({"angle": angle, "step": angle, "at": at}, starts, complexity=5.0)
+        drift = Range(-0.01, 0.01, 1e-5, _WANDER)
+        return Search({"angle": angle, "drift": drift}, ({"angle": 0.002, "drift": 1e-4},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        angle = amount(p["angle"])
+        if variant == "step":
+            return (
+                f"the recorded velocity points {angle} beside the true one, {amount(p['step'])} more from "
+                f"{number(p['at'].value)} s on"
+            )
+        drift = amount(p["drift"])
+        return f"the recorded velocity points {angle} beside the true one on average and drifts by {drift}"
+
+    def angle(self, t: np.ndarray) -> np.ndarray:
+        """Return the angle at times [rad]."""
+        p = self.parameters
+        if self.variant == "step":
+            return p["angle"] + p["step"] * (t >= p["at"])
+        return p["angle"] + p["drift"] * (t - 0.5 * (t[0] + t[-1]))
+
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+        angle = sign * self.angle(columns["t"])
+        cosine, sine = np.cos(angle), np.sin(angle)
+        vx, vy = columns["vx"], columns["vy"]
+        return {**columns, "vx": cosine * vx - sine * vy, "vy": sine * vx + cosine * vy}
+
+
+class AccelerationBias(_Instrument):
+    """Accelerometers off zero: recorded a_x + ax, a_y + ay.
+
+    A mounting that is tilted by an angle measures g times it; so does a road that leans, which also moves the car.
+    Source: definition of specific force. Witness: the recorded velocities, whose rates are a_x = v_x' - v_y r and
+    a_y = v_y' + v_x r.
+    """
+
+    id = "acceleration_bias"
+    units: ClassVar = {"ax": "m/s^2", "ay": "m/s^2"}
+    neutral: ClassVar = {"ax": 0.0, "ay": 0.0}
+    needs: ClassVar = frozenset({"accelerations"})
+    mimics: ClassVar = (
+        Mimic("road_grade", "the road climbs all along", "the way back"),
+        Mimic("road_bank", "the road leans all along", "the way back: a road moves the car, a sensor does not"),
+    )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        limits = Range(-2.0, 2.0, 0.01, _TILTED)
+        return Search({"ax": limits, "ay": limits}, ({"ax": 0.05, "ay": 0.05},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        along = amount(p["ax"], more="too much", less="too little")
+        across = amount(p["ay"], more="too much", less="too little")
+        return f"the accelerometers read {along} ahead and {across} to the left"
+
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+        biased = {name: columns[name] + sign * self.parameters[name] for name in ("ax", "ay") if name in columns}
+        return {**columns, **biased}
+
+
+class YawRateBias(_Instrument):
+    """A gyroscope off zero: recorded yaw rate r + r_0, with r_0 the parameter `r`.
+
+    Source: the usual model of a rate gyroscope. Witness: the turn of the recorded yaw angle.
+    """
+
+    id = "yaw_rate_bias"
+    units: ClassVar = {"r": "rad/s"}
+    neutral: ClassVar = {"r": 0.0}
+    needs: ClassVar = frozenset({"measured position"})
+    mimics: ClassVar = (
+        Mimic("steer_offset", "one speed, without yaw", "yaw, or turns to both sides at two speeds"),
+    )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"r": Range(-0.05, 0.05, 1e-4, _GYRO)}, ({"r": 0.001},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"the yaw rate reads {amount(p['r'], more='too far to the left', less='too far to the right')}"
+
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+        return {**columns, "r": columns["r"] + sign * self.parameters["r"]}
+
+
+class _Scale(_Instrument):
+    """Channels recorded as `scale` times what is true."""
+
+    units: ClassVar = {"scale": "1"}
+    neutral: ClassVar = {"scale": 1.0}
+    needs: ClassVar = frozenset({"measured position"})
+    channels: ClassVar[tuple[str, ...]]
+    subject: ClassVar[str]
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts in units of `sizes`."""
+        return Search({"scale": Range(0.85, 1.15, 0.001, _WORN)}, ({"scale": 0.99},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        return f"{cls.subject} reads {scaled(p['scale'], 'too much', 'too little')}"
+
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+        factor = self.parameters["scale"] ** sign
+        return {**columns, **{name: factor * columns[name] for name in self.channels}}
+
+
+class SpeedScale(_Scale):
+    """A speed out of scale: recorded v_x and v_y are `scale` times the true ones, as by a worn wheel.
+
+    Source: v = omega r_e with a radius that is off. Witness: the way between positions.
+    """
+
+    id = "speed_scale"
+    channels = ("vx", "vy")
+    subject = "the velocity"
+    mimics: ClassVar = (
+        Mimic("drive_gain+aero_drag", "straight driving, without position", "position"),
+        Mimic("yaw_rate_scale", "without position and yaw: only v_x r is seen", "position and yaw"),
+    )
+
+
+class YawRateScale(_Scale):
+    """A yaw rate out of scale: the recorded one is `scale` times the true one.
+
+    Source: the usual model of a rate gyroscope. Witness: the turn of the recorded yaw angle.
+    """
+
+    id = "yaw_rate_scale"
+    channels = ("r",)
+    subject = "the yaw rate"
+    mimics: ClassVar = (Mimic("steer_gain", "gentle driving, without yaw", "yaw"),)
+
+
+class ChannelDelay(_Instrument):
+    """One channel late against the others: its variant names it, the recorded one is that of `delay` before.
+
+    Variant ``velocity`` has v_x and v_y late, as a satellite receiver makes them. The signal is late; noise stays
+    where it is. Source: a transport delay. Witnesses: yaw for r, position for the velocities, the velocities for
+    accelerations. All channels late together are `sensor_delay`.
+    """
+
+    id = "channel_delay"
+    variants: ClassVar = ("r", "vx", "vy", "velocity", "ax", "ay")
+    units: ClassVar = {"r": "s"}
+    variant_units: ClassVar = {
+        **{name: {name: "s"} for name in ("r", "vx", "vy", "ax", "ay")}, "velocity": {"vx": "s", "vy": "s"},
+    }  # fmt: skip
+    neutral: ClassVar = {"r": 0.0, "vx": 0.0, "vy": 0.0, "ax": 0.0, "ay": 0.0}
+    variant_needs: ClassVar = {
+        **{name: frozenset({"measured position"}) for name in ("r", "vx", "vy", "velocity")},
+        **{name: frozenset({"accelerations"}) for name in ("ax", "ay")},
+    }
+    moves_samples = True
+    mimics: ClassVar = (
+        Mimic("yaw_inertia", "gentle transients, without yaw", "yaw against yaw rate", variants=("r",)),
+        Mimic("drive_lag", "without position: speed that answers late", "position", variants=("vx", "velocity")),
+        Mimic("drive_delay", "without position: speed that answers late", "position", variants=("vx", "velocity")),
+        Mimic("steer_lag", "without position: a late answer", "position", variants=("r", "vy", "velocity")),
+        Mimic("steer_delay", "without position: a late answer", "position", variants=("r", "vy", "velocity")),
+        Mimic("sensor_lever_arm", "one speed, yaw rate that changes slowly", "turns at several speeds"),
+    )
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return ranges and starts [s]: clocks do not run faster in smaller cars."""
+        names = cls.parameter_units(variant)
+        limits = Range(0.0, 0.6, 0.001, _UNALIGNED)
+        starts = tuple(dict.fromkeys(names, value) for value in (0.004, 0.015, 0.045, 0.13))
+        return Search(dict.fromkeys(names, limits), starts)
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        """Return what it says."""
+        if variant == "velocity":
+            return f"v_x is {late(p['vx'])} and v_y {late(p['vy'])} against the other channels"
+        return f"{_WORDS[variant]} is {late(p[variant])} against the other channels"
+
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+        moved = {
+            name: shifted(columns[name], sign * delay, recording)
+            for name, delay in self.parameters.items()
+            if name in columns
+        }
+        return {**columns, **moved}

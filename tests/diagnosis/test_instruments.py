@@ -1,0 +1,107 @@
+"""Faults of single instruments: told by what a recording knows twice, and found again where they were planted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.recording.witnesses import build_witnesses, habits_of
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects import CATALOGUE, Recording, Term
+from tests.diagnosis.recordings import driven, noisy, prepared
+from tests.factories import road_car
+
+PLANTED = [
+    ("velocity_bias", "", {"angle": 0.01, "drift": 4e-4}),
+    ("velocity_bias", "step", {"angle": 0.0, "step": 0.03, "at": 40.0}),
+    ("acceleration_bias", "", {"ax": 0.3, "ay": -0.5}),
+    ("yaw_rate_bias", "", {"r": 0.01}),
+    ("speed_scale", "", {"scale": 1.04}),
+    ("yaw_rate_scale", "", {"scale": 0.96}),
+    ("channel_delay", "r", {"r": 0.06}),
+    ("channel_delay", "velocity", {"vx": 0.08, "vy": 0.08}),
+    ("channel_delay", "ay", {"ay": 0.09}),
+]
+
+
+def recording(seed: int, *faults: Term, share: float = 1.0, seconds: float = 8.0) -> Drive:
+    """Return a minute with position and accelerations, as sensors with these faults record it."""
+    drive = driven(seed, runs=8, seconds=seconds, spaced=9.0)
+    columns = dict(drive.columns)
+    rates = {name: np.zeros(len(drive)) for name in ("vx", "vy")}
+    for rows in drive.segments():
+        for name, rate in rates.items():
+            rate[rows] = np.gradient(columns[name][rows], drive.period)
+    columns["ax"] = rates["vx"] - columns["vy"] * columns["r"]
+    columns["ay"] = rates["vy"] + columns["vx"] * columns["r"]
+    clock = Recording(drive.period, tuple((run.start, run.stop) for run in drive.segments()))
+    for fault in faults:
+        columns = fault.corrupt(columns, clock)
+    rng = np.random.default_rng(seed + 900)
+    for name in ("ax", "ay"):
+        columns[name] = columns[name] + rng.normal(0.0, 0.1 * share, len(drive))
+    return noisy(replace(drive, columns=columns), seed + 500, share=share, position=0.01 * share)
+
+
+def fault(term: str, variant: str, parameters: dict[str, float]) -> Term:
+    return CATALOGUE[term](parameters, variant)
+
+
+@pytest.mark.parametrize(("term", "variant", "parameters"), PLANTED)
+def test_what_a_fault_puts_in_its_correction_takes_off(term, variant, parameters):
+    clean = driven(31, runs=2)
+    columns = {**clean.columns, "ax": np.sin(clean["t"]), "ay": np.cos(clean["t"])}
+    clock = Recording(clean.period, tuple((run.start, run.stop) for run in clean.segments()))
+    one = fault(term, variant, parameters)
+    back = one.correct(one.corrupt(columns, clock), clock)
+    inside = np.ones(len(clean), dtype=bool)
+    for run in clean.segments():
+        # A moved channel holds its ends.
+        inside[run.start : run.start + 12] = inside[run.stop - 12 : run.stop] = False
+    for name, values in columns.items():
+        # Shifts by whole samples and rotations are undone to rounding.
+        np.testing.assert_allclose(back[name][inside], values[inside], rtol=0.0, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize(("term", "variant", "parameters"), PLANTED)
+def test_a_witness_contradicts_the_fault_and_agrees_once_it_is_corrected(term, variant, parameters):
+    one = fault(term, variant, parameters)
+    clean = build_witnesses(prepared(recording(32)))
+    scales = {witness.kind: witness.scale for witness in clean}
+    faulty = build_witnesses(prepared(recording(33, one)), habits_of(clean))
+    # A fault that varies widens what a recording takes for its noise, so that of the clean one is taken.
+    faulty = [replace(witness, scale=scales[witness.kind]) for witness in faulty]
+    for witness in faulty:
+        right = np.mean(witness.rows((one,)) ** 2)
+        assert right < 3.0, (witness.kind, right)
+    assert max(np.mean(witness.rows(()) ** 2) for witness in faulty) > 5.0
+
+
+def test_physics_moves_no_witness():
+    (heavy,) = (build_witnesses(prepared(recording(34))),)
+    assert {one.kind for one in heavy} == {"across", "turn", "way", "a_x", "a_y"}
+    for one in heavy:
+        np.testing.assert_array_equal(one.rows((CATALOGUE["mass"]({"scale": 1.5}),)), one.rows(()))
+
+
+def test_a_derived_position_is_no_witness():
+    drive = recording(35)
+    metadata = replace(drive.metadata, kinds={"X": "derived: from vx and r", "ay": "derived: from vy"})
+    assert not build_witnesses(prepared(replace(drive, metadata=metadata)))
+
+
+@pytest.mark.parametrize("k", [0, 2, 6])
+def test_a_planted_fault_is_named_with_its_value(k):
+    term, variant, parameters = PLANTED[k]
+    said = diagnose([recording(36, fault(term, variant, parameters))], road_car())
+    assert said.verdict == "mismatch"
+    assert [one.term for one in said.findings] == [term]
+    (finding,) = said.findings
+    assert finding.variant == variant and not finding.exported
+    for name, value in parameters.items():
+        low, high = finding.parameters[name].interval_95
+        assert low <= value <= high, name
+        assert finding.parameters[name].value == pytest.approx(value, rel=0.15)
