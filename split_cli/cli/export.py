@@ -21,7 +21,11 @@ __all__ = ["command"]
 )
 @output_option("Folder to write into.")
 @click.option(
-    "--predictor", default="bcm", show_default=True, type=click.Choice(["bcm"]), help="How cells are combined."
+    "--predictor",
+    default="bcm",
+    show_default=True,
+    type=click.Choice(["bcm", "rbcm", "table"]),
+    help="Committee of cells, robust committee, or a spline table of the dense process.",
 )
 @click.option("--name", metavar="NAME", help="Prefix of files and functions [default: the set's file name].")
 @click.option(

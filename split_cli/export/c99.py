@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
+import casadi
 import numpy as np
 
 from split_cli.errors import ExportError
@@ -15,7 +16,7 @@ from split_cli.export.memory import Memory
 from split_cli.export.provenance import Provenance
 from split_cli.export.straight_line import number, straight_line
 from split_cli.export.symbolic import NominalGraph
-from split_cli.export.tables import BcmTables
+from split_cli.export.tables import BcmTables, TableData
 
 __all__ = ["CSource", "c_identifier", "c_source", "fill", "memory_parts", "template"]
 
@@ -96,18 +97,26 @@ def fill(text: str, values: dict[str, str], kept: Collection[str] = ()) -> str:
 
 
 def c_source(
-    tables: BcmTables, graph: NominalGraph, provenance: Provenance, name: str, plain: bool = False
+    tables: BcmTables | TableData,
+    graph: NominalGraph,
+    provenance: Provenance,
+    name: str,
+    valid: casadi.Function,
+    plain: bool = False,
 ) -> CSource:
     """Write header and source.
 
     Parameters
     ----------
-    tables : BcmTables
+    tables : BcmTables or TableData
+        What the predictor evaluates.
     graph : NominalGraph
         Of the set's vehicle.
     provenance : Provenance
     name : str
         A C identifier.
+    valid : casadi.Function
+        Features to whether they lie in the valid region, as `validity.valid_function` makes it.
     plain : bool
         Whether the set's labels are plain differences, so that h g itself is added.
 
@@ -120,16 +129,13 @@ def c_source(
         raise ExportError(f"{name!r} is not a C identifier", advice=f"Use --name {c_identifier(name)}.")
     real = tables.real
     with_step = graph.features is not None
-    table_text, table_bytes = _tables(tables)
+    table_text, table_bytes = _spline(tables) if isinstance(tables, TableData) else _tables(tables)
     values = {
         "NAME": name,
         "UPPER": name.upper(),
         "GUARD": f"{name.upper()}_H",
         "REAL": real,
         "DIMENSION": str(tables.feature_count),
-        "CELLS": str(tables.cell_count),
-        "POINTS": str(len(tables.points)),
-        "LARGEST_CELL": str(tables.largest_cell),
         "FEATURES": ", ".join(provenance.features),
         "HORIZON": f"{provenance.horizon:g}",
         "VEHICLE": _comment(provenance.vehicle["name"]),
@@ -137,8 +143,8 @@ def c_source(
         "SET_SHA256": provenance.set_sha256,
         "TABLES_SHA256": tables.digest(),
         "VERSION": provenance.version,
-        "SKIP": f"{tables.skip_tolerance:g}",
         "TRUST": ", ".join(f"{value:g}" for value in tables.trust.tolist()),
+        "LOW_SPEED": f"{graph.low_speed:g}",
         "TABLES": table_text,
         "PLACE_TIME": f", {name}_real t, {name}_real s" if graph.needs_place_and_time else "",
         "RESIDUAL": "h g(z)" if plain else "h Phi g(z)",
@@ -150,11 +156,17 @@ def c_source(
             else "    static const real place_time[2] = {ZERO, ZERO};"
         ),
     }
+    values |= _predictor_values(tables)
+    predictor = "table.c.in" if isinstance(tables, TableData) else "committee.c.in"
+    robust = ("robust",) if getattr(tables, "robust", False) else ()
+    values["PREDICTOR"] = fill(template(predictor), values, robust)
+    values["VALID"] = straight_line(valid, "valid_region", real, "1 where the valid region holds z, else 0.")
     memory = graph.memory if with_step else None
     values |= _memory_values(graph, memory, name, real)
     step_header = step_body = ""
     if with_step:
         values["NOMINAL"] = _nominal(graph, real)
+        values["LIMITS"] = _limits(graph, provenance, real)
         values["LINEAR"] = fill(template("linear.c.in"), values)
         kind, kept = "memory_step" if memory else "step", memory_parts(memory)
         step_header = fill(template(f"{kind}.h.in"), values, kept)
@@ -173,6 +185,53 @@ def c_source(
         memory,
         table_bytes,
     )
+
+
+def _limits(graph: NominalGraph, provenance: Provenance, real: str) -> str:
+    """Return the limits that a step takes its arguments within, far beyond what a car does, as C.
+
+    Speeds 150 m/s, yaw rate 50 rad/s, ten times the largest torque, a road wheel at 1.4 rad, each input from one
+    limit to the other in a millisecond; 1e12 for the terms' states; no limit for the pose but the largest number.
+    """
+    car = provenance.vehicle
+    largest = 1.7e308 if real == "double" else 3.4e38
+    torque = 10.0 * max(float(car["max_torque"]), float(car.get("max_brake_torque") or 0.0))
+    steer, whole = 1.4, graph.memory.whole if graph.memory else 8
+    states = [largest, largest, largest, 150.0, 150.0, 50.0, torque, steer]
+    if graph.memory:
+        states += [1e12] * (graph.memory.continuous - 8)
+        states += [torque] * graph.memory.lengths[0] + [steer] * graph.memory.lengths[1]
+    arrays = {"most_state[TAKEN]": states, "most_input[INPUTS]": [2e3 * torque, 2e3 * steer]}
+    parts = [f"enum {{ TAKEN = {whole} }};"]
+    parts += [
+        f"static const real {label} = {{{', '.join(number(v, real) for v in values)}}};"
+        for label, values in arrays.items()
+    ]
+    # 256 time constants are e^256 = 1e111; single precision ends at e^88.
+    parts.append(f"static const real longest = {number(256.0 if real == 'double' else 64.0, real)};")
+    parts.append(f"static const real most_carried = {number(largest, real)};")
+    return "\n".join(parts)
+
+
+def _predictor_values(tables: BcmTables | TableData) -> dict[str, str]:
+    """Return what the templates say of the predictor."""
+    if isinstance(tables, TableData):
+        n0, n1, n2, _ = tables.coefficients.shape
+        return {
+            "KIND": f"a tricubic B-spline of {n0} x {n1} x {n2} nodes",
+            "OUTSIDE": "Every query takes the same time. Outside the\n"
+            " * box of the nodes it is the prior, and on the way there it is smooth.",
+            "SIZES": f", WIDTH = 6, N0 = {n0}, N1 = {n1}, N2 = {n2}",
+        }
+    kind = "robust Bayesian committee machine" if tables.robust else "Bayesian committee machine"
+    return {
+        "KIND": f"a {kind} over {tables.cell_count} cells and {len(tables.points)} points",
+        "OUTSIDE": f"Far cells are skipped; together they\n"
+        f" * change a mean by at most {tables.skip_tolerance:g} signal deviations and a variance by at most\n"
+        f" * {tables.skip_tolerance:g} signal variances.",
+        "SIZES": f", CELLS = {tables.cell_count}, POINTS = {len(tables.points)}, "
+        f"LARGEST_CELL = {tables.largest_cell}",
+    }
 
 
 def _nominal(graph: NominalGraph, real: str) -> str:
@@ -245,7 +304,7 @@ def _memory_values(graph: NominalGraph, memory: Memory | None, name: str, real: 
         ),
         "RATES_TEXT": ": what arrives now, [T, delta], is an argument" if delayed else "",
         "RATES_INDENT": " " * len(f"void {name}_rates("),
-        "STEP_TEXT": f", or h is not {memory.step:g}" if delayed else "",
+        "STEP_TEXT": f" (not-a-number when h is not {memory.step:g})" if delayed else "",
     }  # fmt: skip
     return values
 
@@ -275,11 +334,6 @@ def _memory_tables(graph: NominalGraph, memory: Memory, real: str) -> str:
 def _tables(tables: BcmTables) -> tuple[str, int]:
     """Return the constant tables as C, and their bytes on the target."""
     real = tables.real
-    suffix = "f" if real == "float" else ""
-    upper = {"exp": "EXP", "sin": "SIN", "cos": "COS", "fabs": "FABS"}
-    macros = [f"#define {macro} {function}{suffix}" for function, macro in upper.items()]
-    constants = {"ZERO": 0.0, "HALF": 0.5, "ONE": 1.0, "TWO": 2.0, "SIX": 6.0}
-    macros += [f"#define {macro} {number(value, real)}" for macro, value in constants.items()]
     reals = {
         "inverse_length[DIMENSION]": 1.0 / tables.length_scales,
         "signal_variance[OUTPUTS]": tables.signal_variance,
@@ -292,10 +346,39 @@ def _tables(tables: BcmTables) -> tuple[str, int]:
         "gains[POINTS * OUTPUTS]": tables.gains,
         "weights[POINTS * OUTPUTS]": tables.weights,
     }
-    size, parts = 0, ["\n".join(macros) + "\n"]
+    size, parts = 0, [_macros(real)]
     for label, values in (("first_point", tables.offsets), ("first_square", tables.square_offsets)):
         parts.append(_array(f"static const unsigned long {label}[CELLS + 1]", [f"{v}UL" for v in values.tolist()]))
         size += 8 * len(values)
+    for label, values in reals.items():
+        flat = np.ravel(values)
+        parts.append(_array(f"static const real {label}", [number(v, real) for v in flat.tolist()]))
+        size += (4 if real == "float" else 8) * len(flat)
+    return "\n".join(parts), size
+
+
+def _macros(real: str) -> str:
+    """Return the functions and constants that the templates use, as C of the precision."""
+    suffix = "f" if real == "float" else ""
+    upper = {"exp": "EXP", "log": "LOG", "sin": "SIN", "cos": "COS", "fabs": "FABS"}
+    macros = [f"#define {macro} {function}{suffix}" for function, macro in upper.items()]
+    constants = {"ZERO": 0.0, "HALF": 0.5, "ONE": 1.0, "TWO": 2.0, "THREE": 3.0, "FOUR": 4.0, "SIX": 6.0}
+    macros += [f"#define {macro} {number(value, real)}" for macro, value in constants.items()]
+    return "\n".join(macros) + "\n"
+
+
+def _spline(tables: TableData) -> tuple[str, int]:
+    """Return the constants of a table as C, and their bytes on the target."""
+    real = tables.real
+    reals = {
+        "origin[DIMENSION]": tables.origin,
+        "inverse_spacing[DIMENSION]": 1.0 / tables.spacing,
+        "signal_variance[OUTPUTS]": tables.signal_variance,
+        "least[OUTPUTS]": tables.least,
+        "trust[OUTPUTS]": tables.trust,
+        "coefficients[N0 * N1 * N2 * WIDTH]": tables.coefficients,
+    }
+    size, parts = 0, [_macros(real)]
     for label, values in reals.items():
         flat = np.ravel(values)
         parts.append(_array(f"static const real {label}", [number(v, real) for v in flat.tolist()]))

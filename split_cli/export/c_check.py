@@ -22,6 +22,7 @@ from split_cli.export.step_check import (
     rk4_substeps,
 )
 from split_cli.export.symbolic import NominalGraph
+from split_cli.export.validity import is_valid
 from split_cli.learning.training_set import TrainingSet
 
 __all__ = ["CCheck", "build_driver", "check_c", "driver_answer", "run_selftest", "selftest_source"]
@@ -166,6 +167,7 @@ def check_c(
     driver = build_driver(source, folder, compiler)
     answer = driver_answer(driver, source.dimension)
     predictions = check_predictions(answer, oracle, source.real, "C")
+    _check_valid(training_set, oracle, driver)
     step_error = _check_step(source, graph, training_set, oracle, driver) if source.with_step else None
     selftest = folder / f"{source.name}_selftest.c"
     selftest.write_text(selftest_source(source, oracle, drives))
@@ -180,6 +182,18 @@ def check_c(
         *(sizes or (None, None)),
         compiler.version,
     )
+
+
+def _check_valid(training_set: TrainingSet, oracle: Oracle, driver: Driver) -> None:
+    """Compare the valid region with the one training uses, away from its border by more than rounding."""
+    slack = 1e-5 if driver.real == "float" else 1e-12
+    expected = is_valid(training_set, oracle.z)
+    inner, outer = (is_valid(training_set, oracle.z * factor) for factor in (1.0 - slack, 1.0 + slack))
+    clear = (inner == expected) & (outer == expected)
+    found = driver.answers(11, oracle.z, 1)[:, 0] > 0.5
+    wrong = int((found != expected)[clear].sum())
+    if wrong or clear.mean() < 0.5:
+        raise ExportError(f"C: the valid region differs at {wrong} of {int(clear.sum())} queries")
 
 
 def run_selftest(compiler: Compiler, folder: Path, name: str) -> str:

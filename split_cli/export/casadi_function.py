@@ -15,7 +15,7 @@ from split_cli.export.casadi_memory import memory_step
 from split_cli.export.check import Answer, Oracle, PredictionCheck, check_predictions
 from split_cli.export.step_check import StepOracle, Stepper, compare_drives, compare_memory, compare_states
 from split_cli.export.symbolic import NominalGraph
-from split_cli.export.tables import BcmTables
+from split_cli.export.tables import BcmTables, TableData
 
 __all__ = [
     "CasadiFunctions",
@@ -25,6 +25,7 @@ __all__ = [
     "committee",
     "generate_c",
     "model_step",
+    "spline_table",
 ]
 
 
@@ -41,15 +42,18 @@ class CasadiFunctions:
         without memory.
     memory : tuple of casadi.Function
         Of a model with memory: its start, its right-hand side and, where commands are late, what arrives.
+    valid : casadi.Function or None
+        z to 1 where the valid region of training holds it, else 0.
     """
 
     predict: casadi.Function
     step: casadi.Function | None
     memory: tuple[casadi.Function, ...] = ()
+    valid: casadi.Function | None = None
 
 
 def committee(tables: BcmTables, name: str) -> casadi.Function:
-    """Return the committee z -> (mean, variance) as a graph of a few dozen matrix operations.
+    """Return the committee z -> (mean, variance), robust or not, as a graph of a few dozen matrix operations.
 
     Parameters
     ----------
@@ -82,6 +86,8 @@ def committee(tables: BcmTables, name: str) -> casadi.Function:
         # A cell's one point, asked for exactly, leaves the least there is, rho/(n + rho). The bound is half of
         # that: where both sides of a maximum are equal its derivative is half of either, and Hessians are wrong.
         share = 1.0 / casadi.fmax(1.0 - q, casadi.DM(0.5 * ratio / (counts + ratio)))
+        if tables.robust:
+            share = 0.5 * casadi.log(share) * share
         precision = 1.0 + casadi.dot(q, share)
         # CasADi drops what is multiplied by zero, and with it the answer to a query that is not a number.
         learned, trust = casadi.dot(m, share) / precision, max(float(tables.trust[output]), 1e-300)
@@ -90,6 +96,42 @@ def committee(tables: BcmTables, name: str) -> casadi.Function:
         # What is not trusted returns to the prior.
         variance.append(trust * prior / precision + (1.0 - trust) * (prior + trust * learned**2))
     outputs = [casadi.vertcat(*mean), casadi.vertcat(*variance)]
+    return casadi.Function(name, [z], outputs, ["z"], ["mean", "variance"])
+
+
+def spline_table(tables: TableData, name: str) -> casadi.Function:
+    """Return the table z -> (mean, variance) as CasADi's own tensor-product B-spline.
+
+    Parameters
+    ----------
+    tables : TableData
+        In double.
+    name : str
+
+    Notes
+    -----
+    CasADi's splines end at their last knot. The table's outer coefficients are 0, so that a query is clamped into
+    the layer where the spline and two of its derivatives vanish, and no edge is seen.
+    """
+    sizes = tables.coefficients.shape[:3]
+    z = casadi.MX.sym("z", 3)
+    knots, place = [], []
+    for axis, size in enumerate(sizes):
+        # Node k carries the spline that spans the knots k - 2 to k + 2.
+        knots.append((np.arange(size + 4) - 2.0).tolist())
+        at = (z[axis] - float(tables.origin[axis])) / float(tables.spacing[axis])
+        place.append(casadi.fmin(casadi.fmax(at, 1.0), float(size - 2)))
+    flat = casadi.DM(np.ascontiguousarray(tables.coefficients.transpose(2, 1, 0, 3)).ravel())
+    value = casadi.bspline(casadi.vertcat(*place), flat, knots, [3, 3, 3], 6, {"lookup_mode": ["exact"] * 3})
+    # What is clamped forgets that it was not a number, which alone is neither above 0 nor below.
+    known = casadi.sum1(casadi.logic_or(z >= 0.0, z <= 0.0)) > 2.5
+    unknown = casadi.if_else(known, 0.0, np.nan)
+    learned = value[:3] + unknown
+    left = casadi.fmin(casadi.fmax(1.0 - value[3:], casadi.DM(tables.least)), 1.0)
+    trust, prior = casadi.DM(tables.trust), casadi.DM(tables.signal_variance)
+    # What is not trusted returns to the prior.
+    variance = trust * prior * left**2 + (1.0 - trust) * (prior + trust * learned**2) + unknown
+    outputs = [trust * learned + unknown, variance]
     return casadi.Function(name, [z], outputs, ["z"], ["mean", "variance"])
 
 
@@ -132,7 +174,7 @@ def model_step(
     Parameters
     ----------
     predict : casadi.Function
-        The committee.
+        The predictor.
     graph : NominalGraph
     name : str
     plain : bool
@@ -289,7 +331,7 @@ def check_hessian(predict: casadi.Function, oracle: Oracle) -> float:
     second = casadi.Function("second", [z], [casadi.densify(casadi.jacobian(casadi.vec(jacobian), z))])
     kernel = oracle.reference.training_set.kernel
     ratio = float((kernel.noise_variance / kernel.signal_variance).min())
-    steps = 1e-3 * np.sqrt(ratio) * kernel.length_scales
+    steps = oracle.reference.hessian_step
     worst = 0.0
     for query in oracle.slope_z[:: max(1, len(oracle.slope_z) // 20)]:
         found = np.asarray(second(query)).reshape(width, 3, width)
@@ -322,6 +364,8 @@ def generate_c(functions: CasadiFunctions, name: str, folder: Path) -> tuple[Pat
     slopes = casadi.densify(casadi.jacobian(outputs[0], z))
     generator.add(casadi.Function(f"{name}_mean_variance", [z], outputs, ["z"], ["mean", "variance"]))
     generator.add(casadi.Function(f"{name}_mean_variance_jacobian", [z], [*outputs, slopes]))
+    if functions.valid is not None:
+        generator.add(functions.valid)
     if functions.step is not None:
         symbols = [casadi.MX.sym(functions.step.name_in(k), functions.step.size1_in(k)) for k in
                    range(functions.step.n_in())]  # fmt: skip

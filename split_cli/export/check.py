@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.errors import ExportError
-from split_cli.export.reference import Reference
+from split_cli.export.reference import Reference, SplineReference
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction import make_predictor
+from split_cli.prediction.table import TablePredictor
+from split_cli.prediction.trusted import TrustedPredictor
 
 __all__ = [
     "TOLERANCE",
@@ -82,8 +84,8 @@ class Oracle:
         Queries at which Jacobians are compared.
     slopes : ndarray, shape (M, 3, D)
     predictor_error : float
-        Largest difference of the predictor `bcm` from the reference, in signal deviations and variances.
-    reference : Reference
+        Largest difference of the predictor from the reference, in signal deviations and variances.
+    reference : Reference or SplineReference
     """
 
     z: np.ndarray
@@ -92,7 +94,7 @@ class Oracle:
     slope_z: np.ndarray
     slopes: np.ndarray
     predictor_error: float
-    reference: Reference
+    reference: Reference | SplineReference
 
 
 def check_queries(training_set: TrainingSet, count: int, seed: int = 20240117) -> np.ndarray:
@@ -133,10 +135,17 @@ def check_queries(training_set: TrainingSet, count: int, seed: int = 20240117) -
     return np.concatenate(sets)[:count]
 
 
-def make_oracle(training_set: TrainingSet, count: int, real: str = "double") -> Oracle:
-    """Answer the queries in Python, and make sure that the predictor `bcm` gives the same answers.
+def make_oracle(
+    training_set: TrainingSet,
+    count: int,
+    real: str = "double",
+    predictor: str = "bcm",
+    table: TablePredictor | None = None,
+) -> Oracle:
+    """Answer the queries in Python, and make sure that the predictor gives the same answers.
 
-    Queries are rounded to `real` first, since that is what the export will be asked.
+    Queries are rounded to `real` first, since that is what the export will be asked. `table` is the table in
+    double where the predictor is one.
 
     Raises
     ------
@@ -147,20 +156,26 @@ def make_oracle(training_set: TrainingSet, count: int, real: str = "double") -> 
     if real == "float":
         with np.errstate(over="ignore"):
             z = z.astype(np.float32).astype(float)
-    reference = Reference(training_set)
+    if predictor == "table":
+        if table is None:
+            raise ValueError("the table to compare with is missing")
+        reference, asked = SplineReference(table), TrustedPredictor(table)
+    else:
+        reference = Reference(training_set, robust=predictor == "rbcm")
+        asked = make_predictor(predictor, training_set)
     expected = reference.predict(z)
     finite = np.isfinite(z).all(axis=1) & (np.abs(z) < 1e100).all(axis=1)
-    predictor = make_predictor("bcm", training_set).predict(z[finite])
+    answered = asked.predict(z[finite])
     kernel = training_set.kernel
     error = max(
-        float(np.max(np.abs(predictor.mean - expected.mean[finite]) / reference.deviation, initial=0.0)),
+        float(np.max(np.abs(answered.mean - expected.mean[finite]) / reference.deviation, initial=0.0)),
         float(
-            np.max(np.abs(predictor.variance - expected.variance[finite]) / kernel.signal_variance, initial=0.0)
+            np.max(np.abs(answered.variance - expected.variance[finite]) / kernel.signal_variance, initial=0.0)
         ),
     )
     if not error <= TOLERANCE["double"]:
         raise ExportError(
-            f"the predictor bcm is {error:.3g} off its own reference, {TOLERANCE['double']:g} is allowed",
+            f"the predictor {predictor} is {error:.3g} off its own reference, {TOLERANCE['double']:g} is allowed",
             advice="The noise variance may be too small for points this close; `split verify` the set.",
         )
     rng = np.random.default_rng(7)

@@ -7,7 +7,7 @@ with the rest as JSON text in the array ``metadata``.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from split_cli.errors import ExportError
 from split_cli.export.check import Answer
 from split_cli.export.provenance import Provenance
 from split_cli.learning.training_set import TrainingSet
+from split_cli.prediction.table import TablePredictor
 
 __all__ = [
     "DOCUMENT_FORMAT",
@@ -36,6 +37,8 @@ DOCUMENT_FORMAT = "split-export/2"
 ARRAYS = (
     "cell_numbers", "offsets", "z", "y", "gamma", "length_scales", "signal_variance", "noise_variance", "trust",
 )  # fmt: skip
+#: What a table adds.
+TABLE_ARRAYS = ("origin", "spacing", "least", "coefficients")
 
 
 @dataclass(frozen=True)
@@ -59,8 +62,10 @@ def schema_text() -> str:
     return (files("split_cli.export") / "schema" / "split-export.schema.json").read_text(encoding="utf-8")
 
 
-def document_of(training_set: TrainingSet, provenance: Provenance) -> Document:
-    """Return everything a prediction needs, and what it means."""
+def document_of(
+    training_set: TrainingSet, provenance: Provenance, table: TablePredictor | None = None
+) -> Document:
+    """Return everything a prediction needs, and what it means; of a table its coefficients beside the points."""
     kernel = training_set.kernel
     sources = {
         "cell_numbers": np.asarray(training_set.cell_numbers, dtype=np.int64),
@@ -98,7 +103,14 @@ def document_of(training_set: TrainingSet, provenance: Provenance) -> Document:
     }
     if provenance.memory is not None:
         metadata["memory"] = provenance.memory
-    return Document({name: np.ascontiguousarray(sources[name]) for name in ARRAYS}, metadata)
+    names = ARRAYS
+    if table is not None:
+        names += TABLE_ARRAYS
+        spline = table.spline
+        sources |= {"origin": spline.origin, "spacing": spline.spacing, "least": table.least}
+        sources["coefficients"] = spline.coefficients
+        metadata["table"] = asdict(table.error)
+    return Document({name: np.ascontiguousarray(sources[name]) for name in names}, metadata)
 
 
 def _finite_or_none(value: float) -> float | None:
@@ -128,8 +140,8 @@ def read_npz(path: Path) -> Document:
     """
     try:
         with np.load(path, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in ARRAYS}
             metadata = json.loads(str(content["metadata"]))
+            arrays = {name: content[name] for name in _names(metadata)}
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise ExportError(f"is not a whole npz export ({error})", where=str(path)) from error
     except Exception as error:
@@ -145,11 +157,15 @@ def read_json(path: Path) -> Document:
         integers = ("cell_numbers", "offsets")
         arrays = {
             name: np.array(content.pop(name), dtype=np.int64 if name in integers else np.float64)
-            for name in ARRAYS
+            for name in _names(content)
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ExportError(f"is not a whole json export ({error})", where=str(path)) from error
     return _checked(Document(arrays, content), path)
+
+
+def _names(metadata: dict[str, Any]) -> tuple[str, ...]:
+    return (*ARRAYS, *(TABLE_ARRAYS if metadata["predictor"] == "table" else ()))
 
 
 def _checked(document: Document, path: Path) -> Document:
@@ -185,6 +201,9 @@ def require_equal(written: Document, found: Document, what: str) -> None:
 def document_answer(document: Document) -> Answer:
     """Return predictions from the numbers of a document alone: the reader that docs/export.md prints."""
     a = document.arrays
+    if document.metadata["predictor"] == "table":
+        return Answer(lambda z: _table_answer(a, z))
+    robust = document.metadata["predictor"] == "rbcm"
     ratio = a["noise_variance"] / a["signal_variance"]
     cells = []
     for first, last in zip(a["offsets"][:-1], a["offsets"][1:], strict=True):
@@ -202,10 +221,37 @@ def document_answer(document: Document) -> Answer:
             with np.errstate(over="ignore", under="ignore"):
                 t = np.exp(-0.5 * ((scaled[:, None] - points[None]) ** 2).sum(-1)) @ vectors
             q, m = t**2 @ (1.0 / damped), t @ (turned / damped)
-            top += m / (1.0 - q)
-            precision += q / (1.0 - q)
-        mean, trust, prior = top / precision, a["trust"], a["signal_variance"]
-        variance = trust * prior / precision + (1.0 - trust) * (prior + trust * mean**2)
-        return trust * mean, variance
+            share = (-0.5 * np.log(1.0 - q) if robust else 1.0) / (1.0 - q)
+            top += m * share
+            precision += q * share
+        return _trusted(a, top / precision, a["signal_variance"] / precision)
 
     return Answer(predict)
+
+
+def _trusted(
+    a: dict[str, np.ndarray], mean: np.ndarray, variance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    trust, prior = a["trust"], a["signal_variance"]
+    return trust * mean, trust * variance + (1.0 - trust) * (prior + trust * mean**2)
+
+
+def _table_answer(a: dict[str, np.ndarray], z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Evaluate the spline: 64 coefficients a query."""
+    sizes = np.array(a["coefficients"].shape[:3])
+    place = np.clip((z - a["origin"]) / a["spacing"], 1.0, sizes - 2.0)
+    unknown = np.isnan(z).any(axis=1)
+    place[unknown] = 1.0
+    first = np.minimum(place.astype(int), sizes - 3)
+    t = place - first
+    left = 1.0 - t
+    weight = np.stack(
+        [left**3, 4.0 - 6.0 * t**2 + 3.0 * t**3, 4.0 - 6.0 * left**2 + 3.0 * left**3, t**3], axis=-1
+    ) / 6.0  # fmt: skip
+    value = np.zeros((len(z), 6))
+    for i, j, k in np.ndindex(4, 4, 4):
+        node = a["coefficients"][first[:, 0] - 1 + i, first[:, 1] - 1 + j, first[:, 2] - 1 + k]
+        value += (weight[:, 0, i] * weight[:, 1, j] * weight[:, 2, k])[:, None] * node
+    value[unknown] = np.nan
+    share = np.minimum(np.maximum(1.0 - value[:, 3:], a["least"]), 1.0)
+    return _trusted(a, value[:, :3], a["signal_variance"] * share**2)

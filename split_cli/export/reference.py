@@ -9,8 +9,9 @@ import numpy as np
 
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.predictor import Prediction
+from split_cli.prediction.table import TablePredictor
 
-__all__ = ["Reference"]
+__all__ = ["Reference", "SplineReference"]
 
 _CHUNK = 256
 
@@ -21,6 +22,13 @@ class Reference:
     Parameters
     ----------
     training_set : TrainingSet
+    robust : bool
+        Whether an expert counts by half the logarithm of what it has learned (`rbcm`).
+
+    Attributes
+    ----------
+    hessian_step : ndarray, shape (D,)
+        Step of differences of the Jacobian: small against the distance on which the committee changes.
 
     Notes
     -----
@@ -30,11 +38,12 @@ class Reference:
     extended precision. A comparison at 1e-12 needs a reference better than that.
     """
 
-    def __init__(self, training_set: TrainingSet) -> None:
+    def __init__(self, training_set: TrainingSet, robust: bool = False) -> None:
         kernel = training_set.kernel
-        self.training_set = training_set
+        self.training_set, self.robust = training_set, robust
         self.deviation = np.sqrt(kernel.signal_variance)
         self._ratio = kernel.noise_variance / kernel.signal_variance
+        self.hessian_step = 1e-3 * np.sqrt(self._ratio.min()) * kernel.length_scales
         self._groups = []
         offsets = np.asarray(training_set.offsets)
         counts = np.diff(offsets)
@@ -70,8 +79,9 @@ class Reference:
                 m = (turned @ weights[:, :, output, None])[..., 0]
                 least = self._ratio[output] / (points.shape[1] + self._ratio[output])
                 rest = np.maximum(1.0 - q, least)
-                top[:, output] += (m / rest).sum(axis=0)
-                precision[:, output] += (q / rest).sum(axis=0)
+                share = (0.5 * np.log(1.0 / rest) if self.robust else 1.0) / rest
+                top[:, output] += (m * share).sum(axis=0)
+                precision[:, output] += (q * share).sum(axis=0)
         return top / precision, kernel.signal_variance / precision
 
     def jacobian_by_differences(self, z: np.ndarray) -> np.ndarray:
@@ -92,3 +102,77 @@ class Reference:
     def jacobian_scale(self) -> np.ndarray:
         """Return the size a slope can reach, sd/(l sqrt(rho)), shape (3, D)."""
         return (self.deviation / np.sqrt(self._ratio))[:, None] / self.training_set.kernel.length_scales
+
+
+class SplineReference:
+    """A table evaluated from its coefficients by the Cox-de Boor recursion, axis by axis.
+
+    Parameters
+    ----------
+    table : TablePredictor
+        In double.
+
+    Attributes
+    ----------
+    training_set : TrainingSet
+    deviation : ndarray, shape (3,)
+    hessian_step : ndarray, shape (3,)
+        A hundred-thousandth of the spacing, since second derivatives have kinks at the nodes.
+    """
+
+    def __init__(self, table: TablePredictor) -> None:
+        self.table, self.training_set = table, table.training_set
+        kernel = self.training_set.kernel
+        self.deviation = np.sqrt(kernel.signal_variance)
+        self._ratio = kernel.noise_variance / kernel.signal_variance
+        self.hessian_step = 1e-5 * table.spline.spacing
+
+    def predict(self, z: np.ndarray) -> Prediction:
+        """Return mean and latent variance at `z`, shape (N, 3)."""
+        z = np.asarray(z, dtype=float)
+        spline = self.table.spline
+        sizes = np.array(spline.coefficients.shape[:3])
+        # Nodes so far out that nothing but zeros is met there, for queries that are far or infinite.
+        place = np.clip((z - spline.origin) / spline.spacing, 1.0, sizes - 2.0)
+        value = np.empty((len(z), 6))
+        for i, query in enumerate(place):
+            if np.isnan(query).any():
+                value[i] = np.nan
+                continue
+            first = [min(int(v), n - 3) - 1 for v, n in zip(query, sizes, strict=True)]
+            block = spline.coefficients[tuple(slice(k, k + 4) for k in first)]
+            weights = [[_cubic(v - (k + j)) for j in range(4)] for v, k in zip(query, first, strict=True)]
+            value[i] = np.einsum("abcw,a,b,c->w", block, *weights)
+        left = np.minimum(np.maximum(1.0 - value[:, 3:], self.table.least), 1.0)
+        signal = self.training_set.kernel.signal_variance
+        return Prediction(*self.training_set.trust.apply(value[:, :3], signal * left**2, signal))
+
+    def jacobian_by_differences(self, z: np.ndarray) -> np.ndarray:
+        """Return the mean's Jacobian by central differences, shape (N, 3, 3).
+
+        The step is 1e-4 of the spacing: where a piece ends within it the third derivative jumps, which a
+        difference sees as 1e-9 of the mean.
+        """
+        jacobian = np.empty((len(z), 3, 3))
+        for feature, spacing in enumerate(self.table.spline.spacing):
+            step = np.zeros(3)
+            step[feature] = 1e-4 * spacing
+            change = self.predict(z + step).mean - self.predict(z - step).mean
+            jacobian[:, :, feature] = change / (2.0 * step[feature])
+        return jacobian
+
+    def jacobian_scale(self) -> np.ndarray:
+        """Return the size a slope can reach, sd/(l sqrt(rho)), shape (3, D)."""
+        return (self.deviation / np.sqrt(self._ratio))[:, None] / self.training_set.kernel.length_scales
+
+
+def _cubic(x: float) -> float:
+    """Return the centred cubic B-spline of unit spacing at `x`, by the recursion over its degree."""
+
+    def basis(x: float, degree: int) -> float:
+        if degree == 0:
+            return 1.0 if -0.5 <= x < 0.5 else 0.0
+        half = 0.5 * (degree + 1)
+        return ((half + x) * basis(x + 0.5, degree - 1) + (half - x) * basis(x - 0.5, degree - 1)) / degree
+
+    return basis(x, 3)

@@ -15,9 +15,14 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.labels import DEFAULT_HORIZON
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["STATES", "CasadiOperations", "NominalGraph", "build_nominal"]
+__all__ = ["LOW_SPEED_SHARE", "STATES", "CasadiOperations", "NominalGraph", "build_nominal", "guarded_speed"]
 
 STATES = ("X", "Y", "yaw", "vx", "vy", "r", "T", "delta")
+
+
+#: The single track divides by the speed; exports leave it as it is above this share of the speed that training
+#: begins at (`Region.minimum_speed`), so that nothing learned or verified is touched.
+LOW_SPEED_SHARE = 0.5
 
 
 class CasadiOperations:
@@ -67,6 +72,8 @@ class NominalGraph:
         Size of each of the terms' states that balances the Jacobian, for bounds on series.
     stiffness : float
         Norm of the balanced Jacobian, the largest of many states [1/s]; 0 without memory.
+    low_speed : float
+        v_x below which the model is evaluated at `guarded_speed` [m/s].
     """
 
     rates: casadi.Function
@@ -78,16 +85,18 @@ class NominalGraph:
     jumps: casadi.Function | None = None
     units: tuple[float, ...] = ()
     stiffness: float = 0.0
+    low_speed: float = 0.0
 
 
 @dataclass(frozen=True)
 class _Trace:
-    """A model evaluated on symbols: acting variables, (t, s), rates of velocities and states, flow."""
+    """A model evaluated on symbols: acting variables, (t, s), rates, flow, guarded v_x."""
 
     acting: casadi.SX
     place_time: casadi.SX
     rates: casadi.SX
     flow: Any
+    speed: casadi.SX
 
 
 def build_nominal(model: SingleTrack, features: FeatureSet, step: float = DEFAULT_HORIZON) -> NominalGraph:
@@ -106,7 +115,8 @@ def build_nominal(model: SingleTrack, features: FeatureSet, step: float = DEFAUL
         If a term cannot be expressed in the shared operations, or its memory cannot be kept.
     """
     model = exported_model(model)
-    trace = _trace(model)
+    low_speed = LOW_SPEED_SHARE * model.vehicle.minimum_speed
+    trace = _trace(model, low_speed)
     acting, place_time, rates = trace.acting, trace.place_time, trace.rates
     jacobian = casadi.densify(casadi.jacobian(rates, acting))
     options = {"cse": True}
@@ -118,19 +128,35 @@ def build_nominal(model: SingleTrack, features: FeatureSet, step: float = DEFAUL
     _require_same(model, traced, start, jumps, sample)
     units, stiffness = _balance(traced, sample) if memory else ((), 0.0)
     needs = any(casadi.which_depends(rates, place_time, 1, False))
-    return NominalGraph(
-        traced, *_features(model, features, trace, memory), needs, memory, start, jumps, units, stiffness
-    )
+    known = _features(model, features, trace, memory)
+    return NominalGraph(traced, *known, needs, memory, start, jumps, units, stiffness, low_speed)
 
 
-def _trace(model: SingleTrack) -> _Trace:
+def guarded_speed(speed: casadi.SX, low: float) -> casadi.SX:
+    """Return the speed that the exported model is evaluated at: v_x above `low`, at least half of it below.
+
+    With s = v_x/low clipped to [0, 1] it is max(v_x, low) + low (s^3 - s^4/2 - 1/2): twice continuously
+    differentiable, v_x itself at and above `low`, low/2 at and below a standstill.
+    """
+    share = casadi.fmin(casadi.fmax(speed / low, 0.0), 1.0)
+    return casadi.fmax(speed, low) + low * (share**3 - 0.5 * share**4 - 0.5)
+
+
+def _trace(model: SingleTrack, low_speed: float) -> _Trace:
     names = model.state_names
     a, place_time = casadi.SX.sym("a", 6 + len(names)), casadi.SX.sym("p", 2)
     states = {name: a[6 + k] for k, name in enumerate(names)} if names else None
     where = f"vehicle {model.vehicle.name}, effects: {', '.join(term.id for term in model.terms)}"
+    speed = guarded_speed(a[1], low_speed)
     try:
         flow = model.flow(
-            *(a[i] for i in range(1, 6)), yaw=a[0], t=place_time[0], s=place_time[1], ops=CASADI, states=states
+            speed,
+            *(a[i] for i in range(2, 6)),
+            yaw=a[0],
+            t=place_time[0],
+            s=place_time[1],
+            ops=CASADI,
+            states=states,
         )
         rates = casadi.vertcat(*model.balance(flow))
     except (TypeError, NotImplementedError, RuntimeError, AttributeError) as error:
@@ -147,7 +173,7 @@ def _trace(model: SingleTrack) -> _Trace:
             advice="States go through Term.first_order or Term.play.",
         )
     rates = casadi.vertcat(rates, *(flow.rates[name] for name in names))
-    return _Trace(a, place_time, rates, flow)
+    return _Trace(a, place_time, rates, flow, speed)
 
 
 def _start(model: SingleTrack, trace: _Trace) -> casadi.Function | None:
@@ -155,7 +181,8 @@ def _start(model: SingleTrack, trace: _Trace) -> casadi.Function | None:
     if not model.state_names:
         return None
     a, p = trace.acting[:6], trace.place_time
-    settled = model.flow(*(a[i] for i in range(1, 6)), yaw=a[0], t=p[0], s=p[1], ops=CASADI).values
+    inner = [trace.speed, *(a[i] for i in range(2, 6))]
+    settled = model.flow(*inner, yaw=a[0], t=p[0], s=p[1], ops=CASADI).values
     states = casadi.vertcat(*(settled[name] for name in model.state_names))
     return casadi.Function("start", [a, p], [casadi.densify(states)], {"cse": True})
 

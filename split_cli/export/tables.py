@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from split_cli.errors import ExportError
 from split_cli.learning.kernel import correlation
 from split_cli.learning.training_set import TrainingSet
+from split_cli.prediction.table import TablePredictor
 
-__all__ = ["SKIP_TOLERANCE", "BcmTables", "build_tables"]
+__all__ = ["SKIP_TOLERANCE", "BcmTables", "TableData", "build_tables", "require_usable", "table_data"]
 
 SKIP_TOLERANCE = {"double": 1e-13, "float": 1e-6}
 """Bound on what skipping far cells may change, in signal deviations (mean) and signal variances."""
@@ -47,6 +48,9 @@ class BcmTables:
     reach : ndarray, shape (C,)
         Squared scaled distance from the reference beyond which a cell is skipped.
     skip_tolerance : float
+    robust : bool
+        Whether an expert counts by b = log(1/(1 - x))/2 (`rbcm`). The bound of `reach` holds all the more, since
+        b is below 1 where x is below a half.
 
     Notes
     -----
@@ -76,6 +80,7 @@ class BcmTables:
     weights: np.ndarray
     reach: np.ndarray
     skip_tolerance: float
+    robust: bool = False
 
     @property
     def cell_count(self) -> int:
@@ -99,7 +104,7 @@ class BcmTables:
 
     def digest(self) -> str:
         """Return the SHA-256 of every number in the tables."""
-        digest = hashlib.sha256(self.real.encode())
+        digest = hashlib.sha256((self.real + (" robust" if self.robust else "")).encode())
         for name in ("length_scales", "signal_variance", "noise_ratio", "trust", "offsets", "reference", "points"):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
         for name in ("eigenvectors", "gains", "weights", "reach"):
@@ -107,13 +112,66 @@ class BcmTables:
         return digest.hexdigest()
 
 
-def build_tables(training_set: TrainingSet, real: str = "double") -> BcmTables:
-    """Solve every cell once and return the tables.
+@dataclass(frozen=True)
+class TableData:
+    """Constants of a tricubic B-spline of mean and deviation; see `prediction.table`.
 
-    Parameters
+    Attributes
     ----------
-    training_set : TrainingSet
     real : {"double", "float"}
+        Precision the numbers are rounded to (they are stored as float64 all the same).
+    origin, spacing : ndarray, shape (3,)
+        Place of the first coefficient and distance of the nodes, in feature units.
+    coefficients : ndarray, shape (n0, n1, n2, 6)
+        Of the mean and of 1 - deviation/prior deviation; three layers of zeros on every side.
+    signal_variance, least : ndarray, shape (3,)
+        S0, and the smallest deviation as a share of the prior's.
+    trust : ndarray, shape (3,)
+        tau, the share of the correction that is applied.
+    error : mapping of str to float
+        Bound and measured errors of the spacing, as `prediction.table.TableError`.
+    """
+
+    real: str
+    origin: np.ndarray
+    spacing: np.ndarray
+    coefficients: np.ndarray
+    signal_variance: np.ndarray
+    least: np.ndarray
+    trust: np.ndarray
+    error: dict[str, float]
+
+    @property
+    def feature_count(self) -> int:
+        """D, always 3."""
+        return 3
+
+    def digest(self) -> str:
+        """Return the SHA-256 of every number in the table."""
+        digest = hashlib.sha256(self.real.encode())
+        for name in ("origin", "spacing", "coefficients", "signal_variance", "least", "trust"):
+            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        return digest.hexdigest()
+
+
+def table_data(table: TablePredictor, real: str = "double") -> TableData:
+    """Return a table's constants, rounded to `real`."""
+    precision = np.float32 if real == "float" else np.float64
+    spline, kernel = table.spline, table.training_set.kernel
+    reals = {
+        "origin": spline.origin,
+        "spacing": spline.spacing,
+        "coefficients": spline.coefficients,
+        "signal_variance": kernel.signal_variance,
+        "least": table.least,
+        "trust": table.training_set.trust.array,
+    }
+    rounded = {name: np.asarray(values).astype(precision).astype(float) for name, values in reals.items()}
+    return TableData(real=real, error=asdict(table.error), **rounded)
+
+
+def require_usable(training_set: TrainingSet) -> None:
+    """Refuse a set that holds nothing to export.
 
     Raises
     ------
@@ -127,6 +185,24 @@ def build_tables(training_set: TrainingSet, real: str = "double") -> BcmTables:
     for name in ("z", "y"):
         if not np.isfinite(getattr(training_set, name)).all():
             raise ExportError(f"the trained set holds non-finite {name}", advice="Run `split verify` on it.")
+
+
+def build_tables(training_set: TrainingSet, real: str = "double", robust: bool = False) -> BcmTables:
+    """Solve every cell once and return the committee's tables.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    real : {"double", "float"}
+    robust : bool
+        For `rbcm`.
+
+    Raises
+    ------
+    ExportError
+        If the set is empty or holds non-finite numbers.
+    """
+    require_usable(training_set)
     precision = np.float32 if real == "float" else np.float64
     kernel, offsets = training_set.kernel, np.asarray(training_set.offsets, dtype=np.int64)
     z, y = np.asarray(training_set.z, dtype=float), np.asarray(training_set.y, dtype=float)
@@ -166,7 +242,7 @@ def build_tables(training_set: TrainingSet, real: str = "double") -> BcmTables:
     rounded = {name: values.astype(precision).astype(float) for name, values in rounded.items()}
     # Rounded up, so that the bound survives the rounding.
     reach = np.nextafter(reach.astype(precision), precision(np.inf)).astype(float)
-    return BcmTables(real=real, offsets=offsets, reach=reach, skip_tolerance=tolerance, **rounded)
+    return BcmTables(real=real, offsets=offsets, reach=reach, skip_tolerance=tolerance, robust=robust, **rounded)
 
 
 def _reach(

@@ -14,11 +14,19 @@ import numpy as np
 from split_cli.errors import ExportError, nearest_names
 from split_cli.export.c99 import c_identifier, c_source, fill, memory_parts, template
 from split_cli.export.c_check import check_c, selftest_source
-from split_cli.export.casadi_function import CasadiFunctions, check_casadi, committee, generate_c, model_step
+from split_cli.export.casadi_function import (
+    CasadiFunctions,
+    check_casadi,
+    committee,
+    generate_c,
+    model_step,
+    spline_table,
+)
 from split_cli.export.casadi_memory import memory_functions
 from split_cli.export.check import Oracle, PredictionCheck, check_predictions, make_oracle
 from split_cli.export.compiler import Compiler, find_compiler
 from split_cli.export.documents import (
+    Document,
     document_answer,
     document_of,
     read_json,
@@ -33,9 +41,11 @@ from split_cli.export.memory_check import Drives, MemoryModel, roll_drives
 from split_cli.export.provenance import Provenance
 from split_cli.export.step_check import make_step_oracle, rk4_substeps
 from split_cli.export.symbolic import NominalGraph, build_nominal
-from split_cli.export.tables import BcmTables, build_tables
+from split_cli.export.tables import BcmTables, TableData, build_tables, require_usable, table_data
+from split_cli.export.validity import valid_function
 from split_cli.files import sha256_of_file
 from split_cli.learning.training_set import TrainingSet
+from split_cli.prediction.table import TablePredictor
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
@@ -51,7 +61,7 @@ __all__ = [
 ]
 
 TARGETS = ("c", "casadi", "npz", "json")
-PREDICTORS = ("bcm",)
+PREDICTORS = ("bcm", "rbcm", "table")
 MANIFEST = "manifest.json"
 MANIFEST_FORMAT = "split-export-manifest/1"
 CHECK_POINTS = 64
@@ -73,6 +83,8 @@ class ExportPlan:
         Size of the comparison with Python.
     step : float or None
         Interval of the discrete step that delays are kept for [s]; None for the set's label interval.
+    predictor : str
+        Of `PREDICTORS`.
     """
 
     targets: tuple[str, ...]
@@ -80,6 +92,7 @@ class ExportPlan:
     real: str = "double"
     queries: int = 10_000
     step: float | None = None
+    predictor: str = "bcm"
 
 
 @dataclass(frozen=True)
@@ -141,7 +154,7 @@ def plan_export(
         raise ExportError(f"{queries} queries verify nothing", advice="Use at least 100; 10000 is the default.")
     if step is not None and not 0.0 < step < np.inf:
         raise ExportError(f"a step of {step!r} s", advice="Give the controller's interval in seconds.")
-    return ExportPlan(tuple(dict.fromkeys(targets)), c_identifier(name), real, queries, step)
+    return ExportPlan(tuple(dict.fromkeys(targets)), c_identifier(name), real, queries, step, predictor)
 
 
 def write_export(
@@ -172,9 +185,14 @@ def write_export(
     graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features, step)
     if graph.memory is not None:
         provenance = replace(provenance, memory=graph.memory.told())
-    tables = build_tables(training_set)
+    require_usable(training_set)
+    table = None
+    if plan.predictor == "table":
+        say("filling the table")
+        table = TablePredictor(training_set)
+    tables = predictor_tables(training_set, plan.predictor, table)
     say(f"answering {plan.queries} queries in Python")
-    oracle = make_oracle(training_set, plan.queries)
+    oracle = make_oracle(training_set, plan.queries, predictor=plan.predictor, table=table)
     drives = _drives(graph, training_set, oracle)
     compiler = find_compiler()
     results = []
@@ -182,17 +200,25 @@ def write_export(
     for target in plan.targets:
         say(f"writing and verifying {target}")
         if target == "c":
-            results.append(_write_c(training_set, plan, provenance, graph, oracle, drives, compiler, folder))
+            if plan.real == "float":
+                oracle_c = make_oracle(training_set, plan.queries, "float", plan.predictor, table)
+            else:
+                oracle_c = oracle
+            constants = predictor_tables(training_set, plan.predictor, table, plan.real)
+            results.append(
+                _write_c(training_set, plan, provenance, graph, constants, oracle_c, drives, compiler, folder)
+            )
         elif target == "casadi":
-            functions = casadi_functions(tables, graph, plan.name, training_set.plain)
+            functions = casadi_functions(tables, graph, plan.name, training_set)
             results.append(_write_casadi(training_set, plan, graph, functions, oracle, compiler, folder))
         else:
-            result = _write_document(training_set, plan, provenance, oracle, target, folder, document_check)
+            document = document_of(training_set, provenance, table)
+            result = _write_document(document, plan, oracle, target, folder, document_check)
             # What reads back bit for bit predicts the same: npz and json share one comparison.
             document_check = result.check
             results.append(result)
     _write_check_points(oracle, drives, folder / f"{plan.name}_check.json")
-    manifest = _manifest(training_set, plan, provenance, tables.digest(), oracle, results, folder)
+    manifest = _manifest(training_set, plan, provenance, tables.digest(), oracle, table, results, folder)
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return tuple(results)
 
@@ -209,14 +235,14 @@ def _write_c(
     plan: ExportPlan,
     provenance: Provenance,
     graph: NominalGraph,
+    constants: BcmTables | TableData,
     oracle: Oracle,
     drives: Drives | None,
     compiler: Compiler | None,
     folder: Path,
 ) -> TargetResult:
-    if plan.real == "float":
-        oracle = make_oracle(training_set, plan.queries, "float")
-    source = c_source(build_tables(training_set, plan.real), graph, provenance, plan.name, training_set.plain)
+    valid = valid_function(training_set)
+    source = c_source(constants, graph, provenance, plan.name, valid, training_set.plain)
     written = {
         f"{plan.name}.h": source.header,
         f"{plan.name}.c": source.source,
@@ -238,11 +264,23 @@ def _write_c(
     )  # fmt: skip
 
 
-def casadi_functions(tables: BcmTables, graph: NominalGraph, name: str, plain: bool) -> CasadiFunctions:
-    """Return the committee and the model step as CasADi functions."""
-    predict = committee(tables, name)
-    step = model_step(predict, graph, f"{name}_step", plain)
-    return CasadiFunctions(predict, step, memory_functions(predict, graph, name))
+def predictor_tables(
+    training_set: TrainingSet, predictor: str, table: TablePredictor | None, real: str = "double"
+) -> BcmTables | TableData:
+    """Return the constants of a predictor, rounded to `real`; `table` is the table where it is one."""
+    if table is not None:
+        return table_data(table, real)
+    return build_tables(training_set, real, robust=predictor == "rbcm")
+
+
+def casadi_functions(
+    tables: BcmTables | TableData, graph: NominalGraph, name: str, training_set: TrainingSet
+) -> CasadiFunctions:
+    """Return the predictor, the model step and the valid region as CasADi functions."""
+    predict = (spline_table if isinstance(tables, TableData) else committee)(tables, name)
+    step = model_step(predict, graph, f"{name}_step", training_set.plain)
+    valid = valid_function(training_set, f"{name}_valid")
+    return CasadiFunctions(predict, step, memory_functions(predict, graph, name), valid)
 
 
 def acados_source(name: str, graph: NominalGraph, horizon: float) -> str:
@@ -271,6 +309,9 @@ def _write_casadi(
     check, step_error = check_casadi(functions, oracle, steps)
     written = [f"{plan.name}.casadi"]
     functions.predict.save(str(folder / written[0]))
+    if functions.valid is not None:
+        written.append(f"{functions.valid.name()}.casadi")
+        functions.valid.save(str(folder / written[-1]))
     if functions.step is not None:
         for function in (functions.step, *functions.memory):
             written.append(f"{function.name()}.casadi")
@@ -297,15 +338,13 @@ def _write_casadi(
 
 
 def _write_document(
-    training_set: TrainingSet,
+    document: Document,
     plan: ExportPlan,
-    provenance: Provenance,
     oracle: Oracle,
     target: str,
     folder: Path,
     check: PredictionCheck | None,
 ) -> TargetResult:
-    document = document_of(training_set, provenance)
     path = folder / f"{plan.name}.{target}"
     written = [path.name]
     if target == "npz":
@@ -346,6 +385,7 @@ def _manifest(
     provenance: Provenance,
     tables_digest: str,
     oracle: Oracle,
+    table: TablePredictor | None,
     results: Sequence[TargetResult],
     folder: Path,
 ) -> dict:
@@ -379,6 +419,7 @@ def _manifest(
         "trust": list(training_set.trust.share),
         "tables_sha256": tables_digest,
         "predictor_error": oracle.predictor_error,
+        **({"table": asdict(table.error)} if table is not None else {}),
         "verification": verification,
         "files": {name: sha256_of_file(folder / name) for name in files},
     }

@@ -27,6 +27,7 @@ from split_cli.export.compiler import find_compiler, section_bytes  # noqa: E402
 from split_cli.export.provenance import provenance_of  # noqa: E402
 from split_cli.export.symbolic import build_nominal  # noqa: E402
 from split_cli.export.tables import build_tables  # noqa: E402
+from split_cli.export.validity import valid_function  # noqa: E402
 from split_cli.prediction.bcm import BcmPredictor  # noqa: E402
 from split_cli.vehicle.single_track import SingleTrack  # noqa: E402
 from tests.factories import make_training_set  # noqa: E402
@@ -101,7 +102,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         for real in ("double", "float"):
-            source = c_source(build_tables(training_set, real), graph, provenance, "car")
+            constants, valid = build_tables(training_set, real), valid_function(training_set)
+            source = c_source(constants, graph, provenance, "car", valid)
             for flag in ("-O2", "-O3"):
                 driver = build_driver(source, folder, compiler, (flag,))
                 times = [min(driver.seconds_per_query(queries, j) for _ in range(REPEATS)) for j in (False, True)]

@@ -14,6 +14,7 @@ from split_cli.export.memory import Memory, exported_model
 from split_cli.export.provenance import provenance_of
 from split_cli.export.symbolic import NominalGraph, build_nominal
 from split_cli.export.tables import build_tables
+from split_cli.export.validity import valid_function
 from split_cli.learning.training_set import TrainingSet
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import EffectSpec
@@ -160,7 +161,7 @@ def build_library(
         training_set = replace(plain, vehicle=road_car(effects=effects))
         graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features, STEP)
         name = f"case{number}"
-        source = c_source(tables, graph, provenance_of(training_set, "bcm"), name)
+        source = c_source(tables, graph, provenance_of(training_set, "bcm"), name, valid_function(training_set))
         (folder / f"{name}.h").write_text(source.header)
         sources.append(folder / f"{name}.c")
         sources[-1].write_text(source.source)

@@ -13,8 +13,10 @@ from split_cli.export.c99 import CSource, c_source
 from split_cli.export.compiler import Compiler
 from split_cli.export.provenance import provenance_of
 from split_cli.export.symbolic import build_nominal
-from split_cli.export.tables import build_tables
+from split_cli.export.targets import predictor_tables
+from split_cli.export.validity import valid_function
 from split_cli.learning.training_set import TrainingSet
+from split_cli.prediction.table import TablePredictor
 from split_cli.vehicle.single_track import SingleTrack
 
 #: acados and blasfeo are not here: their few types and calls are stood in for.
@@ -34,11 +36,15 @@ static void blasfeo_pack_dmat(int m, int n, double *a, int lda, struct blasfeo_d
 """
 
 
-def source_of(training_set: TrainingSet, real: str = "double", name: str = "car") -> CSource:
+def source_of(
+    training_set: TrainingSet, real: str = "double", name: str = "car", predictor: str = "bcm"
+) -> CSource:
     """Return the exported C of a set."""
     graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features)
-    tables = build_tables(training_set, real)
-    return c_source(tables, graph, provenance_of(training_set, "bcm"), name, training_set.plain)
+    table = TablePredictor(training_set) if predictor == "table" else None
+    tables = predictor_tables(training_set, predictor, table, real)
+    provenance = provenance_of(training_set, predictor)
+    return c_source(tables, graph, provenance, name, valid_function(training_set), training_set.plain)
 
 
 def take_cells(training_set: TrainingSet, cells: int, points: int | None = None) -> TrainingSet:

@@ -67,8 +67,8 @@ def test_a_failed_check_leaves_the_old_export_whole(set_file, exported, monkeypa
     before = sha256_of_file(exported)
     right = targets.build_tables
 
-    def wrong(training_set, real="double"):
-        tables = right(training_set, real)
+    def wrong(training_set, real="double", **options):
+        tables = right(training_set, real, **options)
         return replace(tables, weights=tables.weights * (1.0 + 1e-9))
 
     monkeypatch.setattr(targets, "build_tables", wrong)

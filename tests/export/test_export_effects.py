@@ -30,7 +30,7 @@ from split_cli.export.verify import verify_folder
 from split_cli.files import sha256_of_file
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import Drive, write_drive
-from split_cli.prediction.bcm import BcmPredictor
+from split_cli.prediction import make_predictor
 from split_cli.scoring.application import inputs_along
 from split_cli.scoring.rollouts import Correction, roll_out
 from split_cli.vehicle.effects import CATALOGUE, Recording, build_terms
@@ -484,7 +484,7 @@ def test_a_corrected_vehicle_goes_from_training_to_the_controller(corrected, com
     training_set = read_set(folder / "car.split")
     model = SingleTrack(training_set.vehicle)
     z = training_set.features.compute(model, drive)
-    correction = Correction(training_set.features, z, BcmPredictor(training_set).mean)
+    correction = Correction(training_set.features, z, make_predictor("bcm", training_set).mean)
     starts = 501 * np.arange(0, 10, 2) + 100
     expected = roll_out(model, drive, starts, 15, WINDOW, correction)
     assert np.abs(expected - roll_out(model, drive, starts, 15, WINDOW)).max() > 0.01

@@ -1,0 +1,66 @@
+"""Where a trained model may be asked: the valid region of training as one loop-free function."""
+
+from __future__ import annotations
+
+import casadi
+import numpy as np
+
+from split_cli.learning.training_set import TrainingSet
+
+__all__ = ["is_valid", "valid_function"]
+
+
+def valid_function(training_set: TrainingSet, name: str = "valid") -> casadi.Function:
+    """Return z (D) to 1 where training would have accepted it, 0 elsewhere and for what is not a number.
+
+    A feature lies within its grid, or, where the grid has no bound, within the range of the points. For z2 the
+    slip angles, their difference and the force ellipse of both axles hold as well (`learning.region.Region`).
+    Speed is no feature of z2 and is left to the caller.
+    """
+    s = training_set
+    z = casadi.SX.sym("z", len(s.features.names))
+    lower, upper = _bounds(s)
+    conditions = [z[d] >= float(lower[d]) for d in range(len(lower))]
+    conditions += [z[d] <= float(upper[d]) for d in range(len(upper))]
+    if s.features.is_z2:
+        conditions += _region(s, z[0], z[1], z[2])
+    valid = conditions[0]
+    for condition in conditions[1:]:
+        valid = casadi.logic_and(valid, condition)
+    return casadi.Function(name, [z], [valid], ["z"], ["valid"])
+
+
+def is_valid(training_set: TrainingSet, z: np.ndarray) -> np.ndarray:
+    """Return what `valid_function` must answer, from the region's own NumPy, bool shape (N,)."""
+    s, region = training_set, training_set.region
+    lower, upper = _bounds(s)
+    with np.errstate(invalid="ignore", over="ignore"):
+        inside = ((z >= lower) & (z <= upper)).all(axis=1)
+        if s.features.is_z2:
+            inside &= region.inside_slip(z[:, 0], z[:, 1]) & region.inside_slip_difference(z[:, 0], z[:, 1])
+            inside &= region.inside_ellipse(s.vehicle, z[:, 0], z[:, 1], z[:, 2] * s.vehicle.max_torque)
+    return inside
+
+
+def _bounds(s: TrainingSet) -> tuple[np.ndarray, np.ndarray]:
+    lower, upper = np.array(s.grid.lower), np.array(s.grid.upper)
+    return (
+        np.where(np.isfinite(lower), lower, s.z.min(axis=0)),
+        np.where(np.isfinite(upper), upper, s.z.max(axis=0)),
+    )
+
+
+def _region(s: TrainingSet, front: casadi.SX, rear: casadi.SX, ratio: casadi.SX) -> list[casadi.SX]:
+    region, car = s.region, s.vehicle
+    conditions = [casadi.fabs(front) <= region.alpha_max, casadi.fabs(rear) <= region.alpha_max]
+    conditions.append(casadi.fabs(front - rear) <= region.dalpha_max)
+    torque = ratio * car.max_torque
+    kappa = casadi.if_else(torque < 0.0, car.brake_split_front, car.drive_split_front)
+    force = torque / car.wheel_radius
+    for tire, alpha, force_x in (
+        (car.front_tire, front, kappa * force - car.rolling_resistance_front),
+        (car.rear_tire, rear, (1.0 - kappa) * force - car.rolling_resistance_rear),
+    ):
+        force_y = tire.D * casadi.sin(tire.C * casadi.atan(tire.B * alpha))
+        conditions.append((region.p_long * force_x) ** 2 + force_y**2 <= (region.p_ellipse * tire.D) ** 2)
+    return conditions

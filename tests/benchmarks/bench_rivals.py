@@ -1,0 +1,474 @@
+"""Updates and queries of every predictor and of rivals on one stream, in one run: ratios, medians, tails.
+
+    python -m tests.benchmarks.bench_rivals [--sizes 100,1000,4151] [--length-scale 2] [--json F] [--stream F]
+
+One process, one thread, pinned to one processor; wall clock of every single call, 50th and 99th percentile, the
+median over repeats of the whole. Samples are spread over the valid region of the road car, their labels a smooth
+function with noise, so that truth is known; every contestant has the kernel that the labels were made for. Rivals
+that are not installed are left out and said so. `--stream` writes the samples and queries for programs that are
+measured beside this one.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import json  # noqa: E402
+import platform  # noqa: E402
+import subprocess  # noqa: E402
+import tempfile  # noqa: E402
+import time  # noqa: E402
+from collections.abc import Callable  # noqa: E402
+from dataclasses import asdict, dataclass  # noqa: E402
+from pathlib import Path  # noqa: E402
+
+import click  # noqa: E402
+import numpy as np  # noqa: E402
+
+from split_cli.export.c99 import c_source  # noqa: E402
+from split_cli.export.compiler import Compiler, find_compiler, section_bytes  # noqa: E402
+from split_cli.export.provenance import provenance_of  # noqa: E402
+from split_cli.export.symbolic import build_nominal  # noqa: E402
+from split_cli.export.targets import predictor_tables  # noqa: E402
+from split_cli.export.validity import valid_function  # noqa: E402
+from split_cli.learning.cells import learn  # noqa: E402
+from split_cli.learning.iol import Dictionary  # noqa: E402
+from split_cli.learning.reference import PrintedLearner  # noqa: E402
+from split_cli.learning.training_set import TrainingSet  # noqa: E402
+from split_cli.prediction import make_predictor  # noqa: E402
+from split_cli.prediction.table import TablePredictor  # noqa: E402
+from split_cli.vehicle.single_track import SingleTrack  # noqa: E402
+from tests.factories import make_labels, make_training_set, smooth_residual, valid_features  # noqa: E402
+
+NOISE = 0.1
+QUERIES = 400
+SLOW_QUERIES = 40
+
+_TIMER = """
+#include "@NAME@.h"
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+int main(int argc, char **argv)
+{
+    const long count = atol(argv[1]);
+    const int slopes = argc > 2 && atoi(argv[2]);
+    @NAME@_real *z = malloc((size_t)count * 3 * sizeof *z);
+    @NAME@_real out[15];
+    if (fread(z, sizeof *z, (size_t)count * 3, stdin) == 0) { return 1; }
+    for (int round = 0; round < 5; ++round) {
+        for (long k = 0; k < count; ++k) {
+            struct timespec a, b;
+            clock_gettime(CLOCK_MONOTONIC, &a);
+            @NAME@_evaluate(z + 3 * k, out, out + 3, slopes ? out + 6 : NULL);
+            clock_gettime(CLOCK_MONOTONIC, &b);
+            const double spent = 1e9 * (double)(b.tv_sec - a.tv_sec) + (double)(b.tv_nsec - a.tv_nsec);
+            printf("%.0f %.3g\\n", spent, (double)out[0]);
+        }
+    }
+    free(z);
+    return 0;
+}
+"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one contestant did at one size; times in microseconds, None where it has no such thing."""
+
+    name: str
+    size: int
+    points: int | None = None
+    build_s: float | None = None
+    update_p50: float | None = None
+    update_p99: float | None = None
+    query_p50: float | None = None
+    query_p99: float | None = None
+    jacobian_p50: float | None = None
+    jacobian_p99: float | None = None
+    rmse: float | None = None
+    nlpd: float | None = None
+    coverage_95: float | None = None
+    from_full: float | None = None
+    megabytes: float | None = None
+    code_kb: float | None = None
+    compile_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Samples in order and what is asked afterwards."""
+
+    z: np.ndarray
+    y: np.ndarray
+    queries: np.ndarray
+    truth: np.ndarray
+    trained: TrainingSet
+
+
+def stream_of(size: int, length_scale: float) -> Stream:
+    """Return `size` samples, the set SPLIT keeps of them, and queries with the truth."""
+    start = make_training_set(0, 50, length_scale_cells=length_scale, noise=NOISE)
+    z = valid_features(start.vehicle, start.region, size, seed=size)
+    rng = np.random.default_rng(size)
+    truth = smooth_residual(z)
+    y = truth + NOISE * rng.normal(size=truth.shape)
+    kernel = type(start.kernel)(start.kernel.length_scales, np.mean(truth**2, axis=0), np.full(3, NOISE**2))
+    # Room for all of them, as a set of that size has by its own settings.
+    capacity = 10 if size <= 10_000 else 60
+    trained = learn([make_labels(z, y, start.vehicle)], vehicle=start.vehicle, grid=start.grid, kernel=kernel,
+                    capacity=capacity)  # fmt: skip
+    queries = valid_features(start.vehicle, start.region, QUERIES, seed=7)
+    return Stream(z, y, queries, smooth_residual(queries), trained)
+
+
+def percentiles(times: list[float]) -> tuple[float, float]:
+    """Return the 50th and 99th percentile in microseconds."""
+    return float(np.percentile(times, 50) * 1e6), float(np.percentile(times, 99) * 1e6)
+
+
+def each(call: Callable, items: list) -> tuple[float, float]:
+    """Return percentiles of the time of a call over items."""
+    call(items[0])
+    times = []
+    for item in items:
+        begin = time.perf_counter()
+        call(item)
+        times.append(time.perf_counter() - begin)
+    return percentiles(times)
+
+
+def accuracy(mean: np.ndarray, variance: np.ndarray, stream: Stream, full: np.ndarray | None) -> dict:
+    """Return error, density and coverage against the truth, without label noise, and against the full GP."""
+    count = len(mean)
+    error = (mean - stream.truth[:count]) / np.sqrt(stream.trained.kernel.signal_variance)
+    spread = variance / stream.trained.kernel.signal_variance
+    found = {
+        "rmse": float(np.sqrt(np.mean(error**2))),
+        "nlpd": float(np.mean(0.5 * np.log(2.0 * np.pi * spread) + 0.5 * error**2 / spread)),
+        "coverage_95": float(np.mean(error**2 <= 3.841 * spread)),
+    }
+    if full is not None:
+        scale = np.sqrt(stream.trained.kernel.signal_variance)
+        found["from_full"] = float(np.sqrt(np.mean(((mean - full[:count]) / scale) ** 2)))
+    return found
+
+
+# ---- ours ------------------------------------------------------------------------------------------------------
+
+
+def our_update(stream: Stream) -> Row:
+    """Time every sample of the stream offered alone to the compiled update."""
+    from split_cli.learning._compiled import update_cells
+
+    s = stream.trained
+    numbers = s.grid.pack(s.grid.index(stream.z)[0])
+    _, cell = np.unique(numbers, return_inverse=True)
+    shape = (int(cell.max()) + 1, s.capacity)
+    group, order, state = np.array([0, 1]), np.zeros(1, dtype=np.int64), []
+    inverse_scales = 1.0 / s.kernel.length_scales
+    count = np.zeros(shape[0], dtype=np.int64)
+    state = [count, np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape), np.full(shape, -1, dtype=np.int64)]
+    times, outcome = [], []
+    for k in range(len(stream.z)):
+        given = (group, cell[k : k + 1].astype(np.int64), order, stream.z[k : k + 1], np.zeros(1))
+        begin = time.perf_counter()
+        found = update_cells(*given, inverse_scales, s.threshold, 0.0, *state)
+        times.append(time.perf_counter() - begin)
+        outcome.append(found[0][0])
+    return Row("split update (numba)", len(stream.z), s.size, None, *percentiles(times[10:]))
+
+
+def printed_update(stream: Stream) -> Row:
+    """Time the update as the paper prints it, one inversion a point."""
+    s = stream.trained
+    printed = PrintedLearner(s.kernel.length_scales, s.capacity, s.threshold)
+    numbers = s.grid.pack(s.grid.index(stream.z)[0]).tolist()
+    items = list(range(len(stream.z)))
+    p50, p99 = each(lambda k: printed.offer(k, numbers[k], stream.z[k]), items)
+    return Row("split update, as printed (NumPy)", len(stream.z), None, None, p50, p99)
+
+
+def iol_update(stream: Stream, capacity: int, full: np.ndarray) -> Row:
+    """Time the dictionary, and what a process on it predicts."""
+    s = stream.trained
+    dictionary = Dictionary(s.kernel, capacity, s.threshold)
+    items = list(range(len(stream.z)))
+    p50, p99 = each(lambda k: dictionary.offer(stream.z[k], stream.y[k]), items)
+    predictor = make_predictor("iol", s, capacity=capacity)
+    queries = [z[None] for z in stream.queries[:SLOW_QUERIES]]
+    asked = predictor.predict(stream.queries)
+    query = each(predictor.predict, queries)
+    jacobian = each(predictor.jacobian, queries)
+    found = accuracy(asked.mean, asked.variance, stream, full)
+    return Row(f"iol, {capacity} points", len(stream.z), len(dictionary), None, p50, p99, *query, *jacobian,
+               **found, megabytes=8e-6 * len(dictionary) ** 2)  # fmt: skip
+
+
+def python_predictor(name: str, stream: Stream, full: np.ndarray) -> Row:
+    """Time one of the predictors, asked one query at a time from Python."""
+    begin = time.perf_counter()
+    predictor = make_predictor(name, stream.trained)
+    predictor.predict(stream.queries[:1])
+    build = time.perf_counter() - begin
+    asked = predictor.predict(stream.queries)
+    quick = name in ("bcm", "rbcm", "table")
+    queries = [z[None] for z in stream.queries[: None if quick else SLOW_QUERIES]]
+    query, jacobian = each(predictor.predict, queries), each(predictor.jacobian, queries)
+    memory = predictor.nbytes / 1e6 if name == "table" else None
+    return Row(f"{name} (Python)", len(stream.z), stream.trained.size, build, None, None, *query, *jacobian,
+               **accuracy(asked.mean, asked.variance, stream, full), megabytes=memory)  # fmt: skip
+
+
+def exported(name: str, real: str, stream: Stream, table: TablePredictor, compiler: Compiler) -> Row:
+    """Time the exported C."""
+    s = stream.trained
+    graph = build_nominal(SingleTrack(s.vehicle), s.features)
+    tables = predictor_tables(s, name, table if name == "table" else None, real)
+    source = c_source(tables, graph, provenance_of(s, name), "car", valid_function(s))
+    dtype = np.float32 if real == "float" else np.float64
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        (folder / "car.h").write_text(source.header)
+        (folder / "car.c").write_text(source.source)
+        (folder / "timer.c").write_text(_TIMER.replace("@NAME@", "car"))
+        begin = time.perf_counter()
+        compiled = compiler.compile(folder / "car.c", folder, ["-std=gnu99", "-O3"])
+        seconds = time.perf_counter() - begin
+        compiler.build([compiled, folder / "timer.c"], folder / "timer", ["-std=gnu99", "-O2"])
+        measured = []
+        for slopes in ("0", "1"):
+            command = [str(folder / "timer"), str(len(stream.queries)), slopes]
+            given = np.ascontiguousarray(stream.queries, dtype=dtype).tobytes()
+            text = subprocess.run(command, input=given, capture_output=True, check=True).stdout.split()
+            measured += percentiles([1e-9 * float(t) for t in text[::2][len(stream.queries) :]])
+        sizes = section_bytes(compiled) or (0, 0)
+    return Row(f"{name} (C, {real})", len(stream.z), s.size, None, None, None, *measured,
+               megabytes=source.table_bytes / 1e6, code_kb=sizes[0] / 1e3, compile_s=seconds)  # fmt: skip
+
+
+# ---- rivals ----------------------------------------------------------------------------------------------------
+
+
+def scikit_learn(stream: Stream, full: np.ndarray) -> Row | None:
+    """Time scikit-learn's exact process, one an output."""
+    try:
+        from sklearn.gaussian_process import GaussianProcessRegressor
+        from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+    except ImportError:
+        return None
+    s, models = stream.trained, []
+    begin = time.perf_counter()
+    for output in range(3):
+        kernel = ConstantKernel(s.kernel.signal_variance[output]) * RBF(s.kernel.length_scales)
+        model = GaussianProcessRegressor(kernel, alpha=s.kernel.noise_variance[output], optimizer=None)
+        models.append(model.fit(s.z, s.y[:, output]))
+    build = time.perf_counter() - begin
+
+    def predict(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        mean, deviation = zip(*(model.predict(z, return_std=True) for model in models), strict=True)
+        return np.stack(mean, axis=1), np.stack(deviation, axis=1) ** 2
+
+    query = each(predict, [z[None] for z in stream.queries[:SLOW_QUERIES]])
+    found = accuracy(*predict(stream.queries), stream, full)
+    return Row("scikit-learn, exact", len(stream.z), s.size, build, None, None, *query, **found)
+
+
+def gpytorch_exact(stream: Stream, full: np.ndarray) -> list[Row]:
+    """Time GPyTorch's exact process, one batch of three outputs: cached, and each query after an update."""
+    try:
+        import gpytorch
+        import torch
+    except ImportError:
+        return []
+    torch.set_num_threads(1)
+    s = stream.trained
+    z, y = torch.tensor(s.z), torch.tensor(s.y.T.copy())
+
+    class Exact(gpytorch.models.ExactGP):
+        def __init__(self, x, targets, likelihood):
+            super().__init__(x, targets, likelihood)
+            batch = torch.Size([3])
+            self.mean_module = gpytorch.means.ZeroMean(batch_shape=batch)
+            self.covar_module = gpytorch.kernels.ScaleKernel(
+                gpytorch.kernels.RBFKernel(ard_num_dims=3, batch_shape=batch), batch_shape=batch
+            )
+
+        def forward(self, x):
+            return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
+
+    def fresh():
+        likelihood = gpytorch.likelihoods.GaussianLikelihood(batch_shape=torch.Size([3]))
+        model = Exact(z.expand(3, *z.shape), y, likelihood).double()
+        model.covar_module.outputscale = torch.tensor(s.kernel.signal_variance.copy())
+        model.covar_module.base_kernel.lengthscale = torch.tensor(s.kernel.length_scales.copy()).reshape(1, 1, 3)
+        likelihood.noise = torch.tensor(s.kernel.noise_variance.copy()).reshape(3, 1)
+        return model.eval()
+
+    def ask(model, at):
+        with torch.no_grad(), gpytorch.settings.fast_pred_var():
+            found = model(torch.tensor(at).expand(3, *at.shape))
+            return found.mean.numpy().T, found.variance.numpy().T
+
+    begin = time.perf_counter()
+    model = fresh()
+    ask(model, stream.queries[:1])
+    build = time.perf_counter() - begin
+    query = each(lambda at: ask(model, at), [q[None] for q in stream.queries[:SLOW_QUERIES]])
+    found = accuracy(*ask(model, stream.queries), stream, full)
+    rows = [Row("GPyTorch, exact", len(stream.z), s.size, build, None, None, *query, **found)]
+    few = 3 if s.size > 2000 else 8
+    anew = each(lambda at: ask(fresh(), at), [q[None] for q in stream.queries[:few]])
+    rows.append(Row("GPyTorch, update then predict", len(stream.z), s.size, None, None, None, *anew))
+    return rows
+
+
+def casadi_full(stream: Stream, compiler: Compiler) -> Row:
+    """Time the mean of the full process as C that CasADi writes, with its Jacobian."""
+    import casadi
+
+    s = stream.trained
+    weights = make_predictor("full", s).weights
+    z = casadi.MX.sym("z", 3)
+    squared = 0
+    for feature, scale in enumerate(s.kernel.length_scales):
+        squared = squared + (z[feature] / scale - casadi.DM(s.z[:, feature] / scale)) ** 2
+    mean = casadi.mtimes(casadi.DM(weights.T), casadi.exp(-0.5 * squared))
+    both = casadi.Function("full", [z], [mean, casadi.jacobian(mean, z)])
+    with tempfile.TemporaryDirectory() as scratch:
+        here = Path.cwd()
+        os.chdir(scratch)
+        try:
+            both.generate("full.c")
+        finally:
+            os.chdir(here)
+        begin = time.perf_counter()
+        compiler.build([Path(scratch) / "full.c"], Path(scratch) / "full.so", ["-O2", "-shared", "-fPIC"])
+        seconds = time.perf_counter() - begin
+        function = casadi.external("full", str(Path(scratch) / "full.so"))
+        buffer, evaluate = function.buffer()
+        asked, answer, slope = np.zeros(3), np.zeros(3), np.zeros((3, 3))
+        buffer.set_arg(0, memoryview(asked))
+        buffer.set_res(0, memoryview(answer))
+        buffer.set_res(1, memoryview(slope))
+
+        def call(at: np.ndarray) -> None:
+            asked[:] = at
+            evaluate()
+
+        times = each(call, list(stream.queries))
+        size = (Path(scratch) / "full.c").stat().st_size / 1e6
+    name = "full GP, CasADi's C, mean and Jacobian"
+    return Row(name, len(stream.z), s.size, None, None, None, None, None, *times,
+               megabytes=size, compile_s=seconds)  # fmt: skip
+
+
+def measure(size: int, length_scale: float, repeats: int, compiler: Compiler | None) -> list[Row]:
+    """Return the rows of one size; every contestant `repeats` times, the median taken of each figure."""
+    stream = stream_of(size, length_scale)
+    dense = stream.trained.size <= 6000
+    full = make_predictor("full", stream.trained).mean(stream.queries) if dense else None
+    begin = time.perf_counter()
+    table = TablePredictor(stream.trained)
+    build = time.perf_counter() - begin
+    rows: list[list[Row]] = []
+    for _ in range(repeats):
+        found = [our_update(stream)]
+        if size <= 5000:
+            found.append(printed_update(stream))
+        if size <= 5000:
+            found.append(iol_update(stream, 300, full))
+        names = ["bcm", "rbcm"] + (["full", "weights", "local", "grbcm"] if dense else [])
+        found += [python_predictor(name, stream, full) for name in names]
+        asked = table.predict(stream.queries)
+        singles = [q[None] for q in stream.queries]
+        times = (*each(table.predict, singles), *each(table.jacobian, singles))
+        found.append(Row("table (Python)", size, stream.trained.size, build, None, None, *times,
+                         **accuracy(asked.mean, asked.variance, stream, full),
+                         megabytes=table.nbytes / 1e6))  # fmt: skip
+        if compiler is not None:
+            for name, real in (("bcm", "double"), ("rbcm", "double"), ("table", "double"), ("table", "float")):
+                found.append(exported(name, real, stream, table, compiler))
+            if size <= 1000:
+                found.append(casadi_full(stream, compiler))
+        if dense:
+            found += [row for row in (scikit_learn(stream, full), *gpytorch_exact(stream, full)) if row]
+        rows.append(found)
+    return [_median(list(same)) for same in zip(*rows, strict=True)]
+
+
+def _median(rows: list[Row]) -> Row:
+    def of(name: str) -> object:
+        values = [getattr(row, name) for row in rows]
+        return values[0] if not isinstance(values[0], float) else float(np.median(values))
+
+    return Row(**{name: of(name) for name in asdict(rows[0])})
+
+
+def machine() -> dict:
+    """Return what the figures were measured on."""
+    model = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        pass
+    return {"processor": model, "processors": os.cpu_count(), "load": os.getloadavg()[0],
+            "python": platform.python_version(), "numpy": np.__version__}  # fmt: skip
+
+
+def table_text(rows: list[Row]) -> str:
+    """Return the rows as a Markdown table; ratios are to the plain committee in C of the same size."""
+    def cell(value: object) -> str:
+        return "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+
+    base = {row.size: row.query_p50 for row in rows if row.name == "bcm (C, double)"}
+    lines = [
+        "| size | contestant | update p50/p99 us | query p50/p99 us | over bcm in C | with Jacobian p50/p99 us "
+        "| RMSE | from full | NLPD | in 95 % | MB | build s |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        ratio = row.query_p50 / base[row.size] if row.query_p50 and base.get(row.size) else None
+        pairs = [
+            "/".join(cell(v) for v in pair) if pair[0] is not None else ""
+            for pair in ((row.update_p50, row.update_p99), (row.query_p50, row.query_p99),
+                         (row.jacobian_p50, row.jacobian_p99))
+        ]  # fmt: skip
+        parts = [str(row.size), row.name, pairs[0], pairs[1], cell(ratio), pairs[2], cell(row.rmse),
+                 cell(row.from_full), cell(row.nlpd), cell(row.coverage_95), cell(row.megabytes),
+                 cell(row.build_s)]  # fmt: skip
+        lines.append("| " + " | ".join(parts) + " |")
+    return "\n".join(lines)
+
+
+@click.command()
+@click.option("--sizes", default="100,1000,4151", show_default=True, help="Samples of the stream.")
+@click.option("--length-scale", default=2.0, show_default=True, help="In cells.")
+@click.option("--repeats", default=3, show_default=True)
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Rows and machine.")
+@click.option("--stream", "stream_path", type=click.Path(path_type=Path), help="Samples and queries, npz.")
+def main(sizes: str, length_scale: float, repeats: int, json_path: Path | None, stream_path: Path | None) -> None:
+    """Print the table."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    compiler = find_compiler()
+    rows: list[Row] = []
+    for size in (int(part) for part in sizes.split(",")):
+        if stream_path is not None:
+            s = stream_of(size, length_scale)
+            np.savez(stream_path, z=s.z, y=s.y, queries=s.queries, truth=s.truth, kept_z=s.trained.z,
+                     kept_y=s.trained.y, **{k: getattr(s.trained.kernel, k) for k in
+                     ("length_scales", "signal_variance", "noise_variance")})  # fmt: skip
+        rows += measure(size, length_scale, repeats, compiler)
+        if json_path is not None:
+            json_path.write_text(json.dumps({"machine": machine(), "rows": [asdict(r) for r in rows]}, indent=1))
+    click.echo(json.dumps(machine()))
+    click.echo(table_text(rows))
+
+
+if __name__ == "__main__":
+    main()
