@@ -234,7 +234,7 @@ _SUFFIXES = {
         "bar", "kPa", "psi", "pct", "ns", "us", "sec", "mm",
     )
 } | {"m_s": "m/s", "m_s2": "m/s2", "km_h": "km/h", "rad_s": "rad/s", "deg_s": "deg/s"}  # fmt: skip
-_SUFFIX_UNITS = {suffix.lower(): find_unit(symbol) for suffix, symbol in _SUFFIXES.items()}
+_SUFFIX_UNITS = {suffix.lower(): unit for suffix, symbol in _SUFFIXES.items() if (unit := find_unit(symbol))}
 # The longest first: deg_s before s, mps2 before any shorter one.
 _SUFFIX_ORDER = sorted(_SUFFIX_UNITS, key=len, reverse=True)
 # _ms is milliseconds on a time and metres a second on a speed, so the name must say which.

@@ -516,7 +516,7 @@ class Policy:
 STANDARD = Policy()
 
 
-def deciding_numbers(policy: Policy = STANDARD) -> Iterator[tuple[str, Field, float]]:
+def deciding_numbers(policy: Policy = STANDARD) -> Iterator[tuple[str, Field[Any], float]]:
     """Yield the group, the field (its metadata hold unit, meaning and origin) and the value of every number."""
     for group in fields(policy):
         numbers = getattr(policy, group.name)

@@ -53,7 +53,7 @@ class MultiBody:
 
     @property
     def mass(self) -> float:
-        """[kg]"""
+        """Mass [kg]."""
         return float(self.parameters.m)
 
 

@@ -78,8 +78,9 @@ class SelfTest:
         )
 
     def misfit_of(self, gap: FlexibleFit, policy: Policy = STANDARD) -> float:
-        """Return by how much misfit widens what a term saves by chance: as between the halves, but by no more than
-        reality itself shows, whose difference may hold misfit and nothing else.
+        """Return the variance inflation factor by model-form error: that between the halves, within limits.
+
+        It is no more than reality itself shows, whose difference may hold model-form error and nothing else.
         """
         return policy.self_test.term_margin * min(self.ratio, gap.saved / max(gap.freedom, 1.0))
 
