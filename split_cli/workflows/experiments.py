@@ -79,7 +79,9 @@ _SEEDS = (0, 1, 2)
 
 
 def _race(group: str, model: str, learner: str, seed: int, vehicle: str = "gentle", **options) -> Experiment:
-    tuned = _careful(TUNED["nominal" if learner == "none" else "split"], options.get("grip", 1.0))
+    # On the long course every controller takes the nominal one's settings: see the page.
+    own = "nominal" if learner == "none" or group == "handling" else "split"
+    tuned = _careful(TUNED[own], options.get("grip", 1.0))
     settings = RaceSettings(learner=learner, seed=seed, max_torque=1000.0, settings=tuned, **options)
     return Experiment(f"{group}-{model.replace(' ', '-')}-{seed}", group, model, settings, vehicle)
 
@@ -98,7 +100,7 @@ def _races() -> list[Experiment]:
             laps = 2 if learner == "none" else 4
             found.append(_race("small", model, learner, seed, track="small", max_speed=22.0, laps=laps))
     for model, learner in models:
-        laps = {"none": 1, "iol": 3, "split": 4}[learner]
+        laps = {"none": 1, "iol": 3, "split": 3}[learner]
         found.append(_race("handling", model, learner, 0, track="handling", laps=laps))
     for model, learner in (("nominal", "none"), ("split", "split")):
         laps = 1 if learner == "none" else 3
@@ -121,7 +123,7 @@ def _races() -> list[Experiment]:
 
 _SWEEPS = {
     ("iso3888-1", 1.0): (14, 18, 19, 20, 21, 22, 23, 24, 25, 26),
-    ("iso3888-1", 0.5): (8, 10, 11, 12, 13, 14, 15, 16),
+    ("iso3888-1", 0.5): (12, 8, 10, 11, 11.5, 12.5, 13, 13.5, 14),
     ("iso3888-2", 1.0): (10, 11, 11.5, 12, 12.5, 13, 13.5, 14),
     ("iso3888-2", 0.5): (6, 7, 7.5, 8, 8.5, 9, 9.5, 10),
     ("brake-avoid", 1.0): (14, 14.5, 15, 15.5, 16, 17),

@@ -1,0 +1,66 @@
+"""The plan of the experiments hangs together, and its page is filled from what was kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.errors import SplitError
+from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.experiments import PLAN
+from split_cli.workflows.experiments_page import fill_page, tables
+from split_cli.workflows.maneuver import ManeuverSettings
+
+
+def lap(number: int, time: float | None, outside: float = 0.0) -> dict:
+    return {
+        "number": number, "time": time, "outside": outside, "mean_speed": 16.0, "max_lateral": 0.85, "updates": 4,
+        "size": 3, "cells": 2, "error_before": [0.4, 0.5, 0.3], "error_after": [0.4, 0.25, 0.1], "failures": 0,
+        "solver_ms": [5.0, 9.0, 10.0], "step_ms": [8.0, 12.0, 15.0], "update_ms": [1.0, 2.0, 3.0],
+    }  # fmt: skip
+
+
+def result(name: str, model: str, laps: list[dict]) -> dict:
+    told = {"name": name, "group": "small", "model": model, "settings": {"seed": 0}}
+    trace = np.zeros((20, 13))
+    trace[:, 1], trace[:, 5] = np.arange(20), 10.0
+    traces = {f"lap{one['number']}": trace for one in laps}
+    return told | {"result": {"laps": laps, "length": 20.0}, "traces": traces}
+
+
+def test_every_start_set_is_written_by_an_experiment_before_it():
+    written = []
+    for experiment in PLAN.experiments:
+        settings = experiment.settings
+        if isinstance(settings, ManeuverSettings):
+            if settings.start_set is not None:
+                assert settings.start_set in written
+            elif settings.scenario == "iso3888-1":
+                written.append(experiment.name)
+        elif settings.learner != "none":
+            written.append(experiment.name)
+    names = [experiment.name for experiment in PLAN.experiments]
+    assert len(set(names)) == len(names)
+    with pytest.raises(SplitError, match="no experiment begins with"):
+        PLAN.chosen(("smal-nominal",))
+
+
+def test_a_lap_off_the_track_does_not_count_and_the_page_is_filled(tmp_path, sample_logs):
+    races = {
+        "a": result("a", "nominal", [lap(0, 38.0, 0.5), lap(1, 40.0), lap(2, None)]),
+        "b": result("b", "split", [lap(0, 40.0), lap(1, 36.0)]),
+    }
+    made = tables(races)
+    assert "| nominal | 0 | 40.00 | 0.0 | 1 of 3 |" in made["gain-small"]
+    assert "| split | 0 | 36.00 | 10.0 | 2 of 2 |" in made["gain-small"]
+    assert "0.50 | 16.00" in made["laps-small"] and "not finished" in made["laps-small"]
+    assert "1.00 / 0.50 / 0.33" in made["laps-small"]
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- table: gain-small -->\nold\n<!-- end -->\nafter\n")
+    figures = fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))
+    text = page.read_text()
+    assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text and "36.00" in text
+    assert all((tmp_path / "figures" / name).stat().st_size > 5000 for name in figures) and len(figures) == 3
+    page.write_text("<!-- table: nothing -->\n<!-- end -->\n")
+    with pytest.raises(SplitError, match="nothing"):
+        fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))
