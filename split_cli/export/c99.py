@@ -145,6 +145,7 @@ def c_source(
         "VERSION": provenance.version,
         "TRUST": ", ".join(f"{value:g}" for value in tables.trust.tolist()),
         "LOW_SPEED": f"{graph.low_speed:g}",
+        "DOUBT": ", ".join(f"{value:g}" for value in tables.doubt.tolist()),
         "TABLES": table_text,
         "PLACE_TIME": f", {name}_real t, {name}_real s" if graph.needs_place_and_time else "",
         "RESIDUAL": "h g(z)" if plain else "h Phi g(z)",
@@ -339,6 +340,7 @@ def _tables(tables: BcmTables) -> tuple[str, int]:
         "signal_variance[OUTPUTS]": tables.signal_variance,
         "noise_ratio[OUTPUTS]": tables.noise_ratio,
         "trust[OUTPUTS]": tables.trust,
+        "doubt[OUTPUTS]": tables.doubt,
         "reference[CELLS * DIMENSION]": tables.reference,
         "reach[CELLS]": tables.reach,
         "points[POINTS * DIMENSION]": tables.points,
@@ -376,6 +378,7 @@ def _spline(tables: TableData) -> tuple[str, int]:
         "signal_variance[OUTPUTS]": tables.signal_variance,
         "least[OUTPUTS]": tables.least,
         "trust[OUTPUTS]": tables.trust,
+        "doubt[OUTPUTS]": tables.doubt,
         "coefficients[N0 * N1 * N2 * WIDTH]": tables.coefficients,
     }
     size, parts = 0, [_macros(real)]

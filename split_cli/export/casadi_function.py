@@ -91,10 +91,9 @@ def committee(tables: BcmTables, name: str) -> casadi.Function:
         precision = 1.0 + casadi.dot(q, share)
         # CasADi drops what is multiplied by zero, and with it the answer to a query that is not a number.
         learned, trust = casadi.dot(m, share) / precision, max(float(tables.trust[output]), 1e-300)
-        prior = float(tables.signal_variance[output])
         mean.append(trust * learned)
-        # What is not trusted returns to the prior.
-        variance.append(trust * prior / precision + (1.0 - trust) * (prior + trust * learned**2))
+        certain = max(trust**2, 1e-300) * float(tables.signal_variance[output])
+        variance.append(certain / precision + float(tables.doubt[output]))
     outputs = [casadi.vertcat(*mean), casadi.vertcat(*variance)]
     return casadi.Function(name, [z], outputs, ["z"], ["mean", "variance"])
 
@@ -128,9 +127,8 @@ def spline_table(tables: TableData, name: str) -> casadi.Function:
     unknown = casadi.if_else(known, 0.0, np.nan)
     learned = value[:3] + unknown
     left = casadi.fmin(casadi.fmax(1.0 - value[3:], casadi.DM(tables.least)), 1.0)
-    trust, prior = casadi.DM(tables.trust), casadi.DM(tables.signal_variance)
-    # What is not trusted returns to the prior.
-    variance = trust * prior * left**2 + (1.0 - trust) * (prior + trust * learned**2) + unknown
+    trust, certain = casadi.DM(tables.trust), casadi.DM(tables.trust**2 * tables.signal_variance)
+    variance = certain * left**2 + casadi.DM(tables.doubt) + unknown
     outputs = [trust * learned + unknown, variance]
     return casadi.Function(name, [z], outputs, ["z"], ["mean", "variance"])
 

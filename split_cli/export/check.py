@@ -258,7 +258,8 @@ def _check_not_finite(answer: Answer, oracle: Oracle, what: str) -> None:
     for feature in range(width):
         spoiled[3 * feature : 3 * feature + 3, feature] = (np.nan, np.inf, -np.inf)
     mean, variance = answer.predict(spoiled)
-    prior = oracle.reference.training_set.kernel.signal_variance
+    trust, signal = oracle.reference.training_set.trust, oracle.reference.training_set.kernel.signal_variance
+    prior = trust.apply(np.zeros(3), signal, signal)[1]
     is_nan = np.isnan(spoiled).any(axis=1)
     good = np.isnan(mean[is_nan]).all() and np.isnan(variance[is_nan]).all()
     good &= (mean[~is_nan] == 0.0).all() and np.allclose(variance[~is_nan], prior, rtol=1e-6, atol=0.0)

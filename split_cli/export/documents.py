@@ -36,6 +36,7 @@ __all__ = [
 DOCUMENT_FORMAT = "split-export/2"
 ARRAYS = (
     "cell_numbers", "offsets", "z", "y", "gamma", "length_scales", "signal_variance", "noise_variance", "trust",
+    "doubt",
 )  # fmt: skip
 #: What a table adds.
 TABLE_ARRAYS = ("origin", "spacing", "least", "coefficients")
@@ -48,7 +49,7 @@ class Document:
     Attributes
     ----------
     arrays : dict of str to ndarray
-        `ARRAYS`: cells and points as in `TrainingSet`, the kernel's hyperparameters, and the trust an output.
+        `ARRAYS`: cells and points as in `TrainingSet`, the kernel's hyperparameters, trust and doubt an output.
     metadata : dict
         Format, provenance, conventions, grid, region.
     """
@@ -77,6 +78,7 @@ def document_of(
         "signal_variance": kernel.signal_variance,
         "noise_variance": kernel.noise_variance,
         "trust": training_set.trust.array,
+        "doubt": training_set.trust.doubts(kernel.signal_variance),
     }
     grid, region = training_set.grid, training_set.region
     metadata = {
@@ -177,6 +179,7 @@ def _checked(document: Document, path: Path) -> Document:
         fits and a["z"].shape == (points, width) and a["y"].shape == (points, 3) and a["gamma"].shape == (points,)
     )
     fits = fits and a["signal_variance"].shape == a["noise_variance"].shape == a["trust"].shape == (3,)
+    fits = fits and a["doubt"].shape == (3,)
     fits = fits and a["offsets"].shape == (cells + 1,) and a["offsets"][0] == 0 and a["offsets"][-1] == points
     if not (fits and (np.diff(a["offsets"]) > 0).all()):
         raise ExportError(f"is not a whole export of format {DOCUMENT_FORMAT}", where=str(path))
@@ -232,8 +235,7 @@ def document_answer(document: Document) -> Answer:
 def _trusted(
     a: dict[str, np.ndarray], mean: np.ndarray, variance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    trust, prior = a["trust"], a["signal_variance"]
-    return trust * mean, trust * variance + (1.0 - trust) * (prior + trust * mean**2)
+    return a["trust"] * mean, a["trust"] ** 2 * variance + a["doubt"]
 
 
 def _table_answer(a: dict[str, np.ndarray], z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

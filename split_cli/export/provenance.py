@@ -21,8 +21,7 @@ CONVENTIONS = {
     "torque": "T is the total torque at the wheels, driving positive [N m]; torque_ratio = T/max_torque",
     "state": "x = [X, Y, yaw, v_x, v_y, r, T, delta], input u = [dT/dt, ddelta/dt]",
     "outputs": "g(z) = residual of [v_x' m/s^2, v_y' m/s^2, r' rad/s^2]; latent variance, without label noise",
-    "trust": "of an output with trust tau, mean m and variance v become tau m and "
-    "tau v + (1 - tau) (S0 + tau m^2), S0 the signal variance",
+    "trust": "of an output with trust tau and doubt w, mean m and variance v become tau m and tau^2 v + w",
     "prediction": "x(t + h) = f_h(x, u) + h B Phi g(z), Phi = (1/h) int_0^h exp(A s) ds, A the nominal velocity "
     "Jacobian, B selecting v_x, v_y, r",
     "not_a_number": "a query that is not a number gives not-a-number; an infinite one gives the prior",
@@ -92,6 +91,7 @@ def content_digest(training_set: TrainingSet) -> str:
     kernel = training_set.kernel
     arrays = (training_set.cell_numbers, training_set.offsets, training_set.z, training_set.y)
     known = (kernel.length_scales, kernel.signal_variance, kernel.noise_variance, training_set.trust.array)
+    known = (*known, training_set.trust.doubts(kernel.signal_variance))
     for array in (*arrays, *known):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

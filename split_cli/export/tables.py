@@ -33,6 +33,8 @@ class BcmTables:
         rho = s^2/S0.
     trust : ndarray, shape (3,)
         tau, the share of the correction that is applied.
+    doubt : ndarray, shape (3,)
+        w, the variance of what is not trusted: tau^2 times the committee's variance and w are answered.
     offsets : ndarray of int64, shape (C + 1,)
         Points of cell c are rows ``offsets[c]:offsets[c + 1]``.
     reference : ndarray, shape (C, D)
@@ -72,6 +74,7 @@ class BcmTables:
     signal_variance: np.ndarray
     noise_ratio: np.ndarray
     trust: np.ndarray
+    doubt: np.ndarray
     offsets: np.ndarray
     reference: np.ndarray
     points: np.ndarray
@@ -105,9 +108,9 @@ class BcmTables:
     def digest(self) -> str:
         """Return the SHA-256 of every number in the tables."""
         digest = hashlib.sha256((self.real + (" robust" if self.robust else "")).encode())
-        for name in ("length_scales", "signal_variance", "noise_ratio", "trust", "offsets", "reference", "points"):
+        for name in ("length_scales", "signal_variance", "noise_ratio", "trust", "doubt", "offsets", "reference"):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
-        for name in ("eigenvectors", "gains", "weights", "reach"):
+        for name in ("points", "eigenvectors", "gains", "weights", "reach"):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
         return digest.hexdigest()
 
@@ -128,6 +131,8 @@ class TableData:
         S0, and the smallest deviation as a share of the prior's.
     trust : ndarray, shape (3,)
         tau, the share of the correction that is applied.
+    doubt : ndarray, shape (3,)
+        w, the variance of what is not trusted.
     error : mapping of str to float
         Bound and measured errors of the spacing, as `prediction.table.TableError`.
     """
@@ -139,6 +144,7 @@ class TableData:
     signal_variance: np.ndarray
     least: np.ndarray
     trust: np.ndarray
+    doubt: np.ndarray
     error: dict[str, float]
 
     @property
@@ -149,7 +155,7 @@ class TableData:
     def digest(self) -> str:
         """Return the SHA-256 of every number in the table."""
         digest = hashlib.sha256(self.real.encode())
-        for name in ("origin", "spacing", "coefficients", "signal_variance", "least", "trust"):
+        for name in ("origin", "spacing", "coefficients", "signal_variance", "least", "trust", "doubt"):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
         return digest.hexdigest()
 
@@ -165,6 +171,7 @@ def table_data(table: TablePredictor, real: str = "double") -> TableData:
         "signal_variance": kernel.signal_variance,
         "least": table.least,
         "trust": table.training_set.trust.array,
+        "doubt": table.training_set.trust.doubts(kernel.signal_variance),
     }
     rounded = {name: np.asarray(values).astype(precision).astype(float) for name, values in reals.items()}
     return TableData(real=real, error=asdict(table.error), **rounded)
@@ -233,6 +240,7 @@ def build_tables(training_set: TrainingSet, real: str = "double", robust: bool =
         "signal_variance": kernel.signal_variance,
         "noise_ratio": ratio,
         "trust": training_set.trust.array,
+        "doubt": training_set.trust.doubts(kernel.signal_variance),
         "reference": reference,
         "points": points,
         "eigenvectors": np.concatenate(eigenvectors),

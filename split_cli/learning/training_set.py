@@ -352,7 +352,11 @@ def _describe(training_set: TrainingSet) -> dict:
         },
         "horizon": s.horizon,
         "plain": s.plain,
-        "trust": {**asdict(s.trust), "share": list(s.trust.share)},
+        "trust": {
+            **asdict(s.trust),
+            "share": list(s.trust.share),
+            "doubt": None if s.trust.doubt is None else list(s.trust.doubt),
+        },
         "capacity": s.capacity,
         "threshold": s.threshold,
         "forgetting": s.forgetting,

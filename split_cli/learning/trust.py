@@ -26,17 +26,22 @@ class Trust:
         that, and the whole correction is applied.
     blocks : int
         Held-out blocks of time that the share was found on.
+    doubt : tuple of float or None
+        Variance of what remains wrong beyond the process's own and the label noise, measured on held-out blocks
+        [m^2/s^4, m^2/s^4, rad^2/s^4]; None where it was not measured.
 
     Notes
     -----
-    The residual is taken to be the learned one with probability tau, and a draw from the prior N(0, S0) otherwise.
-    With m and v the mean and the latent variance of the process, the mixture's moments are
-    tau m and tau v + (1 - tau) S0 + tau (1 - tau) m^2: what is not trusted returns to the prior.
+    With m and v the mean and the latent variance of the process, what is believed is tau m, with the variance
+    tau^2 v + w. The doubt w is what held-out driving shows to be missing, different driving included. Where it was
+    not measured it is (1 - tau^2) S0: the residual is taken as tau times the learned one plus sqrt(1 - tau^2)
+    times another draw from the prior, so that away from the data the prior's variance S0 returns.
     """
 
     share: tuple[float, float, float]
     origin: str = "full"
     blocks: int = 0
+    doubt: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         share = tuple(float(value) for value in self.share)
@@ -45,6 +50,11 @@ class Trust:
         if self.origin not in ORIGINS:
             raise ValueError(f"the origin of trust is {self.origin!r}, one of {', '.join(ORIGINS)} was expected")
         object.__setattr__(self, "share", share)
+        if self.doubt is not None:
+            doubt = tuple(float(value) for value in self.doubt)
+            if len(doubt) != len(OUTPUTS) or not all(0.0 <= value < np.inf for value in doubt):
+                raise ValueError(f"the doubt is {self.doubt}, three variances were expected")
+            object.__setattr__(self, "doubt", doubt)
 
     @classmethod
     def full(cls) -> Trust:
@@ -59,7 +69,7 @@ class Trust:
     @property
     def is_full(self) -> bool:
         """Whether every output is trusted fully, so that nothing changes."""
-        return self.share == (1.0, 1.0, 1.0)
+        return self.share == (1.0, 1.0, 1.0) and not any(self.doubt or ())
 
     def apply(
         self, mean: np.ndarray, variance: np.ndarray, signal_variance: np.ndarray
@@ -74,8 +84,11 @@ class Trust:
             S0, the prior's.
         """
         share = self.array
-        doubt = (1.0 - share) * (signal_variance + share * np.square(mean))
-        return share * mean, share * variance + doubt
+        return share * mean, share * share * variance + self.doubts(signal_variance)
+
+    def doubts(self, signal_variance: np.ndarray) -> np.ndarray:
+        """Return the variance w of each output, shape (3,), given the prior's."""
+        return np.array(self.doubt) if self.doubt is not None else (1.0 - self.array**2) * signal_variance
 
     def words(self) -> str:
         """Return the trust for a reader, for example ``v_x 0.52, v_y 0.60, r 1 (found on 20 held-out blocks)``."""

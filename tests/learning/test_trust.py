@@ -16,26 +16,35 @@ from tests.factories import make_training_set
 SIGNAL = np.array([0.5, 2.0, 0.1])
 
 
-def test_mean_and_variance_are_those_of_the_mixture():
-    """Drawn a million times: from the posterior with probability tau, from the prior otherwise."""
+def test_mean_and_variance_are_those_of_the_shrunk_process():
+    """Drawn a million times: tau of the posterior, and sqrt(1 - tau^2) of an independent draw from the prior."""
     trust, rng, draws = Trust((0.3, 0.8, 0.5)), np.random.default_rng(0), 1_000_000
     mean, variance = np.array([[0.7, -2.0, 0.2]]), np.array([[0.1, 0.4, 0.02]])
-    believed = rng.random((draws, 3)) < trust.array
+    tau = trust.array
     learned = mean + np.sqrt(variance) * rng.standard_normal((draws, 3))
-    sample = np.where(believed, learned, np.sqrt(SIGNAL) * rng.standard_normal((draws, 3)))
+    sample = tau * learned + np.sqrt((1.0 - tau**2) * SIGNAL) * rng.standard_normal((draws, 3))
     m, v = trust.apply(mean, variance, SIGNAL)
-    # Five standard errors of a mean, and of a variance with at most the kurtosis of a two-component mixture.
+    # Five standard errors of a mean, and some of a variance.
     assert np.all(np.abs(m[0] - sample.mean(axis=0)) < 5.0 * np.sqrt(v[0] / draws))
     np.testing.assert_allclose(v[0], sample.var(axis=0), rtol=0.01)
 
 
-def test_full_trust_changes_no_bit_and_none_leaves_the_prior():
+def test_full_trust_changes_no_bit_none_leaves_the_prior_and_a_measured_doubt_is_added():
     rng = np.random.default_rng(1)
     mean, variance = rng.normal(size=(50, 3)), rng.random((50, 3)) * SIGNAL
     m, v = Trust.full().apply(mean, variance, SIGNAL)
     assert m.tobytes() == mean.tobytes() and v.tobytes() == variance.tobytes()
     m, v = Trust((0.0, 0.0, 0.0)).apply(mean, variance, SIGNAL)
     assert not m.any() and np.array_equal(v, np.tile(SIGNAL, (50, 1)))
+    measured = Trust((1.0, 1.0, 1.0), "held-out", 9, (0.5, 0.0, 0.25))
+    assert not measured.is_full
+    np.testing.assert_allclose(measured.apply(mean, variance, SIGNAL)[1], variance + [0.5, 0.0, 0.25])
+
+
+def test_a_doubt_that_is_no_variance_is_refused():
+    for doubt in ((1.0, 2.0), (1.0, -1.0, 0.0), (np.inf, 0.0, 0.0)):
+        with pytest.raises(ValueError, match="three variances"):
+            Trust((1.0, 1.0, 1.0), doubt=doubt)
 
 
 @pytest.mark.parametrize("share", [(1.0, 0.5), (1.0, 0.5, 1.1), (-0.1, 0.0, 0.0), (np.nan, 0.0, 0.0)])
@@ -46,7 +55,7 @@ def test_what_is_no_share_is_refused(share):
 
 def test_the_file_keeps_trust_and_an_older_one_is_read_as_fully_trusted(tmp_path):
     path, old = tmp_path / "car.split", tmp_path / "old.split"
-    trained = replace(make_training_set(0, 300), trust=Trust((0.25, 0.0, 1.0), "held-out", 12))
+    trained = replace(make_training_set(0, 300), trust=Trust((0.25, 0.0, 1.0), "held-out", 12, (0.5, 0.0, 0.1)))
     write_set(trained, path)
     assert read_set(path).trust == trained.trust
     with pa.memory_map(str(path)) as source:

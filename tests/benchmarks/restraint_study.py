@@ -1,0 +1,155 @@
+"""The table of restraint in docs/results.md: ``python -m tests.benchmarks.restraint_study [--datasets FOLDER]``.
+
+Every set is trained by `split train` on one part of what was recorded and judged by `split evaluate --set` on
+another: the other drive of the same car, or the other half of the same one. Nothing is chosen on what is judged.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.logs.drive import read_drive, write_drive
+from tests.benchmarks.results_tables import CASES, ROOT, Case, split
+
+#: (Trained on, judged on) by the title in `results_tables.CASES`; one name twice stands for the halves of a drive.
+AGGRESSIVE, MODERATE = "Road car, two laps at 85 % of the grip", "Road car, two laps at 70 % of the grip"
+SMALL, TUM_RUN, TUM_TRAIN = (
+    "Road car, one lap of the small course",
+    "TUM double track, run",
+    "TUM double track, train",
+)
+ACROSS = (
+    (AGGRESSIVE, MODERATE),
+    (MODERATE, AGGRESSIVE),
+    (AGGRESSIVE, SMALL),
+    (MODERATE, SMALL),
+    (TUM_TRAIN, TUM_RUN),
+    (TUM_RUN, TUM_TRAIN),
+)
+HALVES = ("1:10 car, three laps", "Hyundai Genesis, real, gentle", "Indy AV-21, real, banked oval")
+STATES = ("v_x", "v_y", "r")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Drive files: one trains, the other judges."""
+
+    title: str
+    trains: Path
+    judges: Path
+    vehicle: str
+
+
+def main() -> None:
+    """Print the tables as Markdown."""
+    datasets = Path(sys.argv[sys.argv.index("--datasets") + 1]) if "--datasets" in sys.argv else None
+    cases = {case.title: case for case in CASES if datasets or not case.foreign}
+    print(HEADER)
+    plain: list[dict] = []
+    believed: list[dict] = []
+    intervals = []
+    with tempfile.TemporaryDirectory() as folder:
+        for pair in pairs(cases, Path(folder), datasets):
+            made = Path(folder) / "a.split"
+            split("train", str(pair.trains), "--vehicle", pair.vehicle, "-o", str(made))
+            report = json.loads(split("evaluate", str(pair.judges), "--set", str(made), "--json"))
+            trust = report["sets"][0]["trust"]["share"]
+            rows = {(c["name"], c["state"], c["horizon"]): c for c in report["comparisons"]}
+            own = [c for c in report["comparisons"] if c["name"] == "bcm"]
+            believed += own
+            plain += [rows.get(("bcm, all believed", c["state"], c["horizon"]), c) for c in own]
+            for line in lines_of(pair, trust, rows):
+                print(line, flush=True)
+            intervals.append(
+                (pair.title, next(s for s in report["scores"] if s["name"] == "bcm" and not s["drive"]))
+            )
+    print()
+    for name, found in (("all believed", plain), ("with trust", believed)):
+        worse = [c for c in found if c["to_nominal"][1] > 1.0]
+        better = [c for c in found if c["to_nominal"][2] < 1.0]
+        largest = max((c["to_nominal"][0] for c in worse), default=float("nan"))
+        ratio = float(np.exp(np.mean(np.log([c["to_nominal"][0] for c in found]))))
+        print(
+            f"- {name}: of {len(found)} states and horizons {len(worse)} are worse than the nominal model beyond "
+            f"chance (at most {largest:.2f} times its error), {len(better)} better; geometric mean of the ratios "
+            f"{ratio:.2f}."
+        )
+    print("\n| judged on another part | in 50 % | in 95 % |\n|---|---|---|")
+    for title, score in intervals:
+        shares = ("/".join(f"{100 * s:.0f}" for s in score[f"coverage_{level}"]) for level in (50, 95))
+        print(f"| {title} | " + " | ".join(shares) + " |")
+
+
+HEADER = """| trained on → judged on | trust v_x, v_y, r | state | one step | 0.5 s | 1 s | 2 s | over persistence at 1 s | all believed at 1 s |
+|---|---|---|---|---|---|---|---|---|"""  # noqa: E501
+
+
+def pairs(cases: dict[str, Case], folder: Path, datasets: Path | None) -> Iterator[Pair]:
+    """Yield the pairs whose recordings are at hand, ingested."""
+    made: dict[str, tuple[Path, str]] = {}
+
+    def drive(title: str) -> tuple[Path, str]:
+        if title not in made:
+            case = cases[title]
+            base = datasets if case.foreign else ROOT / "sample_logs"
+            vehicle = case.vehicle if case.foreign else str(base / case.vehicle)
+            path = folder / f"{len(made)}.parquet"
+            split("ingest", str(base / case.log), "--vehicle", vehicle, *case.ingest, "-o", str(path))
+            made[title] = path, vehicle
+        return made[title]
+
+    for first, second in ACROSS:
+        if first in cases and second in cases:
+            (trains, vehicle), (judges, _) = drive(first), drive(second)
+            yield Pair(f"{first} → {second}", trains, judges, vehicle)
+    for title in HALVES:
+        if title in cases:
+            path, vehicle = drive(title)
+            whole = read_drive(path)
+            halves = []
+            for number in range(2):
+                rows = np.arange(len(whole)) * 2 // len(whole) == number
+                halves.append(folder / f"{path.stem}_{number}.parquet")
+                write_drive(whole.select(rows), halves[-1])
+            yield Pair(f"{title}: first half → second", halves[0], halves[1], vehicle)
+            yield Pair(f"{title}: second half → first", halves[1], halves[0], vehicle)
+
+
+def lines_of(pair: Pair, trust: list[float], rows: dict) -> list[str]:
+    """Return a row a state: corrected over nominal with 95 % intervals, worse beyond chance in bold."""
+    lines = []
+    for number, state in enumerate(STATES):
+        cells = [
+            pair.title if not number else "",
+            ", ".join(f"{t:.2g}" for t in trust) if not number else "",
+            state,
+        ]
+        for horizon in (0.0, 0.5, 1.0, 2.0):
+            found = rows.get(("bcm", state, horizon))
+            cells.append(ratio_of(found["to_nominal"]) if found else "")
+        found = rows.get(("bcm", state, 1.0))
+        cells.append(ratio_of(found["to_held"]) if found else "")
+        found = rows.get(("bcm, all believed", state, 1.0), found)
+        cells.append(ratio_of(found["to_nominal"]) if found else "")
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def ratio_of(values: list[float | None]) -> str:
+    """Return 0.85 (0.80 to 0.91), in bold when the interval lies above 1."""
+    ratio, low, high = values
+    if low is None:
+        return f"{ratio:.2f}"
+    text = f"{ratio:.2f} ({low:.2f}–{high:.2f})"
+    return f"**{text}**" if low > 1.0 else text
+
+
+if __name__ == "__main__":
+    main()
