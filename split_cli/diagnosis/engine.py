@@ -32,6 +32,7 @@ from split_cli.diagnosis.verdict.findings import describe, wanders, with_shares
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
+from split_cli.diagnosis.verdict.power import hidden_effect
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 
@@ -132,6 +133,10 @@ def diagnose(
     progress("sizing")
     detectable = smallest_named(reading.judges, candidates, reading.inflation, settings.level / _WAYS)
     if found.p_value >= settings.level:
+        hidden = hidden_effect(reading.structure.judge, candidates, reading.gap.severity) if simulated else ""
+        if hidden:
+            told = _undecided([hidden], share, inputs, described)
+            return replace(told, not_judged=(*told.not_judged, *not_judged), detectable=detectable)
         return Diagnosis(
             "match", found.p_value, share, not_judged, inputs=tuple(inputs), settings=described,
             history=reading.selection.history, summary=summarise("match"), gaps=_gaps(case), detectable=detectable,

@@ -222,6 +222,13 @@ class Abstention:
     """When something is said to have no name."""
 
     level: float = _number(0.01, "1", "p value below which what is left is no noise", _JUDGEMENT + "a usual level")
+    big_effect: float = _number(
+        0.5,
+        "1",
+        "share of what a car can have: where such an effect hides behind what the simulation shows against "
+        "itself, no match is said",
+        _JUDGEMENT + "half of the way to the bound, for grip about a half",
+    )
     share: float = _number(0.08, "1", "share of the gap without a name from which on it is unexplained", _CHOSEN)
     severity: float = _number(
         0.12, "effect-to-noise ratio", "size below which nothing is called unexplained", _CHOSEN
@@ -332,6 +339,12 @@ class Screening:
     )
     stuck_seconds: float = _number(
         1.0, "s", "time after which a velocity that repeats itself stands still", _CHOSEN
+    )
+    turn_spread: float = _number(
+        0.3,
+        "1",
+        "spread of curvature that speed does not explain, over its mean, below which steering is held on purpose",
+        _JUDGEMENT + "a steered car's curvature varies by all of its mean",
     )
     held_seconds: float = _number(3.0, "s", "the same for a steer angle, which drivers hold", _CHOSEN)
     answer_seconds: float = _number(

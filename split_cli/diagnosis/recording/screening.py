@@ -20,10 +20,12 @@ __all__ = [
     "moving",
     "torque_is_constant",
     "torque_is_derived",
+    "torque_is_from_pedals",
     "unfit",
 ]
 
 # A velocity that stands still contradicts what it always moves with.
+_PEDALS = ("throttle", "pedal", "brake", "current", "N m/A")  # words of a derivation from what was asked for
 _MOVES_WITH = {"vx": ("vy", "r"), "vy": ("r",), "r": ("vy",), "delta": ("r",)}
 
 
@@ -97,7 +99,8 @@ def unfit(drive: Drive, vehicle: Vehicle, rules: Screening = STANDARD.screening)
     if drive.period > rules.longest_period:
         return [f"{drive.name} has {drive.rate:.3g} samples a second; {1 / rules.longest_period:.0f} are needed."]
     frozen = [name for name in ("vx", "vy", "r") if np.ptp(drive[name]) == 0.0]
-    if np.ptp(drive["delta"]) == 0.0 and "r" not in frozen and _turns(drive):
+    whole = slice(0, len(drive))
+    if np.ptp(drive["delta"]) == 0.0 and "r" not in frozen and _turns(drive) and not _is_held(drive, whole, rules):
         frozen.append("delta")
     if np.ptp(drive["T"]) == 0.0 and "vx" not in frozen and _changes_speed(drive):
         frozen.append("T")
@@ -154,8 +157,16 @@ def measures(drive: Drive, *channels: str) -> bool:
 
 
 def torque_is_derived(drive: Drive) -> bool:
-    """Return whether the torque was computed from the car's motion."""
-    return drive.metadata.kinds.get("T", "").startswith("derived")
+    """Return whether the torque was computed from the car's motion, which then cannot contradict it."""
+    kind = str(drive.metadata.kinds.get("T", ""))
+    return kind.startswith("derived") and not torque_is_from_pedals(drive)
+
+
+def torque_is_from_pedals(drive: Drive) -> bool:
+    """Return whether the torque was computed from pedals or a motor's current: a command with an assumed map."""
+    kind = str(drive.metadata.kinds.get("T", ""))
+    by_motion = "by the nominal model" in kind
+    return kind.startswith("derived") and not by_motion and any(word in kind for word in _PEDALS)
 
 
 def torque_is_constant(torque: np.ndarray, vehicle: Vehicle, rules: Screening = STANDARD.screening) -> bool:
@@ -187,9 +198,29 @@ def _stuck(drive: Drive, name: str, rules: Screening) -> np.ndarray:
             # To a steer angle that is held after a step the car first has to answer.
             answer = int(round(rules.answer_seconds / drive.period)) if name == "delta" else 0
             later = slice(rows.start + answer, rows.stop)
+            if name == "delta" and _is_held(drive, later, rules):
+                continue
             if any(np.std(drive[other][later]) > 0.1 * np.std(drive[other]) > 0.0 for other in _MOVES_WITH[name]):
                 found[rows] = True
     return found
+
+
+def _is_held(drive: Drive, rows: slice, rules: Screening) -> bool:
+    """Return whether a car turns as one whose steering is held on purpose, in steady circles at any speed.
+
+    Notes
+    -----
+    Its curvature r/v_x has the sign of the steer angle and is a function of speed, delta/(L + K v_x^2) in gentle
+    turns; near the limit, a smooth one. With a frozen sensor it goes to both sides, or up and down at one speed.
+    """
+    angle, speed = drive["delta"][rows], np.maximum(drive["vx"][rows], 1e-3)
+    if not len(speed) or not angle.any():
+        return False
+    curvature = _quiet(drive, drive["r"])[rows] / speed * np.sign(angle[0])
+    scaled = speed / speed.max()
+    columns = np.stack([scaled**k for k in range(4)], axis=1)
+    left = curvature - columns @ np.linalg.lstsq(columns, curvature, rcond=None)[0]
+    return bool(np.std(left) < rules.turn_spread * np.mean(curvature))
 
 
 def _with_sound_position(drive: Drive, rules: Screening) -> tuple[Drive, tuple[str, ...]]:

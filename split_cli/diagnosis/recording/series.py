@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from split_cli.diagnosis.recording.screening import torque_is_derived
 from split_cli.logs.drive import INPUT_CHANNELS, Drive
 from split_cli.logs.noise import difference_noise
 from split_cli.vehicle.effects import Recording, Term, build_terms
@@ -74,8 +75,7 @@ class Series:
     @property
     def told_noise(self) -> np.ndarray:
         """Noise of v_x, v_y, r, shape (3,); v_x tells nothing where torque was derived from it."""
-        derived = self.drive.metadata.kinds.get("T", "").startswith("derived")
-        return self.noise * np.array([_WORTHLESS if derived else 1.0, 1.0, 1.0])
+        return self.noise * np.array([_WORTHLESS if torque_is_derived(self.drive) else 1.0, 1.0, 1.0])
 
     def corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
         """Return measured and smooth velocities with the sensors' faults among `terms` taken off."""

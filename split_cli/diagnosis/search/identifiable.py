@@ -9,7 +9,12 @@ import numpy as np
 from split_cli.diagnosis.baseline.common import features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy, Screening
-from split_cli.diagnosis.recording.screening import measures, torque_is_constant, torque_is_derived
+from split_cli.diagnosis.recording.screening import (
+    measures,
+    torque_is_constant,
+    torque_is_derived,
+    torque_is_from_pedals,
+)
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.parameters import Vehicle
@@ -64,6 +69,11 @@ def judgeable(
         out.append("the steering actuator: the steer angle is a measurement; log the command")
     if any(map(torque_is_derived, drives)):
         out.append("everything longitudinal: torque is derived from acceleration; log the torque command")
+    if any(map(torque_is_from_pedals, drives)):
+        out.append(
+            "the drive train against the map of its pedals: torque comes from throttle, brake or current by an "
+            "assumed map, whose errors a drive gain, lag, drag or mass here may be; log the torque command"
+        )
     if any(drive.period > 0.05 for drive in drives):
         out.append("lags and delays shorter than a sample; record at 50 Hz or more")
     return tuple(out)

@@ -26,6 +26,7 @@ __all__ = [
     "over_allowance",
     "p_of_effect",
     "select_terms",
+    "severity_of_terms",
     "term_p",
     "term_size",
     "with_chosen",
@@ -413,6 +414,11 @@ def _part_sizes(judge: Judge, fit: Fit, k: int) -> np.ndarray:
 def term_size(judge: Judge, fit: Fit, k: int) -> float:
     """Return the severity of one part of an explanation, the others in place."""
     return float(_part_sizes(judge, fit, k).max())
+
+
+def severity_of_terms(judge: Judge, terms: tuple[Term, ...]) -> float:
+    """Return the effect-to-noise ratio of terms, in the channel where it is most."""
+    return float(_sizes(judge, terms, ()).max())
 
 
 def over_allowance(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> float:

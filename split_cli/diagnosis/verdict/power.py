@@ -1,0 +1,61 @@
+"""Whether a match says anything: what would hide behind what the simulation shows against itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.selection import severity_of_terms
+from split_cli.diagnosis.statement.wording import number, term_name
+from split_cli.vehicle.effects import CATALOGUE
+
+__all__ = ["hidden_effect"]
+
+
+def hidden_effect(judge: Judge, candidates: Sequence[Candidate], gap_severity: float) -> str:
+    """Return why no match can be said, in words; empty where a big effect would have been seen.
+
+    Parameters
+    ----------
+    judge : Judge
+    candidates : sequence of Candidate
+        That these recordings can tell.
+    gap_severity : float
+        Effect-to-noise ratio of all that differs between simulation and reality.
+
+    Notes
+    -----
+    Simulation and reality may differ by no more than halves of the simulation do, and yet by as much as a big
+    effect makes: then silence is no match. An effect is big when it is a fair share of what a car can have; it
+    counts when it is larger than the noise on these drives.
+    """
+    plain = judge.policy.selection.plain
+    if gap_severity <= plain:
+        return ""
+    for one in candidates:
+        for name, value, values in _big(one, judge.policy.abstention.big_effect):
+            if plain < severity_of_terms(judge, (one.build(values),)) <= gap_severity:
+                return (
+                    f"Simulation and reality differ by {number(gap_severity, 2)} times sensor noise in a step, "
+                    f"and so do halves of the simulation. A {term_name(one.term)} with {name} = "
+                    f"{number(value, 2)} would hide in that. Drive both alike and longer, or "
+                    "calibrate the vehicle file (split calibrate)."
+                )
+    return ""
+
+
+def _big(one: Candidate, share: float) -> list[tuple[str, float, dict[str, float]]]:
+    """Return each size of a term of the car, its value on the way to its nearer bound, and all values."""
+    kind = CATALOGUE[one.term]
+    if one.located or not kind.exported or kind.family in ("time", "air", "place"):
+        return []
+    found = []
+    start = {name: kind.neutral.get(name, value) for name, value in one.starts[0].items()}
+    for name, limits in one.ranges.items():
+        if name in kind.neutral:
+            ends = [end for end in (limits.lower, limits.upper) if end != kind.neutral[name]]
+            nearer = min(ends, key=lambda end: abs(end - kind.neutral[name]))
+            value = kind.neutral[name] + share * (nearer - kind.neutral[name])
+            found.append((name, value, {**start, name: value}))
+    return found

@@ -1,0 +1,58 @@
+"""A match is said only where a big difference would have shown; steering held on purpose is no frozen sensor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from split_cli.diagnosis.policy import STANDARD
+from split_cli.diagnosis.recording.screening import cleaned, torque_is_derived, torque_is_from_pedals, unfit
+from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.selection import severity_of_terms
+from split_cli.diagnosis.verdict.power import hidden_effect
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects import CATALOGUE
+from tests.factories import make_drive, road_car
+
+
+def test_what_a_big_effect_would_make_is_no_match(nominal_judge, nominal_series):
+    (grip,) = [one for one in build_candidates(road_car(), nominal_series) if one.label == "friction_scale"]
+    lower = grip.ranges["scale"].lower
+    size = severity_of_terms(nominal_judge, (CATALOGUE["friction_scale"]({"scale": 0.5 * (1.0 + lower)}),))
+    assert size > STANDARD.selection.plain or not hidden_effect(nominal_judge, [grip], 2.0 * size)
+    if size > STANDARD.selection.plain:
+        said = hidden_effect(nominal_judge, [grip], 1.01 * size)
+        assert "friction scale with scale" in said and "halves of the simulation" in said
+    assert hidden_effect(nominal_judge, [grip], 0.99 * size) == ""
+    assert hidden_effect(nominal_judge, [grip], 0.0) == ""
+
+
+def circles(noise: float, *, frozen: bool = False) -> Drive:
+    """Return a minute at a constant steer angle while speed rises; frozen, the car turns to both sides."""
+    t = 0.01 * np.arange(6000)
+    speed = 5.0 + 8.0 * t / 60.0
+    r = 0.03 * speed / (2.7 + 0.003 * speed**2) * (np.sin(0.5 * t) if frozen else 1.0)
+    rng = np.random.default_rng(5)
+    columns = {
+        "t": t, "vx": speed + rng.normal(0.0, noise, 6000), "vy": rng.normal(0.0, noise, 6000),
+        "r": r + rng.normal(0.0, 0.1 * noise, 6000), "T": 100.0 * np.sin(t), "delta": np.full(6000, 0.03),
+    }  # fmt: skip
+    return Drive("circles.parquet", columns, np.zeros(6000, dtype=np.int32), 0.01)
+
+
+def test_a_steer_angle_held_on_purpose_is_not_frozen():
+    assert not any("never changes" in reason for reason in unfit(circles(0.02), road_car()))
+    assert any("delta never changes" in reason for reason in unfit(circles(0.02, frozen=True), road_car()))
+    kept, notes = cleaned(circles(0.02))
+    assert len(kept) == 6000 and not notes
+
+
+def test_torque_of_pedals_is_not_taken_for_torque_of_motion():
+    drive = make_drive(3, 1, 4.0, 0.01)
+    by_pedals = "derived: torque from throttle by a map to 900 N m and brake times 1 N m a unit"
+    by_motion = "derived: torque from measured a_x by the nominal model of brake_car"
+    for kind, pedals, motion in ((by_pedals, True, False), (by_motion, False, True), ("command", False, False)):
+        one = replace(drive, metadata=replace(drive.metadata, kinds={"T": kind}))
+        assert torque_is_from_pedals(one) == pedals
+        assert torque_is_derived(one) == motion
