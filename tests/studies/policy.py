@@ -107,9 +107,12 @@ def table(rows: list[list[str]]) -> str:
     """Return what changes as a Markdown table, one line a number."""
     standard = {row[3]: row for row in rows if row[0] == "standard"}
     lines = ["| number | value | origin | halved | doubled |", "|---|---|---|---|---|"]
-    still = 0
+    still = run = 0
     for group, one, value in deciding_numbers():
-        cells, moved = [], False
+        cells, moved, unit = [], False, one.metadata["unit"].removesuffix("1")
+        if not any(row[:2] == [group, one.name] for row in rows):
+            continue
+        run += 1
         for factor in FACTORS:
             mine = [row for row in rows if row[:3] == [group, one.name, str(factor)] and row[3] in standard]
             if not mine:
@@ -123,12 +126,19 @@ def table(rows: list[list[str]]) -> str:
             moved = moved or bool(words)
         still += "not run" not in cells and not moved
         origin = one.metadata["origin"].partition(":")[0]
-        lines.append(
-            f"| `{group}.{one.name}` | {value:g} {one.metadata['unit']} | {origin} | {' | '.join(cells)} |"
-        )
+        lines.append(f"| `{group}.{one.name}` | {value:g} {unit} | {origin} | {' | '.join(cells)} |")
     said = [f"- case {case}: {row[4]}" for case, row in sorted(standard.items(), key=lambda pair: int(pair[0]))]
     total = sum(1 for _ in deciding_numbers())
-    return "\n".join(["\n".join(said), "", f"Of {total} numbers, {still} change nothing here.", "", *lines, ""])
+    return "\n".join(
+        [
+            "\n".join(said),
+            "",
+            f"Of {total} numbers {run} were run; {still} of these change nothing here.",
+            "",
+            *lines,
+            "",
+        ]
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

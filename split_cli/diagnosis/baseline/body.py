@@ -1,4 +1,4 @@
-"""What common physics makes of another body: it was learned as rates, and is forces.
+"""The shared model discrepancy of a car with another body: it was learned as rates, and consists of forces.
 
 A car with a fifth more yaw inertia turns in a fifth slower under all moments, those included that no single track
 has. Were these left as they are, a single track that misses as much as it holds would say that nothing changed.

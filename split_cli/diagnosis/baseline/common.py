@@ -1,4 +1,4 @@
-"""Physics that simulation and reality share and the nominal model lacks: a dictionary with priors.
+"""The shared model discrepancy: what simulation and reality have beyond the nominal model, as a dictionary.
 
 Tangents of catalogue terms come first, since what a single track lacks against a real car is mostly of that kind;
 smooth functions of slip angles, torque and speed, mirror-symmetric, take the rest. The weights are learned on the

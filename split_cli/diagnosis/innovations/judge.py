@@ -1,4 +1,8 @@
-"""The court: real recordings against nominal, common physics as the simulation knows it, and named terms."""
+"""The objective: minus twice the log marginal likelihood of real recordings under named terms, up to a constant.
+
+The baseline is the nominal model with the shared model discrepancy, whose weights the simulation taught. They are
+integrated out (a marginalised baseline), or taken for what they are (a fixed baseline).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large an effect is: its prediction error over 0.05 s against sensor noise."""
+"""Effect-to-noise ratio: the rms of an effect's prediction error over 0.05 s, over that of sensor noise."""
 
 from __future__ import annotations
 

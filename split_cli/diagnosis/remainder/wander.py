@@ -1,4 +1,4 @@
-"""What wanders: rows that no smooth function explains, and that still vary together from one to the next.
+"""Residual autocorrelation: rows that no smooth function explains, and that still vary together.
 
 Gusts, a driver's hand on a loose column, a load that shifts: they have no place in feature space, in time or along
 the track, yet they are no noise. Their slow variance is.

@@ -1,9 +1,9 @@
 """What simulation shows against itself: thresholds calibrated on the data at hand.
 
-The common physics is learned on one half of the simulation and judges the other half with reality's noise, just as
-it judges reality. Nothing that this finds is a difference between the two; reality has to show clearly more. Where
-the simulation is clean, next to nothing is found and nothing changes. Where it is a recording itself, or where no
-dictionary holds its physics, it shows how much.
+The shared model discrepancy is learned on one half of the simulation, and judged on the other half with
+reality's noise, just as reality is judged. Nothing that this finds is a difference between the two: reality
+has to show clearly more. Where the simulation is clean, next to nothing is found and nothing changes. Where
+it is a recording itself, or where no dictionary holds its physics, the test shows how much.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a single track gets wrong of a term's own effect: a share of it that varies with the operating point.
+"""Model-form error of a term: the share of its effect that a single track gets wrong, by operating point.
 
 Physics that is put into a single track acts on two tyres instead of four, so a few hundredths of what it does are
 wrong, and where it does much that is far more than noise. Of two terms that do nearly the same, the one that

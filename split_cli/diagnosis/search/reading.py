@@ -1,12 +1,15 @@
-"""What is read from the real recordings: the gap and its names, with reserve and, if need be, to the letter.
+"""The search under its two baselines: marginalised, and fixed where the first leaves doubt.
 
-With reserve, what the simulation leaves open of the common physics explains a gap before any term does. That is
-just where a dictionary holds the simulation. Where it does not, as in real recordings, next to everything is open
-off the simulation's own path, and a fault that takes a drive off that path hides in it: a steering scaled by 0.8
-too. Read to the letter, a term saves what it brings back to where the simulation has been. Only terms that alter
-inputs or sensors do, and where misfit is much only this reading names them, unless the first is beyond all doubt:
-what the simulation's function gets wrong off its path would go into their values. What the second reading confirms
-stays as the first has it. Other physics is named to the letter where the first had chosen it, too small to name.
+With a marginalised baseline, the uncertainty of the shared model discrepancy explains a gap before any term does.
+That is right where the dictionary holds the simulation. It fails where model-form error is large, as between real
+recordings. Nearly everything is uncertain there off the simulation's own path. A fault that takes a drive off that
+path then hides in the discrepancy, as a steering gain of 0.8 does.
+
+With a fixed baseline a term saves what it brings back to where the simulation has been. Only terms that alter
+inputs or sensors do that. Where model-form error is large, only this second search names them, unless the first is
+beyond doubt. A name that the second search confirms keeps the values of the first, since the discrepancy's error
+off its path would go into the second ones. Other terms are named with a fixed baseline only where the first search
+had chosen them, too small to name.
 """
 
 from __future__ import annotations

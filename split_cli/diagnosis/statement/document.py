@@ -1,4 +1,4 @@
-"""`diagnosis.json`: the diagnosis to the letter of its schema."""
+"""`diagnosis.json`: the diagnosis as its schema has it."""
 
 from __future__ import annotations
 
