@@ -41,6 +41,12 @@ __all__ = ["command"]
     metavar="FILE",
     help="A trained set to begin with; without one, lap 0 is nominal and the kernel is fitted to it.",
 )
+@click.option(
+    "--predictor",
+    default="bcm",
+    show_default=True,
+    help="Evaluates the set: bcm follows every update, others are built anew after each lap.",
+)
 @click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Cap of speed.")
 @click.option("--max-torque", type=float, metavar="NM", help="Cap of driving torque  [default: the vehicle's].")
 @click.option("--grip", type=float, default=1.0, show_default=True, help="Of the road: 1 dry, 0.5 wet.")

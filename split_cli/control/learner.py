@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -137,13 +138,20 @@ class SplitLearner(LabellingLearner):
     ----------
     header : TrainingSet
         What is known before; may be empty.
+    evaluate : callable, optional
+        Makes a predictor of a set. It is then built anew at the end of each lap instead of following every update,
+        and in the first lap of an empty set nothing is known.
     """
 
-    def __init__(self, header: TrainingSet) -> None:
+    def __init__(self, header: TrainingSet, evaluate: Callable[[TrainingSet], Predictor] | None = None) -> None:
         super().__init__(header)
         self.online = OnlineSet(header)
         self.committee = OnlineCommittee(self.online)
-        self.residual = OnlineResidual(self.committee)
+        self.evaluate = evaluate
+        self.residual: Residual = OnlineResidual(self.committee)
+        if evaluate is not None:
+            self.residual = PredictorResidual(evaluate(header)) if header.size else NoResidual()
+            self.residual.features = header.features
 
     @property
     def size(self) -> int:
@@ -166,4 +174,7 @@ class SplitLearner(LabellingLearner):
 
     def end_lap(self, duration: float) -> TrainingSet:
         """Return the set with the lap as its last source."""
-        return self.online.end_drive(duration)
+        trained = self.online.end_drive(duration)
+        if self.evaluate is not None and trained.size:
+            self.residual = PredictorResidual(self.evaluate(trained))
+        return trained

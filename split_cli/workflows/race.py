@@ -14,7 +14,7 @@ from split_cli.control.model import ControlModel
 from split_cli.control.mpcc import Mpcc, MpccSettings
 from split_cli.control.path import Path, check_path, contour_and_lag, read_centerline
 from split_cli.control.receding import Actuators, ControllerLost, StepInfo
-from split_cli.errors import SetError, SplitError
+from split_cli.errors import SetError, SplitError, nearest_names
 from split_cli.files import refuse_overwriting_inputs, refuse_what_cannot_be_written
 from split_cli.learning.cells import empty_set, warm_up
 from split_cli.learning.features import parse_features
@@ -28,6 +28,7 @@ from split_cli.logs.drive import Drive, write_drive
 from split_cli.plant.cars import find_car
 from split_cli.plant.recording import write_mcap
 from split_cli.plant.tracks import TRACK_NAMES, find_track
+from split_cli.prediction import PREDICTORS, Predictor, make_predictor
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.closed_loop import World, body_width, path_of
 
@@ -65,6 +66,8 @@ class RaceSettings:
     delay : bool
         Whether a command takes effect one interval after the measurement it follows from.
     features : str
+    predictor : str
+        Evaluates the set; ``bcm`` follows every update of a learner, others are built anew after each lap.
     hyperparameters : str
         ``fit`` (to lap 0), ``default``, or a kernel's YAML.
     width : float or None
@@ -88,6 +91,7 @@ class RaceSettings:
     exact_sensors: bool = False
     delay: bool = True
     features: str = "z2"
+    predictor: str = "bcm"
     hyperparameters: str = "fit"
     width: float | None = None
     printed_iol: bool = True
@@ -236,6 +240,13 @@ class _Race:
         self.mpcc = replace(settings.settings, max_speed=settings.max_speed)
         torque = settings.max_torque or vehicle.max_torque
         self.actuators = Actuators(min(torque, vehicle.max_torque), vehicle.max_brake_torque)
+        if settings.predictor not in PREDICTORS:
+            advice = nearest_names(settings.predictor, PREDICTORS)
+            raise SplitError(f"no predictor {settings.predictor!r}", where="--predictor", advice=advice)
+        if settings.learner == "iol" and settings.start_set is not None:
+            raise SplitError(
+                "the dictionary of iol begins empty", where="--start-set", advice="Use --learner none or split."
+            )
         self.start_set = None
         if settings.start_set is not None:
             self.start_set = read_set(settings.start_set)
@@ -288,8 +299,15 @@ class _Race:
         return empty_set(self.vehicle, features, region, grid, kernel, horizon=self.mpcc.step)
 
     def _learner(self, training_set: TrainingSet) -> Learner:
+        name = self.settings.predictor
+
+        def evaluate(known: TrainingSet) -> Predictor:
+            return make_predictor(name, known)
+
+        if self.settings.learner == "none":
+            return NoLearner(training_set, evaluate(training_set))
         if self.settings.learner == "split":
-            return SplitLearner(training_set)
+            return SplitLearner(training_set, None if name == "bcm" else evaluate)
         return IolLearner(training_set, printed=self.settings.printed_iol)
 
     def run(self) -> None:
@@ -350,6 +368,7 @@ class _Race:
         self.laps.append(tally.lap(self, None if finished is None else finished - begin))
         self.traces.append(np.array(tally.trace))
         self._spans[number] = (tally.first, len(self.world.rows))
+        self.model.residual = self.learner.residual
         if trained is not None and self.set_output is not None:
             write_set(trained, self.set_output)
 

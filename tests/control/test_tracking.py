@@ -1,0 +1,127 @@
+"""Controllers on their own model: tracking to nothing, staying inside, and borders moved in by variance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from split_cli.control.limits import Limits, slip_limit
+from split_cli.control.model import ControlModel
+from split_cli.control.mpc import Mpc, MpcSettings
+from split_cli.control.mpcc import Mpcc, MpccSettings
+from split_cli.control.path import contour_and_lag, resampled
+from split_cli.control.receding import Actuators, ControllerLost
+from split_cli.control.residual import NoResidual, ResidualValues
+from split_cli.vehicle.parameters import read_vehicle
+
+CAR = read_vehicle(FilePath(__file__).resolve().parents[2] / "sample_logs" / "road_car.yaml")
+ACTUATORS = Actuators(1000.0, 5600.0)
+
+
+def straight(width: float = 4.0):
+    x = np.arange(0.0, 400.0, 1.0)
+    points = np.stack([x, 0.0 * x], axis=1)
+    return resampled("straight", points, np.full(400, width), np.full(400, width), closed=False)
+
+
+def ring(radius: float = 25.0, width: float = 4.0):
+    angle = np.arange(100) * 2 * np.pi / 100
+    points = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return resampled("ring", points, np.full(100, width), np.full(100, width), closed=True)
+
+
+def followed(controller, model, x, steps):
+    states = [x]
+    for _ in range(steps):
+        u, info = controller.step(states[-1])
+        assert info.solved
+        states.append(model.linearize(states[-1][None], u[None]).following[0])
+    return np.array(states)
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_line_that_the_model_can_follow_is_tracked_to_nothing(alone):
+    model = ControlModel(CAR, NoResidual(), 0.04)
+    path, settings = straight(), MpcSettings(horizon=25, steering_alone=alone)
+    controller = Mpc(model, path, ACTUATORS, settings, 1.77, lambda s: np.full(np.shape(s), 12.0))
+    x = np.array([5.0, 0.6, 0.0, 12.0, 0.0, 0.0, 110.0, 0.0])
+    controller.begin(x, 5.0)
+    states = followed(controller, model, x, 120)
+    # The nominal car on a straight has no steady error; 4.8 s are many times what its steering takes.
+    assert abs(states[-1, 1]) < 2e-3 and abs(states[-1, 2]) < 2e-3
+    if not alone:
+        assert states[-1, 3] == pytest.approx(12.0, abs=0.05)
+
+
+def test_contouring_control_keeps_to_its_limits_on_a_ring():
+    model = ControlModel(CAR, NoResidual(), 0.05)
+    settings = MpccSettings(horizon=40, max_speed=30.0, limits=Limits(p_long=1.2, p_ellipse=0.8))
+    path = ring()
+    controller = Mpcc(model, path, ACTUATORS, settings, 1.77)
+    x = np.array([25.0, 0.0, np.pi / 2, 9.0, 0.0, 0.36, 0.0, 0.1])
+    controller.begin(x, 0.0)
+    states = followed(controller, model, x, 60)[20:]
+    found = model.linearize(states, np.zeros((len(states), 2)))
+    bound = slip_limit(CAR, settings.limits, states[:, 6])[0]
+    # Rows are soft: the price of a slack of 0.01 rad is small against the progress it buys.
+    assert (np.abs(found.slip) - bound).max() < 0.01
+    s = [path.nearest(*state[:2]) for state in states]
+    contour = contour_and_lag(path.at(np.array(s)), states[:, 0], states[:, 1])[0]
+    assert np.abs(contour).max() < 4.0 - 0.885
+    # It is the limits that hold it: the front or rear axle is at its bound somewhere.
+    assert (bound - np.abs(found.slip)).min() < 0.01
+    assert states[:, 6].max() <= 1000.0 + 1e-6 and states[:, 6].min() >= -5600.0 - 1e-6
+
+
+class Uncertain(NoResidual):
+    """No residual, but with a variance."""
+
+    def along(self, z):
+        values = super().along(z)
+        return ResidualValues(values.mean, values.slope, np.full_like(values.mean, 0.5), values.knowledge)
+
+
+def test_borders_move_in_by_the_spread_that_the_variance_makes():
+    model = ControlModel(CAR, Uncertain(), 0.05)
+    settings = MpccSettings(horizon=20)
+    path = straight(50.0)
+    x = np.array([5.0, 0.0, 0.0, 15.0, 0.0, 0.0, 100.0, 0.0])
+    plain = Mpcc(model, path, ACTUATORS, settings, 1.77)
+    plain.begin(x, 5.0, iterations=3)
+    found = model.linearize(plain.plan.x[:20, :8], plain.plan.u[:, :2])
+    point = path.at(plain.plan.x[1:, -2])
+    assert plain._tightened(found, point) == pytest.approx(np.full(20, 0.5 * 1.77 + 0.3))
+    tight = Mpcc(model, path, ACTUATORS, settings, 1.77, tightening=2.0)
+    tight.plan = plain.plan
+    moved = tight._tightened(found, point) - (0.5 * 1.77 + 0.3)
+    rng = np.random.default_rng(0)
+    state, spread = np.zeros((20_000, 8)), []
+    for k in range(20):
+        state = state @ found.A[k].T
+        state[:, 3:6] += 0.05 * np.sqrt(0.5) * rng.standard_normal((20_000, 3))
+        spread.append(state[:, 1].std())
+    # 20,000 samples know a deviation to 0.5 %.
+    assert moved[1:] == pytest.approx(2.0 * np.array(spread)[1:], rel=0.03)
+    narrow = replace(point, left=np.full(20, 2.0), right=np.full(20, 2.0))
+    assert tight._tightened(found, narrow).max() <= 1.185 + 0.5 * (2.0 - 1.185) + 1e-9
+
+
+def test_a_controller_that_fails_goes_on_with_its_plan_and_then_gives_up(monkeypatch):
+    model = ControlModel(CAR, NoResidual(), 0.05)
+    controller = Mpcc(model, straight(), ACTUATORS, MpccSettings(horizon=20), 1.77)
+    x = np.array([5.0, 0.3, 0.0, 10.0, 0.0, 0.0, 100.0, 0.0])
+    controller.begin(x, 5.0)
+    planned = controller.plan.u[1:4, :2].copy()
+    solve = controller.programme.solve
+    monkeypatch.setattr(controller.programme, "solve", lambda data: replace(solve(data), solved=False))
+    for k in range(3):
+        x = model.linearize(x[None], controller.plan.u[:1, :2]).following[0]
+        u, info = controller.step(x)
+        assert not info.solved
+        assert u == pytest.approx(planned[k])
+    with pytest.raises(ControllerLost, match="in a row"):
+        for _ in range(controller.PATIENCE):
+            controller.step(x)
