@@ -54,7 +54,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 @click.option(
     "--predictor",
     "predictors",
-    default="bcm",
+    default="bcm,rbcm",
     show_default=True,
     callback=_list_of(str),
     metavar="LIST",

@@ -22,7 +22,7 @@ __all__ = ["command"]
 @output_option("Folder to write into.")
 @click.option(
     "--predictor",
-    default="bcm",
+    default="rbcm",
     show_default=True,
     type=click.Choice(["bcm", "rbcm", "table"]),
     help="Committee of cells, robust committee, or a spline table of the dense process.",

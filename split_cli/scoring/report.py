@@ -53,7 +53,7 @@ class EvaluationSettings:
     """
 
     protocol: str = "held-out"
-    predictors: tuple[str, ...] = ("bcm",)
+    predictors: tuple[str, ...] = ("bcm", "rbcm")
     features: tuple[str, ...] = ("z2",)
     sizes: tuple[int, ...] = ()
     blocks: int = 10

@@ -39,7 +39,7 @@ def export_set(
     output: str | Path,
     targets: Sequence[str],
     *,
-    predictor: str = "bcm",
+    predictor: str = "rbcm",
     name: str | None = None,
     real: str = "double",
     queries: int = 10_000,
