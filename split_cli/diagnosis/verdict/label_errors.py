@@ -84,6 +84,8 @@ def label_errors(
     before, physics = labels.y, labels.y + change
     if shared is not None:
         before = before - shared.base[span[:, :-1]].mean(axis=1)
+    # Which part of the simulation is believed is chosen for each stage apart.
+    if shared_named is not None:
         physics = physics - shared_named.base[span[:, :-1]].mean(axis=1)
     inverse = np.linalg.inv(phi) / labels.horizon
     onward = inverse @ (np.eye(3) + labels.horizon * A @ phi)
