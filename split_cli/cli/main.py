@@ -18,6 +18,7 @@ from split_cli.errors import NumericalRepairWarning, SplitError, nearest_names
 __all__ = ["COMMANDS", "group", "main"]
 
 COMMANDS = {
+    "init": "Draft a signal map and a vehicle file for a recording.",
     "ingest": "Read recordings into drives on one clock, in SI units.",
     "label": "Compute what the nominal model gets wrong, sample by sample.",
     "train": "Learn drives into a trained set, cell by cell.",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from split_cli.logs.kinematics import Kinematics, Slope, block_interval, fit_slo
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["ACROSS", "Checks", "Unjudged"]
+__all__ = ["ACROSS", "NO_CAR_EXCEEDS", "Checks", "Unjudged"]
 
 LEAST_CORRELATION = 0.8
 """Below it two signals that should be equal say nothing about a factor."""
@@ -25,7 +25,7 @@ _STEER_TOLERANCE = 0.7
 ACROSS = "v_y/v_x against the path across yaw"
 _SIGN_ONLY = 5.0
 """Tolerance of a relation whose size says nothing."""
-_NO_CAR_EXCEEDS = {
+NO_CAR_EXCEEDS = {
     "vx": (130.0, "m/s"),
     "r": (15.0, "rad/s"),
     "delta": (1.3, "rad"),
@@ -109,12 +109,12 @@ class Checks:
             if len(values) > 50:
                 found.append(Plausible(name, powers, float(np.quantile(values, 0.99)), high, unit))
 
-        for channel, (high, unit) in _NO_CAR_EXCEEDS.items():
+        for channel, (high, unit) in NO_CAR_EXCEEDS.items():
             if self.usable(channel):
                 add(channel, k.signal(channel), {channel: 1}, high, unit)
         if self.usable("vx", "r"):
             turning = k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
-            add("v_x r", turning, {"vx": 1, "r": 1}, _NO_CAR_EXCEEDS["ay"][0], "m/s^2")
+            add("v_x r", turning, {"vx": 1, "r": 1}, NO_CAR_EXCEEDS["ay"][0], "m/s^2")
         return found
 
     def relate(
@@ -154,24 +154,31 @@ class Checks:
             self.relate(
                 "v_x against the speed of X, Y", k.signal("vx"), k.ground_speed(), {"vx": 1, "X": -1}, 0.03
             )
-        if self.usable("vx", "vy", "r"):
+        if self.usable("vx"):
             self._accelerations()
             self._wheel_speeds()
-            if not self._sideslip_of_path():
-                self._sideslip_sign()
-            self._steer_angle()
             self._torque()
+        if self.usable("vx", "r"):
+            self._steer_angle()
+        if self.usable("vx", "vy", "r") and not self._sideslip_of_path():
+            self._sideslip_sign()
         if self.usable("r") and not any("r" in relation.powers for relation in self.relations):
             self.unjudged.append(Unjudged("yaw rate", "no yaw, position or a_y that turns with it"))
 
     def _accelerations(self) -> None:
         k = self.k
         if self.usable("ax"):
-            inertial = k.rate("vx") - k.of("vy r", lambda: k.columns["vy"] * k.columns["r"])
+            inertial = k.rate("vx") - self._carried()
             self.relate("a_x against dv_x/dt - v_y r", k.signal("ax"), inertial, {"ax": 1, "vx": -1}, 0.12)
-        if self.usable("ay"):
+        if self.usable("ay", "r"):
             turning = k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
             self.relate("a_y against v_x r", k.signal("ay"), turning, {"ay": 1, "vx": -1, "r": -1}, 0.15)
+
+    def _carried(self) -> np.ndarray | float:
+        """Return v_y r, what turning takes from dv_x/dt [m/s^2]; 0 where v_y or r is not measured."""
+        if not self.usable("vy", "r"):
+            return 0.0
+        return self.k.of("vy r", lambda: self.k.columns["vy"] * self.k.columns["r"])
 
     def _wheel_speeds(self) -> None:
         for channel in self.k.columns:
@@ -216,7 +223,7 @@ class Checks:
         if not self.usable("T") or self.vehicle is None:
             return
         k, car = self.k, self.vehicle
-        inertial = k.rate("vx") - k.of("vy r", lambda: k.columns["vy"] * k.columns["r"])
+        inertial = k.rate("vx") - self._carried()
         parts = (
             car.wheel_radius * car.mass * inertial,
             car.wheel_radius * car.drag_coefficient * k.signal("vx") ** 2,
@@ -316,6 +323,7 @@ class Checks:
         told = len(self.unjudged)
         self.relate(ACROSS, sideslip, path, {"vy": 1, "vx": -1}, 0.3)
         del self.unjudged[told:]
+        self.relations[count:] = [replace(relation, of_the_world=True) for relation in self.relations[count:]]
         return len(self.relations) > count
 
     def _sideslip_sign(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,11 +26,17 @@ class Consistency:
     relations : tuple of Relation
         Every relation measured, also those that hold.
     unjudged : tuple of Unjudged
+    factors : mapping of str to float
+        Channel to the signed factor that is in it, where one mistake is clearly the best explanation.
+    cost : float
+        Of the explanation, as a negative logarithm [1]; 0 where all holds.
     """
 
     findings: tuple[Finding, ...] = ()
     relations: tuple[Relation, ...] = ()
     unjudged: tuple[Unjudged, ...] = ()
+    factors: Mapping[str, float] = field(default_factory=dict)
+    cost: float = 0.0
 
 
 def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str, str]) -> Consistency:
@@ -85,7 +91,7 @@ def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str,
     unjudged = dict.fromkeys([*checks.unjudged, *finer.unjudged])
     # The functions were for the search; results travel between processes.
     relations = tuple(replace(relation, corrected=None) for relation in checks.relations)
-    return Consistency(_with_compass(findings), relations, tuple(unjudged))
+    return Consistency(_with_compass(findings), relations, tuple(unjudged), factors, explanation.cost)
 
 
 def _after(finding: Finding, shared: Mapping[str, float]) -> Finding:
@@ -129,4 +135,8 @@ def _with_compass(findings: Sequence[Finding]) -> tuple[Finding, ...]:
             f"{evidence}: it is a compass bearing, clockwise from north, while X and Y are east and north. Write "
             "`world: ned` into the entry of yaw alone, not into the whole map, which would exchange X and Y."
         )
-    return tuple(replace(f, text=remedies.get(f, f.text)) for f in findings if f is not zero)
+    is_compass = abs(zero.measured - 0.5 * np.pi) <= 0.15
+    checks = {turned: "compass"} if is_compass else {}
+    return tuple(
+        replace(f, text=remedies.get(f, f.text), check=checks.get(f, f.check)) for f in findings if f is not zero
+    )

@@ -320,7 +320,8 @@ def _run_torque_from_pedals(situation: Situation) -> Derived:
     name = "torque_from_throttle_and_brake"
     settings = situation.settings
     throttle, brake = str(settings.get("throttle", "throttle")), str(settings.get("brake", "brake"))
-    for channel in (throttle, brake):
+    no_brake = "brake" not in settings and brake not in situation.columns
+    for channel in (throttle,) if no_brake else (throttle, brake):
         if channel not in situation.columns:
             raise MapError(f"{name} needs {channel}", advice=nearest_names(channel, situation.columns))
     points = settings.get("drive_map", [[0.0, 0.0], [1.0, vehicle.max_torque]])
@@ -332,15 +333,18 @@ def _run_torque_from_pedals(situation: Situation) -> Derived:
     power = settings.get("max_power")
     T = torque_from_throttle_and_brake(
         situation.columns[throttle],
-        situation.columns[brake],
+        np.zeros_like(situation.columns["vx"]) if no_brake else situation.columns[brake],
         situation.columns["vx"],
         drive_map=drive_map,
         brake_gain=gain,
         wheel_radius=vehicle.wheel_radius,
         max_power=None if power is None else float(power),
     )
-    how = f"torque from {throttle} by a map to {drive_map[-1, 1]:g} N m and {brake} times {gain:.4g} N m a unit"
-    return Derived({"T": T}, how, "T follows from pedal maps: their errors appear in the longitudinal label")
+    how = f"torque from {throttle} by a map to {drive_map[-1, 1]:g} N m"
+    warning = "T follows from pedal maps: their errors appear in the longitudinal label"
+    if no_brake:
+        return Derived({"T": T}, f"{how}, no brake recorded", f"{warning}; no brake is recorded, none is in T")
+    return Derived({"T": T}, f"{how} and {brake} times {gain:.4g} N m a unit", warning)
 
 
 def _run_torque_from_current(situation: Situation) -> Derived:
@@ -372,6 +376,11 @@ def _run_velocity_from_pose(situation: Situation) -> Derived:
     )
 
 
+def _run_lateral_velocity_from_sideslip(situation: Situation) -> Derived:
+    c = situation.columns
+    return Derived({"vy": c["vx"] * np.tan(c["sideslip"])}, "v_x times the tangent of the measured sideslip angle")
+
+
 def _run_acceleration_from_velocity(situation: Situation) -> Derived:
     c = situation.columns
     made = {"ax": np.empty(len(c["vx"])), "ay": np.empty(len(c["vx"]))}
@@ -389,6 +398,13 @@ DERIVATIONS: dict[str, Derivation] = {
     for entry in (
         Derivation(
             "velocity-from-pose", ("vx", "vy", "r"), ("X", "Y", "yaw"), ("channels",), _run_velocity_from_pose
+        ),
+        Derivation(
+            "lateral-velocity-from-sideslip",
+            ("vy",),
+            ("vx", "sideslip"),
+            (),
+            _run_lateral_velocity_from_sideslip,
         ),
         Derivation(
             "acceleration-from-velocity", ("ax", "ay"), ("vx", "vy", "r"), (), _run_acceleration_from_velocity

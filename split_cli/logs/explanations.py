@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from split_cli.logs.kinematics import Slope
-from split_cli.logs.mistakes import Mistake, known_mistakes
+from split_cli.logs.mistakes import COMMON, Mistake, known_mistakes
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Explanation", "Finding", "Plausible", "Relation", "explain"]
@@ -24,6 +24,9 @@ _SAME_UNIT = 1.0
 _ONE_MORE_WHEEL = 0.25
 _BEYOND_PHYSICS = 4.0
 """Cost of a magnitude e times what a car can reach."""
+_SAME_AXES = 0.5
+"""Added to the cost of one turned sign when all channels of the vehicle, or of the world, have other axes."""
+_OF_THE_BODY = ("vy", "ay", "delta")
 _SHARED = ("vx", "r")
 """Channels that enter several relations; every other one enters one."""
 
@@ -68,6 +71,8 @@ class Relation:
     corrected : callable or None
         Takes the factors of v_x and r and returns the ratio that is left after both are corrected, for relations
         that are no plain product; None where `powers` says it all.
+    of_the_world : bool
+        Whether it turns its sign when yaw and the order of X, Y are both turned.
     """
 
     name: str
@@ -75,6 +80,7 @@ class Relation:
     slope: Slope
     tolerance: float
     corrected: Callable[[float, float], float] | None = None
+    of_the_world: bool = False
 
     @property
     def holds(self) -> bool:
@@ -132,10 +138,13 @@ class Explanation:
     findings : tuple of Finding
     factors : mapping of str to float
         Channel to the factor that is in it; only where one mistake is clearly the best.
+    cost : float
+        Of the best story, 0 where all relations hold [1].
     """
 
     findings: tuple[Finding, ...] = ()
     factors: Mapping[str, float] = field(default_factory=dict)
+    cost: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -217,7 +226,7 @@ def explain(
         for m in best.mistakes
         if m.channel in sure and m.channel not in doubtful and m.factor is not None
     }
-    return Explanation(tuple(told), factors)
+    return Explanation(tuple(told), factors, best.cost)
 
 
 def _shared_choices(
@@ -254,14 +263,31 @@ def _story(
 ) -> _Story:
     factors = {mistake.channel: mistake.factor for mistake in shared}
     leaves = [_leaf(relation, factors, shared, vehicle, plausible) for relation in relations]
+    world = {"yaw", "hand"} <= _turned(leaves)
+    if world:
+        # North-east-down axes mirror the path: what relates to it turns its sign with them.
+        mirrored = [
+            replace(r, slope=replace(r.slope, slope=-r.slope.slope)) if r.of_the_world else r for r in relations
+        ]
+        leaves = [_leaf(relation, factors, shared, vehicle, plausible) for relation in mirrored]
     cost = sum(mistake.cost for mistake in shared) + sum(leaf.cost for leaf in leaves)
     cost += sum(p.cost(factors) for p in plausible if set(p.powers) <= set(_SHARED))
     cost -= _shared_wheel_costs(leaves)
-    turned = {leaf.mistake.channel for leaf in leaves if leaf.mistake is not None and leaf.mistake.turned}
-    if {"yaw", "hand"} <= turned:
-        # North-east-down axes turn both at once: one mistake, not two.
-        cost -= 2.5
+    body = [leaf for leaf in leaves if leaf.relation.leaf in _OF_THE_BODY]
+    if world:
+        cost -= COMMON - _SAME_AXES  # one mistake, not two
+    elif any(m.channel == "r" and m.turned for m in shared) and body and _all_turned(body):
+        cost -= len(body) * COMMON - _SAME_AXES
     return _Story(shared, tuple(leaves), cost)
+
+
+def _turned(leaves: Sequence[_Leaf]) -> set[str]:
+    return {leaf.mistake.channel for leaf in leaves if leaf.mistake is not None and leaf.mistake.turned}
+
+
+def _all_turned(leaves: Sequence[_Leaf]) -> bool:
+    """Whether every one of the channels has its sign turned: right-handed-down axes do that to all of them."""
+    return all(leaf.relation.leaf in _turned([leaf]) for leaf in leaves)
 
 
 def _shared_wheel_costs(leaves: Sequence[_Leaf]) -> float:

@@ -39,6 +39,7 @@ EXTRA_UNITS: dict[str, str] = {
     "brake_pressure": "Pa",
     "motor_current": "A",
     "steering_wheel_angle": "rad",
+    "sideslip": "rad",
     "delta_command": "rad",
     "T_command": "N m",
     "vx_command": "m/s",

@@ -14,7 +14,7 @@ __all__ = [
     "yaw_from_quaternion",
 ]
 
-_FLIPPED_IN_FRD = frozenset({"vy", "r", "ay", "delta", "delta_command", "steering_wheel_angle"})
+_FLIPPED_IN_FRD = frozenset({"vy", "r", "ay", "delta", "delta_command", "steering_wheel_angle", "sideslip"})
 
 # WGS 84.
 _EQUATORIAL_RADIUS = 6378137.0

@@ -194,12 +194,19 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
         if key not in _KEYS:
             raise VehicleError(f"unknown key {key!r}", where=where, advice=nearest_names(str(key), _KEYS))
     told = _Told(where)
-    numbers = {}
-    for key in _NUMBERS:
-        if content.get(key) is not None:
-            numbers[key] = told.number(key, content[key])
-        elif key not in _OPTIONAL:
-            raise VehicleError(f"lacks {key}", where=where, advice="See the vehicle file in docs/formats.md.")
+    lacking = [key for key in _NUMBERS if content.get(key) is None and key not in _OPTIONAL]
+    lacking += [key for key in ("front_tire", "rear_tire") if content.get(key) is None]
+    lacking += [
+        f"{tire}.{letter}"
+        for tire in ("front_tire", "rear_tire")
+        if isinstance(content.get(tire), Mapping)
+        for letter in ("B", "C", "D")
+        if letter in content[tire] and content[tire][letter] is None
+    ]
+    if lacking:
+        advice = "See the vehicle file in docs/formats.md; `split init` writes one with every key explained."
+        raise VehicleError(f"lacks {', '.join(lacking)}", where=where, advice=advice)
+    numbers = {key: told.number(key, content[key]) for key in _NUMBERS if content.get(key) is not None}
     for key in _POSITIVE:
         if key in numbers and not numbers[key] > 0:
             raise VehicleError(f"{key} is {numbers[key]:g}, it must be positive", where=where)

@@ -239,5 +239,5 @@ def test_a_draft_map_reads_what_it_was_drafted_from(tmp_path):
     path = tmp_path / "draft.yaml"
     path.write_text(text)
     made = gather(recording, read_map(path))
-    assert {"vx", "vy", "r", "delta", "T"} <= set(made.series)
-    assert made.series["vx"][0].source == "Ground Speed" and "guess" in text and "Not used: time, foo" in text
+    assert {"vx", "vy", "r", "T"} <= set(made.series) and "open: delta from steer_angle" in text
+    assert made.series["vx"][0].source == "Ground Speed" and "Not used: time, foo" in text

@@ -1,0 +1,166 @@
+"""What a recorded name probably means: the words in it, its unit suffix, and the channels that they fit."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from split_cli.logs.raw import RawChannelInfo
+from split_cli.signals import find_unit
+
+__all__ = ["Meaning", "meanings", "stated_unit", "words_of"]
+
+_UNIT_WORDS = {
+    "mps": "m/s", "mps2": "m/s^2", "mpss": "m/s^2", "ms2": "m/s^2", "kph": "km/h", "kmh": "km/h", "kmph": "km/h",
+    "mph": "mph", "kn": "kn", "knots": "kn", "rad": "rad", "radps": "rad/s", "rads": "rad/s", "deg": "deg",
+    "degps": "deg/s", "dps": "deg/s", "degs": "deg/s", "degree": "deg", "degrees": "deg", "rpm": "rpm",
+    "nm": "N m", "bar": "bar", "kpa": "kPa", "pct": "%", "percent": "%", "mm": "mm", "m": "m", "g": "g", "n": "N",
+}  # fmt: skip
+_LAST_TWO = {
+    ("m", "s"): "m/s", ("m", "s2"): "m/s^2", ("km", "h"): "km/h", ("rad", "s"): "rad/s", ("deg", "s"): "deg/s",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """One reading of a name.
+
+    Attributes
+    ----------
+    channel : str
+        A channel of the drive, or ``latitude``, ``sideslip``, ``steering_wheel_angle`` and the like.
+    weight : int
+        How clearly the name says so; 3 is clear, 1 needs the data to agree.
+    """
+
+    channel: str
+    weight: int
+
+
+_CORNER = {
+    "fl": r"(fl|lf|front_left|left_front|frontleft)",
+    "fr": r"(fr|rf|front_right|right_front|frontright)",
+    "rl": r"(rl|lr|rear_left|left_rear|rearleft|bl)",
+    "rr": r"(rr|rear_right|right_rear|rearright|br)",
+}
+# One pattern a line, however long: a table is read by its columns.
+_RULES: tuple[tuple[str, int, str], ...] = (
+    ("vx", 3, r"v_?x(_(body|cg|local|vehicle|car|long\w*))?|u|vel(ocity)?_?x(_(body|cg|local))?|(body_)?v(el)?_x"),
+    ("vx", 3, r"(v|vel|velocity|speed)_?long\w*|long(itudinal)?_?(vel\w*|speed)|lng_vel|veh(icle)?_?spd_?lgt\w*"),
+    ("vx", 3, r"vel(ocity)?_?(forward|fwd)|(forward|fwd)_?(vel\w*|speed)|v_?fwd"),
+    ("vx", 2, r"(ground|vehicle|veh|car|corr(ected)?|gps|vbox|body|can)_?(speed|spd|velocity|vel)"),
+    ("vx", 2, r"speed_over_ground"),
+    ("vx", 2, r"v_ego|ego_speed|chassis_speed|vehspd\w*"),
+    ("vx", 2, r"speed_2d|esp_vehiclespeed|vehiclespeed|wheel_?based_?vehicle_?speed"),
+    ("vx", 1, r"speed|velocity|spd|v|vel|vel_encoder"),
+    ("vx", 1, r"spd_kmh|speed_actual|speed_measured|encoder_speed|odom_speed"),
+    ("vy", 3, r"v_?y(_(body|cg|local|vehicle|car|lat\w*))?|vel(ocity)?_?y(_(body|cg|local))?|(body_)?v(el)?_y"),
+    ("vy", 3, r"(v|vel|velocity|speed)_?lat\w*|lat(eral)?_?(vel\w*|speed)"),
+    ("sideslip", 3, r"(side_?)?slip(_angle)?(_?(cog|cg|body|vehicle))?|beta|body_slip\w*|float_angle|sideslip\w*"),
+    ("r", 3, r"(imu_|body_|gyro_|can_)?yaw_?(rate|vel\w*|speed)\w*|psi_?(dot|p|d)|d_?psi"),
+    ("r", 3, r"omega(_?z)?|w_?z|gyro_?z"),
+    ("r", 3, r"gyro_?yaw\w*|heading_rate|yawdot"),
+    ("r", 3, r"z_?(gyro|rate|ang\w*_vel\w*)|ang(ular)?_?(vel\w*|rate|speed)_?z|gps_gyro"),
+    ("r", 2, r"rot(ation)?_?(rate_?)?z|turn_rate|rate_z|yr|w_imu|imu_w|gyro_?yaw"),
+    ("r", 1, r"r|w"),
+    ("yaw", 3, r"yaw(_?angle)?|psi|true_head(ing)?\d?|unwrapped_yaw"),
+    ("yaw", 3, r"vicon_yaw|attitude_yaw|euler_?(yaw|psi|z)|orientation_?yaw"),
+    ("yaw", 2, r"heading(_angle)?|phi|hdg|theta|head_imu\d?|yaw_imu|azimuth"),
+    ("course", 3, r"course(_over_ground)?|cog|gps_(heading|course|bearing)|bearing|track_angle|motion_heading"),
+    ("latitude", 3, r"(gps_)?lat(itude)?(_?deg)?"),
+    ("longitude", 3, r"(gps_)?(lon|long|lng)(gitude|itude)?(_?deg)?"),
+    ("X", 3, r"x|(pos(ition)?|loc\w*|local|enu|vicon|utm|map|odom|est)_?x(_pos\w*)?|x_?(pos\w*|m|cg|coord\w*)"),
+    ("X", 3, r"east(ing)?|utm_?e\w*"),
+    ("Y", 3, r"y|(pos(ition)?|loc\w*|local|enu|vicon|utm|map|odom|est)_?y(_pos\w*)?|y_?(pos\w*|m|cg|coord\w*)"),
+    ("Y", 3, r"north(ing)?|utm_?n\w*"),
+    ("ax", 3, r"a_?x(_(body|cg|imu|vehicle))?|acc(el(eration)?)?_?x(_?(imu|body|cg))?|x_?acc\w*"),
+    ("ax", 3, r"a_?lgt\d?|imu_a(cc\w*)?_?x"),
+    ("ax", 3, r"(g_?force_?|gps_|inline_?|a_?|acc\w*_?)?(long|lon|lng)\w*(_?(acc\w*|g|a))?|inline_?acc\w*"),
+    ("ax", 3, r"g_?(long|lon)|a_?long"),
+    ("ay", 3, r"a_?y(_(body|cg|imu|vehicle))?|acc(el(eration)?)?_?y(_?(imu|body|cg))?|y_?acc\w*"),
+    ("ay", 3, r"a_?lat\d?|imu_a(cc\w*)?_?y"),
+    ("ay", 3, r"(g_?force_?|gps_|a_?|acc\w*_?)?lat\w*_?(acc\w*|g|a|force)|g_?force_?lat\w*|g_?lat"),
+    ("ay", 3, r"acc\w*_?lat\w*|a_?lat"),
+    ("steering_wheel_angle", 3, r"(steering_?wheel|hand_?wheel|str_?whl|sw)_?(angle|pos\w*|ang|a)?|swa"),
+    ("steering_wheel_angle", 3, r"stw_?ang\w*|steer_?whl\w*"),
+    ("steering_wheel_angle", 3, r"steering_?wheel_?(angle_?)?\w*|lws_?angle|sas_?angle|wheel_?angle_?driver"),
+    ("delta", 3, r"delta(_?(f|wheel|front|road))?|df|road_?wheel_?angle"),
+    ("delta", 3, r"(steer(ing)?_?)?tire_?angle|tyre_angle|front_wheel_angle"),
+    ("delta", 1, r"steer(ed|ing)?(_?(angle|ang|pos\w*|cmd|command|actual|measured|rad|input))?"),
+    ("delta", 1, r"st_?angle|steering_?angle_?\d?"),
+    ("T", 3, r"T|(wheel_?|total_?|axle_?|drive_?)?torque(_?(wheel\w*|total|cmd|command))?|t_?wheel\w*"),
+    ("T", 3, r"axle_?trq|trq_?whl\w*"),
+    ("wheel_torque", 3, rf"(pt_?)?(t|tq|torque|trq)_?(at_?w\w*|whl|wheel)?_?({'|'.join(_CORNER.values())})"),
+    ("wheel_torque", 3, r"t_?wheel_?(fl|fr|rl|rr)"),
+    ("throttle", 3, r"(ff_?)?thr(ottle)?(_?(p(os\w*|ed\w*)|cmd|\d|pct))?|accelerator\w*|accr?_?ped\w*"),
+    ("throttle", 3, r"gas(_ped\w*)?|tps|app"),
+    ("brake_pressure", 3, r"(p_?brake\w*|brake_?pres\w*|fbp|rbp|brk_?pres\w*|brake_?line\w*|p_?brk\w*|mcp)"),
+    ("brake", 3, r"brk?(ake)?(_?(p(os\w*|ed\w*)|cmd|pct|\d))?|brk_?pedl?\w*"),
+    ("motor_current", 3, r"(motor_?|phase_?|iq_?)?current(_?motor)?|current_motor|i_?motor"),
+    *(
+        (f"wheel_speed_{c}", 3,
+         r"(wheel_?(speed_?|spd_?|vel\w*_?)?|w_?|ws_?|wspd_?|whl_?spd_?|v_?wheel_?|omega_?)?"
+                                rf"{p}(_?(whl\w*|wheel\w*|ws))?(_?(spd|speed))?")
+        for c, p in _CORNER.items()
+    ),
+)  # fmt: skip
+_COMPILED = tuple((channel, weight, re.compile(pattern)) for channel, weight, pattern in _RULES)
+_MAKERS = {"esp", "abs", "ecu", "can", "imu", "ins", "gps", "vbox", "obd", "ego", "odom", "mti", "oxts", "ff"}
+"""Words in front that say which device measured."""
+_COMMAND_WORDS = {"cmd", "command", "ref", "target", "desired", "goal", "setpoint", "request", "reference"}
+
+
+def words_of(name: str) -> list[str]:
+    """Return the words of a name in lower case: camel case, blanks, dots and hyphens part them.
+
+    Of a message's field its last part counts, or the topic where the field is only ``data``; of a field of a
+    structure or a file (``imu.yawRate``) the last part.
+    """
+    tail = name
+    if name.startswith("/"):
+        topic, tail = name.rsplit("/", 1)
+        if tail.lower() in ("data", "value"):
+            tail = topic.rsplit("/", 1)[-1]
+    tail = re.split(r"(?<=\w)\.(?=[A-Za-z])", tail)[-1]
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", tail)
+    return [word for word in re.split(r"[^A-Za-z0-9]+", spaced.lower()) if word]
+
+
+def stated_unit(info: RawChannelInfo) -> str | None:
+    """Return the unit that the file states or that the name ends with; None where nobody says."""
+    if info.unit and find_unit(info.unit):
+        return find_unit(info.unit).symbol
+    words = words_of(info.name)
+    if len(words) > 2 and tuple(words[-2:]) in _LAST_TWO:
+        return _LAST_TWO[tuple(words[-2:])]
+    if len(words) > 1 and words[-1] in _UNIT_WORDS:
+        return _UNIT_WORDS[words[-1]]
+    return None
+
+
+def meanings(info: RawChannelInfo) -> tuple[Meaning, ...]:
+    """Return the channels that the name of a signal fits, the clearest first."""
+    if info.name.strip() == "T":
+        return (Meaning("T", 3),)
+    if info.name.strip() in ("t", "time"):
+        return ()
+    if info.name.startswith("/") and re.search("orientation|rotation|covariance|quaternion", info.name):
+        return ()
+    words = words_of(info.name)
+    spellings = {"_".join(words)}
+    if len(words) > 2 and tuple(words[-2:]) in _LAST_TWO:
+        spellings.add("_".join(words[:-2]))
+    if len(words) > 1 and words[-1] in _UNIT_WORDS:
+        spellings.add("_".join(words[:-1]))
+    for spelling in [*spellings]:
+        first, _, rest = spelling.partition("_")
+        if rest and first in _MAKERS:
+            spellings.add(rest)
+    # What stands in brackets is a place or a source rather than a unit: "acc x (IMU)".
+    found: dict[str, int] = {}
+    for channel, weight, expression in _COMPILED:
+        if any(expression.fullmatch(spelling) for spelling in spellings):
+            found[channel] = max(found.get(channel, 0), weight)
+    if _COMMAND_WORDS & set(words):
+        found = {c: w for c, w in found.items() if c in ("delta", "T", "throttle", "brake", "brake_pressure")}
+    return tuple(Meaning(c, w) for c, w in sorted(found.items(), key=lambda entry: -entry[1]))

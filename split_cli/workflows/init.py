@@ -1,0 +1,150 @@
+"""The first two files of a newcomer: a drafted map and a vehicle file to fill in."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from split_cli.errors import SplitError
+from split_cli.files import atomic_path
+from split_cli.logs.suggest import Draft, draft_map, render_draft
+from split_cli.signals import REQUIRED_CHANNELS
+from split_cli.workflows.ingest import open_logs
+
+__all__ = ["InitResult", "init_project"]
+
+VEHICLE_TEMPLATE = """# The nominal vehicle. Fill in what stands empty; every command names all that is missing.
+# A value may also be written {value: 1573, source: published}; source is published, assumed or calibrated.
+name: car
+
+# Required. From scales, the maker's data sheet or a workshop.
+mass:                 # kg, the whole car as driven
+yaw_inertia:          # kg m^2 about the vertical axis; near mass x cg_to_front_axle x cg_to_rear_axle if unknown
+cg_to_front_axle:     # m
+cg_to_rear_axle:      # m; wheelbase less cg_to_front_axle
+wheel_radius:         # m, effective: distance rolled over angle turned
+max_torque:           # N m, driving, all wheels together
+friction_coefficient: 1.0   # 1, tyre on road: about 1.0 dry asphalt, 0.5 wet cobbles, 0.3 snow
+cg_height:            # m above ground; informs some terms only
+rolling_resistance_front: 0.0   # N, `split calibrate` finds it
+rolling_resistance_rear: 0.0    # N
+drag_coefficient: 0.0           # N/(m/s)^2, `split calibrate` finds it
+drive_split_front:    # 0 rear drive, 1 front drive
+
+# Optional.
+# max_brake_torque:   # N m, all wheels together; default max_torque
+# brake_split_front:  # default drive_split_front; road cars about 0.7
+
+# F_y = D sin(C atan(B alpha)) for the whole axle. To start: D = friction x static load of the axle,
+# C = 1.4, B = cornering stiffness / (C D), about 10 for road tyres. `split calibrate` fits them to a gentle drive.
+front_tire: {B: 10.0, C: 1.4, D: }   # D in N
+rear_tire: {B: 10.0, C: 1.4, D: }    # D in N
+"""
+
+
+@dataclass(frozen=True)
+class InitResult:
+    """What was written and what comes next.
+
+    Attributes
+    ----------
+    map_path, vehicle_path : Path
+    draft : Draft
+    log : str
+        As the user named it, for the command to run.
+    """
+
+    map_path: Path
+    vehicle_path: Path
+    draft: Draft
+    log: str
+
+    @property
+    def next_steps(self) -> tuple[str, ...]:
+        """What to do, in order."""
+        mapped = {s.channel for s in self.draft.suggestions if s.status != "open"}
+        missing = [channel for channel in REQUIRED_CHANNELS if channel not in mapped]
+        check = [s.channel for s in self.draft.suggestions if s.status == "assumed"]
+        steps = [f"Fill in the empty values of {self.vehicle_path}."]
+        if check:
+            steps.append(f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}.")
+        if missing:
+            steps.append(f"Map or derive {', '.join(missing)}: the map's comments say how.")
+        derive = " --derive torque-from-acceleration" if "T" in missing else ""
+        vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
+        steps.append(f"Run: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o drive.parquet")
+        return tuple(steps)
+
+    def to_text(self) -> str:
+        """Return the result for a terminal."""
+        counts = {status: [s.channel for s in self.draft.suggestions if s.status == status]
+                  for status in ("judged", "stated", "assumed", "open")}  # fmt: skip
+        words = {
+            "judged": "fit the other channels",
+            "stated": "unit as the file says, not judged",
+            "assumed": "unit assumed: CHECK",
+            "open": "left open, with the reason",
+        }
+        lines = [f"wrote {self.map_path} and {self.vehicle_path}"]
+        lines += [f"  {words[status]}: {', '.join(found)}" for status, found in counts.items() if found]
+        return "\n".join([*lines, "next:", *(f"  {n}. {step}" for n, step in enumerate(self.next_steps, 1))])
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the result for JSON."""
+        return {
+            "map": str(self.map_path),
+            "vehicle": str(self.vehicle_path),
+            "channels": [
+                {"channel": s.channel, "sources": list(s.sources), "status": s.status, "reason": s.reason}
+                for s in self.draft.suggestions
+            ],
+            "next": list(self.next_steps),
+        }
+
+
+def init_project(
+    logs: Sequence[str | Path],
+    folder: str | Path,
+    *,
+    together: bool = False,
+    row_rate: float | None = None,
+    message_paths: Sequence[str | Path] = (),
+) -> InitResult:
+    """Write a drafted map and a vehicle file to fill in.
+
+    Parameters
+    ----------
+    logs : sequence of path-like
+        One recording, or several files that are one drive.
+    folder : path-like
+        Made when it does not exist.
+    together : bool
+        Several files make one drive; without it the first is drafted and the others take its map.
+    row_rate : float, optional
+        Of a table without a column of time [Hz].
+    message_paths : sequence of path-like
+        Folders of ``.msg`` files, and CAN databases.
+
+    Raises
+    ------
+    SplitError
+        If the recording cannot be read, or one of the two files exists.
+    """
+    folder = Path(folder)
+    targets = folder / "map.yaml", folder / "vehicle.yaml"
+    for target in targets:
+        if target.exists():
+            raise SplitError("exists already", where=str(target), advice="Name another folder with -o.")
+    recording = open_logs(list(logs) if together else logs[0], message_paths)
+    draft = draft_map(recording, row_rate=row_rate)
+    folder.mkdir(parents=True, exist_ok=True)
+    for target, text in zip(targets, (render_draft(draft, recording.name) + "\n", VEHICLE_TEMPLATE), strict=True):
+        with atomic_path(target) as temporary:
+            temporary.write_text(text)
+    shown = " ".join(shlex.quote(str(log)) for log in logs) + (" --together" if together else "")
+    databases = [f" --dbc {shlex.quote(str(p))}" for p in message_paths if Path(p).is_file()]
+    rate = f" --row-rate {row_rate:g}" if row_rate is not None else ""
+    return InitResult(*targets, draft, shown + "".join(databases) + rate)

@@ -1,0 +1,43 @@
+"""`split init`: two files that the next commands take, and what comes next."""
+
+from __future__ import annotations
+
+import pytest
+from click.testing import CliRunner
+
+from split_cli.cli.init import command
+from split_cli.errors import SplitError, VehicleError
+from split_cli.logs.signal_map import read_map
+from split_cli.vehicle.parameters import read_vehicle
+
+
+def test_the_drafted_files_are_read_and_every_missing_value_is_named_at_once(tmp_path, sample_logs):
+    log = str(sample_logs / "road_small_workshop.csv")
+    shown = CliRunner().invoke(command, [log, "-o", str(tmp_path / "car")], catch_exceptions=False)
+    assert shown.exit_code == 0 and "Run: split ingest" in shown.output
+    drafted = {entry.channel: entry.sources[0] for entry in read_map(tmp_path / "car" / "map.yaml").channels}
+    assert {"vx", "vy", "r", "T", "delta", "X", "Y", "yaw", "ax", "ay"} <= set(drafted)
+    assert (drafted["vx"].unit, drafted["r"].unit, drafted["ax"].unit) == ("km/h", "deg/s", "g")
+    with pytest.raises(VehicleError) as missing:
+        read_vehicle(tmp_path / "car" / "vehicle.yaml")
+    for key in ("mass", "yaw_inertia", "cg_to_front_axle", "wheel_radius", "max_torque", "rear_tire.D"):
+        assert key in str(missing.value)
+    # Filled in as a user would, the file is a vehicle.
+    text = (tmp_path / "car" / "vehicle.yaml").read_text()
+    for key, value in {
+        "mass:": 1500, "yaw_inertia:": 2500, "cg_to_front_axle:": 1.2, "cg_to_rear_axle:": 1.5,
+        "wheel_radius:": 0.3, "max_torque:": 2000, "cg_height:": 0.5, "drive_split_front:": 0,
+    }.items():  # fmt: skip
+        text = text.replace(f"\n{key} ", f"\n{key} {value} ")
+    (tmp_path / "full.yaml").write_text(text.replace("D: }", "D: 7000}"))
+    assert read_vehicle(tmp_path / "full.yaml").mass == 1500.0
+
+
+def test_nothing_is_overwritten(tmp_path, sample_logs):
+    (tmp_path / "map.yaml").write_text("mine")
+    with pytest.raises(SplitError, match="exists already"):
+        CliRunner().invoke(
+            command, [str(sample_logs / "road_small_workshop.csv"), "-o", str(tmp_path)],
+            catch_exceptions=False, standalone_mode=False,
+        )  # fmt: skip
+    assert (tmp_path / "map.yaml").read_text() == "mine" and not (tmp_path / "vehicle.yaml").exists()

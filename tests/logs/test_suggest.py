@@ -1,0 +1,172 @@
+"""Twenty header styles: every channel right, or left open with its reason, never wrong in silence."""
+
+# ruff: noqa: E501
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.readers.together import open_together
+from split_cli.logs.signal_map import map_from_mapping, read_map
+from split_cli.logs.suggest import Draft, Suggestion, draft_map, render_draft
+from split_cli.signals import find_unit
+from tests.logs.planted import PlantedDrive
+
+DEG = 180.0 / np.pi
+FACTORS = {"km/h": 3.6, "mph": 1 / 0.44704, "kn": 1 / 0.514444, "deg": DEG, "deg/s": DEG, "g": 1 / 9.80665, "ft": 1 / 0.3048,
+           "%": 100.0, "ms": 1e3, "ns": 1e9, "bar": 1e-5}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Style:
+    """A header style: the column's title, the channel and the unit its numbers are in; a sign where it is turned."""
+
+    name: str
+    columns: tuple[tuple[str, str, str] | tuple[str, str, str, float], ...]
+    separator: str = ","
+
+
+STYLES = (
+    Style("SI with brackets", (("time [s]", "t", "s"), ("vx [m/s]", "vx", "m/s"), ("vy [m/s]", "vy", "m/s"),
+          ("yaw rate [rad/s]", "r", "rad/s"), ("steering angle [rad]", "delta", "rad"), ("torque [Nm]", "T", "N m"))),
+    Style("suffixes, mixed units", (("Time_ms", "t", "ms"), ("speed_kph", "vx", "km/h"), ("lat_vel_mps", "vy", "m/s"),
+          ("yaw_rate_dps", "r", "deg/s"), ("road_wheel_angle_deg", "delta", "deg"), ("wheel_torque_Nm", "T", "N m"),
+          ("accel_x_g", "ax", "g"), ("accel_y_g", "ay", "g"), ("heading_deg", "yaw", "deg"), ("east_m", "X", "m"),
+          ("north_m", "Y", "m"))),
+    Style("camel case without units", (("timestamp", "t", "s"), ("longitudinalVelocity", "vx", "km/h"),
+          ("lateralVelocity", "vy", "km/h"), ("yawRate", "r", "deg/s"), ("posX", "X", "m"), ("posY", "Y", "m"),
+          ("yaw", "yaw", "rad"), ("accelX", "ax", "g"), ("accelY", "ay", "g"))),
+    Style("no units, SI", (("t", "t", "s"), ("x", "X", "m"), ("y", "Y", "m"), ("psi", "yaw", "rad"), ("vx", "vx", "m/s"),
+          ("vy", "vy", "m/s"), ("omega", "r", "rad/s"), ("ax", "ax", "m/s^2"), ("ay", "ay", "m/s^2"),
+          ("delta", "delta", "rad"))),
+    Style("right-handed down, no units", (("time", "t", "s"), ("x", "X", "m"), ("y", "Y", "m"), ("yaw", "yaw", "rad"),
+          ("u", "vx", "m/s"), ("v_y", "vy", "m/s", -1.0), ("yaw_rate", "r", "rad/s", -1.0),
+          ("a_y", "ay", "m/s^2", -1.0), ("delta_f", "delta", "rad", -1.0))),
+    Style("Bosch-like CAN names", (("Time", "t", "s"), ("ESP_VehicleSpeed [km/h]", "vx", "km/h"),
+          ("YawRate1 [deg/s]", "r", "deg/s"), ("LatAcc [m/s^2]", "ay", "m/s^2"), ("LongAcc [m/s^2]", "ax", "m/s^2"),
+          ("SteeringWheelAngle [deg]", "steering_wheel_angle", "deg"), ("WheelSpeedFL [km/h]", "wheel_speed_fl", "km/h"))),
+    Style("ISO 8855 words", (("Time (s)", "t", "s"), ("Longitudinal velocity (m/s)", "vx", "m/s"),
+          ("Lateral velocity (m/s)", "vy", "m/s"), ("Yaw velocity (rad/s)", "r", "rad/s"),
+          ("Longitudinal acceleration (m/s2)", "ax", "m/s^2"), ("Lateral acceleration (m/s2)", "ay", "m/s^2"),
+          ("Yaw angle (rad)", "yaw", "rad"))),
+    Style("simulator state log", (("time_ns", "t", "ns"), ("pose.x", "X", "m"), ("pose.y", "Y", "m"),
+          ("pose.yaw", "yaw", "rad"), ("twist.vx", "vx", "m/s"), ("twist.vy", "vy", "m/s"), ("twist.yaw_rate", "r", "rad/s"),
+          ("input.delta", "delta", "rad"))),
+    Style("German decimal commas, semicolons", (("Zeit;t", "t", "s"), ("vx_kmh", "vx", "km/h"), ("vy_kmh", "vy", "km/h"),
+          ("psip_degps", "r", "deg/s"), ("ay_g", "ay", "g"), ("ax_g", "ax", "g")), ";"),
+    Style("American", (("Time", "t", "s"), ("GPS Speed (mph)", "vx", "mph"), ("Gyro Z (deg/s)", "r", "deg/s"),
+          ("Lat Accel (g)", "ay", "g"), ("Long Accel (g)", "ax", "g"), ("Pos X (ft)", "X", "ft"), ("Pos Y (ft)", "Y", "ft"))),
+    Style("OxTS-like", (("Time", "t", "s"), ("VelForward (m/s)", "vx", "m/s"), ("VelLateral (m/s)", "vy", "m/s"),
+          ("AngRateZ (deg/s)", "r", "deg/s"), ("AccelX (m/s2)", "ax", "m/s^2"), ("AccelY (m/s2)", "ay", "m/s^2"))),
+    Style("no column of time", (("vx_mps", "vx", "m/s"), ("dpsi_radps", "r", "rad/s"), ("psi_rad", "yaw", "rad"),
+          ("ay_mps2", "ay", "m/s^2"))),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def planted() -> PlantedDrive:
+    return PlantedDrive(seconds=60.0)
+
+
+def values_of(planted: PlantedDrive, time: np.ndarray, channel: str, unit: str, sign: float) -> np.ndarray:
+    factor = FACTORS.get(unit, 1.0) * sign
+    if channel == "t":
+        return (time + 12.0) * factor
+    if channel == "steering_wheel_angle":
+        return 15.0 * planted.at("delta", time) * factor
+    return planted.at(channel, time) * factor
+
+
+def drafted(planted: PlantedDrive, style: Style, tmp_path) -> tuple[Draft, dict]:
+    time = np.arange(0.0, 60.0, 0.02)
+    truth, columns, titles = {}, [], []
+    for title, channel, unit, *sign in style.columns:
+        title = title.split(style.separator)[0]
+        titles.append(title)
+        columns.append(values_of(planted, time, channel, unit, sign[0] if sign else 1.0))
+        truth[channel] = (title, unit, sign[0] if sign else 1.0)
+    rng = np.random.default_rng(3)
+    noisy = [c + (0.0 if c is columns[0] else 1e-4 * np.std(c) * rng.standard_normal(len(c))) for c in columns]
+    lines = [style.separator.join(titles)]
+    for row in np.stack(noisy, 1):
+        cells = [f"{value:.9g}" if abs(value) < 1e10 else f"{value:.0f}" for value in row]
+        lines.append(style.separator.join(c.replace(".", ",") if style.separator == ";" else c for c in cells))
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return draft_map(open_recording(path)), truth
+
+
+def is_right(s: Suggestion, unit: str, sign: float) -> bool:
+    """Whether a suggestion gives SI values: the factors of its unit and scale undo those of the column."""
+    found = find_unit(s.unit) if s.unit else None
+    factor = (found.factor if found else 1.0) * s.scale
+    return factor * FACTORS.get(unit, 1.0) * sign == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("style", STYLES, ids=lambda style: style.name)
+def test_a_style_is_read_right_or_left_open_with_a_reason(planted, style, tmp_path):
+    draft, truth = drafted(planted, style, tmp_path)
+    right, opened = [], []
+    for s in draft.suggestions:
+        if s.status == "open":
+            assert s.reason
+            opened.append(s.channel)
+            continue
+        assert s.channel in truth, s
+        title, unit, sign = truth[s.channel]
+        assert is_right(s, unit, sign), s
+        right.append(s.channel)
+    wanted = set(truth) - {"t"}
+    assert wanted <= set(right) | set(opened), wanted - set(right) - set(opened)
+    # Left open may be what names and data cannot tell: steering without a unit, or the steering wheel's ratio, and
+    # whether the car's axes or the world's are the mirrored ones.
+    undecided = {"r", "vy", "ay", "yaw", "X", "Y"} if "right-handed" in style.name else set()
+    assert set(opened) <= {"delta"} | undecided, opened
+    # What was drafted is a map that can be read.
+    path = tmp_path / "map.yaml"
+    path.write_text(render_draft(draft, "log.csv"))
+    assert {entry.channel for entry in read_map(path).channels} == set(right)
+
+
+def entries(draft: Draft) -> dict[str, str]:
+    return {s.channel: "+".join(s.sources) for s in draft.suggestions if s.status != "open"}
+
+
+FOREIGN = {
+    "kth_s90/S90__038.VBO": {"vx", "vy", "r", "yaw", "ax", "ay", "X", "Y", "T", "throttle", "steering_wheel_angle"},
+    "genesis_slow/cpg_slow_lap.mat": {"vx", "vy", "r", "yaw", "ax", "ay", "X", "Y", "delta"},
+    "av21_lvms/LVMS_23_01_04_B.csv": {"vx", "vy", "r", "yaw", "X", "Y", "delta", "throttle", "brake_pressure"},
+    "tum_sim/data_to_run.csv": {"vx", "vy", "r", "ax", "ay", "delta", "T", "brake_pressure"},
+    "dart/slippery_2025-04-16-17-36-01.csv": {"vx", "vy", "r", "yaw", "ax", "ay", "X", "Y", "throttle"},
+    "dart/free_driving.csv": {"vx", "r", "yaw", "X", "Y", "throttle"},
+    "aim_formula_ford/SummitPointFF.csv": {"vx", "ax", "ay", "delta", "throttle", "brake_pressure"},
+    "motec_simulated/blakelyauto.csv": {"vx", "ax", "throttle", "brake_pressure", "wheel_speed_fl"},
+}
+
+
+@pytest.mark.foreign
+@pytest.mark.parametrize("name", FOREIGN)
+def test_foreign_recordings_are_drafted(name, datasets):
+    draft = draft_map(open_recording(datasets / name))
+    assert FOREIGN[name] <= set(entries(draft)), FOREIGN[name] - set(entries(draft))
+    assert all(s.reason for s in draft.suggestions if s.status in ("open", "judged", "assumed"))
+
+
+@pytest.mark.foreign
+def test_what_decides_in_foreign_recordings(datasets):
+    kth = draft_map(open_recording(datasets / "kth_s90" / "S90__038.VBO"))
+    # Two yaw rates of opposite sign: whichever is taken ends up counter-clockwise positive; yaw is a compass bearing.
+    assert kth.of("r").status == "judged" and kth.of("yaw").world == "ned"
+    assert kth.of("delta").status == "open" and "scale: 1/RATIO" in kth.of("delta").reason
+    dart = draft_map(open_recording(datasets / "dart" / "free_driving.csv"))
+    assert dart.of("delta").status == "open" and "-1..1" in dart.of("delta").reason
+    assert "vicon time" in dart.time
+    comma = open_together([open_recording(path) for path in sorted((datasets / "comma2k19").glob("*.csv"))])
+    assert draft_map(comma).of("course").status == "open"
+    bag = datasets / "ros2_db3_no_definitions" / "rosbag2_2023_05_01-19_05_16"
+    assert draft_map(open_recording(bag)).undefined
+    assert map_from_mapping({"channels": entries(dart)}).channel("vx") is not None
