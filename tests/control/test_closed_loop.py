@@ -102,7 +102,7 @@ def test_what_cannot_be_driven_is_refused_before_the_first_step(options, says):
 
 def test_a_set_of_another_vehicle_is_refused(tmp_path):
     trained = tmp_path / "other.split"
-    other = str(ROOT / "sample_logs" / "formula_car.yaml")
+    other = str(ROOT / "sample_logs" / "road_car_start.yaml")  # the same body, other tyres
     log = str(ROOT / "sample_logs" / "road_car_tests.parquet")
     done = invoke("train", log, "--vehicle", other, "--hyperparameters", "default", "-o", str(trained))
     assert done.exit_code == 0, done.output
