@@ -16,7 +16,7 @@ __all__ = ["command"]
     "targets",
     multiple=True,
     required=True,
-    type=click.Choice(["c", "casadi", "npz", "json"]),
+    type=click.Choice(["c", "casadi", "npz", "json", "ggv"]),
     help="What to write; repeatable.",
 )
 @output_option("Folder to write into.")

@@ -37,6 +37,7 @@ from split_cli.export.documents import (
     write_npz,
 )
 from split_cli.export.generated_check import check_generated
+from split_cli.export.ggv import limits_over_speed, write_ggv
 from split_cli.export.memory_check import Drives, MemoryModel, roll_drives
 from split_cli.export.provenance import Provenance
 from split_cli.export.step_check import make_step_oracle, rk4_substeps
@@ -60,7 +61,7 @@ __all__ = [
     "write_export",
 ]
 
-TARGETS = ("c", "casadi", "npz", "json")
+TARGETS = ("c", "casadi", "npz", "json", "ggv")
 PREDICTORS = ("bcm", "rbcm", "table")
 MANIFEST = "manifest.json"
 MANIFEST_FORMAT = "split-export-manifest/1"
@@ -211,6 +212,11 @@ def write_export(
         elif target == "casadi":
             functions = casadi_functions(tables, graph, plan.name, training_set)
             results.append(_write_casadi(training_set, plan, graph, functions, oracle, compiler, folder))
+        elif target == "ggv":
+            files = write_ggv(limits_over_speed(training_set.vehicle, training_set.region), folder, plan.name)
+            size = sum((folder / file).stat().st_size for file in files)
+            note = "limits of the vehicle file over speed; nothing learned is in them"
+            results.append(TargetResult("ggv", files, None, None, None, None, size, None, note))
         else:
             document = document_of(training_set, provenance, table)
             result = _write_document(document, plan, oracle, target, folder, document_check)

@@ -88,6 +88,7 @@ def verify_folder(folder: str | Path) -> tuple[Finding, ...]:
         # Answers of files that are not those written would prove nothing.
         return tuple(findings)
     checks = {"c": _verify_c, "casadi": _verify_casadi, "npz": _verify_npz, "json": _verify_json}
+    checks["ggv"] = _verify_ggv
     for target in manifest["targets"]:
         try:
             findings.append(checks[target](folder, manifest["name"]))
@@ -148,6 +149,12 @@ def _verify_npz(folder: Path, name: str) -> Finding:
 
 def _verify_json(folder: Path, name: str) -> Finding:
     return _ask(document_answer(read_json(folder / f"{name}.json")), folder, name, "json")
+
+
+def _verify_ggv(folder: Path, name: str) -> Finding:
+    table = np.loadtxt(folder / f"{name}_ggv.csv", delimiter=",")
+    rising = bool((np.diff(table[:, 0]) > 0).all() and (table[:, 1:] > 0).all())
+    return Finding("ggv: limits", rising, f"{len(table)} speeds, ascending, every limit above 0")
 
 
 def _ask(answer: Answer, folder: Path, name: str, target: str) -> Finding:
