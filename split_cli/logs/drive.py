@@ -13,7 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from split_cli.errors import DriveError, nearest_names
-from split_cli.files import atomic_path, sha256_of_file
+from split_cli.files import atomic_path, refuse_no_regular_file, sha256_of_file
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, convert_to_si, split_name_and_unit
 
 __all__ = [
@@ -232,6 +232,7 @@ def read_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
         column, or its clock is not uniform inside segments.
     """
     path = Path(path)
+    refuse_no_regular_file(path, DriveError)
     if not path.is_file():
         what = "is a folder, a drive is a file" if path.is_dir() else "no such file"
         raise DriveError(what, where=str(path))
@@ -249,7 +250,10 @@ def read_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
         ) from error
     if table.num_rows < 2:
         raise DriveError(f"holds {table.num_rows} samples", where=str(path), advice="A drive needs two or more.")
-    drive = _drive_from_table(table, path)
+    try:
+        drive = _drive_from_table(table, path)
+    except (UnicodeDecodeError, pa.ArrowException) as error:  # text is decoded when it is asked for
+        raise DriveError(f"is damaged ({str(error).splitlines()[0][:160]})", where=str(path)) from error
     return drive.with_held(held) if held else drive
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import gzip
 import json
+import multiprocessing
 import random
 import resource
 import signal
@@ -17,8 +18,10 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +51,13 @@ class Tally:
     refused: int = 0
     broken: list[str] = field(default_factory=list)
     slowest: float = 0.0
+
+    def add(self, one: Tally) -> None:
+        """Take in what became of more inputs."""
+        self.read += one.read
+        self.dropped += one.dropped
+        self.refused += one.refused
+        self.slowest = max(self.slowest, one.slowest)
 
 
 class TooLong(BaseException):
@@ -188,23 +198,68 @@ def fuzz(inputs: int, seed: int, keep: Path | None = None, only: str = "") -> di
         kinds = {kind: what for kind, what in seeds(folder).items() if only in kind}
         for kind, (path, read) in kinds.items():
             tally = tallies[kind] = Tally()
-            rng = random.Random(f"{seed} {kind}")
             content = path.read_bytes()
             others = [p.read_bytes() for p, _ in kinds.values()]
             target = folder / f"mutant{path.suffix}"
-            for number in range(inputs // len(kinds)):
-                mutant = mutate(content, rng.choice(others), rng)
-                target.write_bytes(mutant)
-                broken = judge(target, read, tally)
-                if broken is None:
-                    continue
-                tally.broken.append(f"{kind} {seed}/{number}: {broken}")
-                if keep:
-                    keep.mkdir(parents=True, exist_ok=True)
-                    (keep / f"{kind.replace(' ', '_')}-{seed}-{number}{path.suffix}.gz").write_bytes(
-                        gzip.compress(mutant)
-                    )
+
+            work = partial(_try_inputs, f"{seed} {kind}", content, others, target, read)
+            number, count = 0, inputs // len(kinds)
+            while number < count:
+                for at, broken, one in _in_a_process(work, number, min(number + _INPUTS_OF_A_PROCESS, count)):
+                    number = at + 1
+                    tally.add(one)
+                    if broken is None:
+                        continue
+                    tally.broken.append(f"{kind} {seed}/{at}: {broken}")
+                    if keep:
+                        keep.mkdir(parents=True, exist_ok=True)
+                        name = f"{kind.replace(' ', '_')}-{seed}-{at}{path.suffix}.gz"
+                        (keep / name).write_bytes(gzip.compress(target.read_bytes()))
     return tallies
+
+
+_INPUTS_OF_A_PROCESS = 500
+
+
+def _try_inputs(
+    seed: str,
+    content: bytes,
+    others: list[bytes],
+    target: Path,
+    read: Callable,
+    first: int,
+    last: int,
+    said: Connection,
+) -> None:
+    """Try inputs one by one, in a process of its own; tell of each before and after it is tried."""
+    for number in range(first, last):
+        rng = random.Random(f"{seed} {number}")
+        target.write_bytes(mutate(content, rng.choice(others), rng))
+        said.send(("begin", number, None))
+        one = Tally()
+        said.send(("end", judge(target, read, one), one))
+
+
+def _in_a_process(work: Callable, first: int, last: int) -> Iterator[tuple[int, str | None, Tally]]:
+    """Yield number, broken rule and tally of each input; a process that dies has broken a rule at its input."""
+    context = multiprocessing.get_context("fork")
+    hears, says = context.Pipe(duplex=False)
+    process = context.Process(target=work, args=(first, last, says))
+    process.start()
+    says.close()
+    number, ended = first, True
+    try:
+        while True:
+            kind, value, one = hears.recv()
+            if kind == "begin":
+                number, ended = value, False
+            else:
+                ended = True
+                yield number, value, one
+    except EOFError:
+        process.join()
+        if not ended:
+            yield number, f"the process died (exit code {process.exitcode})", Tally()
 
 
 def main() -> int:
@@ -218,7 +273,7 @@ def main() -> int:
     given = parser.parse_args()
     begin = time.perf_counter()
     tallies = fuzz(given.inputs, given.seed, given.keep, given.only)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
     broken = [line for tally in tallies.values() for line in tally.broken]
     if peak > MOST_MEMORY:
         broken.append(f"memory: {peak / 1e6:.0f} MB, {MOST_MEMORY / 1e6:.0f} MB are promised")

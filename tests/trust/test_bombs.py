@@ -190,3 +190,26 @@ def test_an_alias_that_is_used_twice_is_fine(tmp_path):
     path = tmp_path / "map.yaml"
     path.write_text("a: &a {x: 1}\nb: *a\nc: {<<: *a, y: 2}\n")
     assert read_yaml_mapping(path, SplitError) == {"a": {"x": 1}, "b": {"x": 1}, "c": {"x": 1, "y": 2}}
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "says"),
+    [
+        (128, 99, "type 99 where a variable was expected"),
+        (144, 77, "class 77"),
+        (152, 999, "type 999"),
+        (132, 10**6, "ends after the file"),
+        (136, 5, "without flags"),
+    ],
+)
+def test_a_tag_that_scipy_would_follow_into_nothing_is_refused(tmp_path, at, value, says):
+    import numpy as np
+    from scipy.io import savemat
+
+    path = tmp_path / "lap.mat"
+    savemat(path, {"speed": np.arange(10.0)}, do_compression=False)
+    content = bytearray(path.read_bytes())
+    content[at : at + 4] = value.to_bytes(4, "little")
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=says):
+        open_recording(path)

@@ -10,7 +10,8 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.raw import RawSignal, ReadNote, Recording, TableRecording, column_name_and_unit, note_once
-from split_cli.logs.readers.budget import refuse_matlab_bombs, refuse_unpacked_size
+from split_cli.logs.readers.budget import refuse_unpacked_size
+from split_cli.logs.readers.mat5_structure import check_mat5
 
 __all__ = ["open_mat", "open_mat_hdf5"]
 
@@ -33,7 +34,7 @@ def open_mat(path: Path) -> Recording:
     """
     from scipy.io import loadmat
 
-    refuse_matlab_bombs(path)
+    check_mat5(path)
     try:
         content = loadmat(path, struct_as_record=False, squeeze_me=False, chars_as_strings=True)
     except Exception as error:  # SciPy's reader raises a dozen kinds on damaged files
