@@ -11,7 +11,8 @@ from pathlib import Path
 
 from split_cli.errors import SplitError
 from split_cli.proof.cases import build_case
-from split_cli.proof.plan import KINDS, plan_case
+from split_cli.proof.plan import MIXED, plan_case
+from split_cli.proof.sets import build_nominal_set
 from split_cli.proof.store import Seal, case_name, write_case, write_seal
 
 __all__ = ["generate_cases"]
@@ -23,7 +24,7 @@ def generate_cases(
     cases: int,
     *,
     jobs: int = 1,
-    kinds: tuple[str, ...] = KINDS,
+    kinds: tuple[str, ...] = MIXED,
     report: Callable[[int, int], None] | None = None,
 ) -> Seal:
     """Write the cases of a seed that are not there yet, and seal them all.
@@ -69,7 +70,8 @@ def generate_cases(
 
 
 def _make(root: Path, seed: int, number: int, kinds: tuple[str, ...]) -> None:
-    write_case(build_case(plan_case(seed, number, kinds)), root)
+    plan = plan_case(seed, number, kinds)
+    write_case(build_nominal_set(plan) if plan.kind == "nominal-set" else build_case(plan), root)
 
 
 def _claim(root: Path, seed: int, kinds: tuple[str, ...]) -> None:
@@ -90,7 +92,7 @@ def _main() -> None:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--cases", type=int, default=20)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--kinds", default=",".join(MIXED))
     parser.add_argument("-o", "--output", type=Path, required=True)
     given = parser.parse_args()
 

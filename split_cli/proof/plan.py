@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from split_cli.errors import SplitError, nearest_names
 from split_cli.proof.effects import EFFECTS
+from split_cli.proof.nominal_terms import NOMINAL_TERMS
 from split_cli.proof.strange import STRANGE
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -19,10 +21,12 @@ FIRST_REPORTED_SEED = 10**6
 TIERS = {"easy": (1.0, 3.0), "realistic": (0.35, 1.0), "hard": (0.12, 0.35)}
 """Severity: rms of the effect's 0.05 s prediction error over sqrt(2) sigma, in the channel where it is largest."""
 
-KINDS = ("null", "single", "pair", "strange")
+KINDS = ("null", "single", "pair", "strange", "set", "nominal-set")
+MIXED = KINDS[:4]
+"""Kinds that `plan_case` mixes unless it is asked for others."""
 # Of twenty cases: seven nulls, eight singles, two pairs, three effects outside the catalogue.
-_PATTERN = "sn snsxnps nsnxs nspxns n".replace(" ", "")[:20]
-_LETTERS = {"n": "null", "s": "single", "p": "pair", "x": "strange"}
+_PATTERN = "sn snsxnps nsnxs nspxns n".replace(" ", "")[:20] + "tm"
+_LETTERS = {"n": "null", "s": "single", "p": "pair", "x": "strange", "t": "set", "m": "nominal-set"}
 _TIER_PATTERN = ("realistic", "hard", "realistic", "easy", "hard", "realistic", "hard")
 _PAIR_RANGE = (0.5, 1.5)
 _SUBSTITUTES = 3
@@ -38,7 +42,7 @@ class CasePlan:
     ----------
     seed, number : int
     kind : str
-        null, single, pair or strange.
+        null, single, pair, strange, set or nominal-set.
     terms : tuple of str
         Ids of the catalogue; or kinds outside it, of which the first that can be built is taken.
     tier : str
@@ -64,7 +68,7 @@ class CasePlan:
         return np.random.default_rng([self.seed, self.number, *stream])
 
 
-def plan_case(seed: int, number: int, kinds: tuple[str, ...] = KINDS) -> CasePlan:
+def plan_case(seed: int, number: int, kinds: tuple[str, ...] = MIXED) -> CasePlan:
     """Return the plan of case `number` (from 0) of a seed.
 
     Raises
@@ -98,6 +102,10 @@ def plan_case(seed: int, number: int, kinds: tuple[str, ...] = KINDS) -> CasePla
     if kind == "pair":
         first, *others = (_draw_pair(rng) for _ in range(1 + _SUBSTITUTES))
         return CasePlan(seed, number, kind, first, "", *_PAIR_RANGE, instead=tuple(others))
+    if kind in ("set", "nominal-set"):
+        names = sorted(EFFECTS) if kind == "set" else sorted(NOMINAL_TERMS)
+        first, *others = (_draw_set(rng, names) for _ in range(1 + _SUBSTITUTES))
+        return CasePlan(seed, number, kind, first, "", *TIERS["realistic"], instead=tuple(others))
     # Some are all but a term of the catalogue in some cars; then the next kind takes the place.
     following = tuple(str(strange[(turn + i) % len(strange)]) for i in range(len(strange)))
     return CasePlan(seed, number, kind, following, "", *_STRANGE_RANGE)
@@ -110,6 +118,15 @@ def _draw_pair(rng: np.random.Generator) -> tuple[str, str]:
         first, second = (str(name) for name in rng.choice(names, 2, replace=False))
         if not (_looks_like(first, second) or _looks_like(second, first)):
             return first, second
+
+
+def _draw_set(rng: np.random.Generator, names: Sequence[str]) -> tuple[str, ...]:
+    """Return three to five terms, none of which is declared to look like another."""
+    count = int(rng.integers(3, 6))
+    while True:
+        drawn = tuple(str(name) for name in rng.choice(names, count, replace=False))
+        if not any(_looks_like(one, other) for one in drawn for other in drawn if one != other):
+            return drawn
 
 
 def _looks_like(term: str, other: str) -> bool:

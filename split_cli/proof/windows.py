@@ -20,13 +20,17 @@ FIRST = 0.5
 """Where the first window starts, when tyres are loaded and late channels have begun [s]."""
 
 
-def window_errors(columns: Mapping[str, np.ndarray], vehicle: Vehicle, terms: Sequence[Term]) -> np.ndarray:
+def window_errors(
+    columns: Mapping[str, np.ndarray], vehicle: Vehicle, terms: Sequence[Term], held: Sequence[str] = ()
+) -> np.ndarray:
     """Return recorded minus predicted v_x, v_y, r over windows of 0.05 s with the model and terms, shape (K, 3).
 
     Parameters
     ----------
     columns : mapping of str to ndarray, shape (N,)
         t, s, yaw, vx, vy, r, T, delta at 100 Hz, without a gap, SI.
+    held : sequence of str
+        Which of T and delta keep their value between samples; for terms that do not act on commands.
     """
     recording = Recording.single(1.0 / RATE, len(columns["t"]))
     for term in terms:
@@ -55,6 +59,7 @@ def window_errors(columns: Mapping[str, np.ndarray], vehicle: Vehicle, terms: Se
         substep_count(jacobian, 1.0 / RATE),
         **{name: values[start] for name, values in place.items()},
         term_states=inputs.term_states[start] if model.state_names else None,
+        held=held,
     )
     return velocity[start + steps] - predicted
 

@@ -10,7 +10,7 @@ import pytest
 from split_cli.errors import SplitError
 from split_cli.proof.cases import build_case
 from split_cli.proof.effects import EFFECTS
-from split_cli.proof.plan import KINDS, TIERS, CasePlan, plan_case
+from split_cli.proof.plan import MIXED, TIERS, CasePlan, plan_case
 from split_cli.proof.truth import (
     ExactDrive,
     Unreachable,
@@ -129,7 +129,7 @@ def test_windows_do_not_overlap_and_begin_where_the_plant_s_do(case):
 
 def test_plans_keep_their_proportions_and_go_round_all_terms():
     plans = [plan_case(5, number) for number in range(200)]
-    share = {kind: sum(p.kind == kind for p in plans) for kind in KINDS}
+    share = {kind: sum(p.kind == kind for p in plans) for kind in MIXED}
     assert share == {"null": 70, "single": 80, "pair": 20, "strange": 30}
     singles = [p for p in plans if p.kind == "single"]
     assert {p.terms[0] for p in singles} == set(EFFECTS)
