@@ -33,7 +33,7 @@ _GRAVITY = 9.80665
 _STEP = 2.5e-3  # [s], of the integration
 _HELD = 0.02  # [s], of the commands
 _KNOT = 0.2  # [s], between set points of the script
-_RUNS, _SECONDS = 16, 5.0
+_RUNS, _SECONDS = 9, 10.0
 _SIGMA = np.array([0.02, 0.02, 0.004])  # of v_x, v_y [m/s] and r [rad/s] for a full-size car
 _CARS = ("av21", "genesis", "tum_sim")
 _ROUNDS = 4  # of the search for an effect's size
@@ -84,12 +84,12 @@ def scripted_drive(
     rng = np.random.default_rng(seed)
     pace = np.sqrt(vehicle.wheelbase / 2.7)
     knots, count = round(seconds / _KNOT) + 1, round(seconds / _STEP)
-    speed = pace * rng.uniform(10.0, 26.0, runs)
+    speed = pace * rng.uniform(12.0, 26.0, runs)
     most_turn = 0.55 * (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
     largest = np.minimum(0.12, most_turn * vehicle.wheelbase / speed**2)
     angle = rng.normal(0.0, 0.5, (runs, knots)) * largest[:, None]
     most = min(0.6 * vehicle.max_torque, 4.0 * vehicle.mass * vehicle.wheel_radius)
-    torque = rng.uniform(-0.8, 1.0, (runs, knots)) * most
+    torque = rng.uniform(-0.9, 1.0, (runs, knots)) * most
     at = np.arange(count + 1) * _STEP
     kept = np.floor(at / _HELD + 1e-6) * _HELD
     commands = [
@@ -185,7 +185,7 @@ def _sized(vehicle: Vehicle, term: str, plan: CasePlan, rng: np.random.Generator
 
 def _severity(vehicle: Vehicle, term: Term, seed: int) -> float:
     noise = _SIGMA * np.sqrt(vehicle.wheelbase / 2.7) * np.array([1.0, 1.0, 2.7 / vehicle.wheelbase])
-    columns = scripted_drive(vehicle, [term], seed, runs=8)
+    columns = scripted_drive(vehicle, [term], seed, runs=8, seconds=4.0)
     columns = {**columns, "s": np.zeros(len(columns["t"]))}
     runs = [{name: values[columns["segment"] == k] for name, values in columns.items()} for k in range(8)]
     errors = [window_errors(run, vehicle, (), held=("T", "delta")) for run in runs]
