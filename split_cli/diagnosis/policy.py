@@ -79,7 +79,6 @@ class SelectionRules:
         "cost that a searched parameter has to save, before inflation",
         _THEORY + "between the prices of AIC (2) and BIC (ln n, about 9 for an hour's rows)",
     )
-    most_terms: int = _number(3, "terms", "terms that are named at most", _CHOSEN)
     most_aside: int = _number(
         2,
         "terms",
@@ -125,9 +124,9 @@ class SelectionRules:
     same_misfit: float = _number(
         0.01, "1", "share of what the chosen term saves that no single-track model fits better than", _CHOSEN
     )
-    least_severity: float = _number(0.20, "effect-to-noise ratio", "least size of a further term", _CHOSEN)
+    least_severity: float = _number(0.10, "effect-to-noise ratio", "least size of a further term", _CHOSEN)
     misfit: float = _number(
-        0.30,
+        0.15,
         "1",
         "model-form error over the size of the chosen terms, in the channel of the further term",
         _CHOSEN,
@@ -175,6 +174,12 @@ class SelectionRules:
     )
     sure_level: float = _number(
         1e-12, "1", "p value below which a name needs no second search with a fixed baseline", _CHOSEN
+    )
+    rounds: int = _number(
+        4,
+        "rounds",
+        "rounds in which terms are added again after rivals have taken places",
+        _JUDGEMENT + "computing time",
     )
     swaps: int = _number(
         2, "swaps", "rounds in which a rival may take a term's place", _JUDGEMENT + "computing time"

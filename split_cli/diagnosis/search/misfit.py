@@ -17,7 +17,7 @@ from split_cli.diagnosis.innovations.judge import Judge
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.vehicle.effects import Term
 
-__all__ = ["costs_beside_misfit"]
+__all__ = ["costs_beside_misfit", "entries_beside_misfit", "saved_beside_misfit"]
 
 
 def costs_beside_misfit(judge: Judge, fits: Sequence[Fit]) -> list[float]:
@@ -31,15 +31,49 @@ def costs_beside_misfit(judge: Judge, fits: Sequence[Fit]) -> list[float]:
     the entries left. The weights of M are integrated out: e^T (I + M M^T)^-1 e = |e|^2 - |L^-1 M^T e|^2 with
     L L^T = I + M^T M.
     """
-    share = judge.policy.selection.misfit_share
-    columns = [share * judge.whiten(_varied(judge, fit.terms, k)) for fit in fits for k in range(len(fit.parts))]
-    if not columns:
-        return [fit.cost for fit in fits]
-    misfit = np.hstack(columns)
+    misfit = _columns(judge, [(fit.terms, k) for fit in fits for k in range(len(fit.parts))])
+    return _costs(misfit, [fit.entries for fit in fits])
+
+
+def saved_beside_misfit(judge: Judge, before: Fit, after: Fit) -> float:
+    """Return what an explanation saves against another, the other's terms free to be wrong by their share.
+
+    What single-track terms get wrong of a real car's effect is of their own kind, channel by channel, and varies
+    with the operating point. Evidence for a further term is what it saves beyond that.
+    """
+    misfit = _columns(judge, [(before.terms, k) for k in range(len(before.parts))])
+    here, there = _costs(misfit, [before.entries, after.entries])
+    return here - there
+
+
+def entries_beside_misfit(judge: Judge, fit: Fit) -> np.ndarray:
+    """Return the entries that an explanation leaves beyond the likeliest model-form error of its terms, (R,).
+
+    Notes
+    -----
+    e - M (I + M^T M)^-1 M^T e, with M as in `costs_beside_misfit`.
+    """
+    misfit = _columns(judge, [(fit.terms, k) for k in range(len(fit.parts))])
+    if not misfit.shape[1]:
+        return fit.entries
     normal = np.eye(misfit.shape[1]) + misfit.T @ misfit
-    scores = misfit.T @ np.stack([fit.entries for fit in fits], axis=1)
+    return fit.entries - misfit @ np.linalg.solve(normal, misfit.T @ fit.entries)
+
+
+def _columns(judge: Judge, parts: Sequence[tuple[tuple[Term, ...], int]]) -> np.ndarray:
+    """Return M, shape (R, 18 a part), of parts given as terms and the number of one of them."""
+    share = judge.policy.selection.misfit_share
+    columns = [share * judge.whiten(_varied(judge, terms, k)) for terms, k in parts]
+    return np.hstack(columns) if columns else np.empty((len(judge.weight), 0))
+
+
+def _costs(misfit: np.ndarray, entries: Sequence[np.ndarray]) -> list[float]:
+    if not misfit.shape[1]:
+        return [float(one @ one) for one in entries]
+    normal = np.eye(misfit.shape[1]) + misfit.T @ misfit
+    scores = misfit.T @ np.stack(entries, axis=1)
     told = np.sum(scores * np.linalg.solve(normal, scores), axis=0)
-    return [float(fit.entries @ fit.entries - one) for fit, one in zip(fits, told, strict=True)]
+    return [float(one @ one - part) for one, part in zip(entries, told, strict=True)]
 
 
 def _varied(judge: Judge, terms: tuple[Term, ...], k: int) -> np.ndarray:

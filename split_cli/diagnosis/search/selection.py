@@ -15,7 +15,7 @@ from split_cli.diagnosis.remainder.structure import common_severities, minimum_e
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
-from split_cli.diagnosis.search.misfit import costs_beside_misfit
+from split_cli.diagnosis.search.misfit import costs_beside_misfit, saved_beside_misfit
 from split_cli.vehicle.effects import Term
 
 __all__ = [
@@ -128,13 +128,16 @@ def select_terms(judge: Judge, candidates: Sequence[Candidate], inflation: float
     else:
         chosen = found.chosen
     selection = _examined(explore, base, chosen)
-    for _ in range(rules.swaps):
-        rivals = [several[0] for several in selection.rivals if several]
-        better = min(rivals, key=lambda one: one.excess, default=None)
-        if len(selection.chosen.parts) < 2 or better is None or better.excess > -rules.least_swap:
+    for _ in range(rules.rounds):
+        selection, exchanged = _exchanged(explore, selection, history)
+        if not exchanged:
             break
-        history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
-        selection = _examined(explore, base, better.fit)
+        # What a wrong term took a share of is seen once that has given way.
+        grown = _forward(explore, base, (), selection)
+        if len(grown.chosen.parts) == len(selection.chosen.parts):
+            break
+        history += grown.history
+        selection = _examined(explore, base, grown.chosen)
     for _ in range(rules.swaps):
         better, saved = _better_beside_misfit(explore, selection)
         trial = _examined(explore, base, better) if better is not None else selection
@@ -143,6 +146,19 @@ def select_terms(judge: Judge, candidates: Sequence[Candidate], inflation: float
         history.append(f"{better.parts[-1].candidate.label} takes a place, saves {saved:.1f} beside misfit")
         selection = trial
     return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first))
+
+
+def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
+    """Let other terms take places while that saves, and say so; return whether any did."""
+    rules, base, exchanged = explore.rules, selection.base, False
+    for _ in range(rules.swaps):
+        rivals = [several[0] for several in selection.rivals if several]
+        better = min(rivals, key=lambda one: one.excess, default=None)
+        if len(selection.chosen.parts) < 2 or better is None or better.excess > -rules.least_swap:
+            break
+        history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
+        selection, exchanged = _examined(explore, base, better.fit), True
+    return selection, exchanged
 
 
 def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
@@ -236,22 +252,24 @@ class _Found:
         return self.names > 1 or self.with_refused is not self.chosen
 
 
-def _forward(explore: Explorer, base: Fit, first: Sequence[Fit]) -> _Found:
-    """Add terms, beginning with the best of `first`."""
+def _forward(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Selection | None = None) -> _Found:
+    """Add terms while evidence carries them, beginning with the best of `first`, or with what is `begun`."""
     judge, rules, inflation = explore.judge, explore.rules, explore.inflation
     chosen, history, first_p, aside, refused = base, [], 1.0, 0, None
+    if begun is not None:
+        chosen, aside = begun.chosen, begun.named.count(False)
 
     def price_saved(fit: Fit) -> float:
         return explore.price(chosen) - explore.price(fit)
 
-    while len(chosen.parts) - aside < rules.most_terms:
+    while True:
         fits = first if chosen is base else explore(chosen)
         fits = [fit for fit in fits if price_saved(fit) > 0.0]
         if not fits:
             break
         best = fits[0]
         if len(chosen.parts) > aside:  # beside what is kept aside there is no name to be a misfit of
-            best, reason = _first_believed(judge, chosen, fits[: rules.considered], rules)
+            best, reason = _first_believed(explore, chosen, fits[: rules.considered])
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
             history.append(f"{label} would save {saved:.0f}, {reason}")
@@ -332,31 +350,36 @@ def _error_of_sum(difference: np.ndarray) -> float:
     return float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9
 
 
-def _first_believed(
-    judge: Judge, chosen: Fit, fits: Sequence[Fit], rules: SelectionRules
-) -> tuple[Fit | None, str]:
+def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tuple[Fit | None, str]:
     """Return the first further term that is believed; where none is, why not the first of them, in words."""
+    judge = explore.judge
     sizes = _sizes(judge, chosen.terms, ())
     reasons = []
     for fit in fits:
-        reasons.append(_refusal(judge, chosen, sizes, fit, rules))
+        reasons.append(_refusal(explore, chosen, sizes, fit))
         if not reasons[-1]:
             return fit, ""
     return None, reasons[0]
 
 
-def _refusal(judge: Judge, chosen: Fit, sizes: np.ndarray, further: Fit, rules: SelectionRules) -> str:
+def _refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:
     """Return why a further term is not believed, in words; nothing where it is.
 
     It may be no larger than what single-track terms leave of a real car's effect. That is measured by prediction
     errors over 0.05 s: costs also weigh what builds up slowly, and one term's slow channel would drown another's
-    fast one. What is left of one term is of its own kind, so channels count apart. Or it may save all in a few
-    moments, unless it acts at a place, which is passed once a lap.
+    fast one. What is left of one term is of its own kind, so channels count apart. It has to be told from what the
+    others may get wrong, too: by what it saves where they are free to. Or it may save all in a few moments, unless
+    it acts at a place, which is passed once a lap.
     """
-    size = _sizes(judge, further.terms, chosen.terms)
-    witnessed = _is_witnessed(judge, further, len(further.parts) - 1, rules)
-    if not witnessed and _is_misfit(judge, size, sizes, chosen, further, rules):
-        return _MISFIT
+    judge, rules = explore.judge, explore.rules
+    k = len(further.parts) - 1
+    # What witnesses show is the instrument's own, whatever the model gets wrong.
+    if not _is_witnessed(judge, further, k, rules):
+        if _is_misfit(judge, _sizes(judge, further.terms, chosen.terms), sizes, chosen, further, rules):
+            return _MISFIT
+        saved = saved_beside_misfit(judge, chosen, further)
+        if term_p(judge, further, k, saved, explore.inflation) * len(explore.candidates) >= rules.level:
+            return _MISFIT
     return "" if is_spread(judge, further, len(further.parts) - 1, chosen, rules) else _ONCE
 
 

@@ -12,6 +12,7 @@ from split_cli.diagnosis.policy import STANDARD, Abstention, Policy
 from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.remainder.wander import Wander, wander_of
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
+from split_cli.diagnosis.search.misfit import entries_beside_misfit
 from split_cli.diagnosis.search.reading import Reading
 from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well, term_size, without_parts
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
@@ -40,9 +41,10 @@ def describe(
     structure, selection, inflation = reading.structure, reading.selection, reading.inflation
     judge = structure.judge
     rules = judge.policy.abstention
-    remainder = _remainder(structure, selection, inflation)
+    left = entries_beside_misfit(judge, selection.chosen)
+    remainder = _remainder(structure, selection, inflation, left)
     findings = _findings(judge, selection, remainder.share)
-    wander = wander_of(structure, selection.chosen.entries)
+    wander = wander_of(structure, left)
     unexplained = not findings or _is_unexplained(findings, remainder, wander, reading, rules)
     kept = {one.term for one in findings}
     if contradicted:
@@ -55,7 +57,8 @@ def describe(
     if len(kept) < len(findings):
         unexplained = True
         selection = _only(judge, selection, kept)
-        remainder = _remainder(structure, selection, inflation)
+        left = entries_beside_misfit(judge, selection.chosen)
+        remainder = _remainder(structure, selection, inflation, left)
         findings = _findings(judge, selection, remainder.share)
     return selection, findings, remainder, unexplained
 
@@ -84,10 +87,7 @@ def _is_unexplained(
     rules: Abstention,
 ) -> bool:
     """Return whether what is left is structured and large, or wanders."""
-    large = 2.0 * rules.severity
-    most_terms = reading.structure.judge.policy.selection.most_terms
-    if len(findings) < most_terms:  # as many names as there may be, and yet something left: no name is
-        large = max(large, min(rules.size * reading.gap.severity, rules.most))
+    large = max(2.0 * rules.severity, min(rules.size * reading.gap.severity, rules.most))
     if wanders(wander, reading.known.wander, reading.structure.judge.policy) and wander.severity > large:
         return True
     if remainder.p_value >= rules.level or remainder.severity < rules.severity:
@@ -110,8 +110,11 @@ def with_shares(findings: Sequence[Finding], chosen: Fit, shares: Sequence[float
     return tuple(sorted(told, key=lambda finding: -finding.gap_explained))
 
 
-def _remainder(structure: Structure, selection: Selection, inflation: float) -> RemainderTest:
-    left = structure.fit(selection.chosen.entries, inflation)
+def _remainder(
+    structure: Structure, selection: Selection, inflation: float, entries: np.ndarray
+) -> RemainderTest:
+    """Return what is left beyond what the named terms may get wrong; `entries` of `entries_beside_misfit`."""
+    left = structure.fit(entries, inflation)
     named = selection.base.cost - selection.chosen.cost
     drifts = tuple((one.variable, one.saved) for one in parameter_drifts(structure.judge, selection.chosen)[:3])
     share = structure.nameless_share(left, named, inflation)
