@@ -24,6 +24,7 @@ def command() -> None:
     \b
     Example:
       split prove generate proof --seed 5 --cases 40 --jobs 2
+      split prove generate sets --seed 5 --cases 10 --sets
       split prove identify proof --jobs 2
       split prove score proof
       split prove recording drive.parquet --vehicle car.yaml -o faults
@@ -34,13 +35,20 @@ def command() -> None:
 @click.argument("folder", type=_folder)
 @click.option("--seed", type=int, required=True, help="The same seed gives the same cases.")
 @click.option("--cases", type=click.IntRange(1), default=40, show_default=True, help="How many.")
-@click.option("--kinds", default="null,single,pair,strange", show_default=True, help="Kinds of cases.")
+@click.option(
+    "--kinds",
+    default="null,single,pair,strange",
+    show_default=True,
+    help="Kinds of cases; also set and nominal-set.",
+)
+@click.option("--sets", is_flag=True, help="Sets of three to five effects instead: --kinds set,nominal-set.")
 @_jobs
 @json_option
-def generate(folder, seed, cases, kinds, jobs, as_json) -> None:
+def generate(folder, seed, cases, kinds, sets, jobs, as_json) -> None:
     """Write cases, seal their answers, and print the seal."""
     from split_cli.workflows.prove import generate_cases
 
+    kinds = "set,nominal-set" if sets else kinds
     seal = generate_cases(folder, seed, cases, jobs=jobs, kinds=tuple(kinds.split(",")), report=_progress("cases"))
     _tell_seal(seal, as_json)
 

@@ -173,7 +173,7 @@ def summarise(scores: Sequence[CaseScore]) -> Score:
 
 
 def _group_order(name: str) -> tuple[int, str]:
-    order = ("null", "single easy", "single realistic", "single hard", "pair", "strange")
+    order = ("null", "single easy", "single realistic", "single hard", "pair", "set", "nominal-set", "strange")
     return (order.index(name) if name in order else len(order), name)
 
 
@@ -182,7 +182,13 @@ def _targets(scores: Sequence[CaseScore], coverage: Rate, median: float | None) 
         return rate_of([s.outcome in outcomes for s in scores if s.group.startswith(group)])
 
     singles_wrong = rate("single", "wrong")
+    sets = [score for score in scores if score.answer.kind.endswith("set")]
     entries = [
+        ("sets: effects named, or in class", "at least 95 %", _recall(sets), 0.95, True),
+        ("sets: names that are none of theirs, of all named", "at most 2 %", _strangers_named(sets), 0.02, False),
+        ("sets complete", "at least 80 %", rate_of([s.outcome in ("exact", "class") for s in sets]), 0.80, True),
+    ] if sets else []
+    entries += [
         ("nulls called a mismatch", "at most 2 %", rate("null", "wrong"), 0.02, False),
         ("singles named exactly, realistic", "at least 95 %", rate("single realistic", "exact"), 0.95, True),
         ("singles exact or in class, hard", "at least 75 %", rate("single hard", "exact", "class"), 0.75, True),
@@ -197,6 +203,24 @@ def _targets(scores: Sequence[CaseScore], coverage: Rate, median: float | None) 
     ]
     met = None if median is None else median >= 0.95
     return (*found, ("held-out gap removed, median, of what the true terms remove", "at least 0.95", median, met))
+
+
+def _recall(sets: Sequence[CaseScore]) -> Rate:
+    """Return how many effects of sets are named, or among the alternatives of a finding."""
+    return rate_of([
+        any(effect.term == one.term or effect.term in one.alternatives for one in score.said.findings)
+        for score in sets
+        for effect in score.answer.effects
+    ])  # fmt: skip
+
+
+def _strangers_named(sets: Sequence[CaseScore]) -> Rate:
+    """Return how many findings in sets are none of the effects, nor have one among their alternatives."""
+    return rate_of([
+        not {one.term, *one.alternatives} & {effect.term for effect in score.answer.effects}
+        for score in sets
+        for one in score.said.findings
+    ])  # fmt: skip
 
 
 def _confusion(scores: Sequence[CaseScore]) -> tuple[tuple[str, str, int], ...]:

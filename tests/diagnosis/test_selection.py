@@ -209,10 +209,11 @@ def test_a_further_term_no_larger_than_a_misfit_of_the_common_physics_is_not_nam
         common = np.zeros(3)
         common[channel] = others * sizes[channel]
         judge = replace(pair, knowledge=ignorant(pair), memo={COMMON: common})
-        assert (not _refusal(judge, first, np.zeros(3), fit, STANDARD.selection)) == believed
+        assert (not _refusal(Explorer(judge, (), INFLATION), first, np.zeros(3), fit)) == believed
         common[:] = others * sizes.max()
         common[channel] = 0.0
-        assert not _refusal(replace(judge, memo={COMMON: common}), first, np.zeros(3), fit, STANDARD.selection)
+        other = Explorer(replace(judge, memo={COMMON: common}), (), INFLATION)
+        assert not _refusal(other, first, np.zeros(3), fit)
 
 
 def test_a_term_that_settles_a_channel_is_no_misfit_of_a_large_one_elsewhere(pair):
