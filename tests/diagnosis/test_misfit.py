@@ -11,7 +11,11 @@ from split_cli.diagnosis.innovations.judge import Judge
 from split_cli.diagnosis.search import misfit as module
 from split_cli.diagnosis.search import selection as selecting
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
-from split_cli.diagnosis.search.misfit import costs_beside_misfit
+from split_cli.diagnosis.search.misfit import (
+    costs_beside_misfit,
+    entries_beside_misfit,
+    saved_beside_misfit,
+)
 from split_cli.diagnosis.search.selection import nothing, select_terms
 from tests.diagnosis.recordings import candidates_of, driven, late, noisy_judge
 
@@ -110,3 +114,29 @@ def test_an_alternative_takes_the_place_where_it_is_better_beside_misfit(behind,
     assert rival.fit.names == ("steer_delay",) and rival.excess == pytest.approx(
         -plain.rivals[0][0].excess, rel=1e-6
     )
+
+
+def test_entries_beside_misfit_are_what_a_dense_gaussian_leaves(behind, delay):
+    """Of noise and misfit together, what remains is e - M E[w | e], and its misfit's price is in the cost."""
+    misfit = behind.policy.selection.misfit_share * behind.whiten(module._varied(behind, delay.terms, 0))
+    stacked, target = np.vstack([misfit, np.eye(18)]), np.append(delay.entries, np.zeros(18))
+    weights = np.linalg.lstsq(stacked, target, rcond=None)[0]
+    left = entries_beside_misfit(behind, delay)
+    np.testing.assert_allclose(left, delay.entries - misfit @ weights, atol=1e-8)
+    assert left @ left + weights @ weights == pytest.approx(costs_beside_misfit(behind, [delay])[0], rel=1e-9)
+    base = nothing(behind)
+    assert entries_beside_misfit(behind, base) is base.entries
+
+
+def test_what_a_named_term_may_get_wrong_is_no_evidence_for_another(behind, delay):
+    """A twentieth of the delay's own effect, more at one end of the speeds, saves next to nothing."""
+    varied = behind.whiten(module._varied(behind, delay.terms, 0))
+    wrong = replace(delay, entries=delay.entries + 0.05 * varied[:, 17], cost=0.0)
+    wrong = replace(wrong, cost=float(wrong.entries @ wrong.entries))
+    plainly, beside = wrong.cost - delay.cost, saved_beside_misfit(behind, wrong, delay)
+    assert plainly > 20.0 and beside < 0.1 * plainly
+    # Noise-like entries that no misfit makes count in full.
+    rng = np.random.default_rng(1)
+    apart = replace(delay, entries=delay.entries + 0.05 * rng.standard_normal(len(delay.entries)))
+    apart = replace(apart, cost=float(apart.entries @ apart.entries))
+    assert saved_beside_misfit(behind, apart, delay) == pytest.approx(apart.cost - delay.cost, rel=0.1)

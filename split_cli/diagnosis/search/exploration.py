@@ -23,7 +23,7 @@ from split_cli.diagnosis.search.fitting import (
 from split_cli.diagnosis.statement.separation import look_alike
 from split_cli.diagnosis.together import together
 
-__all__ = ["Explorer"]
+__all__ = ["Explorer", "nearest_start"]
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class Explorer:
         done = {fit.parts[-1].candidate.label for fit in followed}
         taken = {part.candidate.term for part in found[0].parts}
         parts = [
-            Part(one, _nearest_start(one, own))
+            Part(one, nearest_start(one, own))
             for one in self.candidates
             if one.label not in done and one.term not in taken and one.starts and look_alike(own.term.id, one.term)
         ]
@@ -152,7 +152,7 @@ class Explorer:
         return (part.values["s_end"] - part.values["s_start"]) % reach > self.rules.most_of_lap * reach
 
 
-def _nearest_start(candidate: Candidate, part: Part) -> dict[str, float]:
+def nearest_start(candidate: Candidate, part: Part) -> dict[str, float]:
     """Return the start of a candidate that is nearest in size to what a part was fitted to."""
     size = max(abs(next(iter(part.values.values()))), 1e-9)
     return dict(min(candidate.starts, key=lambda one: abs(np.log(abs(next(iter(one.values()))) / size))))

@@ -13,6 +13,7 @@ from split_cli.diagnosis.innovations.severity import severities_of
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.remainder.structure import common_severities, minimum_effect_p, term_allowances
 from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.exchange import merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.misfit import costs_beside_misfit, saved_beside_misfit
@@ -151,13 +152,19 @@ def select_terms(judge: Judge, candidates: Sequence[Candidate], inflation: float
 def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
     """Let other terms take places while that saves, and say so; return whether any did."""
     rules, base, exchanged = explore.rules, selection.base, False
-    for _ in range(rules.swaps):
-        rivals = [several[0] for several in selection.rivals if several]
+    for _ in range(rules.swaps * max(len(selection.chosen.parts), 1)):
+        # A variant was chosen before what was found later; it may be another now.
+        rivals = [several[0] for several in (*selection.rivals, *selection.siblings) if several]
         better = min(rivals, key=lambda one: one.excess, default=None)
         if len(selection.chosen.parts) < 2 or better is None or better.excess > -rules.least_swap:
             break
         history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
         selection, exchanged = _examined(explore, base, better.fit), True
+    for move in (merged, split):
+        other = move(explore, selection.base, selection.chosen, selection.named)
+        if other is not None:
+            history.append(said_of(selection.chosen, other))
+            selection, exchanged = _examined(explore, base, other), True
     return selection, exchanged
 
 
