@@ -131,7 +131,8 @@ def select_terms(judge: Judge, candidates: Sequence[Candidate], inflation: float
     selection = _examined(explore, base, chosen)
     for _ in range(rules.rounds):
         selection, exchanged = _exchanged(explore, selection, history)
-        if not exchanged:
+        selection, moved = _exchanged_beside_misfit(explore, selection, history)
+        if not (exchanged or moved):
             break
         # What a wrong term took a share of is seen once that has given way.
         grown = _forward(explore, base, (), selection)
@@ -139,13 +140,6 @@ def select_terms(judge: Judge, candidates: Sequence[Candidate], inflation: float
             break
         history += grown.history
         selection = _examined(explore, base, grown.chosen)
-    for _ in range(rules.swaps):
-        better, saved = _better_beside_misfit(explore, selection)
-        trial = _examined(explore, base, better) if better is not None else selection
-        if better is None or sum(trial.named) < sum(selection.named):
-            break
-        history.append(f"{better.parts[-1].candidate.label} takes a place, saves {saved:.1f} beside misfit")
-        selection = trial
     return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first))
 
 
@@ -165,6 +159,21 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
         if other is not None:
             history.append(said_of(selection.chosen, other))
             selection, exchanged = _examined(explore, base, other), True
+    return selection, exchanged
+
+
+def _exchanged_beside_misfit(
+    explore: Explorer, selection: Selection, history: list[str]
+) -> tuple[Selection, bool]:
+    """Let alternatives take places that are better where misfit of every effect is free; return whether any did."""
+    exchanged = False
+    for _ in range(explore.rules.swaps):
+        better, saved = _better_beside_misfit(explore, selection)
+        trial = _examined(explore, selection.base, better) if better is not None else selection
+        if better is None or sum(trial.named) < sum(selection.named):
+            break
+        history.append(f"{better.parts[-1].candidate.label} takes a place, saves {saved:.1f} beside misfit")
+        selection, exchanged = trial, True
     return selection, exchanged
 
 
