@@ -125,6 +125,12 @@ class SelectionRules:
         0.01, "1", "share of what the chosen term saves that no single-track model fits better than", _CHOSEN
     )
     least_severity: float = _number(0.10, "effect-to-noise ratio", "least size of a further term", _CHOSEN)
+    least_witnessed: float = _number(
+        0.20,
+        "effect-to-noise ratio",
+        "size in what a recording knows twice from which on a sensor's fault is no model-form error",
+        _CHOSEN,
+    )
     misfit: float = _number(
         0.15,
         "1",

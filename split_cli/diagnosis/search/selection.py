@@ -403,7 +403,7 @@ def _is_witnessed(judge: Judge, fit: Fit, k: int, rules: SelectionRules) -> bool
     """Return whether a sensor's fault moves what a recording knows twice, which no model-form error does."""
     if not fit.parts[k].term.corrects:
         return False
-    return judge.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :]) > rules.least_severity
+    return judge.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :]) > rules.least_witnessed
 
 
 def _is_misfit(
