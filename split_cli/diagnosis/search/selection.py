@@ -165,7 +165,7 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
 def _exchanged_beside_misfit(
     explore: Explorer, selection: Selection, history: list[str]
 ) -> tuple[Selection, bool]:
-    """Let alternatives take places that are better where misfit of every effect is free; return whether any did."""
+    """Let alternatives take places that are better where every misfit is free; return whether any did."""
     exchanged = False
     for _ in range(explore.rules.swaps):
         better, saved = _better_beside_misfit(explore, selection)
