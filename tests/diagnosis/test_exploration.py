@@ -9,7 +9,7 @@ import pytest
 
 from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge
 from split_cli.diagnosis.policy import STANDARD
-from split_cli.diagnosis.search.exploration import Explorer, _nearest_start
+from split_cli.diagnosis.search.exploration import Explorer, nearest_start
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
@@ -101,5 +101,5 @@ def test_a_relative_starts_where_it_is_as_large(judge):
     (lag,), (delay,) = (candidates_of(judge, name) for name in ("steer_lag", "steer_delay"))
     starts = [one["delay"] for one in delay.starts]
     for tau in (1e-4, 0.006, 0.05, 0.4, 0.0):
-        begun = _nearest_start(delay, Part(lag, {"tau": tau}))["delay"]
+        begun = nearest_start(delay, Part(lag, {"tau": tau}))["delay"]
         assert abs(np.log(begun / max(tau, 1e-9))) == min(abs(np.log(value / max(tau, 1e-9))) for value in starts)
