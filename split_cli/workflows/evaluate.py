@@ -30,6 +30,7 @@ from split_cli.scoring.evaluation import (
     score,
 )
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, first_lap, informative_sets
+from split_cli.scoring.hints import late_inputs
 from split_cli.scoring.noise import fast_motion
 from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
@@ -403,6 +404,7 @@ def _facts(held: HeldOut, model: SingleTrack, trained: TrainingSet | None) -> Dr
     floor = pooled_noise_floor(model, [held])
     fast = fast_motion(tested, floor)
     notes += [f"{drive.name}: {fast}"] if fast else []
+    notes += late_inputs(drive, tested, model.vehicle)
     return DriveFacts(
         name=drive.name,
         sha256=drive.sha256,

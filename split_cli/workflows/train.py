@@ -29,6 +29,7 @@ from split_cli.learning.region import Grid, Region, build_grid
 from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, read_drive, untold_inputs
+from split_cli.scoring.hints import late_inputs
 from split_cli.scoring.trust import MOST_ROWS, TrainingDrive, estimate_trust
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.label import drive_notes
@@ -292,7 +293,9 @@ class _Run:
             self._take_notes(drive)
             start = time.perf_counter()
             labels = self._label(drive, position)
-            yield labels, time.perf_counter() - start
+            spent = time.perf_counter() - start
+            self.notes += late_inputs(drive, labels, self.vehicle)
+            yield labels, spent
 
     def create(self) -> tuple[TrainingSet, KernelFit | None]:
         """Return an empty set: its grid from the first drive with valid samples, its kernel as asked for."""

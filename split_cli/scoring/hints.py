@@ -1,0 +1,98 @@
+"""Labels that go with the rate of an input: the actuator or its time stamp is late, and no feature of z2 can tell."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from split_cli.learning.labels import Labels
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["late_inputs"]
+
+#: Correlation from which a label is said to go with an input's rate [1]; judgement: a tenth of its variance.
+_LEAST_CORRELATION = 0.3
+#: Standard errors, over blocks of time, that the delay must be from zero [1]; theory: chance reaches four in 30,000.
+_CLEAR = 4.0
+_BLOCKS = 12
+_FEWEST = 200
+#: Delays that are worth a word [s]: a quarter of a label's interval, and the slowest actuator of a road car.
+_RANGE = (0.012, 0.5)
+_INPUTS = (
+    ("T", 0, "v_x", "dT/dt", "torque", "drive_lag"),
+    ("delta", 2, "r", "ddelta/dt", "steering", "steer_lag"),
+)
+
+
+def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle) -> tuple[str, ...]:
+    """Return what the labels say of late inputs, in words; empty where they say nothing beyond chance.
+
+    Parameters
+    ----------
+    drive : Drive
+    labels : Labels
+        Of that drive.
+    vehicle : Vehicle
+
+    Notes
+    -----
+    An input u that arrives tau late lacks about tau du/dt, and the label is -tau (df/du) du/dt, with df/du of the
+    nominal model. tau is the least-squares slope, its error the jackknife's over blocks of time. A lag and a delay
+    look alike to first order, and so does a late time stamp: the diagnosis tells them apart.
+    """
+    model = SingleTrack(vehicle)
+    used = labels.take(labels.accepted)
+    if len(used) < _FEWEST:
+        return ()
+    first, last = used.row, used.row + used.window
+    state = [np.asarray(drive[name], dtype=float)[first] for name in ("vx", "vy", "r")]
+    inputs = {name: np.asarray(drive[name], dtype=float) for name in ("T", "delta")}
+    told = []
+    for name, output, label, rate, what, term in _INPUTS:
+        change = (inputs[name][last] - inputs[name][first]) / used.horizon
+        missing = -_slope(model, state, inputs, first, name, output) * change
+        y = used.y[:, output]
+        if not np.any(missing):
+            continue
+        correlation = float(np.corrcoef(missing, y)[0, 1])
+        delay, error = _fit(missing, y)
+        sure = correlation > _LEAST_CORRELATION and delay > _CLEAR * error
+        if sure and _RANGE[0] < delay < _RANGE[1]:
+            told.append(
+                f"{drive.name}: labels of {label} go with {rate} (correlation {-correlation:.2f}): the {what} seems "
+                f"to arrive {delay:.3f} s late (+- {error:.1g}), which features of the moment cannot tell. `split diagnose "
+                f"--real {drive.name} --vehicle VEHICLE --out DIR` settles it; the effect is called {term}"
+            )
+    return tuple(told)
+
+
+def _slope(
+    model: SingleTrack,
+    state: list[np.ndarray],
+    inputs: dict[str, np.ndarray],
+    rows: np.ndarray,
+    name: str,
+    output: int,
+) -> np.ndarray:
+    """Return the derivative of an output's rate by an input, shape (N,), by central differences."""
+    step = 1e-4 if name == "delta" else 1e-4 * model.vehicle.max_torque
+    ends = []
+    for sign in (1.0, -1.0):
+        at = {key: values[rows] + (sign * step if key == name else 0.0) for key, values in inputs.items()}
+        ends.append(SingleTrack(model.vehicle, ()).velocity_derivative(*state, at["T"], at["delta"])[output])
+    return (ends[0] - ends[1]) / (2.0 * step)
+
+
+def _fit(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Return the slope of y over x through their means, and its jackknife error over blocks of time."""
+    block = np.arange(len(x)) * _BLOCKS // len(x)
+
+    def slope(keep: np.ndarray) -> float:
+        a, b = x[keep] - x[keep].mean(), y[keep] - y[keep].mean()
+        size = float(a @ a)
+        return float(a @ b) / size if size > 0.0 else 0.0
+
+    parts = np.array([slope(block != number) for number in range(_BLOCKS)])
+    spread = (_BLOCKS - 1) / _BLOCKS * np.square(parts - parts.mean()).sum()
+    return slope(np.ones(len(x), dtype=bool)), float(np.sqrt(spread))
