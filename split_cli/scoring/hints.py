@@ -1,4 +1,4 @@
-"""Labels that go with the rate of an input: the actuator or its time stamp is late, and no feature of z2 can tell."""
+"""Labels that go with the rate of an input: an actuator or its time stamp is late, and no feature of z2 tells."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["late_inputs"]
 
 #: Correlation from which a label is said to go with an input's rate [1]; judgement: a tenth of its variance.
 _LEAST_CORRELATION = 0.3
-#: Standard errors, over blocks of time, that the delay must be from zero [1]; theory: chance reaches four in 30,000.
+#: Standard errors, over blocks of time, that the delay must be from zero [1]; theory: by chance 1 of 30,000.
 _CLEAR = 4.0
 _BLOCKS = 12
 _FEWEST = 200
@@ -60,9 +60,10 @@ def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle) -> tuple[str, ..
         sure = correlation > _LEAST_CORRELATION and delay > _CLEAR * error
         if sure and _RANGE[0] < delay < _RANGE[1]:
             told.append(
-                f"{drive.name}: labels of {label} go with {rate} (correlation {-correlation:.2f}): the {what} seems "
-                f"to arrive {delay:.3f} s late (+- {error:.1g}), which features of the moment cannot tell. `split diagnose "
-                f"--real {drive.name} --vehicle VEHICLE --out DIR` settles it; the effect is called {term}"
+                f"{drive.name}: labels of {label} go with {rate} (correlation {-correlation:.2f}): the {what} "
+                f"seems to arrive {delay:.3f} s late (+- {error:.1g}), which features of the moment cannot tell. "
+                f"`split diagnose --real {drive.name} --vehicle VEHICLE --out DIR` settles it; the effect is called "
+                f"{term}"
             )
     return tuple(told)
 

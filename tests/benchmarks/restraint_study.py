@@ -59,7 +59,9 @@ def main() -> None:
         for pair in pairs(cases, Path(folder), datasets):
             made = Path(folder) / "a.split"
             split("train", str(pair.trains), "--vehicle", pair.vehicle, "-o", str(made))
-            report = json.loads(split("evaluate", str(pair.judges), "--set", str(made), "--json"))
+            report = json.loads(
+                split("evaluate", str(pair.judges), "--set", str(made), "--predictor", "bcm", "--json")
+            )
             trust = report["sets"][0]["trust"]["share"]
             rows = {(c["name"], c["state"], c["horizon"]): c for c in report["comparisons"]}
             own = [c for c in report["comparisons"] if c["name"] == "bcm"]
