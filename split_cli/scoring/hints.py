@@ -62,7 +62,7 @@ def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle) -> tuple[str, ..
             told.append(
                 f"{drive.name}: labels of {label} go with {rate} (correlation {-correlation:.2f}): the {what} "
                 f"seems to arrive {delay:.3f} s late (+- {error:.1g}), which features of the moment cannot tell. "
-                f"`split diagnose --real {drive.name} --vehicle VEHICLE --out DIR` settles it; the effect is called "
+                f"`split diagnose --real {drive.name} --vehicle VEHICLE --out DIR` settles it; the effect is "
                 f"{term}"
             )
     return tuple(told)
