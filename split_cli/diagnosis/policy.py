@@ -354,8 +354,8 @@ class Screening:
     turn_spread: float = _number(
         0.3,
         "1",
-        "spread of curvature that speed does not explain, over its mean, below which steering is held on purpose",
-        _JUDGEMENT + "a steered car's curvature varies by all of its mean",
+        "spread of yaw rate that speed does not explain, over its mean, below which steering is held on purpose",
+        _JUDGEMENT + "a steered car's varies by all of its mean, real circles leave 0.05 to 0.15",
     )
     held_seconds: float = _number(3.0, "s", "the same for a steer angle, which drivers hold", _CHOSEN)
     answer_seconds: float = _number(

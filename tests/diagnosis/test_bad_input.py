@@ -284,3 +284,24 @@ def test_too_few_samples_a_second(real):
     slow = real.select(np.arange(len(real)) % 10 == 0)
     slow = replace(slow, period=0.2, segment=np.zeros(len(slow), dtype=np.int32))
     assert "5 samples a second" in unfit(slow, road_car())[0]
+
+
+class TestWheelThatIsHeld:
+    """Circles are driven with the wheel held on purpose; a recording that lost its steer angle is none."""
+
+    @staticmethod
+    def circle(yaw_rate_beside_speed: float) -> Drive:
+        t = 0.01 * np.arange(6000)
+        speed = 5.0 + 4.0 * np.sin(2.0 * np.pi * t / 50.0)
+        # An understeering car: r = delta v/(L + K v^2), and what a driver would add to it with his hands.
+        rate = 0.08 * speed / (2.7 + 0.01 * speed**2)
+        rate = rate + yaw_rate_beside_speed * np.sin(2.0 * np.pi * t / 7.0)
+        steer = np.where(t < 1.0, 0.0, 0.08)
+        columns = {"t": t, "vx": speed, "vy": 0.9 * rate, "r": rate, "T": 50.0 * np.sin(t), "delta": steer}
+        return Drive("circle", columns, np.zeros(len(t), dtype=np.int32), 0.01)
+
+    def test_a_circle_is_kept_whole_and_a_lost_steer_angle_is_left_out(self):
+        kept, notes = cleaned(self.circle(0.0))
+        assert len(kept) == 6000 and notes == ()
+        left, notes = cleaned(self.circle(0.2))
+        assert len(left) < 200 and "delta stands still while the car turns" in notes[0]

@@ -210,17 +210,18 @@ def _is_held(drive: Drive, rows: slice, rules: Screening) -> bool:
 
     Notes
     -----
-    Its curvature r/v_x has the sign of the steer angle and is a function of speed, delta/(L + K v_x^2) in gentle
+    Its yaw rate has the sign of the steer angle and is a function of speed, delta v_x/(L + K v_x^2) in gentle
     turns; near the limit, a smooth one. With a frozen sensor it goes to both sides, or up and down at one speed.
+    Yaw rate and not curvature is compared, since a car that stands or starts has none.
     """
     angle, speed = drive["delta"][rows], np.maximum(drive["vx"][rows], 1e-3)
     if not len(speed) or not angle.any():
         return False
-    curvature = _quiet(drive, drive["r"])[rows] / speed * np.sign(angle[0])
+    rate = _quiet(drive, drive["r"])[rows] * np.sign(angle[0])
     scaled = speed / speed.max()
-    columns = np.stack([scaled**k for k in range(4)], axis=1)
-    left = curvature - columns @ np.linalg.lstsq(columns, curvature, rcond=None)[0]
-    return bool(np.std(left) < rules.turn_spread * np.mean(curvature))
+    columns = np.stack([scaled**k for k in range(1, 5)], axis=1)
+    left = rate - columns @ np.linalg.lstsq(columns, rate, rcond=None)[0]
+    return bool(np.std(left) < rules.turn_spread * np.mean(rate))
 
 
 def _with_sound_position(drive: Drive, rules: Screening) -> tuple[Drive, tuple[str, ...]]:

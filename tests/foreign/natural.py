@@ -1,0 +1,161 @@
+"""Natural experiments: real recordings in which nature hid an effect, prepared and diagnosed by one command.
+
+`python -m tests.foreign.natural DATASETS OUT` diagnoses all of them, one after another, and prints what was said;
+`--only` takes some. `docs/natural.md` tells what an engineer knows of each, and what came out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.diagnosis.statement.result import Diagnosis
+from split_cli.logs.assemble import IngestSettings
+from split_cli.logs.drive import Drive, read_drive, write_drive
+from split_cli.proof.injection import split_in_blocks
+from split_cli.workflows.diagnose import diagnose_files
+from split_cli.workflows.ingest import ingest_logs
+
+__all__ = ["EXPERIMENTS", "dart_drive", "run", "saturated_acceleration"]
+
+MAPS = Path(__file__).parent / "maps"
+DART_CAR = MAPS / "dart_car.yaml"
+KTH_CAR = MAPS / "kth_car.yaml"
+_NO_THRUST_SPEED = 8.7  # [m/s] at which the motor would give no torque: least squares on the ramp on rubber
+_CREEP = 0.3  # [m/s] below which the DART car stands or starts
+
+
+def dart_drive(datasets: Path, name: str, folder: Path, *, start: float = 0.0, end: float = np.inf) -> Drive:
+    """Return a DART recording as a drive: velocities from the pose, torque from throttle and the motor's curve."""
+    path = folder / f"{name}.parquet"
+    if not path.exists():
+        settings = IngestSettings(derive=("velocity-from-pose",))
+        ingest_logs(
+            [datasets / "dart" / f"{name}.csv"], path, maps=[MAPS / "dart.yaml"], vehicle_path=DART_CAR,
+            settings=settings,
+        )  # fmt: skip
+    drive = read_drive(path)
+    falling = np.clip(1.0 - drive["vx"] / _NO_THRUST_SPEED, 0.0, 1.0)
+    columns = {**drive.columns, "T": drive["T"] * falling}
+    kinds = {**drive.metadata.kinds, "T": "derived: throttle and the motor's curve"}
+    drive = replace(drive, columns=columns, metadata=replace(drive.metadata, kinds=kinds))
+    t = drive["t"] - drive["t"][0]
+    return drive.select(np.flatnonzero((t >= start) & (t < end))) if np.isfinite(end) or start else drive
+
+
+def saturated_acceleration(drive: Drive, share: float = 0.1) -> float:
+    """Return what lateral acceleration v_x r [m/s^2] only a share of the moving time exceeds: the limit."""
+    moving = drive["vx"] > _CREEP
+    return float(np.quantile(np.abs(drive["vx"] * drive["r"])[moving], 1.0 - share))
+
+
+def kth_drive(datasets: Path, run: str, folder: Path, *, yaw_rate: str = "can") -> Drive:
+    """Return a run of the Volvo S90 as a drive, with the yaw rate of the CAN bus or of the IMU."""
+    path = folder / f"kth_{run}_{yaw_rate}.parquet"
+    if not path.exists():
+        maps = [MAPS / "kth_s90.yaml", *([MAPS / "kth_imu.yaml"] if yaw_rate == "imu" else [])]
+        ingest_logs([datasets / "kth_s90" / f"S90__{run}.VBO"], path, maps=maps, vehicle_path=KTH_CAR)
+    return read_drive(path)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One pair, or one recording against the nominal model.
+
+    Attributes
+    ----------
+    known : str
+        What an engineer knows of it.
+    pair : callable
+        Folder of datasets and folder to work in to the real drive and the simulated one or None.
+    vehicle : path or str
+    """
+
+    known: str
+    pair: Callable[[Path, Path], tuple[Drive, Drive | None]]
+    vehicle: Path | str
+
+
+def _halves(name: str) -> Callable[[Path, Path], tuple[Drive, Drive]]:
+    def pair(datasets: Path, folder: Path) -> tuple[Drive, Drive]:
+        reference, other = split_in_blocks(dart_drive(datasets, name, folder), 10.0)
+        return other, reference
+
+    return pair
+
+
+RUBBER, TAPE = "rubber_steer03_ramp", "tape_tiles_steer03_ramp"
+EXPERIMENTS = {
+    "tape-nominal": Experiment(
+        "grip of tape over that of rubber, to which the nominal model is fitted: 0.43",
+        lambda datasets, folder: (dart_drive(datasets, TAPE, folder), None),
+        DART_CAR,
+    ),
+    "tape-rubber": Experiment(
+        "the same with the drive on rubber as simulation: 0.43",
+        lambda datasets, folder: (dart_drive(datasets, TAPE, folder), dart_drive(datasets, RUBBER, folder)),
+        DART_CAR,
+    ),
+    "rubber-halves": Experiment("nothing: one floor, one car", _halves(RUBBER), DART_CAR),
+    "tape-halves": Experiment("nothing: one floor, one car", _halves(TAPE), DART_CAR),
+    "free-nominal": Experiment(
+        "steering 40 to 100 ms late (commands of 10 Hz, servo); to the right a third more angle than the map says",
+        lambda datasets, folder: (dart_drive(datasets, "free_driving", folder), None),
+        DART_CAR,
+    ),
+    "kth-yaw-rate": Experiment(
+        "the same slalom twice: the yaw rate of the CAN bus is some 40 ms later than the IMU's",
+        lambda datasets, folder: (
+            kth_drive(datasets, "038", folder),
+            kth_drive(datasets, "038", folder, yaw_rate="imu"),
+        ),
+        KTH_CAR,
+    ),
+    "kth-nominal": Experiment(
+        "a brochure's car: steering ratio within some 10 %, yaw rate of the CAN bus 40 ms late",
+        lambda datasets, folder: (kth_drive(datasets, "038", folder), None),
+        KTH_CAR,
+    ),
+    "free-halves": Experiment("nothing: one floor, one car", _halves("free_driving"), DART_CAR),
+}
+
+
+def run(name: str, datasets: Path, folder: Path) -> Diagnosis:
+    """Prepare and diagnose one experiment; its files stay in a folder of its name."""
+    one = EXPERIMENTS[name]
+    work = folder / name
+    work.mkdir(parents=True, exist_ok=True)
+    real, simulated = one.pair(datasets, folder)
+    write_drive(replace(real, name="real.parquet"), work / "real.parquet")
+    paths = []
+    if simulated is not None:
+        write_drive(replace(simulated, name="sim.parquet"), work / "sim.parquet")
+        paths = [work / "sim.parquet"]
+    return diagnose_files([work / "real.parquet"], one.vehicle, work / "diagnosis", simulated=paths)
+
+
+def main() -> None:
+    """Diagnose the experiments and print what was said beside what is known."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("datasets", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--only", nargs="*", choices=sorted(EXPERIMENTS), default=sorted(EXPERIMENTS))
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for name in arguments.only:
+        start = time.perf_counter()
+        told = run(name, arguments.datasets, arguments.out)
+        print(f"{name} ({time.perf_counter() - start:.0f} s)\n  known: {EXPERIMENTS[name].known}")
+        print(
+            f"  said: {told.verdict}, p = {told.p_value}, unexplained {told.unexplained}. {told.summary}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""Natural experiments: what an engineer measures beside the diagnosis, and what the diagnosis says of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.foreign.natural import RUBBER, TAPE, dart_drive, kth_drive, run, saturated_acceleration
+
+pytestmark = pytest.mark.foreign
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    return tmp_path_factory.mktemp("natural")
+
+
+def test_the_truth_by_force_at_saturation(datasets, work):
+    """Nothing but v_x r of the pose on steady circles: 7.7 m/s^2 on rubber over 3.3 m/s^2 on tape."""
+    limits = {name: saturated_acceleration(dart_drive(datasets, name, work)) for name in (RUBBER, TAPE)}
+    assert limits[RUBBER] / limits[TAPE] == pytest.approx(2.3, abs=0.1)
+
+
+def test_tape_differs_from_a_model_of_the_car_on_rubber_and_grip_explains_most(datasets, work):
+    """Constant steering on purpose, torque from the throttle: the first that the selection takes is grip."""
+    told = run("tape-nominal", datasets, work)
+    assert told.verdict == "mismatch" and told.history[0].startswith("added friction_scale")
+
+
+def test_halves_of_one_floor_have_no_name(datasets, work):
+    told = run("tape-halves", datasets, work)
+    assert not told.findings and told.verdict != "mismatch"
+
+
+def test_the_can_yaw_rate_is_some_40_ms_later_than_the_imus(datasets, work):
+    """The truth apart from the diagnosis: the shift at which the two yaw rates of one slalom agree best."""
+    can, imu = (kth_drive(datasets, "038", work, yaw_rate=name)["r"] for name in ("can", "imu"))
+    misfit = [np.std(can[20 + k : len(can) - 20 + k] - imu[20 : len(imu) - 20]) for k in range(-10, 11)]
+    assert (int(np.argmin(misfit)) - 10) * 10 == pytest.approx(40, abs=10)
