@@ -188,6 +188,11 @@ def c_source(
     )
 
 
+def _number_of(value: object) -> float:
+    """Return a vehicle's number, which may be written with its source beside it."""
+    return float(value["value"] if isinstance(value, dict) else value)
+
+
 def _limits(graph: NominalGraph, provenance: Provenance, real: str) -> str:
     """Return the limits that a step takes its arguments within, far beyond what a car does, as C.
 
@@ -196,7 +201,7 @@ def _limits(graph: NominalGraph, provenance: Provenance, real: str) -> str:
     """
     car = provenance.vehicle
     largest = 1.7e308 if real == "double" else 3.4e38
-    torque = 10.0 * max(float(car["max_torque"]), float(car.get("max_brake_torque") or 0.0))
+    torque = 10.0 * max(_number_of(car["max_torque"]), _number_of(car.get("max_brake_torque") or 0.0))
     steer, whole = 1.4, graph.memory.whole if graph.memory else 8
     states = [largest, largest, largest, 150.0, 150.0, 50.0, torque, steer]
     if graph.memory:
