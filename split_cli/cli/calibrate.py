@@ -57,9 +57,15 @@ positive = click.FloatRange(0.0, min_open=True)
 @click.option("--smooth", type=positive, metavar="SECONDS", help="Kernel width; by default from the wheelbase.")
 @click.option("--figure", type=click.Path(path_type=Path), metavar="FILE", help="Draw the curves (png, svg, pdf).")
 @click.option("--convert", is_flag=True, help="Convert a CommonRoad, F1TENTH or ForzaETH parameter file instead.")
+@click.option(
+    "--to",
+    "kind",
+    type=click.Choice(["f1tenth", "forzaeth", "commonroad"]),
+    help="With --convert: write a vehicle file as that project's parameters.",
+)
 @json_option
 def command(files, start, output, parts, training_blocks, offsets, measured_ay, max_ax, max_ay, alpha_max, smooth,
-            figure, convert, as_json) -> None:  # fmt: skip
+            figure, convert, kind, as_json) -> None:  # fmt: skip
     """Fit a vehicle file to gentle drives, or convert a foreign one.
 
     Tyres come from the axles' lateral forces, drag and rolling resistance from the longitudinal balance. Told are
@@ -70,9 +76,15 @@ def command(files, start, output, parts, training_blocks, offsets, measured_ay, 
     Example:
       split calibrate steps.parquet sweep.parquet coast.parquet --vehicle start.yaml -o car.yaml
       split calibrate --convert parameters_vehicle2.yaml parameters_tire.yaml -o bmw.yaml
+      split calibrate --convert car.yaml --to f1tenth -o params.yaml
     """
-    from split_cli.workflows.calibrate import calibrate_files, convert_files
+    from split_cli.workflows.calibrate import calibrate_files, convert_files, write_foreign
 
+    if kind is not None:
+        if not convert or len(files) != 1:
+            raise click.UsageError("--to writes one vehicle file: --convert car.yaml --to f1tenth.")
+        _show_foreign(write_foreign(files[0], output, kind, alpha_max=alpha_max), output, as_json)
+        return
     if convert:
         _show_conversion(convert_files(files, output, alpha_max=alpha_max), output, as_json)
         return
@@ -98,6 +110,17 @@ def command(files, start, output, parts, training_blocks, offsets, measured_ay, 
     if figure is not None:
         plot_calibration(calibration, figure)
     _show_calibration(calibration, used, output, as_json)
+
+
+def _show_foreign(written, output, as_json) -> None:
+    if as_json:
+        print_json(written)
+        return
+    front, rear = written.deviations
+    click.echo(f"lateral forces differ by at most {front:.3g} N at the front axle and {rear:.3g} N at the rear")
+    for lost in written.lost:
+        click.echo(f"not in this format: {lost}")
+    click.echo(f"written: {output}")
 
 
 def _show_calibration(calibration, used, output, as_json) -> None:

@@ -6,16 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import yaml
+
 from split_cli.errors import DriveError, SplitError
-from split_cli.files import refuse_overwriting_inputs
+from split_cli.files import atomic_path, refuse_overwriting_inputs
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.scoring.splits import hold_out_blocks
 from split_cli.vehicle.calibration.calibrate import Calibration, CalibrationSettings, calibrate_vehicle
 from split_cli.vehicle.calibration.samples import MotionRun
 from split_cli.vehicle.converters import Conversion, convert_parameters
+from split_cli.vehicle.foreign import ForeignParameters, foreign_parameters
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 
-__all__ = ["DriveUse", "calibrate_files", "convert_files", "motion_runs"]
+__all__ = ["DriveUse", "calibrate_files", "convert_files", "motion_runs", "write_foreign"]
 
 
 @dataclass(frozen=True)
@@ -136,3 +139,20 @@ def convert_files(sources: Sequence[str | Path], output: str | Path, *, alpha_ma
     names = ", ".join(Path(source).name for source in sources)
     write_vehicle(conversion.vehicle, output, comment=f"Converted by `split calibrate --convert` from {names}.")
     return conversion
+
+
+def write_foreign(
+    source: str | Path, output: str | Path, kind: str, *, alpha_max: float = 0.18
+) -> ForeignParameters:
+    """Write a vehicle file as another project's parameters, YAML.
+
+    Raises
+    ------
+    SplitError
+        If the vehicle file cannot be read or the format is not known.
+    """
+    refuse_overwriting_inputs(output, [source])
+    written = foreign_parameters(read_vehicle(source), kind, alpha_max)
+    with atomic_path(output) as temporary:
+        temporary.write_text(yaml.safe_dump(written.content, sort_keys=False), encoding="utf-8")
+    return written
