@@ -60,7 +60,7 @@ def test_a_file_written_by_hand(tmp_path):
     assert car.effects == (EffectSpec("aero_drag", {"drag": 0.08}),)
 
 
-POSITIVE = st.floats(1e-3, 1e5)
+POSITIVE = st.floats(0.05, 5.0)  # what some vehicle has, for every key alike
 SHARE = st.floats(0.0, 1.0)
 TIRE = st.builds(MagicFormula, B=POSITIVE, C=st.floats(0.1, 1.99), D=POSITIVE)
 ORIGINS = st.dictionaries(
@@ -70,7 +70,7 @@ ORIGINS = st.dictionaries(
 VEHICLES = st.builds(
     Vehicle,
     name=st.text(alphabet=st.characters(categories=["L", "N", "P", "Zs"]), min_size=1, max_size=20),
-    mass=POSITIVE,
+    mass=st.floats(0.05, 1e5),
     yaw_inertia=POSITIVE,
     cg_to_front_axle=POSITIVE,
     cg_to_rear_axle=POSITIVE,
