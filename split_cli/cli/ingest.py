@@ -159,7 +159,7 @@ def _show(run, as_json: bool) -> None:
             click.echo(result.to_text())
     if run.unchanged:
         click.echo(f"note: {len(run.unchanged)} unchanged since they were ingested, not read again", err=True)
-    if run.failures:
+    if run.failures and len(run.results) + len(run.unchanged) + len(run.failures) > 1:
         made = len(run.results) + len(run.unchanged)
         click.echo(f"split: {len(run.failures)} of {made + len(run.failures)} logs gave no drive:", err=True)
     for failure in run.failures:

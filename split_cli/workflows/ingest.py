@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -191,11 +192,25 @@ def ingest_logs(
             return IngestRun((), (made,), ())
         return IngestRun((made,), (), ())
     if keep_going:
-        output.mkdir(parents=False, exist_ok=True)
-        return _into_folder(prepared, sources, output, output, engine, keep_going, progress)
+        existed = output.is_dir()
+        output.mkdir(exist_ok=True)
+        try:
+            return _into_folder(prepared, sources, output, output, engine, keep_going, progress)
+        finally:
+            if not existed:
+                _remove_if_empty(output)
     # A folder is shown only when all of its drives are made.
     with atomic_directory(output) as folder:
         return _into_folder(prepared, sources, output, folder, engine, keep_going, progress)
+
+
+def _remove_if_empty(folder: Path) -> None:
+    """Remove a folder in which no log left a drive, with the empty folders in it."""
+    for path in sorted((p for p in folder.rglob("*") if p.is_dir()), reverse=True):
+        with contextlib.suppress(OSError):
+            path.rmdir()
+    with contextlib.suppress(OSError):
+        folder.rmdir()
 
 
 @dataclass(frozen=True)
