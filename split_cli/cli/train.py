@@ -76,8 +76,9 @@ class TimeSpan(click.ParamType):
     help="Do not learn this stretch of time of the drives [s]; repeatable.",
 )
 @held_option
+@click.option("--per-lap", is_flag=True, help="Also print what each lap added: the paper's table.")
 @json_option
-def command(drives, vehicle_path, output, append, as_json, **settings) -> None:
+def command(drives, vehicle_path, output, append, per_lap, as_json, **settings) -> None:
     """Learn what the nominal model gets wrong, cell by cell, into a trained set.
 
     Drives are learned in the order given; with the same hyperparameters and trust one run and several appended
@@ -93,7 +94,13 @@ def command(drives, vehicle_path, output, append, as_json, **settings) -> None:
 
     try:
         result = train_set(
-            drives, vehicle_path, output, TrainSettings(**settings), append=append, progress=_progress()
+            drives,
+            vehicle_path,
+            output,
+            TrainSettings(**settings),
+            append=append,
+            per_lap=per_lap,
+            progress=_progress(),
         )
     finally:
         _clear_progress()
@@ -103,6 +110,21 @@ def command(drives, vehicle_path, output, append, as_json, **settings) -> None:
         print_json(result)
         return
     _print_rows(result)
+    if result.laps:
+        _print_laps(result.laps)
+
+
+def _print_laps(laps) -> None:
+    click.echo()
+    header = ["drive", "lap", "time s", "mean speed m/s", "max |v_x r| m/s^2", "updates", "set size", "cells"]
+    share = any(row.valid_share is not None for row in laps)
+    rows = [
+        [row.drive, f"{row.lap}" if row.finished else f"{row.lap} (unfinished)", row.time, row.mean_speed,
+         row.largest_lateral_acceleration, row.updates, row.points, row.cells,
+         *([100.0 * row.valid_share] if share else [])]
+        for row in laps
+    ]  # fmt: skip
+    print_table([*header, *(["valid region %"] if share else [])], rows)
 
 
 def _print_rows(result) -> None:

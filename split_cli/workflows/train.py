@@ -33,6 +33,7 @@ from split_cli.scoring.hints import late_inputs
 from split_cli.scoring.trust import MOST_ROWS, TrainingDrive, estimate_trust
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.label import drive_notes
+from split_cli.workflows.laps import LapRow, lap_rows
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 from split_cli.workflows.sources import DRIVE_SUFFIXES, find_sources
 
@@ -142,6 +143,8 @@ class TrainResult:
     trust : Trust
         How far each output of the set is believed.
     notes : tuple of str
+    laps : tuple of LapRow
+        With `per_lap`, one a lap of each drive.
     """
 
     output: str
@@ -152,6 +155,7 @@ class TrainResult:
     fit: KernelFit | None
     trust: Trust
     notes: tuple[str, ...]
+    laps: tuple[LapRow, ...] = ()
 
 
 def train_set(
@@ -163,6 +167,7 @@ def train_set(
     append: bool = False,
     rows: Sequence[np.ndarray] | None = None,
     batch: int | None = None,
+    per_lap: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> TrainResult:
     """Train a set from drives in the order given, and write it.
@@ -181,6 +186,8 @@ def train_set(
         For each drive, which rows may be learned; a label whose window touches another row is left out.
     batch : int, optional
         Samples offered at once; the result does not depend on it.
+    per_lap : bool
+        Also tell what each lap of the drives added; not for the dictionary of `iol`.
     progress : callable, optional
         Told what is being done.
 
@@ -205,7 +212,7 @@ def train_set(
         paths = [stack.enter_context(source.local()) for source in sources]
         if append and expanded:
             paths = _not_learned(paths, read_set(output))
-        return _train_set(paths, vehicle_path, output, settings, append, rows, batch, say)
+        return _train_set(paths, vehicle_path, output, settings, append, rows, batch, per_lap, say)
 
 
 def _not_learned(paths: Sequence[Path], known: TrainingSet) -> list[Path]:
@@ -231,6 +238,7 @@ def _train_set(
     append: bool,
     rows: Sequence[np.ndarray] | None,
     batch: int | None,
+    per_lap: bool,
     say: Callable[[str], None],
 ) -> TrainResult:
     vehicle = read_vehicle(vehicle_path)
@@ -240,9 +248,11 @@ def _train_set(
     run = _Run(tuple(Path(path) for path in drive_paths), vehicle, settings, rows, known, say)
     warm_up()
     begin_set, fit = (known, None) if known is not None else run.create()
-    trained, seconds, table = begin_set, 0.0, []
+    trained, seconds, table, laps = begin_set, 0.0, [], []
     for labels, labelling in run.labels():
         say(f"learning {labels.drive}")
+        if per_lap and trained.learner != LEARNER:
+            laps += lap_rows(run.drive(len(table)), labels, trained)
         start = time.perf_counter()
         if trained.learner == LEARNER:
             trained = extend_dictionary(trained, [labels])
@@ -257,7 +267,7 @@ def _train_set(
     horizons = tuple(source.horizon for source in trained.sources[-len(table) :])
     return TrainResult(
         str(output), tuple(table), total, horizons, trained.kernel, fit, trained.trust,
-        (*run.notes, *run.correct.notes),
+        (*run.notes, *run.correct.notes), tuple(laps),
     )  # fmt: skip
 
 
@@ -289,7 +299,7 @@ class _Run:
     def labels(self) -> Iterator[tuple[Labels, float]]:
         """Yield the labels of each drive and the seconds that labelling took."""
         for position in range(len(self.paths)):
-            drive = self._drive(position)
+            drive = self.drive(position)
             self._take_notes(drive)
             start = time.perf_counter()
             labels = self._label(drive, position)
@@ -335,7 +345,7 @@ class _Run:
             return parse_trust(asked)
         parts, rows = [], 0
         for position in range(len(self.paths)):
-            drive = self._drive(position)
+            drive = self.drive(position)
             rows += len(drive)
             if parts and rows > MOST_ROWS:
                 self.notes.append(f"trust was found on the first {len(parts)} of {len(self.paths)} drives")
@@ -349,7 +359,7 @@ class _Run:
         """Fit to the valid labels of all drives; None, with a note, when they are too few."""
         z, y = [], []
         for position in range(len(self.paths)):
-            labels = self._label(self._drive(position), position).inside(grid)
+            labels = self._label(self.drive(position), position).inside(grid)
             z.append(labels.z[labels.accepted])
             y.append(labels.y[labels.accepted])
         z, y = np.concatenate(z), np.concatenate(y)
@@ -366,7 +376,7 @@ class _Run:
 
     def _first_valid(self) -> Labels:
         for position in range(len(self.paths)):
-            labels = self._label(self._drive(position), position)
+            labels = self._label(self.drive(position), position)
             if labels.accepted.any():
                 return labels
         counts = ", ".join(f"{count} {reason}" for reason, count in labels.counts().items()) or "no samples"
@@ -376,7 +386,8 @@ class _Run:
             advice="Check units and signs with `split info`, and that the vehicle file is of this car.",
         )
 
-    def _drive(self, position: int) -> Drive:
+    def drive(self, position: int) -> Drive:
+        """Return a drive of the run, its recording corrected as the vehicle file says."""
         self.say(f"reading {self.paths[position].name}")
         drive = self.correct(read_drive(self.paths[position], self.settings.held))
         if position not in self.checked:

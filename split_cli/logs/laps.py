@@ -1,0 +1,65 @@
+"""Laps of a drive: by its own lap channel, else by where its path comes back to its start."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from split_cli.errors import DriveError
+from split_cli.logs.drive import Drive
+
+__all__ = ["lap_numbers"]
+
+_CLOSE_DISTANCE = 5.0
+"""How far beside its start a car of 2.7 m wheelbase may come back [m]; judgement: half a race track's width."""
+_CLOSE_ANGLE = 0.35
+"""How far its direction of travel may differ there [rad]; judgement, as for the track position of a diagnosis."""
+_FULL_SIZE_WHEELBASE = 2.7
+_AWAY = 4.0
+"""Times the distance a car must have been away before it can come back [1]; judgement."""
+
+
+def lap_numbers(drive: Drive, wheelbase: float) -> np.ndarray:
+    """Return the lap each sample belongs to, from 1, shape (N,).
+
+    A lap ends where the path crosses the line through its first sample, square to the travel there, within 5 m of
+    it and 0.35 rad of its direction, both for a car of 2.7 m wheelbase and scaled with the car.
+
+    Parameters
+    ----------
+    drive : Drive
+        With a channel ``lap``, or ``X`` and ``Y`` [m].
+    wheelbase : float
+        [m].
+
+    Raises
+    ------
+    DriveError
+        If it has neither, or its path never comes back.
+    """
+    if "lap" in drive.columns:
+        lap = np.round(drive["lap"])
+        if np.isfinite(lap).all() and len(np.unique(lap)) > 1:
+            return np.unique(lap, return_inverse=True)[1].astype(np.int64) + 1
+    if not {"X", "Y"} <= set(drive.columns):
+        raise DriveError("has no position and no lap channel, so it has no laps", where=drive.name)
+    x, y = drive["X"] - drive["X"][0], drive["Y"] - drive["Y"][0]
+    limit = _CLOSE_DISTANCE * wheelbase / _FULL_SIZE_WHEELBASE
+    distance = np.hypot(x, y)
+    left = np.flatnonzero(distance > limit)
+    heading = np.arctan2(y[left[0]], x[left[0]]) if len(left) else 0.0
+    along = x * np.cos(heading) + y * np.sin(heading)
+    direction = np.arctan2(np.gradient(y), np.gradient(x))
+    same_way = np.abs(np.angle(np.exp(1j * (direction - heading)))) < _CLOSE_ANGLE
+    crossed = (along[:-1] < 0.0) & (along[1:] >= 0.0) & (distance[1:] < limit) & same_way[1:]
+    ends, away = [], False
+    crossing = set((np.flatnonzero(crossed) + 1).tolist())
+    for row in range(len(x)):
+        away = away or distance[row] > _AWAY * limit
+        if away and row in crossing:
+            ends.append(row)
+            away = False
+    if not ends:
+        raise DriveError("never comes back to where it began, so it has no laps", where=drive.name)
+    lap = np.zeros(len(x), dtype=np.int64)
+    lap[ends] = 1
+    return np.cumsum(lap) + 1
