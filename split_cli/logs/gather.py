@@ -406,10 +406,25 @@ class _Converter:
         self.wheel_radius = wheel_radius
         self.notes = notes
 
+    def _bend(self, channel: str, source: Source, name: str, values: np.ndarray) -> np.ndarray:
+        """Return values on the map's curve; missing where they lie beyond its ends by over a thousandth of it."""
+        if not source.curve:
+            return values
+        at, value = (np.array(side) for side in zip(*source.curve, strict=True))
+        slack = 1e-3 * (at[-1] - at[0])
+        with np.errstate(invalid="ignore"):
+            beyond = (values < at[0] - slack) | (values > at[-1] + slack)
+        told = f"{channel}: {name} by a curve of {len(at)} points from {at[0]:g} to {at[-1]:g}"
+        if beyond.any():
+            told += f"; {int(beyond.sum())} samples beyond its ends are left out"
+        self.notes.conversions.append(told)
+        return np.where(beyond | ~np.isfinite(values), np.nan, np.interp(values, at, value))
+
     def convert(self, channel: str, source: Source, signals: list[RawSignal], common: np.ndarray | None) -> Series:
         name = source.names[0] if len(source.names) == 1 else "+".join(source.names)
         values, unit = self._combine(channel, source, signals)
-        values = self._to_si(channel, source, values * source.scale + source.offset, unit, signals[0].unit)
+        bent = self._bend(channel, source, name, values * source.scale + source.offset)
+        values = self._to_si(channel, source, bent, unit, signals[0].unit)
         if source.scale != 1.0 or source.offset != 0.0:
             self.notes.conversions.append(
                 f"{channel}: {source.scale:g} x {name} {'+' if source.offset >= 0 else '-'} {abs(source.offset):g}"
@@ -446,7 +461,7 @@ class _Converter:
         self, channel: str, source: Source, values: np.ndarray, unit: str | None, written: str | None
     ) -> np.ndarray:
         expected = expected_unit(channel)
-        scaled = source.scale != 1.0
+        scaled = source.scale != 1.0 or bool(source.curve)
         if source.unit and written and not scaled and find_unit(written) not in (None, find_unit(source.unit)):
             self.notes.contradictions.append(
                 f"{channel}: the file says {written}, the map says {source.unit}; the map was followed"

@@ -70,7 +70,7 @@ class Position:
 
 @dataclass(frozen=True)
 class Source:
-    """One recorded signal and its way to SI: value = convert(scale * raw + offset, unit).
+    """One recorded signal and its way to SI: value = convert(curve(scale * raw + offset), unit).
 
     Attributes
     ----------
@@ -80,8 +80,11 @@ class Source:
     convert : str
         One of `CONVERSIONS`, or empty.
     scale, offset : float
+    curve : tuple of (float, float)
+        Points of a piecewise linear curve, with ascending first members: a steering command to an angle, throttle
+        to torque. Empty is the identity. A sample outside its ends is missing, not extrapolated.
     unit : str or None
-        Unit of scale * raw + offset; None takes what the file says.
+        Unit after scale, offset and curve; None takes what the file says.
     delay : float or None
         Positive when the channel is late [s]; its times are moved earlier.
     frame, world : str or None
@@ -92,6 +95,7 @@ class Source:
     convert: str = ""
     scale: float = 1.0
     offset: float = 0.0
+    curve: tuple[tuple[float, float], ...] = ()
     unit: str | None = None
     delay: float | None = None
     frame: str | None = None
@@ -192,7 +196,7 @@ _MAP_KEYS = (
     "name", "about", "preset", "time", "frame", "world", "topics", "extras", "datum", "derivations", "despike",
     "kinds", "channels",
 )  # fmt: skip
-_SOURCE_KEYS = ("source", "convert", "scale", "offset", "unit", "delay", "frame", "world")
+_SOURCE_KEYS = ("source", "convert", "scale", "offset", "curve", "unit", "delay", "frame", "world")
 _CHANNEL_KEYS = (*_SOURCE_KEYS, "sum", "position", "kind", "resample", "optional", "note")
 _TIME_KEYS = ("source", "unit", "period", "clock")
 
@@ -300,7 +304,7 @@ def _channel(name: str, entry: Any, kind: Any, where: str) -> ChannelMap:
         if not isinstance(entry["sum"], list) or not entry["sum"]:
             raise MapError("sum must be a list of entries", where=where)
         outer = {key: entry[key] for key in ("unit", "delay", "frame", "world") if key in entry}
-        misplaced = [key for key in ("convert", "scale", "offset") if key in entry]
+        misplaced = [key for key in ("convert", "scale", "offset", "curve") if key in entry]
         if misplaced:
             raise MapError(f"{misplaced[0]} belongs into the entries of the sum", where=where)
         parts = [{"source": part} if isinstance(part, str) else part for part in entry["sum"]]
@@ -345,11 +349,24 @@ def _source(entry: Mapping[str, Any], where: str) -> Source:
         convert=convert,
         scale=_number(entry.get("scale", 1.0), where, "scale"),
         offset=_number(entry.get("offset", 0.0), where, "offset"),
+        curve=_curve(entry.get("curve"), where),
         unit=None if unit is None else str(unit),
         delay=None if entry.get("delay") is None else _number(entry["delay"], where, "delay"),
         frame=None if "frame" not in entry else _one_of(entry["frame"], ("flu", "frd"), where, "frame"),
         world=None if "world" not in entry else _one_of(entry["world"], ("enu", "ned"), where, "world"),
     )
+
+
+def _curve(entry: Any, where: str) -> tuple[tuple[float, float], ...]:
+    if entry is None:
+        return ()
+    points = entry if isinstance(entry, list) else []
+    if len(points) < 2 or not all(isinstance(point, list) and len(point) == 2 for point in points):
+        raise MapError("curve must be a list of two or more pairs [recorded, value]", where=where)
+    pairs = tuple((_number(a, where, "curve"), _number(b, where, "curve")) for a, b in points)
+    if any(later[0] <= earlier[0] for earlier, later in zip(pairs[:-1], pairs[1:], strict=True)):
+        raise MapError("the recorded values of a curve must ascend, each larger than the one before", where=where)
+    return pairs
 
 
 def _position(entry: Any, where: str) -> Position | None:

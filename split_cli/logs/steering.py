@@ -119,7 +119,7 @@ def _without_unit(
 ) -> Any:
     """Judge a steering signal without a unit: radians only where the wheelbase is that of a car of that speed."""
     if abs(largest - 1.0) < 0.02 or largest == 1.0:
-        why = f"reaches 1 and no more: a command in -1..1; `scale:` it by the angle at 1 ({size:.3g} m/curvature)"
+        why = f"reaches 1 and no more: a command in -1..1; give a `curve:` or `scale:` ({size:.3g} m/curvature)"
         return replace(s, status="open", reason=why)
     named = s.sources[0].lower()
     full_size = float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0

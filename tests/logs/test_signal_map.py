@@ -73,6 +73,25 @@ def test_scale_offset_and_unit_act_in_that_order():
     assert "vx: km/h to m/s" in made.conversions
 
 
+def test_a_curve_bends_a_command_and_what_lies_beyond_it_is_missing():
+    command = np.linspace(-1.2, 1.2, N)
+    curve = [[-1.0, -0.42], [0.0, 0.0], [1.0, 0.38]]
+    made = read(table(t=TIME, c=command), {"delta": {"source": "c", "curve": curve, "unit": "rad"}})
+    bent = values(made, "delta")
+    inside = np.abs(command) <= 1.0
+    expected = np.where(command < 0.0, 0.42, 0.38) * command
+    np.testing.assert_allclose(bent[inside], expected[inside], atol=1e-15)
+    assert np.isnan(bent[np.abs(command) > 1.002]).all()
+    (told,) = [text for text in made.conversions if "curve" in text]
+    assert f"{np.count_nonzero(np.abs(command) > 1.002)} samples beyond its ends" in told
+
+
+@pytest.mark.parametrize("curve", [[[0, 1]], [[0, 0], [0, 1]], [[1, 0], [0, 1]], "x", [[0, 0], [1]]])
+def test_a_curve_that_is_none_is_refused(curve):
+    with pytest.raises(MapError, match="curve"):
+        read(table(t=TIME, c=TIME), {"delta": {"source": "c", "curve": curve, "unit": "rad"}})
+
+
 def test_a_unit_comes_from_the_map_or_the_file_or_is_said_to_be_assumed():
     recording = table({"a": "km/h", "b": None}, t=TIME, a=np.full(N, 36.0), b=np.full(N, 10.0))
     assert values(read(recording, {"vx": "a"}), "vx")[0] == pytest.approx(10.0)
