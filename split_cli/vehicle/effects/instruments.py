@@ -30,6 +30,9 @@ _WORDS = {
 }  # fmt: skip
 
 
+_POSITION = "position recorded beside the velocities"
+
+
 class _Instrument(Term):
     """A fault of a recording that acts on some channels, each by itself."""
 
@@ -206,7 +209,7 @@ class SpeedScale(_Scale):
     channels = ("vx", "vy")
     subject = "the velocity"
     mimics: ClassVar = (
-        Mimic("drive_gain+aero_drag", "straight driving, without position", "position"),
+        Mimic("drive_gain+aero_drag", "straight driving, without position", _POSITION),
         Mimic("yaw_rate_scale", "without position and yaw: only v_x r is seen", "position and yaw"),
     )
 
@@ -220,7 +223,7 @@ class YawRateScale(_Scale):
     id = "yaw_rate_scale"
     channels = ("r",)
     subject = "the yaw rate"
-    mimics: ClassVar = (Mimic("steer_gain", "gentle driving, without yaw", "yaw"),)
+    mimics: ClassVar = (Mimic("steer_gain", "gentle driving, without yaw", "yaw recorded beside the yaw rate"),)
 
 
 class ChannelDelay(_Instrument):
@@ -245,10 +248,10 @@ class ChannelDelay(_Instrument):
     moves_samples = True
     mimics: ClassVar = (
         Mimic("yaw_inertia", "gentle transients, without yaw", "yaw against yaw rate", variants=("r",)),
-        Mimic("drive_lag", "without position: speed that answers late", "position", variants=("vx", "velocity")),
-        Mimic("drive_delay", "without position: speed that answers late", "position", variants=("vx", "velocity")),
-        Mimic("steer_lag", "without position: a late answer", "position", variants=("r", "vy", "velocity")),
-        Mimic("steer_delay", "without position: a late answer", "position", variants=("r", "vy", "velocity")),
+        Mimic("drive_lag", "without position: speed that answers late", _POSITION, variants=("vx", "velocity")),
+        Mimic("drive_delay", "without position: speed that answers late", _POSITION, variants=("vx", "velocity")),
+        Mimic("steer_lag", "without position: a late answer", _POSITION, variants=("r", "vy", "velocity")),
+        Mimic("steer_delay", "without position: a late answer", _POSITION, variants=("r", "vy", "velocity")),
         Mimic("sensor_lever_arm", "one speed, yaw rate that changes slowly", "turns at several speeds"),
     )
 
@@ -264,7 +267,8 @@ class ChannelDelay(_Instrument):
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
         if variant == "velocity":
-            return f"v_x is {late(p['vx'])} and v_y {late(p['vy'])} against the other channels"
+            each = f"the longitudinal velocity is {late(p['vx'])} and the lateral velocity {late(p['vy'])}"
+            return f"{each} against the other channels"
         return f"{_WORDS[variant]} is {late(p[variant])} against the other channels"
 
     def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
