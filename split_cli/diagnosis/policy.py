@@ -375,6 +375,12 @@ class Screening:
         0.5, "1", "acceleration by torque over what the file makes of it, below which it is another car", _CHOSEN
     )
     most_torque_ratio: float = _number(2.0, "1", "the same ratio above which it is another car", _CHOSEN)
+    balance_seconds: float = _number(
+        2.0,
+        "s",
+        "time over which resistance balances torque: what is slower is not taken for acceleration",
+        _JUDGEMENT + "a driver's torque steps last less, a change of speed that alters resistance takes longer",
+    )
     least_correlation: float = _number(
         0.7, "1", "correlation below which such a ratio is not told", _JUDGEMENT + "half the variance explained"
     )

@@ -257,6 +257,8 @@ def _of_another_car(drive: Drive, vehicle: Vehicle, rules: Screening) -> list[st
     -----
     In gentle turns the steer angle is (L + K v_x^2) r / v_x with K the understeer of mass, axles and cornering
     stiffness (steady-state single track); along the car m R_w (v_x' - v_y r) is the torque, less resistance.
+    Resistances of air, tyres and cornering change with speed and slip, so slowly; what torque does within
+    `balance_seconds` it does to the mass. Torque that rises so slowly that resistance balances it tells nothing.
     Regressions give the ratio of what was recorded to what the file makes of it.
     """
     v = {name: _quiet(drive, drive[name]) for name in ("vx", "vy", "r", "delta", "T")}
@@ -281,8 +283,8 @@ def _of_another_car(drive: Drive, vehicle: Vehicle, rules: Screening) -> list[st
     along = np.gradient(v["vx"], drive.period) - v["vy"] * v["r"]
     ratio = None
     if not torque_is_derived(drive) and not torque_is_constant(v["T"][sound], vehicle, rules):
-        made = (vehicle.mass * vehicle.wheel_radius * along)[sound]
-        ratio = _ratio(v["T"][sound], made, rules, v["vx"][sound] ** 2)
+        made = vehicle.mass * vehicle.wheel_radius * along
+        ratio = _ratio(_changes(drive, v["T"], rules)[sound], _changes(drive, made, rules)[sound], rules)
     if ratio is not None and not rules.least_torque_ratio < ratio < rules.most_torque_ratio:
         reasons.append(
             f"{drive.name} does not fit this vehicle file: torque accelerates it {ratio:.2g} times as much as a "
@@ -292,20 +294,24 @@ def _of_another_car(drive: Drive, vehicle: Vehicle, rules: Screening) -> list[st
     return reasons
 
 
-def _ratio(
-    expected: np.ndarray, found: np.ndarray, rules: Screening, beside: np.ndarray | None = None
-) -> float | None:
+def _changes(drive: Drive, values: np.ndarray, rules: Screening) -> np.ndarray:
+    """Return values less their mean over `balance_seconds` around each sample, shape (N,)."""
+    from scipy.ndimage import uniform_filter1d
+
+    out, width = np.array(values, dtype=float), max(3, round(rules.balance_seconds / drive.period))
+    for run in drive.segments():
+        out[run] -= uniform_filter1d(out[run], width, mode="nearest")
+    return out
+
+
+def _ratio(expected: np.ndarray, found: np.ndarray, rules: Screening) -> float | None:
     """Return the slope of `found` over `expected`; None where too few rows or too loose a relation tell none."""
     if len(expected) < 100 or np.std(expected) == 0.0 or np.std(found) == 0.0:
         return None
     if abs(np.corrcoef(expected, found)[0, 1]) < rules.least_correlation:
         return None
-    columns = [expected, np.ones_like(expected)]
-    if beside is not None:
-        columns.append(beside)
-    table = np.stack(columns, axis=1)
-    scale = np.abs(table).max(axis=0) + 1e-300
-    return float(np.linalg.lstsq(table / scale, found, rcond=None)[0][0] / scale[0])
+    table = np.stack([expected / np.abs(expected).max(), np.ones_like(expected)], axis=1)
+    return float(np.linalg.lstsq(table, found, rcond=None)[0][0] / np.abs(expected).max())
 
 
 def _width(drive: Drive) -> int:

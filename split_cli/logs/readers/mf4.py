@@ -14,9 +14,25 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawSignal, ReadNote, Recording, note_once
+from split_cli.logs.readers.probe import probe
 from split_cli.signals import find_unit
 
-__all__ = ["open_mf4"]
+__all__ = ["list_samples", "open_mf4"]
+
+
+def list_samples(path: Path) -> None:
+    """Read every channel of an MDF file and keep nothing: what `probe` does in a process of its own."""
+    from asammdf import MDF
+
+    with _without_prints():
+        file = MDF(path, raise_on_multiple_occurrences=False)
+        for group, index in _places(file).values():
+            try:
+                file.get(group=group, index=index)
+            except MemoryError:
+                raise
+            except Exception:  # told when the channel is read; here it only must not end the process
+                continue
 
 
 def open_mf4(path: Path, databases: Sequence[Path] = ()) -> Recording:
@@ -37,6 +53,7 @@ def open_mf4(path: Path, databases: Sequence[Path] = ()) -> Recording:
         raise LogError(
             "is an MDF file, which needs asammdf", where=path.name, advice="pip install 'split-cli[mf4]'"
         ) from error
+    probe(path)
     try:
         with _without_prints():
             file = MDF(path, raise_on_multiple_occurrences=False)
