@@ -16,7 +16,7 @@ from typing import Any
 from split_cli.errors import SplitError
 from split_cli.files import sha256_of_file
 
-__all__ = ["DRIVE_SUFFIXES", "LOG_SUFFIXES", "SourceFile", "find_sources", "is_remote", "local_copies"]
+__all__ = ["DRIVE_SUFFIXES", "LOG_SUFFIXES", "SourceFile", "find_sources", "is_remote"]
 
 LOG_SUFFIXES = (
     ".mcap", ".bag", ".db3", ".csv", ".txt", ".vbo", ".parquet", ".feather", ".mat", ".mf4", ".blf", ".asc",
@@ -208,12 +208,3 @@ def _remote(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
         if not _hidden(PurePosixPath(place)):  # type: ignore[arg-type]
             sources.append(SourceFile(system.unstrip_protocol(hit), place or PurePosixPath(hit).name))
     return sources
-
-
-@contextlib.contextmanager
-def local_copies(
-    addresses: Sequence[str | Path], suffixes: Sequence[str] = DRIVE_SUFFIXES, *, what: str = "drive"
-) -> Iterator[list[Path]]:
-    """Give local paths to all files that addresses stand for; remote ones are copied while the body runs."""
-    with contextlib.ExitStack() as stack:
-        yield [stack.enter_context(source.local()) for source in find_sources(addresses, suffixes, what=what)]
