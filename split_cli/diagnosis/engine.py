@@ -15,20 +15,20 @@ from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale
 from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.recording.witnesses import is_witness_of_position
+from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
 from split_cli.diagnosis.remainder.formula import sparse_formula
 from split_cli.diagnosis.remainder.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.remainder.spectrum import Line, strongest_line
-from split_cli.diagnosis.remainder.wander import wander_of
+from split_cli.diagnosis.search.baselines import SearchOutcome, search
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.fitting import fit_parts
-from split_cli.diagnosis.search.identifiable import judgeable, tellable
-from split_cli.diagnosis.search.reading import Reading, read
+from split_cli.diagnosis.search.identifiable import identifiable, limits_of
 from split_cli.diagnosis.statement.result import Diagnosis, InputFile
 from split_cli.diagnosis.statement.sentences import summarise
 from split_cli.diagnosis.together import together
 from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.diagnosis.verdict.detectable import smallest_named
-from split_cli.diagnosis.verdict.findings import describe, wanders, with_shares
+from split_cli.diagnosis.verdict.findings import describe, is_autocorrelated, with_shares
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
@@ -42,11 +42,11 @@ _FAR = (
     "what lies near alone: hardly any of the real drive lies where the simulation has been, so rows further off "
     "than usual are compared; drive both over the same speeds, torques and turns"
 )
-_FAR_AND_NAMELESS = (
+_FAR_AND_UNNAMED = (
     "Hardly any of the real drive lies where the simulation has been, and what differs has no name: it may be "
     "what the simulation has not shown; drive both over the same speeds, torques and turns."
 )
-_MUCH_MISFIT = (
+_MUCH_FORM_ERROR = (
     "small effects: halves of the simulation differ by far more than noise, and what is small beside that is not "
     "told; calibrate the vehicle file (split calibrate), or drive both more alike"
 )
@@ -104,7 +104,7 @@ def diagnose(
         case = case.compared(reach, policy)
         kept = _rows(case)
     share = kept / max(sum(len(one.at) for one in case.real), 1)
-    not_judged = (*notes, *judgeable(case.real, vehicle, share, policy))
+    not_judged = (*notes, *limits_of(case.real, vehicle, share, policy))
     if reach > settings.reach:
         not_judged += (_FAR,)
     positions = [
@@ -117,37 +117,41 @@ def diagnose(
             *in_sentences(out_of_scale(*positions, rules=policy.screening)),
         ]
         return _undecided(reasons, share, inputs, described)
-    candidates = tellable(
+    candidates = identifiable(
         build_candidates(vehicle, case.real[0].series),
         [one.series for one in case.real],
         vehicle,
         policy.screening,
     )
-    reading = read(case, candidates, reach=reach, policy=policy, progress=progress)
-    if reading.known.ratio > policy.selection.much_misfit:
-        not_judged += (_MUCH_MISFIT,)
+    outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)
+    if outcome.known.ratio > policy.selection.much_form_error:
+        not_judged += (_MUCH_FORM_ERROR,)
     # What a named sensor accounts for contradicts nothing any more.
-    contradictions = out_of_scale(*positions, reading.selection.terms, policy.screening)
+    contradictions = out_of_scale(*positions, outcome.selection.terms, policy.screening)
     not_judged += contradictions
-    found = _compare(case, reading, contradictions)
+    found = _compare(case, outcome, contradictions)
     progress("sizing")
-    detectable = smallest_named(reading.judges, candidates, reading.inflation, settings.level / _WAYS)
+    detectable = smallest_named(outcome.objectives, candidates, outcome.variance_inflation, settings.level / _WAYS)
     if found.p_value >= settings.level:
-        hidden = hidden_effect(reading.structure.judge, candidates, reading.gap.severity) if simulated else ""
+        hidden = (
+            hidden_effect(outcome.structure.objective, candidates, outcome.gap.effect_to_noise)
+            if simulated
+            else ""
+        )
         if hidden:
-            told = _undecided([hidden], share, inputs, described)
-            return replace(told, not_judged=(*told.not_judged, *not_judged), detectable=detectable)
+            stated = _undecided([hidden], share, inputs, described)
+            return replace(stated, not_judged=(*stated.not_judged, *not_judged), detectable=detectable)
         return Diagnosis(
             "match", found.p_value, share, not_judged, inputs=tuple(inputs), settings=described,
-            history=reading.selection.history, summary=summarise("match"), gaps=_gaps(case), detectable=detectable,
+            history=outcome.selection.history, summary=summarise("match"), gaps=_gaps(case), detectable=detectable,
         )  # fmt: skip
     progress("judging")
-    told = _tell(case, found, policy)
+    stated = _tell(case, found, policy)
     hardly = reach > settings.reach or share < settings.least_share
-    if hardly and not told.findings and not contradictions:
-        return _undecided([_FAR_AND_NAMELESS], share, inputs, described)
-    told = replace(told, compared_share=share, not_judged=not_judged, detectable=detectable)
-    return replace(told, inputs=tuple(inputs), settings=described)
+    if hardly and not stated.findings and not contradictions:
+        return _undecided([_FAR_AND_UNNAMED], share, inputs, described)
+    stated = replace(stated, compared_share=share, not_judged=not_judged, detectable=detectable)
+    return replace(stated, inputs=tuple(inputs), settings=described)
 
 
 def _rows(case: Case) -> int:
@@ -160,7 +164,7 @@ class _Comparison:
 
     Attributes
     ----------
-    reading : Reading
+    outcome : SearchOutcome
     line : Line or None
         In the spectrum, if it is large enough.
     p_value : float
@@ -168,41 +172,47 @@ class _Comparison:
         Sensors out of scale, see `out_of_scale`.
     """
 
-    reading: Reading
+    outcome: SearchOutcome
     line: Line | None
     p_value: float
     contradictions: tuple[str, ...]
 
 
-def _compare(case: Case, reading: Reading, contradictions: tuple[str, ...]) -> _Comparison:
-    """Ask four ways whether there is a difference: a name, a smooth function, a line, or what wanders.
+def _compare(case: Case, outcome: SearchOutcome, contradictions: tuple[str, ...]) -> _Comparison:
+    """Ask four ways whether there is a difference: a name, a smooth function, a line, or residual autocorrelation.
 
     A sensor that contradicts position or yaw is one, however small the rest.
     """
-    policy = reading.structure.judge.policy
-    structure, selection, usual_wander = reading.structure, reading.selection, reading.known.wander
-    nameless = reading.gap
+    policy = outcome.structure.objective.policy
+    structure, selection, usual_autocorrelation = (
+        outcome.structure,
+        outcome.selection,
+        outcome.known.autocorrelation,
+    )
+    unnamed = outcome.gap
     if selection.chosen.parts and not any(selection.named):
         # Physics that has a name, and is too small to be called by it, is no difference.
-        nameless = structure.fit(selection.chosen.entries, reading.inflation)
-    line = strongest_line(structure.judge, selection.terms, case.simulated)
-    line = line if line is not None and line.severity > policy.abstention.severity else None
-    wander = wander_of(structure, selection.chosen.entries)
+        unnamed = structure.fit(selection.chosen.residuals, outcome.variance_inflation)
+    line = strongest_line(structure.objective, selection.terms, case.simulated)
+    line = line if line is not None and line.effect_to_noise > policy.abstention.effect_to_noise else None
+    autocorrelation = residual_autocorrelation(structure, selection.chosen.residuals)
     ways = [
-        nameless.p_value,
+        unnamed.p_value,
         selection.first_p if any(selection.named) else 1.0,
         line.p_value if line else 1.0,
-        wander.p_value(usual_wander, policy.unnamed) if wanders(wander, usual_wander, policy) else 1.0,
+        autocorrelation.p_value(usual_autocorrelation, policy.unnamed)
+        if is_autocorrelated(autocorrelation, usual_autocorrelation, policy)
+        else 1.0,
     ]
     p_value = 0.0 if contradictions else min(1.0, _WAYS * min(ways))
-    return _Comparison(reading, line, p_value, contradictions)
+    return _Comparison(outcome, line, p_value, contradictions)
 
 
 def _tell(case: Case, found: _Comparison, policy: Policy) -> Diagnosis:
     """Say where the difference is, what it is, and whether naming it helps."""
-    selection, findings, remainder, unexplained = describe(found.reading, bool(found.contradictions))
+    selection, findings, remainder, unexplained = describe(found.outcome, bool(found.contradictions))
     unexplained = unexplained or found.line is not None
-    shared = [case.common_rates(one) for one in case.real]
+    shared = [case.discrepancy_rates(one) for one in case.real]
     forces = [gap_forces(one, (), rates) for one, rates in zip(case.real, shared, strict=True)]
     after = [gap_forces(one, selection.terms, rates) for one, rates in zip(case.real, shared, strict=True)]
     if unexplained:
@@ -212,15 +222,15 @@ def _tell(case: Case, found: _Comparison, policy: Policy) -> Diagnosis:
         remainder = replace(remainder, formula=lead)
     location = locate(case.real, forces, after, case.keep, policy.reporting)
     split = hold_out(
-        case.real, case.keep, case.holdout, case.keep_holdout, case.knowledge, case.common, case.kinematics,
-        policy, to_the_letter=found.reading.structure.judge.to_the_letter,
+        case.real, case.keep, case.holdout, case.keep_holdout, case.posterior, case.discrepancy, case.kinematics,
+        policy, fixed_baseline=found.outcome.structure.objective.fixed_baseline,
     )  # fmt: skip
     chosen = selection.chosen
     trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen
     findings = with_shares(findings, chosen, explained_shares(split, trained))
     named = tuple(term for term, is_named in zip(trained.terms, selection.named, strict=True) if is_named)
     recordings = _held_out(case, split)
-    improvement = measure_improvement(recordings, named, case.common, case.knowledge, case.simulated)
+    improvement = measure_improvement(recordings, named, case.discrepancy, case.posterior, case.simulated)
     corrected = judge_corrected(recordings, named)
     return Diagnosis(
         "mismatch",
@@ -232,7 +242,7 @@ def _tell(case: Case, found: _Comparison, policy: Policy) -> Diagnosis:
         remainder=remainder,
         improvement=improvement,
         gaps=tuple(map(gap_series, case.real, case.keep, forces, after)),
-        leads=find_leads(found.reading.structure.judge, found.reading.selection),
+        leads=find_leads(found.outcome.structure.objective, found.outcome.selection),
         history=selection.history,
         summary=summarise(
             "mismatch",
@@ -256,7 +266,7 @@ def _held_out(case: Case, split: HeldOut) -> list[tuple[Evidence, np.ndarray]]:
 
 
 def _gaps(case: Case):
-    forces = [gap_forces(one, (), case.common_rates(one)) for one in case.real]
+    forces = [gap_forces(one, (), case.discrepancy_rates(one)) for one in case.real]
     return tuple(map(gap_series, case.real, case.keep, forces, forces))
 
 

@@ -17,7 +17,7 @@ __all__ = [
     "Abstention",
     "Allowances",
     "Believing",
-    "Comparison",
+    "ComparisonRules",
     "Policy",
     "Reporting",
     "Screening",
@@ -36,7 +36,7 @@ def _number(default: float, unit: str, meaning: str, origin: str) -> Any:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ComparisonRules:
     """What is compared, and from which evidence on simulation and reality differ."""
 
     level: float = _number(
@@ -46,7 +46,7 @@ class Comparison:
         _CHOSEN
         + "; true differences mostly give less than 1e-6, model-form error more often than chance 1e-4 to 1e-2",
     )
-    inflation: float = _number(
+    variance_inflation: float = _number(
         1.5, "1", "variance inflation factor: by how much autocorrelation widens chi squared at least", _CHOSEN
     )
     holdout_share: float = _number(
@@ -76,16 +76,16 @@ class SelectionRules:
     price: float = _number(
         8.0,
         "chi squared",
-        "cost that a searched parameter has to save, before inflation",
+        "cost that a searched parameter has to save, before variance inflation",
         _THEORY + "between the prices of AIC (2) and BIC (ln n, about 9 for an hour's rows)",
     )
-    most_aside: int = _number(
+    most_nuisances: int = _number(
         2,
         "terms",
         "nuisance terms, which save more than chance but are too small to name",
         _CHOSEN,
     )
-    aside_severity: float = _number(
+    nuisance_size: float = _number(
         0.12,
         "effect-to-noise ratio",
         "size below which model-form error of other terms is a nuisance, too",
@@ -115,29 +115,29 @@ class SelectionRules:
     same_excess: float = _number(
         9.0,
         "chi squared",
-        "cost above the chosen explanation up to which another is as good, after inflation",
+        "cost above the chosen explanation up to which another is as good, after variance inflation",
         _THEORY + "three standard errors of one parameter",
     )
     same_share: float = _number(
         0.15, "1", "share of what the chosen term saves beyond which a rival is worse whatever its error", _CHOSEN
     )
-    same_misfit: float = _number(
+    same_form_error: float = _number(
         0.01, "1", "share of what the chosen term saves that no single-track model fits better than", _CHOSEN
     )
-    least_severity: float = _number(0.10, "effect-to-noise ratio", "least size of a further term", _CHOSEN)
+    least_size: float = _number(0.10, "effect-to-noise ratio", "least size of a further term", _CHOSEN)
     least_witnessed: float = _number(
         0.20,
         "effect-to-noise ratio",
         "size in what a recording knows twice from which on a sensor's fault is no model-form error",
         _CHOSEN,
     )
-    misfit: float = _number(
+    form_error: float = _number(
         0.15,
         "1",
         "model-form error over the size of the chosen terms, in the channel of the further term",
         _CHOSEN,
     )
-    misfit_across: float = _number(0.07, "1", "the same in any other channel", _CHOSEN)
+    form_error_across: float = _number(0.07, "1", "the same in any other channel", _CHOSEN)
     settled: float = _number(
         0.8,
         "1",
@@ -150,7 +150,7 @@ class SelectionRules:
         "variance left over noise variance from which on `settled` applies",
         _JUDGEMENT + "twice the noise",
     )
-    common_misfit: float = _number(
+    discrepancy_form_error: float = _number(
         0.10, "1", "model-form error over the size of the shared model discrepancy, in that channel", _CHOSEN
     )
     considered: int = _number(
@@ -166,13 +166,13 @@ class SelectionRules:
     plain: float = _number(
         1.0, "effect-to-noise ratio", "or its size against noise", _THEORY + "as large as the noise"
     )
-    much_misfit: float = _number(
+    much_form_error: float = _number(
         3.0,
         "1",
         "variance inflation by model-form error from which on a place is believed like any few moments",
         _CHOSEN,
     )
-    letter_share: float = _number(
+    fixed_share: float = _number(
         0.2,
         "1",
         "share of the cost to be saved with a fixed baseline",
@@ -208,7 +208,7 @@ class SelectionRules:
     same_cost: float = _number(
         0.5,
         "chi squared",
-        "cost up to which two explanations of the same terms are one, before inflation",
+        "cost up to which two explanations of the same terms are one, before variance inflation",
         _JUDGEMENT + "a half of what one parameter saves by chance",
     )
     searched_places: float = _number(
@@ -217,7 +217,7 @@ class SelectionRules:
         "what the best of some thousand stretches saves of model-form error beyond one stretch",
         _THEORY + "2 ln 1000",
     )
-    misfit_share: float = _number(
+    form_error_share: float = _number(
         0.10, "1", "prior deviation of a term's model-form error, as a share of the term's effect", _CHOSEN
     )
     runs_better: float = _number(
@@ -241,7 +241,7 @@ class Abstention:
         _JUDGEMENT + "half of the way to the bound, for grip about a half",
     )
     share: float = _number(0.08, "1", "share of the gap without a name from which on it is unexplained", _CHOSEN)
-    severity: float = _number(
+    effect_to_noise: float = _number(
         0.12, "effect-to-noise ratio", "size below which nothing is called unexplained", _CHOSEN
     )
     size: float = _number(
@@ -262,16 +262,16 @@ class Abstention:
     lead_share: float = _number(
         0.5,
         "1",
-        "share of what the best explanation saves, from which on one that no real car can have is told as a lead",
+        "share of what the best explanation saves, from which on one that no real car has is reported as a lead",
         _JUDGEMENT + "a half",
     )
     lead_as_good: float = _number(
         0.15,
         "1",
-        "share of a lead's saving that a plausible term may lack and still be told beside it",
+        "share of a lead's saving that a plausible term may lack and still be reported beside it",
         _JUDGEMENT + "as `same_share` of the selection",
     )
-    most_leads: int = _number(2, "leads", "leads that are told", _JUDGEMENT + "a list of more helps nobody")
+    most_leads: int = _number(2, "leads", "leads that are reported", _JUDGEMENT + "a list of more helps nobody")
     widest_place: float = _number(
         0.5,
         "1",
@@ -290,17 +290,17 @@ class Allowances:
     bare: float = _number(
         0.09, "effect-to-noise ratio", "the same against the bare nominal model, which misses more", _CHOSEN
     )
-    nameless: float = _number(
+    unnamed: float = _number(
         0.10, "effect-to-noise ratio", "size below which a difference without a name is none", _CHOSEN
     )
-    common_share: float = _number(
+    discrepancy_share: float = _number(
         0.03, "1", "share of the shared model discrepancy, by channel, that its dictionary misses", _CHOSEN
     )
     structure_floor: float = _number(
         1e-4, "1", "share of the discrepancy's cost that a flexible fit may save without a difference", _CHOSEN
     )
     term_floor: float = _number(1e-5, "1", "the same for a single term", _CHOSEN)
-    misfit_a_parameter: float = _number(
+    form_error_a_parameter: float = _number(
         1.8, "chi squared", "what a flexible fit may save beyond chance by each effective parameter", _CHOSEN
     )
 
@@ -312,7 +312,7 @@ class SelfTestRules:
     least_rows: int = _number(
         150, "rows of 0.04 s", "rows below which a half tells nothing", _JUDGEMENT + "six seconds of driving"
     )
-    nameless_margin: float = _number(
+    unnamed_margin: float = _number(
         2.0,
         "1",
         "by how much more reality has to show without a name",
@@ -387,11 +387,11 @@ class Screening:
     least_scale_error: float = _number(
         0.01,
         "1",
-        "error of a sensor's scale that is told",
+        "error of a sensor's scale that is reported",
         _JUDGEMENT + "wheels wear and gyroscopes drift by less",
     )
     sure_scale_error: float = _number(
-        6.0, "standard errors", "size of that error from which on it is told", _CHOSEN
+        6.0, "standard errors", "size of that error from which on it is reported", _CHOSEN
     )
 
 
@@ -447,7 +447,7 @@ class Unnamed:
         0.5, "1", "share of a line's amplitude from which on the simulation shows it too", _CHOSEN
     )
     line_margin: float = _number(2.0, "1", "amplitude over lines that the simulation has elsewhere", _CHOSEN)
-    wander_margin: float = _number(
+    autocorrelation_margin: float = _number(
         1.5, "1", "long-run variance over that of the simulation that is allowed", _CHOSEN
     )
 
@@ -469,10 +469,10 @@ class Reporting:
         _JUDGEMENT + "two curves stand for four tyres",
     )
     least_heldout: int = _number(
-        60, "rows of 0.04 s", "rows kept out below which no share of the gap is told", _CHOSEN
+        60, "rows of 0.04 s", "rows kept out below which no share of the gap is reported", _CHOSEN
     )
     least_dependence: float = _number(
-        0.15, "1", "share of the gap that a variable explains from which on a region of it is told", _CHOSEN
+        0.15, "1", "share of the gap that a variable explains from which on a region of it is reported", _CHOSEN
     )
     clearly_more: float = _number(
         0.1, "1", "by how much place or time has to explain more than how the car is driven", _CHOSEN
@@ -487,7 +487,7 @@ class Reporting:
     local_samples: float = _number(0.4, "1", "share of the samples that it may hold at most", _CHOSEN)
     local_ratio: float = _number(2.0, "1", "the share of the gap over that of the samples", _CHOSEN)
     most_gap: float = _number(
-        0.6, "1", "share of the gap from which on a place is told whatever depends on it less", _CHOSEN
+        0.6, "1", "share of the gap from which on a place is reported whatever depends on it less", _CHOSEN
     )
     most_ratio: float = _number(4.0, "1", "the same over the share of the samples", _CHOSEN)
     stable: float = _number(
@@ -498,9 +498,9 @@ class Reporting:
     )
     formula_terms: int = _number(3, "terms", "functions in the formula at most", _JUDGEMENT + "a lead is short")
     much_slipping: float = _number(
-        0.02, "1", "share of the drive with slipping wheels from which on it is told", _CHOSEN
+        0.02, "1", "share of the drive with slipping wheels from which on it is reported", _CHOSEN
     )
-    least_compared: float = _number(0.7, "1", "compared share of the drive below which it is told", _CHOSEN)
+    least_compared: float = _number(0.7, "1", "compared share of the drive below which it is reported", _CHOSEN)
 
 
 @dataclass(frozen=True)
@@ -509,7 +509,7 @@ class Policy:
 
     Attributes
     ----------
-    comparison : Comparison
+    comparison : ComparisonRules
     selection : SelectionRules
     abstention : Abstention
     allowances : Allowances
@@ -520,7 +520,7 @@ class Policy:
     reporting : Reporting
     """
 
-    comparison: Comparison = Comparison()
+    comparison: ComparisonRules = ComparisonRules()
     selection: SelectionRules = SelectionRules()
     abstention: Abstention = Abstention()
     allowances: Allowances = Allowances()

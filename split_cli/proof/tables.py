@@ -58,7 +58,7 @@ def markdown_of(result) -> str:
     if strange:
         lines += ["Outside the catalogue:", ""]
         lines += _table(
-            ["effect", "severity", "of what two terms leave", "those terms", "said", "outcome"],
+            ["effect", "effect-to-noise ratio", "of what two terms leave", "those terms", "said", "outcome"],
             [
                 [
                     s.answer.effects[0].term,

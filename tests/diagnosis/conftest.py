@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from split_cli.diagnosis.baseline.common import CommonPhysics, build_common_physics
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.recording.series import Series
 from split_cli.logs.drive import Drive
-from tests.diagnosis.recordings import bare_judge, driven, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import bare_objective, driven, light_evidence, noisy, prepared
 from tests.factories import road_car
 
 
@@ -31,17 +31,17 @@ def nominal_evidence(nominal_series) -> Evidence:
 
 
 @pytest.fixture(scope="session")
-def nominal_judge(nominal_evidence) -> Judge:
+def nominal_objective(nominal_evidence) -> MarginalLikelihood:
     """Judges the nominal car as a reality that has nothing beyond its simulation."""
-    return bare_judge(nominal_evidence)
+    return bare_objective(nominal_evidence)
 
 
 @pytest.fixture(scope="session")
-def common(nominal_series) -> CommonPhysics:
-    return build_common_physics(road_car(), nominal_series)
+def discrepancy(nominal_series) -> SharedDiscrepancy:
+    return build_shared_discrepancy(road_car(), nominal_series)
 
 
 @pytest.fixture(scope="session")
-def gathered(nominal_series, common) -> Evidence:
-    """Evidence with the columns of common physics, its disturbance found."""
-    return gather_evidence(road_car(), nominal_series, common)
+def gathered(nominal_series, discrepancy) -> Evidence:
+    """Evidence with the columns of the shared discrepancy, its disturbance found."""
+    return gather_evidence(road_car(), nominal_series, discrepancy)

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.common import build_common_physics
+from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, rolling
-from split_cli.diagnosis.innovations.judge import Judge, build_judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood, build_objective
 from split_cli.diagnosis.innovations.whitening import build_whitener
 from split_cli.diagnosis.recording.kinematics import Kinematics
 from split_cli.diagnosis.recording.series import Series, build_series
@@ -38,7 +38,7 @@ def recorded(seed: int, terms: Sequence[Term] = (), *, segments: int = 20, secon
     drive = Drive(drive.name, {**drive.columns, **noisy}, drive.segment, drive.period)
     s = np.concatenate([[0.0], np.cumsum(0.01 * drive["vx"][1:])])
     series = build_series(drive, "real", s)
-    return gather_evidence(car, series, build_common_physics(car, series))
+    return gather_evidence(car, series, build_shared_discrepancy(car, series))
 
 
 def first_order(inputs: np.ndarray, tau: float, step: float) -> np.ndarray:
@@ -118,7 +118,7 @@ def prepared(drive: Drive, role: str = "real") -> Series:
 
 
 def light_evidence(series: Series, disturbance: float = 1e-8) -> Evidence:
-    """Return evidence of a known disturbance, without the columns of common physics: for many replicates."""
+    """Return evidence of a known disturbance, without the shared discrepancy's columns: for many replicates."""
     car = road_car()
     jacobian = SingleTrack(car).velocity_jacobian(*series.smooth.T, series.torque, series.steer_angle)
     rows = 4
@@ -136,21 +136,21 @@ def light_evidence(series: Series, disturbance: float = 1e-8) -> Evidence:
     return replace(evidence, plain=evidence.rows(()))
 
 
-def bare_judge(*evidence: Evidence, kinematics: Sequence[Kinematics] = ()) -> Judge:
-    """Return a judge on all rows, the nominal model being the simulation."""
+def bare_objective(*evidence: Evidence, kinematics: Sequence[Kinematics] = ()) -> MarginalLikelihood:
+    """Return an objective on all rows, the nominal model being the simulation."""
     keep = [np.ones(len(one.at), dtype=bool) for one in evidence]
-    common = build_common_physics(evidence[0].vehicle, evidence[0].series)
-    return build_judge(evidence, None, common, keep, kinematics)
+    discrepancy = build_shared_discrepancy(evidence[0].vehicle, evidence[0].series)
+    return build_objective(evidence, None, discrepancy, keep, kinematics)
 
 
-def noisy_judge(drive: Drive, seed: int, disturbance: float = 1e-8) -> Judge:
-    """Return a judge of a noise-free drive with white sensor noise, of a known disturbance."""
-    return bare_judge(light_evidence(prepared(noisy(drive, seed)), disturbance))
+def noisy_objective(drive: Drive, seed: int, disturbance: float = 1e-8) -> MarginalLikelihood:
+    """Return an objective of a noise-free drive with white sensor noise, of a known disturbance."""
+    return bare_objective(light_evidence(prepared(noisy(drive, seed)), disturbance))
 
 
-def candidates_of(judge: Judge, *names: str) -> list[Candidate]:
+def candidates_of(objective: MarginalLikelihood, *names: str) -> list[Candidate]:
     """Return the candidates of these terms in all their variants."""
-    every = build_candidates(judge.evidence[0].vehicle, judge.evidence[0].series)
+    every = build_candidates(objective.evidence[0].vehicle, objective.evidence[0].series)
     return [one for one in every if one.term in names]
 
 

@@ -12,7 +12,7 @@ from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.recording.screening import cleaned, unfit
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.identifiable import tellable
+from split_cli.diagnosis.search.identifiable import identifiable
 from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive
 from split_cli.vehicle.effects import CATALOGUE
@@ -92,7 +92,7 @@ def assert_nothing_named(diagnosis: Diagnosis) -> None:
     assert not diagnosis.findings
 
 
-def test_recordings_that_hardly_overlap_are_not_judged(real):
+def test_recordings_that_hardly_overlap_are_not_compared_(real):
     # Runs begin at speeds of their own.
     mean = {k: real["vx"][real.segment == k].mean() for k in np.unique(real.segment)}
     order = sorted(mean, key=mean.get)
@@ -230,7 +230,7 @@ def test_the_rates_of_simulation_and_reality_need_not_agree(simulated, period):
 
 def names_of(drive: Drive) -> set[str]:
     series = build_series(drive, "real", np.cumsum(drive["vx"]) * drive.period)
-    several = tellable(build_candidates(road_car(), series), [series], road_car())
+    several = identifiable(build_candidates(road_car(), series), [series], road_car())
     return {one.label for one in several}
 
 
@@ -238,8 +238,8 @@ def test_places_and_wind_are_told_with_position_only(real):
     with_it, without_it = names_of(real), names_of(without(real, "X", "Y"))
     lost = with_it - without_it
     places = {"wind", "friction_patch", "road_grade", "road_bank"}
-    told_by_position = {"velocity_bias", "yaw_rate_bias", "speed_scale", "yaw_rate_scale", "channel_delay"}
-    assert {label.split()[0] for label in lost} == places | told_by_position
+    known_by_position = {"velocity_bias", "yaw_rate_bias", "speed_scale", "yaw_rate_scale", "channel_delay"}
+    assert {label.split()[0] for label in lost} == places | known_by_position
     assert "road_bank" in without_it
     assert "sensor_misalignment" in without_it
 

@@ -1,4 +1,4 @@
-"""Common physics at another body: forces that stay, and an inertia that is found beside them."""
+"""The shared discrepancy at another body: forces that stay, and an inertia that is found beside them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import split_cli.diagnosis.innovations.judge as judge_module
+import split_cli.diagnosis.innovations.objective as objective_module
 from split_cli.diagnosis.baseline.body import at_another_body
 from split_cli.diagnosis.innovations.case import gather_case
-from split_cli.diagnosis.innovations.judge import build_judge
+from split_cli.diagnosis.innovations.objective import build_objective
 from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.search.candidates import build_candidates
@@ -66,7 +66,7 @@ def test_what_alters_no_body_leaves_the_rates_alone():
 
 
 def test_an_inertia_is_found_beside_much_that_the_nominal_lacks(monkeypatch):
-    """Tyres that are a third of the nominal's off make moments that only the common physics knows."""
+    """Tyres that are a third of the nominal's off make moments that only the shared discrepancy knows."""
     lacking = (term("tire_stiffness", front_scale=1.5, rear_scale=0.75),)
     simulation = drive(1, lacking)
     reality = recorded(drive(2, (*lacking, term("yaw_inertia", scale=1.2))), 2)
@@ -79,10 +79,10 @@ def test_an_inertia_is_found_beside_much_that_the_nominal_lacks(monkeypatch):
     candidate = next(one for one in build_candidates(road_car(), series[0]) if one.term == "yaw_inertia")
 
     def fitted() -> float:
-        judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
-        fit = fit_parts(judge.believed_to_the_letter(), (Part(candidate, dict(candidate.starts[0])),))
+        objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics)
+        fit = fit_parts(objective.with_fixed_baseline(), (Part(candidate, dict(candidate.starts[0])),))
         return fit.parts[0].values["scale"]
 
     assert fitted() == pytest.approx(1.2, abs=0.02)
-    monkeypatch.setattr(judge_module, "at_another_body", lambda rates, vehicle, terms: rates)
+    monkeypatch.setattr(objective_module, "at_another_body", lambda rates, vehicle, terms: rates)
     assert abs(fitted() - 1.2) > 0.05

@@ -55,7 +55,9 @@ def against_itself(simulation: Drive, reality: Drive) -> SelfTest:
         build_series(one, role, s) for one, role, (s, _) in zip(drives, ("real", "sim"), places, strict=True)
     )
     case = gather_case(car, [real, sim])
-    return self_test(case.graded, case.common, build_candidates(car, real), inflation=1.5, reach=0.35)
+    return self_test(
+        case.graded, case.discrepancy, build_candidates(car, real), variance_inflation=1.5, reach=0.35
+    )
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +75,7 @@ def test_a_clean_simulation_shows_nothing_against_itself(clean):
     assert clean.rows > 300
     assert clean.ratio == pytest.approx(1.0, abs=0.02)
     # Noise alone would save one for each of some 150 parameters.
-    assert max(clean.nameless, *clean.terms.values()) < 3.0
+    assert max(clean.unnamed, *clean.terms.values()) < 3.0
 
 
 def test_a_restless_recording_shows_what_is_to_be_forgiven(clean, restless):
@@ -81,7 +83,7 @@ def test_a_restless_recording_shows_what_is_to_be_forgiven(clean, restless):
     assert restless.ratio > 3.0
     # The best of some fifty directions in white noise saves about 9.
     assert max(restless.terms.values()) > 15.0
-    assert restless.nameless > 100.0 * clean.nameless
+    assert restless.unnamed > 100.0 * clean.unnamed
 
 
 def test_physics_that_changes_half_way_is_forgiven_as_a_term():
@@ -92,7 +94,7 @@ def test_physics_that_changes_half_way_is_forgiven_as_a_term():
     changed = against_itself(replace(plain, columns=columns), recorded(drive(2), 2))
     # A fifth of the grip for half of the time is far beyond noise, and one term holds most of it.
     assert changed.terms["friction_scale"] > 1000.0
-    assert changed.terms["friction_scale"] <= changed.nameless * 1.05
+    assert changed.terms["friction_scale"] <= changed.unnamed * 1.05
     # What has nothing to do with grip is forgiven less.
     assert changed.terms["drive_lag"] < 0.2 * changed.terms["friction_scale"]
 
@@ -109,24 +111,26 @@ def test_two_recordings_of_one_restless_car_match_and_a_fault_is_still_named():
 
 
 def test_forgiveness_goes_with_the_rows(restless):
-    def judge(rows: int):
+    def objective(rows: int):
         car, one = road_car(), SimpleNamespace()
-        from split_cli.diagnosis.innovations.judge import Judge
+        from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 
         empty = np.zeros(0)
-        return Judge((one,), None, car, (np.ones(rows, dtype=bool),), empty, empty, empty, empty, empty)
+        return MarginalLikelihood(
+            (one,), None, car, (np.ones(rows, dtype=bool),), empty, empty, empty, empty, empty
+        )
 
-    once, fourfold = (restless.allow(judge(k * restless.rows)).term_floors["wind"] for k in (1, 4))
+    once, fourfold = (restless.allow(objective(k * restless.rows)).term_floors["wind"] for k in (1, 4))
     assert fourfold == pytest.approx(2.0 * once)
-    assert not SelfTest().allow(judge(10)).term_floors
+    assert not SelfTest().allow(objective(10)).term_floors
 
 
-def test_misfit_is_what_the_halves_show_and_reality_does_not_rule_out():
+def test_form_error_is_what_the_halves_show_and_reality_does_not_rule_out():
     def gap(saved: float) -> FlexibleFit:
         return FlexibleFit(saved, 200.0, 1.0, 0.0, ())
 
     halves = SelfTest(rows=800, ratio=20.0)
-    assert halves.misfit_of(gap(1600.0)) == pytest.approx(1.5 * 8.0)
-    assert halves.misfit_of(gap(80_000.0)) == pytest.approx(1.5 * 20.0)
+    assert halves.form_error_inflation_of(gap(1600.0)) == pytest.approx(1.5 * 8.0)
+    assert halves.form_error_inflation_of(gap(80_000.0)) == pytest.approx(1.5 * 20.0)
     # Without a simulation to ask, none is known.
-    assert SelfTest().misfit_of(gap(80_000.0)) == pytest.approx(1.5)
+    assert SelfTest().form_error_inflation_of(gap(80_000.0)) == pytest.approx(1.5)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.baseline.common import CommonPhysics, build_common_physics, features
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy, features
 from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence
 from split_cli.diagnosis.recording.series import build_series
@@ -17,21 +17,22 @@ from tests.factories import make_drive, road_car
 REACH = 0.35
 
 
-def evidence_of(drive: Drive, common: CommonPhysics | None = None) -> tuple[Evidence, CommonPhysics]:
+def evidence_of(drive: Drive, discrepancy: SharedDiscrepancy | None = None) -> tuple[Evidence, SharedDiscrepancy]:
     series = build_series(drive, "real", np.zeros(len(drive)))
-    common = common or build_common_physics(road_car(), series)
-    return gather_evidence(road_car(), series, common), common
+    discrepancy = discrepancy or build_shared_discrepancy(road_car(), series)
+    return gather_evidence(road_car(), series, discrepancy), discrepancy
 
 
 @pytest.fixture(scope="module")
-def simulated() -> tuple[Evidence, CommonPhysics]:
+def simulated() -> tuple[Evidence, SharedDiscrepancy]:
     return evidence_of(make_drive(1, 8, 10.0, 0.02))
 
 
-def asked_alike(one: Evidence, other: Evidence, common: CommonPhysics) -> np.ndarray:
+def asked_alike(one: Evidence, other: Evidence, discrepancy: SharedDiscrepancy) -> np.ndarray:
     """Return the rows near in what was asked for, by every distance there is."""
     mine, theirs = (
-        (features(each.series, each.vehicle)[each.at] - common.center) / common.width for each in (one, other)
+        (features(each.series, each.vehicle)[each.at] - discrepancy.center) / discrepancy.width
+        for each in (one, other)
     )
     return np.array([np.min(np.linalg.norm(theirs - point, axis=1)) <= REACH for point in mine])
 
@@ -49,41 +50,41 @@ def share_of_grip(one: Evidence) -> np.ndarray:
 
 
 def test_rows_are_compared_only_where_rows_of_weight_have_been(simulated):
-    one, common = simulated
-    assert comparable(one, [one], common, REACH)[one.series.smooth[one.at, 0] > 4.0].all()
+    one, discrepancy = simulated
+    assert comparable(one, [one], discrepancy, REACH)[one.series.smooth[one.at, 0] > 4.0].all()
     first = np.arange(len(one.at)) < 100
-    near = comparable(one, [replace(one, weight=one.weight * first)], common, REACH)
+    near = comparable(one, [replace(one, weight=one.weight * first)], discrepancy, REACH)
     assert near[:100].mean() > 0.9
     assert 0.0 < near.mean() < 0.9
 
 
 def test_what_was_asked_alike_is_compared_whatever_it_did(simulated):
-    one, common = simulated
-    other, _ = evidence_of(make_drive(2, 8, 10.0, 0.02), common)
-    alike = asked_alike(other, one, common) & (other.weight > 0.0)
+    one, discrepancy = simulated
+    other, _ = evidence_of(make_drive(2, 8, 10.0, 0.02), discrepancy)
+    alike = asked_alike(other, one, discrepancy) & (other.weight > 0.0)
     fast = other.series.smooth[other.at, 0] >= 0.6 * other.vehicle.minimum_speed
     assert 0 < alike.sum() < len(alike)
-    assert comparable(other, [one], common, REACH)[alike & fast].all()
+    assert comparable(other, [one], discrepancy, REACH)[alike & fast].all()
 
 
 @pytest.mark.parametrize("change", [{"delta": 1.0 / 0.7}, {"T": 1.0 / 0.6}])
 def test_a_drive_that_moves_the_same_is_compared_though_its_commands_are_elsewhere(simulated, change):
-    one, common = simulated
+    one, discrepancy = simulated
     drive = make_drive(1, 8, 10.0, 0.02)
     faulty = replace(drive, columns={**drive.columns, **{k: drive[k] * v for k, v in change.items()}})
-    other, _ = evidence_of(faulty, common)
+    other, _ = evidence_of(faulty, discrepancy)
     usable = other.weight > 0.0
     sure = usable & (share_of_grip(other) < 0.4)
-    off = sure & ~asked_alike(other, one, common)
+    off = sure & ~asked_alike(other, one, discrepancy)
     # There are rows that only the motion brings back, and it brings most of them back.
     assert off.sum() > 20
-    assert comparable(other, [one], common, REACH)[off].mean() > 0.8
+    assert comparable(other, [one], discrepancy, REACH)[off].mean() > 0.8
 
 
 def test_at_the_limit_motion_alone_proves_nothing(simulated):
-    one, common = simulated
+    one, discrepancy = simulated
     drive = make_drive(1, 8, 10.0, 0.02)
-    other, _ = evidence_of(replace(drive, columns={**drive.columns, "delta": drive["delta"] / 0.7}), common)
+    other, _ = evidence_of(replace(drive, columns={**drive.columns, "delta": drive["delta"] / 0.7}), discrepancy)
     car = other.vehicle
     # The same motion with tyres that hardly manage it.
     weak = replace(
@@ -92,7 +93,7 @@ def test_at_the_limit_motion_alone_proves_nothing(simulated):
         rear_tire=replace(car.rear_tire, D=0.3 * car.rear_tire.D),
     )
     limited = replace(other, vehicle=weak)
-    beyond = (share_of_grip(limited) > 0.9) & ~asked_alike(other, one, common) & (other.weight > 0.0)
+    beyond = (share_of_grip(limited) > 0.9) & ~asked_alike(other, one, discrepancy) & (other.weight > 0.0)
     assert beyond.sum() > 20
-    assert comparable(other, [one], common, REACH)[beyond].mean() > 0.5
-    assert comparable(limited, [one], common, REACH)[beyond].mean() < 0.1
+    assert comparable(other, [one], discrepancy, REACH)[beyond].mean() > 0.5
+    assert comparable(limited, [one], discrepancy, REACH)[beyond].mean() < 0.1

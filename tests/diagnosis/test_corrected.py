@@ -52,7 +52,7 @@ def test_true_physics_is_accepted_and_its_opposite_is_worse(judged):
     assert far.corrected == pytest.approx(2.0 * far.nominal, rel=0.1)
 
 
-def test_nothing_of_the_car_is_nothing_to_judge(judged):
+def test_nothing_of_the_car_is_nothing_to_objective(judged):
     turned = CATALOGUE["sensor_misalignment"]({"angle": 0.02})
     evidence = recorded(11)
     assert judge_corrected([(evidence, np.ones(len(evidence.series), dtype=bool))], (turned,)) is None

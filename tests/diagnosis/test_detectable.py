@@ -7,34 +7,34 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.selection import nothing, select_terms
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.detectable import smallest_named
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, faulty, late, noisy_judge
+from tests.diagnosis.recordings import candidates_of, driven, faulty, late, noisy_objective
 
-INFLATION, LEVEL = 1.5, 2.5e-4
+VARIANCE_INFLATION, LEVEL = 1.5, 2.5e-4
 NAMES = ("steer_gain", "aero_drag", "yaw_inertia", "steer_delay", "sensor_misalignment")
 
 
-def judge_of(*terms) -> Judge:
-    return noisy_judge(driven(31, terms), 7)
+def objective_of(*terms) -> MarginalLikelihood:
+    return noisy_objective(driven(31, terms), 7)
 
 
-def smallest(judge: Judge, *judges: Judge) -> dict[str, Detectable]:
-    found = smallest_named((judge, *judges), candidates_of(judge, *NAMES), INFLATION, LEVEL)
+def smallest(objective: MarginalLikelihood, *objectives: MarginalLikelihood) -> dict[str, Detectable]:
+    found = smallest_named((objective, *objectives), candidates_of(objective, *NAMES), VARIANCE_INFLATION, LEVEL)
     return {one.term: one for one in found}
 
 
-def named(judge: Judge) -> list[str]:
-    selection = select_terms(judge, candidates_of(judge, *NAMES), INFLATION)
+def named(objective: MarginalLikelihood) -> list[str]:
+    selection = select_terms(objective, candidates_of(objective, *NAMES), VARIANCE_INFLATION)
     return [one.id for one in selection.terms]
 
 
 @pytest.fixture(scope="module")
-def sound() -> Judge:
-    return judge_of()
+def sound() -> MarginalLikelihood:
+    return objective_of()
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +54,8 @@ def test_half_as_much_again_is_named_and_half_of_it_is_not(told, name):
     ((parameter, (value, _)),) = told[name].parameters.items()
     neutral = kind.neutral[parameter]
     for share, expected in ((1.5, [name]), (0.5, [])):
-        judge = judge_of(kind({parameter: neutral + share * (value - neutral)}, ""))
-        assert named(judge) == expected
+        objective = objective_of(kind({parameter: neutral + share * (value - neutral)}, ""))
+        assert named(objective) == expected
 
 
 def test_so_it_is_with_a_delay_which_is_not_in_proportion_and_with_a_sensor(told):
@@ -63,21 +63,21 @@ def test_so_it_is_with_a_delay_which_is_not_in_proportion_and_with_a_sensor(told
     for share, expected in ((1.5, True), (0.5, False)):
         behind = driven(31, steer=lambda inputs, step, by=share * delay: late(inputs, by, step))
         turned = faulty(driven(31), angle=share * angle)
-        assert (named(noisy_judge(behind, 7)) == ["steer_delay"]) == expected
-        assert (named(noisy_judge(turned, 7)) == ["sensor_misalignment"]) == expected
+        assert (named(noisy_objective(behind, 7)) == ["steer_delay"]) == expected
+        assert (named(noisy_objective(turned, 7)) == ["sensor_misalignment"]) == expected
 
 
-def test_misfit_asks_for_more(sound, told):
-    for misfit, factor in ((20.0, 1.0), (2000.0, 1.4)):
-        for term, one in smallest(replace(sound, misfit=misfit)).items():
+def test_form_error_asks_for_more(sound, told):
+    for form_error, factor in ((20.0, 1.0), (2000.0, 1.4)):
+        for term, one in smallest(replace(sound, form_error=form_error)).items():
             ((parameter, (value, _)),) = one.parameters.items()
             neutral = CATALOGUE[term].neutral[parameter]
             assert abs(value - neutral) > factor * abs(told[term].parameters[parameter][0] - neutral)
 
 
-def test_what_alters_inputs_is_told_by_the_last_judge(sound, told):
-    """To the letter a fifth of all there is has to be saved; drag is told by the first judge as before."""
-    both = smallest(sound, replace(sound, to_the_letter=True))
+def test_what_alters_inputs_is_told_by_the_last_objective(sound, told):
+    """With a fixed baseline a fifth of all there is has to be saved; drag comes of the first one as before."""
+    both = smallest(sound, replace(sound, fixed_baseline=True))
     assert both["aero_drag"] == told["aero_drag"] and both["yaw_inertia"] == told["yaw_inertia"]
     cost = nothing(sound).cost
     gain = both["steer_gain"].parameters["gain"][0]
@@ -91,7 +91,7 @@ def test_what_is_told_holds_for_every_variant(sound):
     assert len(candidates) == 3
 
     def dx(*some) -> float:
-        (one,) = smallest_named((sound,), some, INFLATION, LEVEL * len(some))
+        (one,) = smallest_named((sound,), some, VARIANCE_INFLATION, LEVEL * len(some))
         return one.parameters["dx"][0]
 
     each = [dx(one) for one in candidates]
@@ -99,12 +99,12 @@ def test_what_is_told_holds_for_every_variant(sound):
 
 
 def test_an_effect_that_would_have_to_be_larger_than_any_is_told_at_no_size(sound):
-    deaf = replace(sound, misfit=1e9)
+    deaf = replace(sound, form_error=1e9)
     assert all(not one.parameters for one in smallest(deaf).values())
 
 
 def test_more_noise_hides_more():
-    quiet, loud = (smallest(noisy_judge(driven(31), 7, disturbance=level)) for level in (1e-8, 1e-2))
+    quiet, loud = (smallest(noisy_objective(driven(31), 7, disturbance=level)) for level in (1e-8, 1e-2))
     for name in ("steer_gain", "yaw_inertia"):
         (key,) = quiet[name].parameters
         away = [abs(one[name].parameters[key][0] - CATALOGUE[name].neutral[key]) for one in (quiet, loud)]

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing, term_size
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, noisy_judge
+from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
 
 REPLICATES = 64
 TRUTH = {"scale": 1.1}
@@ -26,14 +26,14 @@ def drive() -> Drive:
     return driven(41, (CATALOGUE["yaw_inertia"](TRUTH),), runs=6)
 
 
-def by_chance(judge: Judge) -> Judge:
-    """Return a judge under whose policy parameters have no systematic error."""
-    return replace(judge, policy=STANDARD.altered("reporting", systematic=0.0, through_tires=0.0))
+def by_chance(objective: MarginalLikelihood) -> MarginalLikelihood:
+    """Return an objective under whose policy parameters have no systematic error."""
+    return replace(objective, policy=STANDARD.altered("reporting", systematic=0.0, through_tires=0.0))
 
 
-def fitted(judge: Judge, term: str, values: dict[str, float]) -> Fit:
-    (one, *_) = candidates_of(judge, term)
-    return fit_parts(judge, [Part(one, dict(values))])
+def fitted(objective: MarginalLikelihood, term: str, values: dict[str, float]) -> Fit:
+    (one, *_) = candidates_of(objective, term)
+    return fit_parts(objective, [Part(one, dict(values))])
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +41,8 @@ def replicated(drive):
     """Values, standard errors and intervals, (REPLICATES,) each, and the last judge; systematic error left out."""
     out = []
     for seed in range(REPLICATES):
-        judge = by_chance(noisy_judge(drive, 1000 + seed))
-        (one,) = parameter_estimates(judge, fitted(judge, "yaw_inertia", TRUTH))
+        objective = by_chance(noisy_objective(drive, 1000 + seed))
+        (one,) = parameter_estimates(objective, fitted(objective, "yaw_inertia", TRUTH))
         out.append((one["scale"].value, one["scale"].std_error, *one["scale"].interval_95))
     return np.array(out)
 
@@ -72,9 +72,9 @@ def test_the_truth_is_in_the_mean(replicated):
 def test_four_times_the_time_halves_the_error():
     errors = []
     for runs in (6, 24):
-        judge = noisy_judge(driven(42, (CATALOGUE["yaw_inertia"](TRUTH),), runs=runs), 5)
-        (one,) = parameter_estimates(judge, fitted(judge, "yaw_inertia", TRUTH))
-        size = term_size(judge, fitted(judge, "yaw_inertia", TRUTH), 0)
+        objective = noisy_objective(driven(42, (CATALOGUE["yaw_inertia"](TRUTH),), runs=runs), 5)
+        (one,) = parameter_estimates(objective, fitted(objective, "yaw_inertia", TRUTH))
+        size = term_size(objective, fitted(objective, "yaw_inertia", TRUTH), 0)
         systematic = STANDARD.reporting.systematic * 0.1 / size
         errors.append(np.sqrt(one["scale"].std_error ** 2 - systematic**2))
     # Runs differ in what they excite; the sandwich is known to a tenth or two.
@@ -85,8 +85,8 @@ def test_both_parameters_of_a_pair_lie_in_their_intervals():
     truth = {"front_scale": 0.9, "rear_scale": 1.08}
     drive, held = driven(43, (CATALOGUE["tire_stiffness"](truth),), runs=8), []
     for seed in range(20):
-        judge = noisy_judge(drive, seed)
-        (one,) = parameter_estimates(judge, fitted(judge, "tire_stiffness", truth))
+        objective = noisy_objective(drive, seed)
+        (one,) = parameter_estimates(objective, fitted(objective, "tire_stiffness", truth))
         held += [one[name].interval_95[0] <= truth[name] <= one[name].interval_95[1] for name in truth]
     # Forty: three misses too many would be 92 %; 85 % is four deviations from 95 %.
     assert np.mean(held) >= 0.85
@@ -94,22 +94,22 @@ def test_both_parameters_of_a_pair_lie_in_their_intervals():
 
 def test_the_covariance_is_a_bootstrap_over_blocks(drive):
     """Blocks drawn again and again, the estimate moved by one Newton step: the deviation of that."""
-    judge = noisy_judge(drive, 3)
-    fit = fitted(judge, "yaw_inertia", TRUTH)
+    objective = noisy_objective(drive, 3)
+    fit = fitted(objective, "yaw_inertia", TRUTH)
     # Twice the noise in every third block: curvature alone would not know.
-    louder = np.where(judge.block % 3 == 0, 3.0, 1.0)
-    fit = replace(fit, entries=fit.entries * louder)
-    information = judge.block_sums(fit.sensitivity**2)[:, 0]
-    scores = judge.block_sums(fit.sensitivity * fit.entries[:, None])[:, 0]
+    louder = np.where(objective.block % 3 == 0, 3.0, 1.0)
+    fit = replace(fit, residuals=fit.residuals * louder)
+    information = objective.block_sums(fit.sensitivity**2)[:, 0]
+    scores = objective.block_sums(fit.sensitivity * fit.residuals[:, None])[:, 0]
     rng, blocks = np.random.default_rng(1), len(scores)
     draws = rng.integers(0, blocks, (4000, blocks))
     moved = -scores[draws].sum(axis=1) / information.sum()
-    size = term_size(judge, fit, 0)
-    (one,) = parameter_estimates(judge, fit)
+    size = term_size(objective, fit, 0)
+    (one,) = parameter_estimates(objective, fit)
     chance = np.sqrt(
         one["scale"].std_error ** 2 - (STANDARD.reporting.systematic * (one["scale"].value - 1.0) / size) ** 2
     )
-    # A sandwich takes the scores' mean for zero, as it is at a fit's end; with these entries it is not quite.
+    # A sandwich takes the scores' mean for zero, as it is at a fit's end; with these residuals it is not quite.
     expected = np.sqrt(np.mean(moved**2))
     mean = abs(scores.sum()) / information.sum()
     expected = np.sqrt(max(expected**2 - mean**2, 0.0) + mean**2 / blocks)
@@ -120,43 +120,45 @@ def test_the_covariance_is_a_bootstrap_over_blocks(drive):
 def test_parameters_that_lean_against_each_other_are_known_as_a_bootstrap_says():
     """Front and rear stiffness: what one has too much the other makes up for, in every block alike."""
     truth = {"front_scale": 0.9, "rear_scale": 1.08}
-    judge = noisy_judge(driven(43, (CATALOGUE["tire_stiffness"](truth),), runs=8), 2)
-    fit = fitted(judge, "tire_stiffness", truth)
-    louder = np.where(judge.block % 3 == 0, 3.0, 1.0)
-    fit = replace(fit, entries=fit.entries * louder)
+    objective = noisy_objective(driven(43, (CATALOGUE["tire_stiffness"](truth),), runs=8), 2)
+    fit = fitted(objective, "tire_stiffness", truth)
+    louder = np.where(objective.block % 3 == 0, 3.0, 1.0)
+    fit = replace(fit, residuals=fit.residuals * louder)
     J = fit.sensitivity
     correlation = np.linalg.inv(J.T @ J)
     assert abs(correlation[0, 1]) > 0.5 * np.sqrt(correlation[0, 0] * correlation[1, 1])
-    scores = judge.block_sums(J * fit.entries[:, None])
+    scores = objective.block_sums(J * fit.residuals[:, None])
     scores -= scores.mean(axis=0)
     blocks = len(scores)
     draws = np.random.default_rng(1).integers(0, blocks, (4000, blocks))
     moved = -np.linalg.solve(J.T @ J, scores[draws].sum(axis=1).T)
-    (told,) = parameter_estimates(by_chance(judge), fit)
+    (told,) = parameter_estimates(by_chance(objective), fit)
     for name, expected in zip(("front_scale", "rear_scale"), moved.std(axis=1), strict=True):
         # Two parameters of some twenty blocks, and a mean that is not quite zero: a tenth or two.
         assert told[name].std_error == pytest.approx(expected, rel=0.2)
 
 
 @pytest.fixture(scope="module")
-def patched() -> tuple[Judge, Fit]:
+def patched() -> tuple[MarginalLikelihood, Fit]:
     """A patch of 90 m on a lap of 400 m, driven over by twelve runs that begin anywhere."""
     truth = {"scale": 0.8, "s_start": 120.0, "s_end": 210.0}
-    judge = noisy_judge(driven(44, (CATALOGUE["friction_patch"](truth),), runs=12), 6)
-    (one,) = (each for each in candidates_of(judge, "friction_patch") if not each.variant)
-    return judge, fit_parts(judge, [Part(one, dict(truth))])
+    objective = noisy_objective(driven(44, (CATALOGUE["friction_patch"](truth),), runs=12), 6)
+    (one,) = (each for each in candidates_of(objective, "friction_patch") if not each.variant)
+    return objective, fit_parts(objective, [Part(one, dict(truth))])
 
 
 @pytest.mark.parametrize(("name", "truth"), [("s_start", 120.0), ("s_end", 210.0)])
 def test_an_end_of_a_stretch_is_known_as_far_as_the_cost_says(patched, name, truth):
-    judge, fit = patched
-    (told,) = parameter_estimates(judge, fit)
+    objective, fit = patched
+    (told,) = parameter_estimates(objective, fit)
     low, high = told[name].interval_95
     assert low <= truth <= high and high - low < 60.0
     (part,) = fit.parts
     rise = 3.84 * 1.0
     places = np.arange(max(low - 20.0, 0.0), high + 20.0, 0.4)
-    costs = np.array([judge.cost((Part(part.candidate, {**part.values, name: place}).term,)) for place in places])
+    costs = np.array(
+        [objective.cost((Part(part.candidate, {**part.values, name: place}).term,)) for place in places]
+    )
     inside = places[costs <= fit.cost + rise]
     # The rise is that of one parameter at 95 %, or more where blocks say so: never a smaller interval than this.
     step = part.candidate.ranges[name].step
@@ -167,29 +169,29 @@ def test_an_end_of_a_stretch_is_known_as_far_as_the_cost_says(patched, name, tru
 
 def test_systematic_error_is_a_share_of_the_effect(drive):
     """With next to no chance left, what is called the same in a car and a single track still is not exactly."""
-    judge = noisy_judge(drive, 4)
-    fit = fitted(judge, "yaw_inertia", TRUTH)
+    objective = noisy_objective(drive, 4)
+    fit = fitted(objective, "yaw_inertia", TRUTH)
     certain = replace(fit, sensitivity=1e6 * fit.sensitivity)
-    (one,) = parameter_estimates(judge, certain)
+    (one,) = parameter_estimates(objective, certain)
     away = one["scale"].value - 1.0
     assert one["scale"].std_error == pytest.approx(
-        STANDARD.reporting.systematic * away / term_size(judge, fit, 0), rel=1e-3
+        STANDARD.reporting.systematic * away / term_size(objective, fit, 0), rel=1e-3
     )
 
 
-def test_misfit_widens_chance_and_systematic_error_by_its_root(drive):
-    judge = noisy_judge(drive, 4)
-    fit = fitted(judge, "yaw_inertia", TRUTH)
-    (own,), (wide,) = (parameter_estimates(one, fit) for one in (judge, replace(judge, misfit=25.0)))
-    away, size = wide["scale"].value - 1.0, term_size(judge, fit, 0)
+def test_form_error_widens_chance_and_systematic_error_by_its_root(drive):
+    objective = noisy_objective(drive, 4)
+    fit = fitted(objective, "yaw_inertia", TRUTH)
+    (own,), (wide,) = (parameter_estimates(one, fit) for one in (objective, replace(objective, form_error=25.0)))
+    away, size = wide["scale"].value - 1.0, term_size(objective, fit, 0)
     systematic = 5.0 * STANDARD.reporting.systematic * away / size
     chance = np.sqrt(wide["scale"].std_error ** 2 - systematic**2)
     assert chance == pytest.approx(5.0 / np.sqrt(np.sum(fit.sensitivity**2)), rel=1e-6)
     assert own["scale"].std_error < wide["scale"].std_error
     # Blocks that vary by more than that already tell it.
-    (same,) = parameter_estimates(replace(judge, misfit=1e-3), fit)
+    (same,) = parameter_estimates(replace(objective, form_error=1e-3), fit)
     assert same["scale"].std_error == own["scale"].std_error
 
 
-def test_no_parameters_no_estimates(nominal_judge):
-    assert parameter_estimates(nominal_judge, nothing(nominal_judge)) == ()
+def test_no_parameters_no_estimates(nominal_objective):
+    assert parameter_estimates(nominal_objective, nothing(nominal_objective)) == ()

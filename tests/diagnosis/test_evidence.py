@@ -9,8 +9,8 @@ import pytest
 
 from split_cli.diagnosis.innovations.evidence import gather_evidence, rolling
 from split_cli.diagnosis.remainder.spectrum import strongest_line
-from split_cli.diagnosis.search.identifiable import judgeable
-from tests.diagnosis.recordings import bare_judge, light_evidence, noisy, prepared
+from split_cli.diagnosis.search.identifiable import limits_of
+from tests.diagnosis.recordings import bare_objective, light_evidence, noisy, prepared
 from tests.factories import road_car
 
 FIRST, LAST = 1200, 1300
@@ -83,8 +83,8 @@ def test_a_car_that_asks_for_more_nearly_always_has_other_tyres(noisy_nominal):
     assert rolling(prepared(asked_for(noisy_nominal, 0.95, always)), road_car()).all()
 
 
-def test_rows_with_spinning_wheels_are_not_compared(spinning, gathered, common):
-    one = gather_evidence(road_car(), spinning, common)
+def test_rows_with_spinning_wheels_are_not_compared(spinning, gathered, discrepancy):
+    one = gather_evidence(road_car(), spinning, discrepancy)
     outside = (one.at < FIRST - 25) | (one.at >= LAST + 25)
     inside = (one.at >= FIRST - 20) & (one.at < LAST + 20)
     assert (one.weight[outside] > 0.0).all() and not one.weight[inside].any()
@@ -103,17 +103,17 @@ def test_lines_are_not_sought_where_wheels_spin(noisy_nominal):
     size = asked_for(noisy_nominal, 1.1)["T"][FIRST]
     torque[window] = size * np.sin(2.0 * np.pi * 10.0 * 0.01 * np.arange(3000))
     playing = light_evidence(prepared(replace(noisy_nominal, columns={**noisy_nominal.columns, "T": torque})))
-    assert strongest_line(bare_judge(playing), ()) is None
+    assert strongest_line(bare_objective(playing), ()) is None
     everything = replace(playing, rolls=np.ones_like(playing.rolls))
-    assert strongest_line(bare_judge(everything), ()).channel == "v_x"
+    assert strongest_line(bare_objective(everything), ()).channel == "v_x"
 
 
-def test_how_much_is_not_compared_is_said(spinning, common):
+def test_how_much_is_not_compared_is_said(spinning, discrepancy):
     one = light_evidence(spinning)
     assert 0.0 < 1.0 - one.rolls.mean() < 0.02
-    assert not [text for text in judgeable([one], road_car()) if "spin or lock" in text]
+    assert not [text for text in limits_of([one], road_car()) if "spin or lock" in text]
     longer = asked_for(spinning.drive, 0.95, slice(FIRST, FIRST + 500))
     (text,) = (
-        text for text in judgeable([light_evidence(prepared(longer))], road_car()) if "spin or lock" in text
+        text for text in limits_of([light_evidence(prepared(longer))], road_car()) if "spin or lock" in text
     )
     assert text.startswith(f"{540 / len(spinning):.0%} of the real drive")

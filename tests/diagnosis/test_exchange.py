@@ -11,9 +11,9 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing, select_terms
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, first_order, late, noisy_judge
+from tests.diagnosis.recordings import candidates_of, driven, first_order, late, noisy_objective
 
-INFLATION = 1.5
+VARIANCE_INFLATION = 1.5
 ACTUATORS = ("drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
 
 
@@ -22,8 +22,8 @@ def behind(inputs, step: float, *, tau: float = 0.0, delay: float = 0.0):
     return first_order(inputs, tau, step) if tau else late(inputs, delay, step)
 
 
-def explorer(judge, *names: str) -> Explorer:
-    return Explorer(judge, tuple(candidates_of(judge, *names)), INFLATION)
+def explorer(objective, *names: str) -> Explorer:
+    return Explorer(objective, tuple(candidates_of(objective, *names)), VARIANCE_INFLATION)
 
 
 def fitted(explore: Explorer, **starts: dict[str, float]) -> Fit:
@@ -33,43 +33,43 @@ def fitted(explore: Explorer, **starts: dict[str, float]) -> Fit:
         term, _, variant = label.partition("__")
         (one,) = (one for one in explore.candidates if (one.term, one.variant) == (term, variant))
         parts.append(Part(one, values))
-    return fit_parts(explore.judge, parts)
+    return fit_parts(explore.objective, parts)
 
 
 def test_a_peak_and_both_stiffnesses_merge_into_a_curve():
     """Scale D and divide B by the scale: that is the peak variant; D alone with B up is what `curve` needs."""
     grip = CATALOGUE["friction_scale"]({"scale": 0.7}, "")
-    judge = noisy_judge(driven(31, [grip]), 2)
-    explore = explorer(judge, "friction_scale", "tire_stiffness")
+    objective = noisy_objective(driven(31, [grip]), 2)
+    explore = explorer(objective, "friction_scale", "tire_stiffness")
     stiff = {"front_scale": 1.3, "rear_scale": 1.3}
     both = fitted(explore, friction_scale__curve={"scale": 0.75}, tire_stiffness=stiff)
     assert both.parts[1].values["front_scale"] == pytest.approx(1.0 / 0.7, rel=0.05)
-    found = merged(explore, nothing(judge), both, (True, True))
+    found = merged(explore, nothing(objective), both, (True, True))
     (part,) = found.parts
     assert part.candidate.label == "friction_scale" and part.values["scale"] == pytest.approx(0.7, abs=0.02)
     assert said_of(both, found) == "another variant in place of tire_stiffness"
-    alone = select_terms(judge, explore.candidates, INFLATION)
+    alone = select_terms(objective, explore.candidates, VARIANCE_INFLATION)
     assert [term.id for term in alone.terms] == ["friction_scale"]
 
 
 def test_late_sensors_split_into_a_lag_and_a_delay_where_that_is_what_acts():
-    judge = noisy_judge(driven(21, steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12)), 5)
-    explore = explorer(judge, *ACTUATORS)
+    objective = noisy_objective(driven(21, steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12)), 5)
+    explore = explorer(objective, *ACTUATORS)
     one = fitted(explore, sensor_delay={"delay": 0.045})
-    found = split(explore, nothing(judge), one, (True,))
+    found = split(explore, nothing(objective), one, (True,))
     assert set(found.names) == {"steer_lag", "drive_delay"}
     values = {part.candidate.term: next(iter(part.values.values())) for part in found.parts}
     assert values["steer_lag"] == pytest.approx(0.05, abs=0.005)
     assert values["drive_delay"] == pytest.approx(0.12, abs=0.005)
     assert said_of(one, found) == "drive_delay and steer_lag in place of sensor_delay"
     # What has no name is not split.
-    assert split(explore, nothing(judge), one, (False,)) is None
+    assert split(explore, nothing(objective), one, (False,)) is None
 
 
 def test_late_sensors_stay_one_where_they_are():
     delayed = partial(behind, delay=0.05)
-    judge = noisy_judge(driven(22, steer=delayed, torque=delayed), 6)
-    explore = explorer(judge, *ACTUATORS)
+    objective = noisy_objective(driven(22, steer=delayed, torque=delayed), 6)
+    explore = explorer(objective, *ACTUATORS)
     one = fitted(explore, sensor_delay={"delay": 0.045})
-    assert split(explore, nothing(judge), one, (True,)) is None
-    assert merged(explore, nothing(judge), one, (True,)) is None
+    assert split(explore, nothing(objective), one, (True,)) is None
+    assert merged(explore, nothing(objective), one, (True,)) is None

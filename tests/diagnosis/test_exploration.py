@@ -7,42 +7,42 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge
+from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, noisy_judge
+from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
 
-INFLATION = 1.5
+VARIANCE_INFLATION = 1.5
 NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness", "steer_lag")
 
 
 @pytest.fixture(scope="module")
-def judge() -> Judge:
+def objective() -> MarginalLikelihood:
     terms = (CATALOGUE["yaw_inertia"]({"scale": 1.12}), CATALOGUE["aero_drag"]({"drag": 0.5}))
-    return noisy_judge(driven(21, terms), 5)
+    return noisy_objective(driven(21, terms), 5)
 
 
 @pytest.fixture(scope="module")
-def explore(judge) -> Explorer:
-    return Explorer(judge, tuple(candidates_of(judge, *NAMES)), INFLATION)
+def explore(objective) -> Explorer:
+    return Explorer(objective, tuple(candidates_of(objective, *NAMES)), VARIANCE_INFLATION)
 
 
 @pytest.fixture(scope="module")
-def current(judge) -> Fit:
-    (drag,) = candidates_of(judge, "aero_drag")
-    return fit_parts(judge, [Part(drag, dict(drag.starts[0]))])
+def current(objective) -> Fit:
+    (drag,) = candidates_of(objective, "aero_drag")
+    return fit_parts(objective, [Part(drag, dict(drag.starts[0]))])
 
 
 def label(fit: Fit) -> str:
     return fit.parts[-1].candidate.label
 
 
-def test_the_price_of_a_parameter_is_counted_after_inflation(judge, current):
+def test_the_price_of_a_parameter_is_counted_after_variance_inflation(objective, current):
     assert current.complexity == 1.0
-    dear = replace(judge, policy=STANDARD.altered("selection", price=5.0))
+    dear = replace(objective, policy=STANDARD.altered("selection", price=5.0))
     assert Explorer(dear, (), 2.0).price(current) == pytest.approx(0.5 * current.cost + 5.0)
 
 
@@ -55,21 +55,21 @@ def test_a_term_is_offered_once(explore, current):
     assert costs == sorted(costs)
 
 
-def test_what_was_explored_is_not_explored_again(judge, explore, current):
+def test_what_was_explored_is_not_explored_again(objective, explore, current):
     """The same terms fitted again from elsewhere are the same explanation; with other values they are not."""
     fits = explore(current)
-    (drag,) = candidates_of(judge, "aero_drag")
-    assert explore(fit_parts(judge, [Part(drag, {"drag": 2.0})])) is fits
-    bad = Fit(current.parts, current.cost + 10.0, current.entries, current.sensitivity)
+    (drag,) = candidates_of(objective, "aero_drag")
+    assert explore(fit_parts(objective, [Part(drag, {"drag": 2.0})])) is fits
+    bad = Fit(current.parts, current.cost + 10.0, current.residuals, current.sensitivity)
     assert explore(bad) is not fits
-    assert explore(nothing(judge)) is not fits
+    assert explore(nothing(objective)) is not fits
 
 
-def test_promises_beside_another_term_are_close_to_fits(judge, explore, current):
+def test_promises_beside_another_term_are_close_to_fits(objective, explore, current):
     """Tangents are taken without the other term: of what a term saves they miss a few hundredths."""
     for fit in explore(current):
         starts = [Part(fit.parts[-1].candidate, dict(start)) for start in fit.parts[-1].candidate.starts]
-        promised = min(tangent(judge, judge.residual(()), part).cost(current) for part in starts)
+        promised = min(tangent(objective, objective.residual(()), part).cost(current) for part in starts)
         saved = current.cost - fit.cost
         assert current.cost - promised == pytest.approx(saved, rel=0.1, abs=2.0), label(fit)
     best = explore(current)[0]
@@ -77,28 +77,28 @@ def test_promises_beside_another_term_are_close_to_fits(judge, explore, current)
     assert np.all(np.diff([fit.cost for fit in explore(current)][:2]) > 0.0)
 
 
-def test_what_looks_like_the_best_and_alters_inputs_is_followed_as_it_was(judge):
+def test_what_looks_like_the_best_and_alters_inputs_is_followed_as_it_was(objective):
     names = ("steer_lag", "steer_delay", "sensor_delay", "steer_backlash", "yaw_inertia", "aero_drag")
-    candidates = {one.term: one for one in candidates_of(judge, *names)}
-    count = judge.common.columns(judge.evidence[0].series).shape[2]
-    taught = replace(judge, knowledge=CommonKnowledge(np.zeros(count), np.eye(count)), memo={})
+    candidates = {one.term: one for one in candidates_of(objective, *names)}
+    count = objective.discrepancy.columns(objective.evidence[0].series).shape[2]
+    taught = replace(objective, posterior=DiscrepancyPosterior(np.zeros(count), np.eye(count)), memo={})
     fits = {
-        name: fit_parts(judge, [Part(one, dict(one.starts[0]))])
+        name: fit_parts(objective, [Part(one, dict(one.starts[0]))])
         for name, one in candidates.items()
         if name in ("steer_lag", "steer_delay", "aero_drag")
     }
     lag, delay, drag = (fits[name] for name in ("steer_lag", "steer_delay", "aero_drag"))
-    explore = Explorer(taught, tuple(candidates.values()), INFLATION)
+    explore = Explorer(taught, tuple(candidates.values()), VARIANCE_INFLATION)
     # An inertia looks like a lag too, but alters no input; a play declares to look like a delay alone.
     assert {label(fit) for fit in explore._relatives([lag, drag], [lag])} == {"steer_delay", "sensor_delay"}
     assert {label(fit) for fit in explore._relatives([lag, delay], [lag, delay])} == {"sensor_delay"}
     # Where nothing is common, or the best term leaves the inputs alone, none is held back.
     assert explore._relatives([drag, lag], [drag]) == [] == explore._relatives([], [])
-    assert Explorer(judge, explore.candidates, INFLATION)._relatives([lag], [lag]) == []
+    assert Explorer(objective, explore.candidates, VARIANCE_INFLATION)._relatives([lag], [lag]) == []
 
 
-def test_a_relative_starts_where_it_is_as_large(judge):
-    (lag,), (delay,) = (candidates_of(judge, name) for name in ("steer_lag", "steer_delay"))
+def test_a_relative_starts_where_it_is_as_large(objective):
+    (lag,), (delay,) = (candidates_of(objective, name) for name in ("steer_lag", "steer_delay"))
     starts = [one["delay"] for one in delay.starts]
     for tau in (1e-4, 0.006, 0.05, 0.4, 0.0):
         begun = nearest_start(delay, Part(lag, {"tau": tau}))["delay"]

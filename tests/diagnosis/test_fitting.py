@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import (
     Fit,
@@ -22,26 +22,26 @@ from split_cli.diagnosis.search.fitting import (
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_judge
+from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_objective
 
 
-def judge_of(drive, seed: int = 7) -> Judge:
-    return noisy_judge(drive, seed)
+def objective_of(drive, seed: int = 7) -> MarginalLikelihood:
+    return noisy_objective(drive, seed)
 
 
-def candidate(judge: Judge, term: str, variant: str = "") -> Candidate:
-    (one,) = (one for one in candidates_of(judge, term) if one.variant == variant)
+def candidate(objective: MarginalLikelihood, term: str, variant: str = "") -> Candidate:
+    (one,) = (one for one in candidates_of(objective, term) if one.variant == variant)
     return one
 
 
-def places(judge: Judge, one: Candidate) -> list[dict]:
-    base = judge.residual(())
-    return scan_places(judge, judge.whiten(base), one, effect_everywhere(judge, base, one))
+def places(objective: MarginalLikelihood, one: Candidate) -> list[dict]:
+    base = objective.residual(())
+    return scan_places(objective, objective.whiten(base), one, effect_everywhere(objective, base, one))
 
 
-def best_fit(judge: Judge, one: Candidate) -> Fit:
-    starts = one.starts or places(judge, one)
-    return min((fit_parts(judge, [Part(one, dict(start))]) for start in starts), key=lambda fit: fit.cost)
+def best_fit(objective: MarginalLikelihood, one: Candidate) -> Fit:
+    starts = one.starts or places(objective, one)
+    return min((fit_parts(objective, [Part(one, dict(start))]) for start in starts), key=lambda fit: fit.cost)
 
 
 def standard_errors(fit: Fit) -> np.ndarray:
@@ -61,14 +61,14 @@ def check(fit: Fit, truth: dict[str, float], least_told: float = 20.0) -> None:
 class TestPlantedTerms:
     def test_both_axles_stiffness(self):
         truth = {"front_scale": 0.85, "rear_scale": 1.1}
-        judge = judge_of(driven(11, (CATALOGUE["tire_stiffness"](truth),)))
-        one = candidate(judge, "tire_stiffness")
-        fit = best_fit(judge, one)
+        objective = objective_of(driven(11, (CATALOGUE["tire_stiffness"](truth),)))
+        one = candidate(objective, "tire_stiffness")
+        fit = best_fit(objective, one)
         check(fit, truth)
         # From far away too, and no lower cost is found by a search that takes no derivatives.
-        far = fit_parts(judge, [Part(one, {"front_scale": 0.35, "rear_scale": 2.8})])
+        far = fit_parts(objective, [Part(one, {"front_scale": 0.35, "rear_scale": 2.8})])
         search = minimize(
-            lambda x: judge.cost((one.build(dict(zip(truth, x, strict=True))),)),
+            lambda x: objective.cost((one.build(dict(zip(truth, x, strict=True))),)),
             list(fit.parts[0].values.values()),
             method="Nelder-Mead",
             options={"xatol": 1e-5, "fatol": 1e-4},
@@ -77,29 +77,29 @@ class TestPlantedTerms:
         assert far.cost == pytest.approx(search.fun, abs=0.05)
 
     def test_a_lag_of_the_steering(self):
-        judge = judge_of(driven(12, steer=lambda inputs, step: first_order(inputs, 0.06, step)))
-        check(best_fit(judge, candidate(judge, "steer_lag")), {"tau": 0.06})
+        objective = objective_of(driven(12, steer=lambda inputs, step: first_order(inputs, 0.06, step)))
+        check(best_fit(objective, candidate(objective, "steer_lag")), {"tau": 0.06})
 
     def test_a_delay_of_the_torque(self):
-        judge = judge_of(driven(13, torque=lambda inputs, step: late(inputs, 0.073, step)))
-        check(best_fit(judge, candidate(judge, "drive_delay")), {"delay": 0.073})
+        objective = objective_of(driven(13, torque=lambda inputs, step: late(inputs, 0.073, step)))
+        check(best_fit(objective, candidate(objective, "drive_delay")), {"delay": 0.073})
 
     def test_a_lever_arm_of_the_sensor(self):
         drive = driven(14)
         moved = replace(drive, columns={**drive.columns, "vy": drive["vy"] + 0.25 * drive["r"]})
-        judge = judge_of(moved)
-        check(best_fit(judge, candidate(judge, "sensor_lever_arm")), {"dx": 0.25})
+        objective = objective_of(moved)
+        check(best_fit(objective, candidate(objective, "sensor_lever_arm")), {"dx": 0.25})
 
     def test_a_patch_over_the_start_of_the_lap(self):
         stretch = {"scale": 0.7, "s_start": 350.0, "s_end": 60.0}
-        judge = judge_of(driven(15, (CATALOGUE["friction_patch"](stretch, "curve"),)))
-        one = candidate(judge, "friction_patch", "curve")
-        starts = places(judge, one)
+        objective = objective_of(driven(15, (CATALOGUE["friction_patch"](stretch, "curve"),)))
+        one = candidate(objective, "friction_patch", "curve")
+        starts = places(objective, one)
         # Places are scanned in bins of a fiftieth of the lap; two at either end are forgiven.
         for name in ("s_start", "s_end"):
             away = (starts[0][name] - stretch[name] + LAP / 2) % LAP - LAP / 2
             assert abs(away) <= 2.0 * LAP / 50
-        fit = best_fit(judge, one)
+        fit = best_fit(objective, one)
         values = fit.parts[0].values
         assert values["scale"] == pytest.approx(0.7, abs=0.04)
         for name in ("s_start", "s_end"):
@@ -108,9 +108,9 @@ class TestPlantedTerms:
     def test_a_wave_of_the_road(self):
         truth = {"amplitude": 0.03, "wavelength": LAP / 3.0, "phase": 0.7}
         drive = driven(16, (CATALOGUE["road_grade"](truth, "wave"),))
-        judge = noisy_judge(drive, 7, disturbance=1e-4)
-        one = candidate(judge, "road_grade", "wave")
-        start, values = places(judge, one)[0], best_fit(judge, one).parts[0].values
+        objective = noisy_objective(drive, 7, disturbance=1e-4)
+        one = candidate(objective, "road_grade", "wave")
+        start, values = places(objective, one)[0], best_fit(objective, one).parts[0].values
         s = np.linspace(0.0, LAP, 200)
 
         def profile(one):
@@ -124,9 +124,9 @@ class TestPlantedTerms:
 
     def test_two_terms_together(self):
         truth = CATALOGUE["aero_drag"]({"drag": 0.4}), CATALOGUE["yaw_inertia"]({"scale": 1.15})
-        judge = judge_of(driven(17, truth))
-        parts = [Part(one, dict(one.starts[0])) for one in candidates_of(judge, "aero_drag", "yaw_inertia")]
-        fit = fit_parts(judge, parts)
+        objective = objective_of(driven(17, truth))
+        parts = [Part(one, dict(one.starts[0])) for one in candidates_of(objective, "aero_drag", "yaw_inertia")]
+        fit = fit_parts(objective, parts)
         errors = iter(standard_errors(fit))
         for part in fit.parts:
             (true,) = (one.parameters for one in truth if one.id == part.candidate.term)
@@ -135,9 +135,9 @@ class TestPlantedTerms:
 
 
 @pytest.fixture(scope="module")
-def pushed() -> Judge:
+def pushed() -> MarginalLikelihood:
     """Judges a car with 150 N more of rolling resistance."""
-    return judge_of(driven(18, (CATALOGUE["rolling_resistance"]({"force": 150.0}),)))
+    return objective_of(driven(18, (CATALOGUE["rolling_resistance"]({"force": 150.0}),)))
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +177,7 @@ class TestLinearTerms:
         # It stops where another step saves less than 0.02, which is a seventh of a standard error.
         assert fit.parts[0].values["force"] == pytest.approx(force, abs=error / 7.0)
         assert fit.cost == pytest.approx(cost, abs=0.02)
-        assert fit.cost == pytest.approx(float(fit.entries @ fit.entries), rel=1e-12)
+        assert fit.cost == pytest.approx(float(fit.residuals @ fit.residuals), rel=1e-12)
         assert standard_errors(fit)[0] == pytest.approx(error, rel=1e-4)
         assert abs(force - 150.0) < 3.0 * error + 1.5
 
@@ -189,9 +189,9 @@ class TestLinearTerms:
 
 
 @pytest.fixture(scope="module")
-def lagging() -> Judge:
+def lagging() -> MarginalLikelihood:
     """Judges a car that steers 0.06 s late."""
-    return judge_of(driven(19, steer=lambda inputs, step: first_order(inputs, 0.06, step)))
+    return objective_of(driven(19, steer=lambda inputs, step: first_order(inputs, 0.06, step)))
 
 
 class TestBounds:
@@ -233,8 +233,8 @@ def test_held_commands_hide_no_delay_and_taken_for_lines_they_do():
     slow = Drive(made.name, columns, made.segment[rows], 0.02)
     late_by = {}
     for held in ((), ("T", "delta")):
-        judge = judge_of(slow.with_held(held))
-        late_by[held] = best_fit(judge, candidate(judge, "sensor_delay")).parts[0].values["delay"]
+        objective = objective_of(slow.with_held(held))
+        late_by[held] = best_fit(objective, candidate(objective, "sensor_delay")).parts[0].values["delay"]
     # A ramp is a late staircase only to first order in a sample that is as long as the car is quick.
     assert late_by[()] == pytest.approx(0.01, abs=2e-3)
     assert late_by["T", "delta"] < 3e-4

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.baseline.common import features
+from split_cli.diagnosis.baseline.discrepancy import features
 from split_cli.diagnosis.remainder.formula import sparse_formula
 from tests.factories import road_car
 

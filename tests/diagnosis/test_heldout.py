@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import bare_judge, candidates_of, driven, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import bare_objective, candidates_of, driven, light_evidence, noisy, prepared
 
 PAIR = CATALOGUE["aero_drag"]({"drag": 0.5}), CATALOGUE["yaw_inertia"]({"scale": 1.15})
 
@@ -22,14 +22,14 @@ def evidence_of(seed: int, *terms):
 
 def split_of(evidence, others=(), share: float = 0.25) -> HeldOut:
     every = [np.ones(len(one.at), dtype=bool) for one in (evidence, *others)]
-    common = bare_judge(evidence).common
+    discrepancy = bare_objective(evidence).discrepancy
     policy = STANDARD.altered("comparison", holdout_share=share)
-    return hold_out([evidence], every[:1], list(others), every[1:], None, common, (), policy)
+    return hold_out([evidence], every[:1], list(others), every[1:], None, discrepancy, (), policy)
 
 
-def fitted(judge: Judge, *terms: str):
-    parts = [Part(one, dict(one.starts[0])) for one in candidates_of(judge, *terms) if not one.variant]
-    return fit_parts(judge, sorted(parts, key=lambda part: terms.index(part.candidate.term)))
+def fitted(objective: MarginalLikelihood, *terms: str):
+    parts = [Part(one, dict(one.starts[0])) for one in candidates_of(objective, *terms) if not one.variant]
+    return fit_parts(objective, sorted(parts, key=lambda part: terms.index(part.candidate.term)))
 
 
 @pytest.fixture(scope="module")
@@ -39,20 +39,20 @@ def paired():
 
 def test_the_last_time_is_kept_out_and_nothing_is_in_both(paired):
     split = split_of(paired)
-    (training,), (judging,), (mask,) = split.training.keep, split.judging.keep, split.masks
+    (training,), (testing,), (mask,) = split.training.keep, split.testing.keep, split.masks
     t = paired.series.t
     np.testing.assert_array_equal(mask, t > 0.75 * t[-1])
-    assert not np.any(training & judging) and np.all(training | judging)
-    assert paired.series.t[paired.at][training].max() <= 0.75 * t[-1] < paired.series.t[paired.at][judging].min()
+    assert not np.any(training & testing) and np.all(training | testing)
+    assert paired.series.t[paired.at][training].max() <= 0.75 * t[-1] < paired.series.t[paired.at][testing].min()
 
 
 def test_shares_of_a_pair_are_those_of_each_effect_alone(paired):
     """Drag is seen in v_x and inertia in r: what either explains is what it does alone."""
     split = split_of(paired)
     shares = explained_shares(split, fitted(split.training, "aero_drag", "yaw_inertia"))
-    judging = split.judging
-    base = judging.residual(())
-    alone = np.array([float(np.sum((judging.residual((term,)) - base) ** 2)) for term in PAIR])
+    testing = split.testing
+    base = testing.residual(())
+    alone = np.array([float(np.sum((testing.residual((term,)) - base) ** 2)) for term in PAIR])
     assert 0.05 < alone[0] / alone.sum() < 0.95
     # What is left after both is noise; the floor takes it off, known to some percent of what effects do.
     np.testing.assert_allclose(shares, alone / alone.sum(), atol=0.04)
@@ -62,9 +62,9 @@ def test_shares_are_of_what_is_above_the_noise():
     """A gain of a hundredth is a fraction of the noise, and explains all that there is to explain."""
     split = split_of(evidence_of(54, CATALOGUE["steer_gain"]({"gain": 0.985})))
     fit = fitted(split.training, "steer_gain")
-    judging = split.judging
-    saved = judging.cost(()) - judging.cost(fit.terms)
-    assert 0.02 < saved / judging.cost(()) < 0.5
+    testing = split.testing
+    saved = testing.cost(()) - testing.cost(fit.terms)
+    assert 0.02 < saved / testing.cost(()) < 0.5
     (share,) = explained_shares(split, fit)
     assert share > 0.8
 
@@ -99,7 +99,7 @@ def test_recordings_named_for_it_are_kept_out_whole(paired):
     other = evidence_of(53, *PAIR)
     split = split_of(paired, [other])
     assert split.training.keep[0].all() and not split.masks[0].any()
-    assert split.judging.evidence == (other,)
+    assert split.testing.evidence == (other,)
     shares = explained_shares(split, fitted(split.training, "aero_drag", "yaw_inertia"))
     assert sum(shares) == pytest.approx(1.0, abs=0.05)
 
@@ -107,6 +107,6 @@ def test_recordings_named_for_it_are_kept_out_whole(paired):
 def test_nothing_is_said_where_too_little_is_kept_out(paired):
     # 70 s hold some 1,500 rows of 0.04 s; sixty are asked for.
     split = split_of(paired, share=0.01)
-    assert split.judging is None
+    assert split.testing is None
     assert explained_shares(split, fitted(split.training, "aero_drag")) is None
     assert explained_shares(split_of(paired), nothing(split.training)) is None

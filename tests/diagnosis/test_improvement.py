@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.baseline.common import build_common_physics
-from split_cli.diagnosis.innovations.judge import learn_common
+from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
+from split_cli.diagnosis.innovations.objective import learn_discrepancy
 from split_cli.diagnosis.innovations.rollouts import Stage, roll_out_stages, shared_rates
 from split_cli.diagnosis.verdict.improvement import _bootstrap, improvable_removed, measure_improvement
 from split_cli.diagnosis.verdict.label_errors import label_errors
@@ -38,8 +38,8 @@ def held_last_quarter(evidence) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def measured(resisted):
-    common = build_common_physics(resisted.vehicle, resisted.series)
-    return measure_improvement([(resisted, held_last_quarter(resisted))], (RESISTANCE,), common, None)
+    discrepancy = build_shared_discrepancy(resisted.vehicle, resisted.series)
+    return measure_improvement([(resisted, held_last_quarter(resisted))], (RESISTANCE,), discrepancy, None)
 
 
 class TestPlantedResistance:
@@ -90,9 +90,9 @@ def test_no_horizon_fits_into_too_little_held_out_time(resisted):
 
 
 def test_nothing_is_told_of_held_out_time_without_a_step(resisted):
-    common = build_common_physics(resisted.vehicle, resisted.series)
+    discrepancy = build_shared_discrepancy(resisted.vehicle, resisted.series)
     held = resisted.series.t > resisted.series.t[-1] - 0.025
-    assert measure_improvement([(resisted, held)], (RESISTANCE,), common, None) is None
+    assert measure_improvement([(resisted, held)], (RESISTANCE,), discrepancy, None) is None
 
 
 def test_noise_floor_of_a_right_model_is_its_error(resisted):
@@ -107,14 +107,14 @@ def test_noise_floor_of_a_right_model_is_its_error(resisted):
 
 def test_what_the_simulation_knows_follows_the_model_away_from_the_recording(resisted):
     """Shared rates at another state: their slope against the dictionary evaluated there."""
-    common = build_common_physics(resisted.vehicle, resisted.series)
-    knowledge = learn_common([resisted])
-    shared = shared_rates(resisted.series, common, knowledge)
-    aside = np.array([0.05, 0.01, 0.002])
-    moved = replace(resisted.series, smooth=resisted.series.smooth + aside)
-    there = common.rates(moved, knowledge.weights)
-    rows = np.arange(len(aside), len(moved), 97)
-    told = shared.at(rows, resisted.series.smooth[rows] + aside)
+    discrepancy = build_shared_discrepancy(resisted.vehicle, resisted.series)
+    posterior = learn_discrepancy([resisted])
+    shared = shared_rates(resisted.series, discrepancy, posterior)
+    nuisances = np.array([0.05, 0.01, 0.002])
+    moved = replace(resisted.series, smooth=resisted.series.smooth + nuisances)
+    there = discrepancy.rates(moved, posterior.weights)
+    rows = np.arange(len(nuisances), len(moved), 97)
+    told = shared.at(rows, resisted.series.smooth[rows] + nuisances)
     change = np.abs(there[rows] - shared.base[rows]).mean(axis=0)
     # Linear in a small step: what is left is of second order.
     assert np.all(np.abs(told - there[rows]).mean(axis=0) < 0.1 * change)
@@ -126,9 +126,9 @@ def test_what_the_simulation_knows_follows_the_model_away_from_the_recording(res
 def test_knowing_the_resistance_already_leaves_nothing_to_improve():
     """What simulation and reality share is no gap: rollouts with it are at the floor without any term."""
     real, simulated = recorded(13, (RESISTANCE,)), recorded(14, (RESISTANCE,))
-    common = build_common_physics(simulated.vehicle, simulated.series)
-    knowledge = learn_common([simulated])
-    shared = shared_rates(real.series, common, knowledge)
+    discrepancy = build_shared_discrepancy(simulated.vehicle, simulated.series)
+    posterior = learn_discrepancy([simulated])
+    shared = shared_rates(real.series, discrepancy, posterior)
     held = np.ones(len(real.series), dtype=bool)
     errors = roll_out_stages(real, {"blind": Stage((), None), "taught": Stage((), shared)}, held)
     blind, taught = (np.sqrt(errors.squared[name][:, 2, 0].mean()) for name in ("blind", "taught"))
@@ -207,5 +207,5 @@ def test_share_of_improvable_error():
     assert improvable_removed((0.3, 0.1), (0.05, 0.1), (0.1, 0.1)) == 1.0
     assert improvable_removed((0.3,), (0.4,), (0.1,)) < 0.0
     assert math.isnan(improvable_removed((0.1005,), (0.1,), (0.1,)))
-    # Weighed by noise: metres and radians count alike once each is told in its own noise.
+    # Weighed by noise: metres and radians count alike once each is reported in its own noise.
     assert improvable_removed((3.0, 0.03), (1.0, 0.03), (1.0, 0.01)) == pytest.approx(0.5)

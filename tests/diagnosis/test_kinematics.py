@@ -10,7 +10,7 @@ import pytest
 from split_cli.diagnosis.recording.kinematics import build_kinematics, common_habit
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import bare_judge, faulty, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import bare_objective, faulty, light_evidence, noisy, prepared
 
 POSITION = 0.01  # standard deviation of X and Y [m]
 
@@ -79,21 +79,21 @@ def test_a_straight_line_by_hand(nominal_drive):
 def test_what_the_car_lacks_moves_no_row_of_position_and_yaw(nominal_drive):
     series = series_of(nominal_drive)
     kinematics = build_kinematics(series)
-    judge = bare_judge(light_evidence(series), kinematics=[kinematics])
+    objective = bare_objective(light_evidence(series), kinematics=[kinematics])
     last = slice(-len(kinematics.begin), None)
-    plain = judge.residual(())
+    plain = objective.residual(())
     for term in (
         CATALOGUE["mass"]({"scale": 1.3}),
         CATALOGUE["steer_gain"]({"gain": 0.7}),
         CATALOGUE["cg_shift"]({"dx": 0.2}),
     ):
-        moved = judge.residual((term,))
+        moved = objective.residual((term,))
         np.testing.assert_array_equal(moved[last], plain[last])
         assert np.abs(moved - plain).max() > 0.1
-    turned = judge.residual((CATALOGUE["sensor_misalignment"]({"angle": 0.02}),))
+    turned = objective.residual((CATALOGUE["sensor_misalignment"]({"angle": 0.02}),))
     # 0.02 rad at some 18 m/s is 0.18 m in half a second, against some centimetres.
     assert np.median(np.abs(turned[last] - plain[last])) > 3.0
-    assert judge.channel_sums(np.ones_like(plain))[3] == len(kinematics.begin)
+    assert objective.channel_sums(np.ones_like(plain))[3] == len(kinematics.begin)
 
 
 def test_no_rows_without_position_or_with_too_few_windows(nominal_drive):

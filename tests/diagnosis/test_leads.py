@@ -1,4 +1,4 @@
-"""What no real car can have is no finding, and is told as a lead with what it would need."""
+"""What no real car can have is no finding, and is reported as a lead with what it would need."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_every_size_has_limits_with_a_source_and_starts_inside():
 
 
 def test_limits_grow_with_the_car():
-    """Lengths are told in wheelbases, times in their root: a tenth of the car has a tenth of the reach."""
+    """Lengths are reported in wheelbases, times in their root: a tenth of the car has a tenth of the reach."""
     small = CATALOGUE["sensor_lever_arm"]
     assert small.sizes(road_car())["dx"] == pytest.approx(road_car().wheelbase)
     assert CATALOGUE["steer_lag"].sizes(road_car())["tau"] == pytest.approx(np.sqrt(road_car().wheelbase / 2.7))

@@ -52,14 +52,14 @@ def test_every_number_is_read_somewhere():
 # Numbers that stand beside their algorithm: how finely something is computed, told or averaged, or how long a
 # search may take. A new name here is a decision to be looked at; what decides belongs into the policy.
 BESIDE_THEIR_ALGORITHM = {
-    "baseline/common.py": {"_SMOOTH_DEVIATION"},
+    "baseline/discrepancy.py": {"_SMOOTH_DEVIATION"},
     "innovations/autocovariance.py": {"LAG_ROWS"},
     "innovations/comparable.py": {"_SMOOTHED_SECONDS"},
     "innovations/evidence.py": {"_ROW_SECONDS", "_TUNING_ROWS"},
-    "innovations/judge.py": {"_LEAST_TOLD"},
+    "innovations/objective.py": {"_LEAST_INFORMED"},
     "innovations/projection.py": {"_FEW"},
     "innovations/rollouts.py": {"_STEP_SECONDS", "_MOST_STARTS", "_FEWEST_STARTS"},
-    "innovations/severity.py": {"_HORIZON"},
+    "innovations/effect_to_noise.py": {"_HORIZON"},
     "recording/kinematics.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS"},
     "recording/witnesses.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS", "_LEAST_SPREAD"},
     "recording/place.py": {"_CLOSE_DISTANCE", "_CLOSE_ANGLE", "_FULL_SIZE_WHEELBASE"},
@@ -70,7 +70,7 @@ BESIDE_THEIR_ALGORITHM = {
     "remainder/location.py": {"_AVERAGE_SECONDS", "_ALIKE", "_FOLDS"},
     "remainder/spectrum.py": {"_BACKGROUND"},
     "remainder/structure.py": {"_RIDGE_SHARE"},
-    "remainder/wander.py": {"_NEAR_ROWS"},
+    "remainder/autocorrelation.py": {"_NEAR_ROWS"},
     "search/calibration.py": {"_BINS", "_WAVES"},
     "search/candidates.py": {"_NEAR"},
     "search/fitting.py": {"_ITERATIONS", "_REFRESHES"},

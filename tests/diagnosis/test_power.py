@@ -9,23 +9,25 @@ import numpy as np
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.screening import cleaned, torque_is_derived, torque_is_from_pedals, unfit
 from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.selection import severity_of_terms
+from split_cli.diagnosis.search.selection import effect_to_noise_of_terms
 from split_cli.diagnosis.verdict.power import hidden_effect
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import make_drive, road_car
 
 
-def test_what_a_big_effect_would_make_is_no_match(nominal_judge, nominal_series):
+def test_what_a_big_effect_would_make_is_no_match(nominal_objective, nominal_series):
     (grip,) = [one for one in build_candidates(road_car(), nominal_series) if one.label == "friction_scale"]
     lower = grip.ranges["scale"].lower
-    size = severity_of_terms(nominal_judge, (CATALOGUE["friction_scale"]({"scale": 0.5 * (1.0 + lower)}),))
-    assert size > STANDARD.selection.plain or not hidden_effect(nominal_judge, [grip], 2.0 * size)
+    size = effect_to_noise_of_terms(
+        nominal_objective, (CATALOGUE["friction_scale"]({"scale": 0.5 * (1.0 + lower)}),)
+    )
+    assert size > STANDARD.selection.plain or not hidden_effect(nominal_objective, [grip], 2.0 * size)
     if size > STANDARD.selection.plain:
-        said = hidden_effect(nominal_judge, [grip], 1.01 * size)
+        said = hidden_effect(nominal_objective, [grip], 1.01 * size)
         assert "friction scale with scale" in said and "halves of the simulation" in said
-    assert hidden_effect(nominal_judge, [grip], 0.99 * size) == ""
-    assert hidden_effect(nominal_judge, [grip], 0.0) == ""
+    assert hidden_effect(nominal_objective, [grip], 0.99 * size) == ""
+    assert hidden_effect(nominal_objective, [grip], 0.0) == ""
 
 
 def circles(noise: float, *, frozen: bool = False) -> Drive:

@@ -392,8 +392,8 @@ class TestInABrowser:
         ):
             assert line in told
         # Without a named term there is no stage to show for it.
-        nameless = replace(mismatch(), findings=())
-        opened(browser, report_page(nameless), tmp_path)
+        unnamed = replace(mismatch(), findings=())
+        opened(browser, report_page(unnamed), tmp_path)
         label = browser.find_elements("css selector", "#rollouts svg[role=img]")[1].get_attribute("aria-label")
         assert "SPLIT only 0.280" in label and "named physics" not in label
         assert "With the named physics" not in one(browser, "#help").text

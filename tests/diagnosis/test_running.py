@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import split_cli.diagnosis.search.running as running
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.remainder.flexible import flexible_rows
@@ -19,46 +19,46 @@ from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.running import free_running_errors, with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms, with_chosen
 from tests.diagnosis.recordings import candidates_of
-from tests.diagnosis.test_selection import judge_of, planted
+from tests.diagnosis.test_selection import objective_of, planted
 
-INFLATION = 1.5
-
-
-@pytest.fixture(scope="module")
-def judge() -> Judge:
-    return judge_of(*planted(load_transfer=0.9))
+VARIANCE_INFLATION = 1.5
 
 
 @pytest.fixture(scope="module")
-def structure(judge) -> Structure:
-    return build_structure(judge, [flexible_rows(one, judge.common) for one in judge.evidence])
+def objective() -> MarginalLikelihood:
+    return objective_of(*planted(load_transfer=0.9))
 
 
 @pytest.fixture(scope="module")
-def variants(judge) -> list:
+def structure(objective) -> Structure:
+    return build_structure(objective, [flexible_rows(one, objective.discrepancy) for one in objective.evidence])
+
+
+@pytest.fixture(scope="module")
+def variants(objective) -> list:
     """With room for all the height that the wrong one wants: at the end of its search it would have no name."""
     wide = Range(0.0, 20.0, 0.01)
-    return [replace(one, ranges={"cg_height": wide}) for one in candidates_of(judge, "load_transfer")]
+    return [replace(one, ranges={"cg_height": wide}) for one in candidates_of(objective, "load_transfer")]
 
 
 @pytest.fixture(scope="module")
-def wrong(judge, variants) -> Selection:
+def wrong(objective, variants) -> Selection:
     """A selection that has taken the variant that moves the peak alone."""
-    selection = select_terms(judge, variants, INFLATION)
+    selection = select_terms(objective, variants, VARIANCE_INFLATION)
     peak = next(one for one in variants if one.variant == "peak")
-    fit = fit_parts(judge, (Part(peak, dict(peak.starts[0])),))
-    return with_chosen(Explorer(judge, tuple(variants), INFLATION), selection, fit)
+    fit = fit_parts(objective, (Part(peak, dict(peak.starts[0])),))
+    return with_chosen(Explorer(objective, tuple(variants), VARIANCE_INFLATION), selection, fit)
 
 
-def test_the_truth_runs_freely_as_far_as_noise_lets_it(judge, variants, wrong):
-    selection = select_terms(judge, variants, INFLATION)
+def test_the_truth_runs_freely_as_far_as_noise_lets_it(objective, variants, wrong):
+    selection = select_terms(objective, variants, VARIANCE_INFLATION)
     assert selection.chosen.parts[0].candidate.variant == ""
-    base, true, peak = free_running_errors(judge, [nothing(judge), selection.chosen, wrong.chosen])
+    base, true, peak = free_running_errors(objective, [nothing(objective), selection.chosen, wrong.chosen])
     assert 0.8 < true < 1.2
     assert base > 1.5 * true and peak > 1.1 * true
 
 
-def test_an_error_is_the_geometric_mean_of_rms_over_what_noise_makes(judge, monkeypatch):
+def test_an_error_is_the_geometric_mean_of_rms_over_what_noise_makes(objective, monkeypatch):
     """Twice the noise in every channel at every horizon is two, whatever the units."""
     floor = np.ones((7, 3, 3)) * np.array([1.0, 1e-4, 1e-6])
 
@@ -67,38 +67,40 @@ def test_an_error_is_the_geometric_mean_of_rms_over_what_noise_makes(judge, monk
         return RolloutErrors(HORIZONS, np.arange(7.0), squared, floor)
 
     monkeypatch.setattr(running, "roll_out_stages", errors)
-    np.testing.assert_allclose(free_running_errors(judge, [nothing(judge), nothing(judge)]), [2.0, 3.0])
+    np.testing.assert_allclose(
+        free_running_errors(objective, [nothing(objective), nothing(objective)]), [2.0, 3.0]
+    )
 
 
 @pytest.fixture(scope="module")
 def any_share(structure):
     """The same with a policy under which variants are compared however little is left without a name."""
-    policy = STANDARD.altered("selection", same_misfit=-1.0)
-    return replace(structure, judge=replace(structure.judge, policy=policy))
+    policy = STANDARD.altered("selection", same_form_error=-1.0)
+    return replace(structure, objective=replace(structure.objective, policy=policy))
 
 
 def test_the_variant_that_runs_takes_the_place_of_one_that_does_not(structure, variants, wrong):
     """The wrong variant leaves something without a name; the right one is among what explains the data as well."""
-    found = with_variants_that_run(structure, variants, wrong, INFLATION)
+    found = with_variants_that_run(structure, variants, wrong, VARIANCE_INFLATION)
     assert found.chosen.parts[0].candidate.variant == ""
     assert found.named == (True,) and found.chosen.cost < wrong.chosen.cost
     assert "runs freely with" in found.history[-1] and found.first_p == wrong.first_p
 
 
-def test_where_nothing_is_left_without_a_name_one_step_decides(judge, structure, variants):
-    selection = select_terms(judge, variants, INFLATION)
-    assert with_variants_that_run(structure, variants, selection, INFLATION) is selection
+def test_where_nothing_is_left_without_a_name_one_step_decides(objective, structure, variants):
+    selection = select_terms(objective, variants, VARIANCE_INFLATION)
+    assert with_variants_that_run(structure, variants, selection, VARIANCE_INFLATION) is selection
 
 
 def test_a_variant_that_runs_as_well_takes_no_place(any_share, variants, wrong, monkeypatch):
     for error, taken in ((0.95, False), (0.85, True)):
         monkeypatch.setattr(
-            running, "free_running_errors", lambda judge, fits, e=error: [1.0, *[e] * len(fits[1:])]
+            running, "free_running_errors", lambda objective, fits, e=error: [1.0, *[e] * len(fits[1:])]
         )
-        found = with_variants_that_run(any_share, variants, wrong, INFLATION)
+        found = with_variants_that_run(any_share, variants, wrong, VARIANCE_INFLATION)
         assert (found is not wrong) == taken
 
 
 def test_no_variant_takes_a_place_that_would_lose_a_name(any_share, variants, wrong):
     named_twice = replace(wrong, named=(True, True))
-    assert with_variants_that_run(any_share, variants, named_twice, INFLATION) is named_twice
+    assert with_variants_that_run(any_share, variants, named_twice, VARIANCE_INFLATION) is named_twice

@@ -1,4 +1,4 @@
-"""Speed and yaw rate against position and yaw: a sensor out of scale is told, and no physics is."""
+"""Speed and yaw rate against position and yaw: a sensor out of scale is reported, and no physics is."""
 
 from __future__ import annotations
 

@@ -12,8 +12,8 @@ import pytest
 from scipy import stats
 
 import split_cli.diagnosis.search.selection as selecting
-from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge
-from split_cli.diagnosis.innovations.severity import severities_of
+from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
+from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
@@ -33,23 +33,23 @@ from split_cli.diagnosis.search.selection import (
     without_parts,
 )
 from split_cli.vehicle.effects import CATALOGUE, Term
-from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_judge
+from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_objective
 
-INFLATION = 1.5
+VARIANCE_INFLATION = 1.5
 
 
-def ignorant(judge: Judge) -> CommonKnowledge:
+def ignorant(objective: MarginalLikelihood) -> DiscrepancyPosterior:
     """Return knowledge of a simulation that shows nothing beyond the nominal model."""
-    count = judge.common.columns(judge.evidence[0].series).shape[2]
-    return CommonKnowledge(np.zeros(count), np.eye(count))
+    count = objective.discrepancy.columns(objective.evidence[0].series).shape[2]
+    return DiscrepancyPosterior(np.zeros(count), np.eye(count))
 
 
-COMMON = "common severities"
+DISCREPANCY = "discrepancy to noise"
 NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness")
 
 
-def judge_of(*terms: Term, seed: int = 21, **commands) -> Judge:
-    return noisy_judge(driven(seed, terms, **commands), 5)
+def objective_of(*terms: Term, seed: int = 21, **commands) -> MarginalLikelihood:
+    return noisy_objective(driven(seed, terms, **commands), 5)
 
 
 def behind(inputs: np.ndarray, step: float, *, tau: float = 0.0, delay: float = 0.0) -> np.ndarray:
@@ -62,29 +62,31 @@ def planted(**values: float) -> tuple[Term, ...]:
 
 
 @pytest.fixture(scope="module")
-def pair() -> Judge:
-    return judge_of(*planted(yaw_inertia=1.12, aero_drag=0.5))
+def pair() -> MarginalLikelihood:
+    return objective_of(*planted(yaw_inertia=1.12, aero_drag=0.5))
 
 
 @pytest.fixture(scope="module")
 def chosen_pair(pair) -> Selection:
-    return select_terms(pair, candidates_of(pair, *NAMES), INFLATION)
+    return select_terms(pair, candidates_of(pair, *NAMES), VARIANCE_INFLATION)
 
 
 def named(selection: Selection) -> set[str]:
     return {term.id for term in selection.terms}
 
 
-def test_nothing_is_named_where_nothing_is_planted(nominal_judge):
-    selection = select_terms(nominal_judge, candidates_of(nominal_judge, *NAMES, "mass"), INFLATION)
+def test_nothing_is_named_where_nothing_is_planted(nominal_objective):
+    selection = select_terms(
+        nominal_objective, candidates_of(nominal_objective, *NAMES, "mass"), VARIANCE_INFLATION
+    )
     assert not selection.terms and not selection.rivals
     assert selection.first_p > 0.01
-    assert selection.chosen.cost == pytest.approx(nominal_judge.cost(()), rel=1e-12)
+    assert selection.chosen.cost == pytest.approx(nominal_objective.cost(()), rel=1e-12)
 
 
 def test_a_single_is_named():
-    judge = judge_of(*planted(steer_gain=0.9))
-    selection = select_terms(judge, candidates_of(judge, *NAMES), INFLATION)
+    objective = objective_of(*planted(steer_gain=0.9))
+    selection = select_terms(objective, candidates_of(objective, *NAMES), VARIANCE_INFLATION)
     assert named(selection) == {"steer_gain"}
     assert selection.first_p < 1e-10
     assert selection.chosen.terms[0].parameters["gain"] == pytest.approx(0.9, abs=0.005)
@@ -97,7 +99,7 @@ def test_a_pair_is_named_as_a_search_of_every_subset_would(pair, chosen_pair):
         for size in (1, 2, 3)
         for several in combinations(candidates, size)
     ]
-    best = min(fits, key=Explorer(pair, (), INFLATION).price)
+    best = min(fits, key=Explorer(pair, (), VARIANCE_INFLATION).price)
     assert set(best.names) == named(chosen_pair) == {"yaw_inertia", "aero_drag"}
     # Where the fits stop, 0.02 are left at most.
     assert chosen_pair.chosen.cost == pytest.approx(best.cost, abs=0.05)
@@ -115,28 +117,28 @@ def test_rivals_are_in_the_place_of_one_part_and_sorted(pair, chosen_pair):
         assert excess == sorted(excess) and excess[0] > 0.0
         for rival in rivals:
             dearer = rival.fit.complexity - fit.complexity
-            expected = (rival.fit.cost - fit.cost) / INFLATION + STANDARD.selection.price * dearer
+            expected = (rival.fit.cost - fit.cost) / VARIANCE_INFLATION + STANDARD.selection.price * dearer
             assert rival.excess == pytest.approx(expected, rel=1e-9)
 
 
-def test_too_small_to_name_is_kept_aside_and_the_search_goes_on():
+def test_too_small_to_name_is_kept_as_a_nuisance_and_the_search_goes_on():
     """60 N of resistance are seen before all else, since a constant adds up, but are below the noise of a step."""
     terms = planted(rolling_resistance=60.0, yaw_inertia=1.03)
-    judge = judge_of(*terms)
-    evidence = judge.evidence[0]
+    objective = objective_of(*terms)
+    evidence = objective.evidence[0]
     assert (
-        severities_of(evidence, evidence.at, terms[:1]).max()
+        effects_to_noise_of(evidence, evidence.at, terms[:1]).max()
         < 0.09
-        < severities_of(evidence, evidence.at, terms[1:]).max()
+        < effects_to_noise_of(evidence, evidence.at, terms[1:]).max()
     )
-    candidates = candidates_of(judge, "rolling_resistance", "yaw_inertia", "steer_gain")
-    first = Explorer(judge, candidates, INFLATION)(nothing(judge))[0]
+    candidates = candidates_of(objective, "rolling_resistance", "yaw_inertia", "steer_gain")
+    first = Explorer(objective, candidates, VARIANCE_INFLATION)(nothing(objective))[0]
     assert first.names == ("rolling_resistance",)
-    selection = select_terms(judge, candidates, INFLATION)
+    selection = select_terms(objective, candidates, VARIANCE_INFLATION)
     assert named(selection) == {"yaw_inertia"}
     assert selection.chosen.names == ("rolling_resistance", "yaw_inertia")
     assert [bool(rivals) for rivals in selection.rivals] == list(selection.named)
-    # What is kept aside takes nothing from what is named.
+    # What is kept as a nuisance takes nothing from what is named.
     values = {part.candidate.term: part.values for part in selection.chosen.parts}
     assert selection.terms[0].parameters == values["yaw_inertia"]
     assert values["yaw_inertia"]["scale"] == pytest.approx(1.03, abs=0.004)
@@ -144,9 +146,11 @@ def test_too_small_to_name_is_kept_aside_and_the_search_goes_on():
 
 
 def test_a_fast_effect_is_seen_beside_a_slow_one_of_ten_thousand_times_its_cost():
-    """What is constant adds up over minutes; a car that turns later does not, and is no misfit of it."""
-    judge = judge_of(*planted(yaw_inertia=1.05, rolling_resistance=1500.0))
-    selection = select_terms(judge, candidates_of(judge, "yaw_inertia", "rolling_resistance"), INFLATION)
+    """What is constant adds up over minutes; a car that turns later does not, and is no model-form error of it."""
+    objective = objective_of(*planted(yaw_inertia=1.05, rolling_resistance=1500.0))
+    selection = select_terms(
+        objective, candidates_of(objective, "yaw_inertia", "rolling_resistance"), VARIANCE_INFLATION
+    )
     assert named(selection) == {"yaw_inertia", "rolling_resistance"}
     saved = {
         part.candidate.term: without.cost - selection.chosen.cost
@@ -155,68 +159,70 @@ def test_a_fast_effect_is_seen_beside_a_slow_one_of_ten_thousand_times_its_cost(
     assert saved["rolling_resistance"] > 1e3 * saved["yaw_inertia"]
 
 
-def test_a_further_term_no_larger_than_a_misfit_is_not_named():
-    """Half a milliradian of steering beside half the inertia more: a tenth of its severity, in its channel."""
-    judge = judge_of(*planted(yaw_inertia=1.5, steer_offset=0.0005))
-    selection = select_terms(judge, candidates_of(judge, "yaw_inertia", "steer_offset"), INFLATION)
+def test_a_further_term_no_larger_than_a_form_error_is_not_named():
+    """Half a milliradian of steering beside half the inertia more: a tenth of its size, in its channel."""
+    objective = objective_of(*planted(yaw_inertia=1.5, steer_offset=0.0005))
+    selection = select_terms(
+        objective, candidates_of(objective, "yaw_inertia", "steer_offset"), VARIANCE_INFLATION
+    )
     assert named(selection) == {"yaw_inertia"}
-    assert "steer_offset" in selection.history[-1] and "misfit" in selection.history[-1]
+    assert "steer_offset" in selection.history[-1] and "form_error" in selection.history[-1]
     # Alone, as large as it is, it would be named.
-    alone = judge_of(*planted(steer_offset=0.0005))
-    assert named(select_terms(alone, candidates_of(alone, "yaw_inertia", "steer_offset"), INFLATION)) == {
+    alone = objective_of(*planted(steer_offset=0.0005))
+    assert named(select_terms(alone, candidates_of(alone, "yaw_inertia", "steer_offset"), VARIANCE_INFLATION)) == {
         "steer_offset"
     }
 
 
-def test_a_refused_term_stands_beside_what_is_named_where_it_saves_more_than_misfit():
-    """10 N along the car are too small to be told, and save a twentieth of what a steering gain does."""
-    for force, aside in ((10.0, True), (1.0, False)):
-        judge = judge_of(*planted(steer_gain=0.95, rolling_resistance=force))
-        selection = select_terms(judge, candidates_of(judge, *NAMES), INFLATION)
+def test_a_refused_term_stands_beside_what_is_named_where_it_saves_more_than_form_error():
+    """10 N along the car are too small to be reported, and save a twentieth of what a steering gain does."""
+    for force, nuisances in ((10.0, True), (1.0, False)):
+        objective = objective_of(*planted(steer_gain=0.95, rolling_resistance=force))
+        selection = select_terms(objective, candidates_of(objective, *NAMES), VARIANCE_INFLATION)
         assert named(selection) == {"steer_gain"}
         parts = [part.candidate.term for part in selection.chosen.parts]
-        assert parts == ["steer_gain", *["rolling_resistance"] * aside]
-        assert selection.named == (True, *[False] * aside)
-        if aside:
+        assert parts == ["steer_gain", *["rolling_resistance"] * nuisances]
+        assert selection.named == (True, *[False] * nuisances)
+        if nuisances:
             assert selection.chosen.parts[1].values["force"] == pytest.approx(force, abs=2.0)
-            assert selection.history[-1] == "rolling_resistance kept aside"
+            assert selection.history[-1] == "rolling_resistance kept as a nuisance"
             rivals = [rival.fit for rival in selection.rivals[0]]
             assert rivals and all("rolling_resistance" in fit.names for fit in rivals)
 
 
 def test_names_are_given_in_the_order_of_size_not_of_finding():
-    """Half a milliradian of steering, found before half the inertia more, is a misfit of it all the same."""
-    judge = judge_of(*planted(yaw_inertia=1.5, steer_offset=0.0005))
-    candidates = {one.term: one for one in candidates_of(judge, "yaw_inertia", "steer_offset")}
+    """Half a milliradian of steering, found before half the inertia more, is its model-form error all the same."""
+    objective = objective_of(*planted(yaw_inertia=1.5, steer_offset=0.0005))
+    candidates = {one.term: one for one in candidates_of(objective, "yaw_inertia", "steer_offset")}
     parts = [Part(candidates[name], dict(candidates[name].starts[0])) for name in ("steer_offset", "yaw_inertia")]
     for ordered, expected in ((parts, (False, True)), (parts[::-1], (True, False))):
-        fit = fit_parts(judge, ordered)
-        without = without_parts(judge, nothing(judge), fit)
-        assert selecting._believed_together(judge, fit, without, (True, True), STANDARD.selection) == expected
-        # What is not sure is no name, and nothing is a misfit of it.
+        fit = fit_parts(objective, ordered)
+        without = without_parts(objective, nothing(objective), fit)
+        assert selecting._believed_together(objective, fit, without, (True, True), STANDARD.selection) == expected
+        # What is not sure is no name, and nothing is a model-form error of it.
         backwards = expected[::-1]
-        assert selecting._believed_together(judge, fit, without, backwards, STANDARD.selection) == backwards
+        assert selecting._believed_together(objective, fit, without, backwards, STANDARD.selection) == backwards
 
 
-def test_a_further_term_no_larger_than_a_misfit_of_the_common_physics_is_not_named(pair, chosen_pair):
+def test_a_further_term_no_larger_than_a_form_error_of_the_shared_discrepancy_is_not_named(pair, chosen_pair):
     """A tenth of what simulation and reality have in common, in its channel: no dictionary is exact."""
     terms, fit = chosen_pair.chosen.terms, chosen_pair.chosen
     first = fit_parts(pair, fit.parts[:1])
     (evidence,) = pair.evidence
-    sizes = severities_of(evidence, evidence.at, terms, first.terms)
+    sizes = effects_to_noise_of(evidence, evidence.at, terms, first.terms)
     channel = int(np.argmax(sizes))
     for others, believed in ((9.0, True), (11.0, False)):
-        common = np.zeros(3)
-        common[channel] = others * sizes[channel]
-        judge = replace(pair, knowledge=ignorant(pair), memo={COMMON: common})
-        assert (not _refusal(Explorer(judge, (), INFLATION), first, np.zeros(3), fit)) == believed
-        common[:] = others * sizes.max()
-        common[channel] = 0.0
-        other = Explorer(replace(judge, memo={COMMON: common}), (), INFLATION)
+        discrepancy = np.zeros(3)
+        discrepancy[channel] = others * sizes[channel]
+        objective = replace(pair, posterior=ignorant(pair), memo={DISCREPANCY: discrepancy})
+        assert (not _refusal(Explorer(objective, (), VARIANCE_INFLATION), first, np.zeros(3), fit)) == believed
+        discrepancy[:] = others * sizes.max()
+        discrepancy[channel] = 0.0
+        other = Explorer(replace(objective, memo={DISCREPANCY: discrepancy}), (), VARIANCE_INFLATION)
         assert not _refusal(other, first, np.zeros(3), fit)
 
 
-def test_a_term_that_settles_a_channel_is_no_misfit_of_a_large_one_elsewhere(pair):
+def test_a_term_that_settles_a_channel_is_no_form_error_of_a_large_one_elsewhere(pair):
     """What was left in v_x is a slow wave of five times the noise: taken wholly, or but half of it."""
     rng, count = np.random.default_rng(4), len(pair.weight)
     noise, wave = rng.standard_normal(count).reshape(-1, 3), np.zeros((count // 3, 3))
@@ -227,36 +233,38 @@ def test_a_term_that_settles_a_channel_is_no_misfit_of_a_large_one_elsewhere(pai
 
     size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 10.0])
     for before, after, refused in ((1.0, 0.0, False), (1.0, 0.4, False), (1.0, 0.5, True), (0.3, 0.0, True)):
-        assert selecting._is_misfit(pair, size, other, left(before), left(after), STANDARD.selection) == refused
-    # Not larger than a misfit in that channel anyway, or of what acts in the same.
-    assert not selecting._is_misfit(pair, size, 0.7 * other, left(1.0), left(1.0), STANDARD.selection)
-    assert selecting._is_misfit(pair, size, other[::-1], left(1.0), left(0.0), STANDARD.selection)
+        assert (
+            selecting._is_form_error(pair, size, other, left(before), left(after), STANDARD.selection) == refused
+        )
+    # Not larger than a model-form error in that channel anyway, or of what acts in the same.
+    assert not selecting._is_form_error(pair, size, 0.7 * other, left(1.0), left(1.0), STANDARD.selection)
+    assert selecting._is_form_error(pair, size, other[::-1], left(1.0), left(0.0), STANDARD.selection)
 
 
-def test_a_term_is_allowed_a_share_of_the_common_physics_in_its_channel(pair, chosen_pair):
+def test_a_term_is_allowed_a_share_of_the_shared_discrepancy_in_its_channel(pair, chosen_pair):
     fit = chosen_pair.chosen
     saved = fit_parts(pair, fit.parts[1:]).cost - fit.cost
     (evidence,) = pair.evidence
-    sizes = severities_of(evidence, evidence.at, fit.terms, fit.terms[1:])
+    sizes = effects_to_noise_of(evidence, evidence.at, fit.terms, fit.terms[1:])
 
-    def p_value(common: np.ndarray) -> float:
-        judge = replace(pair, knowledge=ignorant(pair), memo={COMMON: common})
-        return term_p(judge, fit, 0, saved, INFLATION)
+    def p_value(discrepancy: np.ndarray) -> float:
+        objective = replace(pair, posterior=ignorant(pair), memo={DISCREPANCY: discrepancy})
+        return term_p(objective, fit, 0, saved, VARIANCE_INFLATION)
 
     assert p_value(np.zeros(3)) < 1e-10
-    assert p_value(sizes.max() / STANDARD.allowances.common_share * np.ones(3)) > 0.4
-    # Much common physics in another channel is no excuse.
+    assert p_value(sizes.max() / STANDARD.allowances.discrepancy_share * np.ones(3)) > 0.4
+    # Much the shared discrepancy in another channel is no excuse.
     elsewhere = np.where(np.arange(3) == np.argmax(sizes), 0.0, 1e3)
     assert p_value(elsewhere) < 1e-10
 
 
 def test_two_terms_are_found_behind_one_that_is_the_best_alone():
     """Steering that lags and torque that comes late look like late sensors before they are told apart."""
-    judge = judge_of(steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12))
-    candidates = candidates_of(judge, "drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
-    first = Explorer(judge, candidates, INFLATION)(nothing(judge))[0]
+    objective = objective_of(steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12))
+    candidates = candidates_of(objective, "drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
+    first = Explorer(objective, candidates, VARIANCE_INFLATION)(nothing(objective))[0]
     assert first.names == ("sensor_delay",)
-    selection = select_terms(judge, candidates, INFLATION)
+    selection = select_terms(objective, candidates, VARIANCE_INFLATION)
     assert named(selection) == {"steer_lag", "drive_delay"}
     values = {part.candidate.term: part.values for part in selection.chosen.parts}
     assert values["steer_lag"]["tau"] == pytest.approx(0.05, rel=0.03)
@@ -265,13 +273,13 @@ def test_two_terms_are_found_behind_one_that_is_the_best_alone():
 
 def test_one_term_is_preferred_to_two_that_say_the_same():
     """Late sensors are late steering and late torque at once; nothing tells them apart but their number."""
-    judge = judge_of(steer=partial(behind, delay=0.012), torque=partial(behind, delay=0.012))
-    candidates = candidates_of(judge, "drive_delay", "steer_delay", "sensor_delay")
-    assert named(select_terms(judge, candidates, INFLATION)) == {"sensor_delay"}
+    objective = objective_of(steer=partial(behind, delay=0.012), torque=partial(behind, delay=0.012))
+    candidates = candidates_of(objective, "drive_delay", "steer_delay", "sensor_delay")
+    assert named(select_terms(objective, candidates, VARIANCE_INFLATION)) == {"sensor_delay"}
 
 
 def test_other_beginnings_are_other_terms_that_save_nearly_as_much(pair):
-    first = Explorer(pair, candidates_of(pair, *NAMES), INFLATION)(nothing(pair))
+    first = Explorer(pair, candidates_of(pair, *NAMES), VARIANCE_INFLATION)(nothing(pair))
     everything = replace(STANDARD.selection, same_share=1.0, beginnings=9)
     assert _other_beginnings(first, nothing(pair), everything) == first[1:]
     assert len(_other_beginnings(first, nothing(pair), replace(everything, beginnings=2))) == 2
@@ -282,24 +290,24 @@ def test_other_beginnings_are_other_terms_that_save_nearly_as_much(pair):
 
 
 @pytest.fixture(scope="module")
-def moved() -> tuple[Judge, Selection]:
+def moved() -> tuple[MarginalLikelihood, Selection]:
     """A centre of gravity that is 4 cm further ahead, gently driven: stiffness follows load, or it does not."""
-    judge = judge_of(CATALOGUE["cg_shift"]({"dx": 0.04}, "degressive"))
-    return judge, select_terms(judge, candidates_of(judge, "cg_shift"), INFLATION)
+    objective = objective_of(CATALOGUE["cg_shift"]({"dx": 0.04}, "degressive"))
+    return objective, select_terms(objective, candidates_of(objective, "cg_shift"), VARIANCE_INFLATION)
 
 
 def test_siblings_are_the_other_variants_in_the_same_place(moved):
-    judge, selection = moved
+    objective, selection = moved
     assert named(selection) == {"cg_shift"} and not selection.rivals[0]
     own = selection.chosen.parts[0].candidate.variant
     told = {rival.fit.parts[-1].candidate.variant for rival in selection.siblings[0]}
     assert told == {"", "loaded", "degressive"} - {own}
     for rival in selection.siblings[0]:
-        expected = (rival.fit.cost - selection.chosen.cost) / INFLATION
+        expected = (rival.fit.cost - selection.chosen.cost) / VARIANCE_INFLATION
         assert rival.excess == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_could_be_misfit_or_chance_explains_as_well(pair, chosen_pair):
+def test_what_could_be_form_error_or_chance_explains_as_well(pair, chosen_pair):
     k = 0
     saved = chosen_pair.without[k].cost - chosen_pair.chosen.cost
     (rival, *_) = chosen_pair.rivals[k]
@@ -308,7 +316,7 @@ def test_what_could_be_misfit_or_chance_explains_as_well(pair, chosen_pair):
     def as_well(excess: float, z: float) -> bool:
         return bool(explaining_as_well(pair, chosen_pair, k, [replace(rival, excess=excess, z=z)]))
 
-    # By misfit: whatever the standard error.
+    # By model-form error: whatever the standard error.
     assert as_well(0.99 * share * saved, 50.0) and not as_well(1.01 * share * saved, 50.0)
     # By chance: within 2.5 standard errors, and by no more than 15 % of what the term saves.
     assert as_well(0.14 * saved, 2.4) and not as_well(0.14 * saved, 2.6) and not as_well(0.16 * saved, 1.0)
@@ -318,35 +326,35 @@ def test_the_p_value_of_a_term_grows_with_what_the_simulation_shows_against_itse
     fit = chosen_pair.chosen
     k = next(k for k, part in enumerate(fit.parts) if part.candidate.term == "aero_drag")
     saved = fit_parts(pair, fit.parts[:k] + fit.parts[k + 1 :]).cost - fit.cost
-    plain = term_p(pair, fit, k, saved, INFLATION)
+    plain = term_p(pair, fit, k, saved, VARIANCE_INFLATION)
     forgiving, other = (
-        term_p(replace(pair, term_floors={name: 2.0 * saved}), fit, k, saved, INFLATION)
+        term_p(replace(pair, term_floors={name: 2.0 * saved}), fit, k, saved, VARIANCE_INFLATION)
         for name in ("aero_drag", "mass")
     )
     assert plain < 1e-10 and forgiving > 0.9
     assert other == plain
 
 
-def test_misfit_widens_chance_and_is_not_counted_twice(pair, chosen_pair):
+def test_form_error_widens_chance_and_is_not_counted_twice(pair, chosen_pair):
     fit = chosen_pair.chosen
     k = next(k for k, part in enumerate(fit.parts) if part.candidate.term == "aero_drag")
     saved = fit_parts(pair, fit.parts[:k] + fit.parts[k + 1 :]).cost - fit.cost
     floors = {"aero_drag": 0.5 * saved}
 
     def p_value(**known) -> float:
-        return term_p(replace(pair, **known), fit, k, saved, INFLATION)
+        return term_p(replace(pair, **known), fit, k, saved, VARIANCE_INFLATION)
 
     widened = saved / 30.0
     # The same as chance that is so wide, unless chance is wider itself.
-    assert p_value(misfit=widened) == pytest.approx(term_p(pair, fit, k, saved, widened), rel=1e-12)
-    assert p_value(misfit=widened) > 1e-8 > p_value(misfit=INFLATION) == p_value()
-    both = p_value(misfit=widened, term_floors=floors)
-    assert both == max(p_value(misfit=widened), p_value(term_floors=floors))
+    assert p_value(form_error=widened) == pytest.approx(term_p(pair, fit, k, saved, widened), rel=1e-12)
+    assert p_value(form_error=widened) > 1e-8 > p_value(form_error=VARIANCE_INFLATION) == p_value()
+    both = p_value(form_error=widened, term_floors=floors)
+    assert both == max(p_value(form_error=widened), p_value(term_floors=floors))
     assert both < term_p(replace(pair, term_floors=floors), fit, k, saved, widened)
 
 
-def test_the_best_of_many_places_has_to_save_more_where_there_is_misfit():
-    """The stretch with most of what misfits, of many: it saves no more than it is allowed by chance."""
+def test_the_best_of_many_places_has_to_save_more_where_there_is_form_error():
+    """The stretch with most of what model-form errors, of many: it saves no more than it is allowed by chance."""
     rng = np.random.default_rng(3)
     rows, lengths = 1000, range(5, 100)
     best = []
@@ -357,59 +365,65 @@ def test_the_best_of_many_places_has_to_save_more_where_there_is_misfit():
     assert np.mean(stats.chi2.sf(best, 6.0) < 0.05) > 0.2
 
 
-def test_rivals_are_as_far_off_as_misfit_lets_them_be(pair, chosen_pair):
+def test_rivals_are_as_far_off_as_form_error_lets_them_be(pair, chosen_pair):
     candidates = tuple(candidates_of(pair, *NAMES))
     free = STANDARD.altered("selection", price=0.0)
-    explore = Explorer(replace(pair, misfit=10.0 * INFLATION, policy=free), candidates, INFLATION)
+    explore = Explorer(
+        replace(pair, form_error=10.0 * VARIANCE_INFLATION, policy=free), candidates, VARIANCE_INFLATION
+    )
     (near, *_), _ = _rivals(explore, chosen_pair.chosen, 0, chosen_pair.without[0])
-    (far, *_), _ = _rivals(replace(explore, judge=pair), chosen_pair.chosen, 0, chosen_pair.without[0])
+    (far, *_), _ = _rivals(replace(explore, objective=pair), chosen_pair.chosen, 0, chosen_pair.without[0])
     assert far.excess == pytest.approx(10.0 * near.excess, rel=1e-9) and far.excess > 0.0
     assert far.z == pytest.approx(near.z, rel=1e-6)
 
 
 def test_a_stretch_over_nearly_the_whole_lap_is_none():
     """Grip lost on 380 of 400 m: the whole road has less of it, as far as names go."""
-    judge = judge_of(CATALOGUE["friction_patch"]({"scale": 0.8, "s_start": 10.0, "s_end": 390.0}))
-    patches = candidates_of(judge, "friction_patch")
-    for fit in Explorer(judge, patches, INFLATION)(nothing(judge)):
+    objective = objective_of(CATALOGUE["friction_patch"]({"scale": 0.8, "s_start": 10.0, "s_end": 390.0}))
+    patches = candidates_of(objective, "friction_patch")
+    for fit in Explorer(objective, patches, VARIANCE_INFLATION)(nothing(objective)):
         values = fit.parts[0].values
         assert (values["s_end"] - values["s_start"]) % LAP <= 0.75 * LAP
-    selection = select_terms(judge, [*patches, *candidates_of(judge, "friction_scale")], INFLATION)
+    selection = select_terms(
+        objective, [*patches, *candidates_of(objective, "friction_scale")], VARIANCE_INFLATION
+    )
     assert named(selection) == {"friction_scale"}
 
 
 def test_a_stretch_is_named_and_not_the_whole_road():
-    judge = judge_of(CATALOGUE["friction_patch"]({"scale": 0.7, "s_start": 120.0, "s_end": 220.0}))
-    candidates = candidates_of(judge, "friction_patch", "friction_scale")
-    assert named(select_terms(judge, candidates, INFLATION)) == {"friction_patch"}
+    objective = objective_of(CATALOGUE["friction_patch"]({"scale": 0.7, "s_start": 120.0, "s_end": 220.0}))
+    candidates = candidates_of(objective, "friction_patch", "friction_scale")
+    assert named(select_terms(objective, candidates, VARIANCE_INFLATION)) == {"friction_patch"}
 
 
 class TestWithoutRecordings:
     """Entries that are simply given."""
 
-    def judge(self, blocks: int, rows: int) -> Judge:
+    def objective(self, blocks: int, rows: int) -> MarginalLikelihood:
         block = np.repeat(np.arange(blocks), rows)
         empty = np.zeros(0)
-        return Judge((), None, None, (), empty, empty.reshape(0, 0), block, np.ones(len(block)), empty)
+        return MarginalLikelihood(
+            (), None, None, (), empty, empty.reshape(0, 0), block, np.ones(len(block)), empty
+        )
 
-    def fit(self, entries: np.ndarray) -> Fit:
-        return Fit((), float(entries @ entries), entries, np.empty((len(entries), 0)))
+    def fit(self, residuals: np.ndarray) -> Fit:
+        return Fit((), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
 
     def test_block_z_is_a_t_of_the_blocks_sums(self):
         rng = np.random.default_rng(2)
         one, other = rng.standard_normal((2, 120))
         sums = [float(np.sum(other[k : k + 10] ** 2 - one[k : k + 10] ** 2)) for k in range(0, 120, 10)]
         expected = np.mean(sums) / (np.std(sums, ddof=1) / np.sqrt(len(sums)))
-        assert block_z(self.judge(12, 10), self.fit(one), self.fit(other)) == pytest.approx(expected, rel=1e-6)
+        assert block_z(self.objective(12, 10), self.fit(one), self.fit(other)) == pytest.approx(expected, rel=1e-6)
 
     def test_what_is_saved_in_one_moment_counts_for_one(self):
         """All in one of n blocks: z is 1, however much it is; a tenth in every block: z grows without bound."""
         base = np.ones(200)
         once, always = base.copy(), base - 0.1 + 1e-3 * np.tile([1.0, -1.0], 100)
         once[:10] = 0.0
-        judge = self.judge(20, 10)
-        assert block_z(judge, self.fit(once), self.fit(base)) == pytest.approx(1.0, rel=1e-6)
-        assert block_z(judge, self.fit(always), self.fit(base)) > 100.0
+        objective = self.objective(20, 10)
+        assert block_z(objective, self.fit(once), self.fit(base)) == pytest.approx(1.0, rel=1e-6)
+        assert block_z(objective, self.fit(always), self.fit(base)) > 100.0
 
     def test_block_t_is_a_regression_on_blocks_own_sizes(self):
         """Each block tells its own size of d: mean 1, and t is what the spread of these means leaves of it."""
@@ -421,7 +435,7 @@ class TestWithoutRecordings:
         best = float(weight @ sizes / weight.sum())
         left = without - best * d
         error = np.sqrt(np.sum((weight * (sizes - best)) ** 2)) / weight.sum()
-        assert block_t(self.judge(12, 10), self.fit(left), self.fit(without)) == pytest.approx(
+        assert block_t(self.objective(12, 10), self.fit(left), self.fit(without)) == pytest.approx(
             best / error, rel=1e-6
         )
 
@@ -431,7 +445,7 @@ class TestWithoutRecordings:
         If they do not, only what is larger than the noise is believed.
         """
         rng = np.random.default_rng(4)
-        judge, rules = self.judge(40, 25), STANDARD.selection
+        objective, rules = self.objective(40, 25), STANDARD.selection
         noise, acts = 0.2 * rng.standard_normal(1000), np.array([4, 16, 29])
         for sizes, believed in (((1.0, 1.0, 1.0), True), ((2.6, 0.3, 0.1), False)):
             d, without = np.zeros((40, 25)), noise.reshape(40, 25).copy()
@@ -440,11 +454,13 @@ class TestWithoutRecordings:
             d, without = d.ravel(), without.ravel()
             left = without - float(d @ without / (d @ d)) * d
             fit = replace(self.fit(left), parts=(Part(SimpleNamespace(located=""), {}),))
-            assert block_z(judge, fit, self.fit(without)) < rules.spread
-            for severity in (0.9, 1.1):
-                monkeypatch.setattr(selecting, "term_size", lambda *_, severity=severity: severity)
-                expected = believed or severity > 1.0
-                assert is_spread(judge, fit, 0, self.fit(without), rules) == expected
+            assert block_z(objective, fit, self.fit(without)) < rules.spread
+            for effect_to_noise in (0.9, 1.1):
+                monkeypatch.setattr(
+                    selecting, "term_size", lambda *_, effect_to_noise=effect_to_noise: effect_to_noise
+                )
+                expected = believed or effect_to_noise > 1.0
+                assert is_spread(objective, fit, 0, self.fit(without), rules) == expected
 
 
 def test_size_of_a_term_is_told_with_the_others_in_place(pair, chosen_pair):
@@ -452,16 +468,16 @@ def test_size_of_a_term_is_told_with_the_others_in_place(pair, chosen_pair):
     fit = chosen_pair.chosen
     for k, term in enumerate(fit.terms):
         assert term_size(pair, fit, k) == pytest.approx(
-            severities_of(pair.evidence[0], pair.evidence[0].at, (term,)).max(), rel=1e-6
+            effects_to_noise_of(pair.evidence[0], pair.evidence[0].at, (term,)).max(), rel=1e-6
         )
 
 
 def test_what_wants_more_than_makes_sense_is_not_named():
     """Where the search ends before the truth, a value at its end stands for something else."""
-    judge = noisy_judge(driven(31, (CATALOGUE["yaw_inertia"]({"scale": 1.4}),)), 7)
-    (candidate,) = candidates_of(judge, "yaw_inertia")
-    assert [one.id for one in select_terms(judge, [candidate], INFLATION).terms] == ["yaw_inertia"]
+    objective = noisy_objective(driven(31, (CATALOGUE["yaw_inertia"]({"scale": 1.4}),)), 7)
+    (candidate,) = candidates_of(objective, "yaw_inertia")
+    assert [one.id for one in select_terms(objective, [candidate], VARIANCE_INFLATION).terms] == ["yaw_inertia"]
     short = replace(candidate, ranges={"scale": replace(candidate.ranges["scale"], upper=1.2)})
-    selection = select_terms(judge, [short], INFLATION)
+    selection = select_terms(objective, [short], VARIANCE_INFLATION)
     # It stays in the fit, and that there is a difference is known.
     assert selection.terms == () and len(selection.chosen.parts) == 1 and selection.first_p < 1e-6

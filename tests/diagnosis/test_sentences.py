@@ -88,7 +88,7 @@ def test_every_term_reads_right_for_either_sign(term, variant, size):
             amount(estimate(0.988, 0.011), neutral=1.0, share=True, more="more", less="less"),
             "1.2 % less (95 %: 3.4 % less to 1.0 % more)",
         ),
-        # A narrow interval needs the digits it is told in.
+        # A narrow interval needs the digits it is reported in.
         (
             amount(estimate(0.98812, 0.00002), neutral=1.0, share=True, more="more", less="less"),
             "1.1880 % less (95 %: 1.1840 to 1.1920 %)",

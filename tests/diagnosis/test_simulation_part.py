@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.ingest import command
-from split_cli.diagnosis.baseline.common import build_common_physics
+from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import gather_case
-from split_cli.diagnosis.innovations.judge import learn_common
+from split_cli.diagnosis.innovations.objective import learn_discrepancy
 from split_cli.diagnosis.innovations.rollouts import HORIZONS, SharedRates, _that_returns, shared_rates
 from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.series import build_series
@@ -32,24 +32,24 @@ def held_last_quarter(evidence) -> np.ndarray:
 
 def test_what_was_taught_rightly_is_believed_and_what_reality_does_not_have_is_not():
     taught, other = recorded(41, (RESISTANCE,)), recorded(42)
-    common = build_common_physics(taught.vehicle, taught.series)
-    knowledge = learn_common([taught])
+    discrepancy = build_shared_discrepancy(taught.vehicle, taught.series)
+    posterior = learn_discrepancy([taught])
     for real, believed in ((recorded(43, (RESISTANCE,)), True), (other, False)):
-        known = shared_rates(real.series, common, knowledge)
-        parts = believed_parts([(real, held_last_quarter(real))], [taught], common, [known], [known])
+        known = shared_rates(real.series, discrepancy, posterior)
+        parts = believed_parts([(real, held_last_quarter(real))], [taught], discrepancy, [known], [known])
         assert (parts[0].longitudinal != "nominal") == believed
 
 
 def test_a_part_that_fails_on_the_simulation_itself_is_not_believed():
     """Knowledge of another car: on the end of the simulation it is worse than nothing, whatever reality says."""
     simulated = recorded(44)
-    common = build_common_physics(simulated.vehicle, simulated.series)
+    discrepancy = build_shared_discrepancy(simulated.vehicle, simulated.series)
     # Rows that say nothing but noise teach noise; the check learns for itself from the first three quarters.
     rng = np.random.default_rng(3)
     noise = replace(simulated, plain=5.0 * rng.normal(size=simulated.plain.shape))
     real = recorded(45, (RESISTANCE,))
-    known = shared_rates(real.series, common, learn_common([noise]))
-    parts = believed_parts([(real, held_last_quarter(real))], [noise], common, [known], [known])
+    known = shared_rates(real.series, discrepancy, learn_discrepancy([noise]))
+    parts = believed_parts([(real, held_last_quarter(real))], [noise], discrepancy, [known], [known])
     assert parts == (SimulationPart(), SimulationPart())
 
 
@@ -57,10 +57,10 @@ def test_a_part_acts_in_its_outputs_alone():
     """Rates of 1, 2, 3 with a slope of 5 in every entry, believed elsewhere in v_y and r, and at all in no v_x."""
     whole = SharedRates(np.tile([1.0, 2.0, 3.0], (4, 1)), np.full((4, 3, 3), 5.0), np.zeros((4, 3)))
     kept = part_of(SimulationPart("nominal", "taught_elsewhere"), whole)
-    aside = np.tile([0.1, 0.0, 0.0], (4, 1))
-    np.testing.assert_allclose(kept.at(np.arange(4), aside), np.tile([0.0, 2.5, 3.5], (4, 1)))
+    nuisances = np.tile([0.1, 0.0, 0.0], (4, 1))
+    np.testing.assert_allclose(kept.at(np.arange(4), nuisances), np.tile([0.0, 2.5, 3.5], (4, 1)))
     kept = part_of(SimulationPart("taught", "nominal"), whole)
-    np.testing.assert_allclose(kept.at(np.arange(4), aside), np.tile([1.0, 0.0, 0.0], (4, 1)))
+    np.testing.assert_allclose(kept.at(np.arange(4), nuisances), np.tile([1.0, 0.0, 0.0], (4, 1)))
     assert part_of(SimulationPart(), whole) is None
 
 
@@ -95,7 +95,7 @@ def test_no_real_pair_is_compared_with_a_simulation_that_diverges(tmp_path, data
     ]
     case = gather_case(vehicle, series)
     recordings = [(one, held_last_quarter(one)) for one in case.real]
-    told = measure_improvement(recordings, (), case.common, case.knowledge, case.simulated)
+    told = measure_improvement(recordings, (), case.discrepancy, case.posterior, case.simulated)
     last = told.rollouts[-1]
     assert last.horizon == 2.0 and told.simulation_part["before"]["lateral"] != "nominal"
     # Measured 0.015 m/s and 0.003 rad/s, where holding the velocity has 0.059 and 0.047, and it had 3.4 and 1.1.

@@ -9,7 +9,7 @@ import pytest
 
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.remainder.spectrum import strongest_line
-from tests.diagnosis.recordings import SIGMA, bare_judge, driven, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import SIGMA, bare_objective, driven, light_evidence, noisy, prepared
 
 REPLICATES = 60
 
@@ -32,7 +32,7 @@ def way(drive) -> np.ndarray:
 
 
 def line_of(series: Series, *simulated: Series):
-    return strongest_line(bare_judge(light_evidence(series)), (), [light_evidence(one) for one in simulated])
+    return strongest_line(bare_objective(light_evidence(series)), (), [light_evidence(one) for one in simulated])
 
 
 def test_a_line_over_time(drive):
@@ -46,7 +46,7 @@ def test_a_line_over_time(drive):
     # By hand: over 0.05 s the sine sums to 2 a/w sin(w 0.025), rms over root two, against root two of noise.
     omega = 2.0 * np.pi * 13.0
     expected = 2.0 * 1.5 / omega * abs(np.sin(omega * 0.025)) / np.sqrt(2.0) / (np.sqrt(2.0) * SIGMA[0])
-    assert line.severity == pytest.approx(expected, rel=0.15)
+    assert line.effect_to_noise == pytest.approx(expected, rel=0.15)
     assert line.in_words() == f"v_x' swings by {line.amplitude:.2g} m/s^2, 13 times a second"
 
 
@@ -55,7 +55,7 @@ def test_a_line_over_distance(drive):
     series = shaken(drive, "r", 2.0 * np.pi * way(drive) / 1.9, 0.5)
     line = line_of(series)
     assert (line.over, line.channel) == ("distance", "r")
-    # Some 700 m are driven: a wave between two whole fractions of that is told by the nearer one, which holds
+    # Some 700 m are driven: a wave between two whole fractions of that is reported by the nearer one, which holds
     # two thirds of its amplitude at least.
     assert 1.0 / line.frequency == pytest.approx(1.9, rel=0.005)
     assert 0.6 * 0.5 < line.amplitude < 1.1 * 0.5
@@ -92,10 +92,10 @@ def test_noise_has_no_lines_more_often_than_it_should(drive):
 
 
 def test_swings_that_a_driver_could_make_are_no_lines(drive):
-    """At 0.6 Hz, and every 30 m: slower than what shakes by itself; what spills over is below what is told."""
+    """At 0.6 Hz, and every 30 m: slower than what shakes by itself; what spills over is below what is reported."""
     for swing in (2.0 * np.pi * 0.6 * drive["t"], 2.0 * np.pi * way(drive) / 30.0):
         line = line_of(shaken(drive, "vx", swing, 1.0))
-        assert line is None or line.severity < 0.12
+        assert line is None or line.effect_to_noise < 0.12
 
 
 def test_too_short_to_tell(drive):

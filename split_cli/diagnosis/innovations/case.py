@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.common import CommonPhysics, build_common_physics
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy
 from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, graded_as
-from split_cli.diagnosis.innovations.judge import CommonKnowledge, learn_common
+from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, learn_discrepancy
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import Kinematics
 from split_cli.diagnosis.recording.series import Series
@@ -29,8 +29,8 @@ class Case:
     ----------
     vehicle : Vehicle
     real, holdout, simulated : tuple of Evidence
-    common : CommonPhysics
-    knowledge : CommonKnowledge or None
+    discrepancy : SharedDiscrepancy
+    posterior : DiscrepancyPosterior or None
         None where the nominal model is the simulation.
     keep, keep_holdout : tuple of ndarray of bool, shape (G,)
         Rows of each real and held-out recording that are compared.
@@ -43,8 +43,8 @@ class Case:
     vehicle: Vehicle
     real: tuple[Evidence, ...]
     holdout: tuple[Evidence, ...]
-    common: CommonPhysics
-    knowledge: CommonKnowledge | None
+    discrepancy: SharedDiscrepancy
+    posterior: DiscrepancyPosterior | None
     keep: tuple[np.ndarray, ...]
     kinematics: tuple[Kinematics | Witness, ...]
     simulated_kinematics: tuple[Kinematics | Witness, ...] = ()
@@ -55,20 +55,20 @@ class Case:
     def compared(self, reach: float, policy: Policy = STANDARD) -> Case:
         """Return the case with those real rows compared that are within `reach` of a simulated one."""
         keep, kept_out = (
-            tuple(comparable(one, self.simulated, self.common, reach, policy) for one in several)
+            tuple(comparable(one, self.simulated, self.discrepancy, reach, policy) for one in several)
             for several in (self.real, self.holdout)
         )
         return replace(self, keep=keep, keep_holdout=kept_out)
 
-    def common_rates(self, evidence: Evidence) -> np.ndarray:
+    def discrepancy_rates(self, evidence: Evidence) -> np.ndarray:
         """Return what the simulation knows beyond the nominal model along a recording, shape (N, 3)."""
-        if self.knowledge is None:
+        if self.posterior is None:
             return np.zeros_like(evidence.series.measured)
-        return self.common.rates(evidence.series, self.knowledge.weights)
+        return self.discrepancy.rates(evidence.series, self.posterior.weights)
 
 
 def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STANDARD) -> Case:
-    """Whiten every recording and learn the common physics.
+    """Whiten every recording and learn the shared discrepancy.
 
     Parameters
     ----------
@@ -78,15 +78,15 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     """
     rules = policy.believing
     by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
-    common = build_common_physics(vehicle, (by_role["sim"] or by_role["real"])[0])
-    simulated = together(lambda one: gather_evidence(vehicle, one, common, rules=rules), by_role["sim"])
+    discrepancy = build_shared_discrepancy(vehicle, (by_role["sim"] or by_role["real"])[0])
+    simulated = together(lambda one: gather_evidence(vehicle, one, discrepancy, rules=rules), by_role["sim"])
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
-    real = together(lambda one: gather_evidence(vehicle, one, common, least, rules), by_role["real"])
-    holdout = together(lambda one: gather_evidence(vehicle, one, common, least, rules), by_role["holdout"])
-    noise = np.median([one.series.told_noise for one in real], axis=0)
+    real = together(lambda one: gather_evidence(vehicle, one, discrepancy, least, rules), by_role["real"])
+    holdout = together(lambda one: gather_evidence(vehicle, one, discrepancy, least, rules), by_role["holdout"])
+    noise = np.median([one.series.stated_noise for one in real], axis=0)
     disturbance = np.max([one.disturbance for one in real], axis=0)
-    graded = [graded_as(one, noise, disturbance, common) for one in simulated]
-    knowledge = learn_common(graded, policy.comparison.inflation, rules) if graded else None
+    graded = [graded_as(one, noise, disturbance, discrepancy) for one in simulated]
+    posterior = learn_discrepancy(graded, policy.comparison.variance_inflation, rules) if graded else None
     theirs = [one for series in by_role["sim"] for one in build_witnesses(series)]
     habits = habits_of(theirs)
     kinematics = [one for series in by_role["real"] for one in build_witnesses(series, habits)]
@@ -94,7 +94,7 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
         # Where the simulation's recordings lack an instrument, nobody knows its habits.
         kinematics = [one for one in kinematics if one.kind in habits]
     case = Case(
-        vehicle, tuple(real), tuple(holdout), common, knowledge, (), tuple(kinematics), tuple(theirs),
+        vehicle, tuple(real), tuple(holdout), discrepancy, posterior, (), tuple(kinematics), tuple(theirs),
         tuple(simulated), graded=tuple(graded),
     )  # fmt: skip
     return case.compared(policy.comparison.reach, policy)

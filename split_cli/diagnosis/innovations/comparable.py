@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from split_cli.diagnosis.baseline.common import CommonPhysics, features
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 
@@ -23,7 +23,7 @@ _SMOOTHED_SECONDS = 0.2
 def comparable(
     one: Evidence,
     simulated: Sequence[Evidence],
-    common: CommonPhysics,
+    discrepancy: SharedDiscrepancy,
     reach: float,
     policy: Policy = STANDARD,
 ) -> np.ndarray:
@@ -34,7 +34,7 @@ def comparable(
     one : Evidence
     simulated : sequence of Evidence
         None, if the nominal model is the simulation; only rows of positive weight count.
-    common : CommonPhysics
+    discrepancy : SharedDiscrepancy
     reach : float
         How far a row may be from the nearest simulated one, in scaled features.
     policy : Policy
@@ -45,13 +45,13 @@ def comparable(
         return usable
 
     def asked(evidence: Evidence) -> np.ndarray:
-        return (features(evidence.series, evidence.vehicle)[evidence.at] - common.center) / common.width
+        return (features(evidence.series, evidence.vehicle)[evidence.at] - discrepancy.center) / discrepancy.width
 
     believed = [evidence.weight > 0.0 for evidence in simulated]
     there = np.concatenate([asked(evidence)[rows] for evidence, rows in zip(simulated, believed, strict=True)])
     moved = np.concatenate([_forces(evidence)[rows] for evidence, rows in zip(simulated, believed, strict=True)])
     scale = np.maximum(np.quantile(np.abs(moved), 0.995, axis=0), 1e-9)
-    scale[3] = common.width[3]
+    scale[3] = discrepancy.width[3]
     mine = _forces(one)
     # Nearer the tyres' limit the same motion may come of other slips, and a row nearby proves nothing.
     sure = _share_of_grip(mine, one) < policy.believing.motion_share

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener
 from split_cli.diagnosis.policy import STANDARD, Believing
 from split_cli.diagnosis.recording.series import Series, extended_model
@@ -35,8 +35,8 @@ class Evidence:
     whitener : Whitener
     plain : ndarray, shape (G, 3)
         Whitened rows against the nominal model.
-    common : ndarray, shape (G, 3, C)
-        Whitened columns of the common physics.
+    discrepancy : ndarray, shape (G, 3, C)
+        Whitened columns of the shared discrepancy.
     at : ndarray of int64, shape (G,)
         Sample in the middle of each row.
     disturbance : ndarray, shape (3,)
@@ -51,29 +51,29 @@ class Evidence:
     jacobian: np.ndarray
     whitener: Whitener
     plain: np.ndarray
-    common: np.ndarray
+    discrepancy: np.ndarray
     at: np.ndarray
     disturbance: np.ndarray
     weight: np.ndarray
     rolls: np.ndarray
 
-    def rows(self, terms: Sequence[Term], common_rates: np.ndarray | None = None) -> np.ndarray:
+    def rows(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
         """Return whitened rows, shape (G, 3), of what `left` returns."""
-        return self.whitener(self.left(terms, common_rates))
+        return self.whitener(self.left(terms, discrepancy_rates))
 
-    def left(self, terms: Sequence[Term], common_rates: np.ndarray | None = None) -> np.ndarray:
+    def left(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
         """Return the defects that the nominal model with `terms` leaves, shape (N - 1, 3); 0 over gaps.
 
         Parameters
         ----------
         terms : sequence of Term
-        common_rates : ndarray, shape (N, 3), optional
-            What common physics adds to the model's rates [m/s^2], [m/s^2], [rad/s^2].
+        discrepancy_rates : ndarray, shape (N, 3), optional
+            What the shared discrepancy adds to the model's rates [m/s^2], [m/s^2], [rad/s^2].
         """
         measured, smooth = self.series.corrected(terms)
         rates = self.series.rates(extended_model(self.vehicle, terms), smooth)
-        if common_rates is not None:
-            rates = rates + common_rates
+        if discrepancy_rates is not None:
+            rates = rates + discrepancy_rates
         plain = measured is self.series.measured and smooth is self.series.smooth
         moved = self._moved if plain else motion(self.series, self.jacobian, measured, smooth)
         return moved - integrated(self.series, rates)
@@ -107,17 +107,17 @@ def integrated(series: Series, columns: np.ndarray) -> np.ndarray:
 def gather_evidence(
     vehicle: Vehicle,
     series: Series,
-    common: CommonPhysics,
+    discrepancy: SharedDiscrepancy,
     least_disturbance: np.ndarray | None = None,
     rules: Believing = STANDARD.believing,
 ) -> Evidence:
-    """Whiten a recording, with the strength of nameless disturbances found by maximum likelihood.
+    """Whiten a recording, with the strength of unnamed disturbances found by maximum likelihood.
 
     Parameters
     ----------
     vehicle : Vehicle
     series : Series
-    common : CommonPhysics
+    discrepancy : SharedDiscrepancy
     least_disturbance : ndarray, shape (3,), optional
         Found on another recording of the same kind; never less is assumed.
     rules : Believing
@@ -128,7 +128,7 @@ def gather_evidence(
     )
     rates = series.rates(extended_model(vehicle))
     plain = motion(series, jacobian, series.measured, series.smooth) - integrated(series, rates)
-    columns = integrated(series, common.columns(series))
+    columns = integrated(series, discrepancy.columns(series))
     group, at = _row_groups(series)
     rolls = rolling(series, vehicle, rules)
     begins = _begins_anew(series, rolls)
@@ -136,19 +136,21 @@ def gather_evidence(
     kept[group[(group >= 0) & ~rolls[:-1]]] = False
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
     for _ in range(2):
-        whitener = build_whitener(jacobian, series.period, series.told_noise, disturbance, begins, group)
-        w = _common_weights(whitener(plain), whitener(columns), kept)
+        whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
+        w = _discrepancy_weights(whitener(plain), whitener(columns), kept)
         disturbance = _likely_disturbance(series, jacobian, plain - columns @ w, begins, rolls, disturbance)
         if least_disturbance is not None:
             disturbance = np.maximum(disturbance, least_disturbance)
-    whitener = build_whitener(jacobian, series.period, series.told_noise, disturbance, begins, group)
+    whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
     u, phi = whitener(plain), whitener(columns)
-    left = u - phi @ _common_weights(u, phi, kept)
+    left = u - phi @ _discrepancy_weights(u, phi, kept)
     weight = _robust_weight(left, rules.huber) * kept
     return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls)
 
 
-def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common: CommonPhysics) -> Evidence:
+def graded_as(
+    one: Evidence, noise: np.ndarray, disturbance: np.ndarray, discrepancy: SharedDiscrepancy
+) -> Evidence:
     """Whiten a recording as if it had at least this noise and disturbance, shape (3,) each.
 
     A simulation without noise would otherwise be believed to the last digit, and weighed by other frequencies than
@@ -158,13 +160,13 @@ def graded_as(one: Evidence, noise: np.ndarray, disturbance: np.ndarray, common:
     whitener = build_whitener(
         one.jacobian,
         series.period,
-        np.maximum(series.told_noise, noise),
+        np.maximum(series.stated_noise, noise),
         np.maximum(one.disturbance, disturbance),
         one.whitener.begins,
         one.whitener.group,
     )
-    columns = whitener(integrated(series, common.columns(series)))
-    return replace(one, whitener=whitener, plain=whitener(one.left(())), common=columns)
+    columns = whitener(integrated(series, discrepancy.columns(series)))
+    return replace(one, whitener=whitener, plain=whitener(one.left(())), discrepancy=columns)
 
 
 def rolling(series: Series, vehicle: Vehicle, rules: Believing = STANDARD.believing) -> np.ndarray:
@@ -209,7 +211,7 @@ def _begins_anew(series: Series, rolls: np.ndarray) -> np.ndarray:
     return series.transitions_begin() | again
 
 
-def _common_weights(rows: np.ndarray, columns: np.ndarray, kept: np.ndarray) -> np.ndarray:
+def _discrepancy_weights(rows: np.ndarray, columns: np.ndarray, kept: np.ndarray) -> np.ndarray:
     return ridge(columns[kept].reshape(-1, columns.shape[2]), rows[kept].reshape(-1))
 
 
@@ -251,7 +253,7 @@ def _likely_disturbance(series, jacobian, defect, begins, rolls, start) -> np.nd
     found = np.log10(np.asarray(start, dtype=float))
 
     def cost(logs: np.ndarray) -> float:
-        whitener = build_whitener(jacobian, series.period, series.told_noise, 10.0**logs, begins, every)
+        whitener = build_whitener(jacobian, series.period, series.stated_noise, 10.0**logs, begins, every)
         return whitener.cost(clipped)
 
     least = cost(found)

@@ -31,12 +31,12 @@ def damped(rows: np.ndarray, basis: np.ndarray, root: np.ndarray) -> np.ndarray:
     if columns.shape[1] > _FEW:
         return rows - basis @ (root[:, None] * (basis.T @ columns))
     columns = np.ascontiguousarray(columns, dtype=float)
-    out = _taken_off(columns, basis, _told(columns, basis) * root)
+    out = _taken_off(columns, basis, _projected(columns, basis) * root)
     return out[:, 0] if flat else out
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _told(columns, basis):
+def _projected(columns, basis):
     """Return x^T V, shape (P, C)."""
     size, directions = basis.shape
     out = np.zeros((columns.shape[1], directions))

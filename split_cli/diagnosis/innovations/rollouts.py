@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence
-from split_cli.diagnosis.innovations.judge import CommonKnowledge
+from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior
 from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.learning.features import Z2, FeatureSet
 from split_cli.learning.region import Grid
@@ -19,7 +19,15 @@ from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, roll
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import phi_matrix
 
-__all__ = ["HORIZONS", "Rest", "RolloutErrors", "SharedRates", "Stage", "roll_out_stages", "shared_rates"]
+__all__ = [
+    "HORIZONS",
+    "LearnedCorrection",
+    "RolloutErrors",
+    "SharedRates",
+    "Stage",
+    "roll_out_stages",
+    "shared_rates",
+]
 
 HORIZONS = (0.5, 1.0, 2.0)  # [s]
 _STEP_SECONDS = 0.05
@@ -71,7 +79,10 @@ class SharedRates:
 
 
 def shared_rates(
-    series: Series, common: CommonPhysics, knowledge: CommonKnowledge | None, terms: Sequence[Term] = ()
+    series: Series,
+    discrepancy: SharedDiscrepancy,
+    posterior: DiscrepancyPosterior | None,
+    terms: Sequence[Term] = (),
 ) -> SharedRates | None:
     """Return what the simulation knows along a recording, with what `terms` do to inputs and sensors.
 
@@ -81,16 +92,16 @@ def shared_rates(
     nominal model returns from there by itself, and a slope is taken only as far as it leaves that so: see
     `_that_returns`.
     """
-    if knowledge is None:
+    if posterior is None:
         return None
-    base = common.rates(series, knowledge.weights, terms)
+    base = discrepancy.rates(series, posterior.weights, terms)
     slope = np.empty((*base.shape, 3))
     for k in range(3):
         step = 1e-3 * max(float(np.std(series.smooth[:, k])), 1e-6)
         moved = replace(series, smooth=series.smooth + step * np.eye(3)[k])
-        slope[:, :, k] = (common.rates(moved, knowledge.weights, terms) - base) / step
+        slope[:, :, k] = (discrepancy.rates(moved, posterior.weights, terms) - base) / step
     around = series.corrected(terms)[1]
-    jacobian = extended_model(common.vehicle).velocity_jacobian(
+    jacobian = extended_model(discrepancy.vehicle).velocity_jacobian(
         *around.T, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s
     )
     return SharedRates(base, _that_returns(slope, jacobian), around)
@@ -139,7 +150,7 @@ class RolloutErrors:
 
 
 @dataclass(frozen=True)
-class Rest:
+class LearnedCorrection:
     """What SPLIT learned of a model's errors.
 
     Attributes
@@ -173,7 +184,7 @@ class Stage:
 
     terms: tuple[Term, ...]
     shared: SharedRates | None
-    rest: Rest | None = None
+    correction: LearnedCorrection | None = None
 
 
 def roll_out_stages(
@@ -224,8 +235,8 @@ def roll_out_stages(
     for name, stage in stages.items():
         drive = _drive(series, stage.terms)
         model = extended_model(evidence.vehicle, stage.terms)
-        correction = _correction(stage, z, drive, window)
-        path = roll_out(model, drive, starts, steps[-1], window, correction)
+        added = _added(stage, z, drive, window)
+        path = roll_out(model, drive, starts, steps[-1], window, added)
         squared[name] = _squared(path[:, at], drive, starts, window, at)
     held_still = hold_velocity(plain, starts, steps[-1], window)
     squared["persistence"] = _squared(held_still[:, at], plain, starts, window, at)
@@ -246,8 +257,8 @@ def _drive(series: Series, terms: Sequence[Term]) -> Drive:
     return Drive(series.name, columns, series.drive.segment, series.period, between)
 
 
-def _correction(stage: Stage, z: np.ndarray, drive: Drive, window: int) -> Correction | None:
-    if stage.shared is None and stage.rest is None:
+def _added(stage: Stage, z: np.ndarray, drive: Drive, window: int) -> Correction | None:
+    if stage.shared is None and stage.correction is None:
         return None
     shared = None if stage.shared is None else stage.shared.ahead(window)
     count = len(Z2.names)
@@ -256,7 +267,7 @@ def _correction(stage: Stage, z: np.ndarray, drive: Drive, window: int) -> Corre
 
     def residual(at: np.ndarray) -> np.ndarray:
         rows = np.rint(at[:, -1]).astype(np.int64)
-        out = np.zeros((len(at), 3)) if stage.rest is None else stage.rest.at(at[:, :count], rows)
+        out = np.zeros((len(at), 3)) if stage.correction is None else stage.correction.at(at[:, :count], rows)
         if shared is not None:
             out = out + shared.at(rows, at[:, count : count + 3])
         return out

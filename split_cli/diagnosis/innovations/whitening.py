@@ -116,7 +116,7 @@ def _gains(carry, onward, R, Q, begins):
     root = np.zeros((n, 3, 3))
     S = R.copy()
     log_determinant = 0.0
-    PR, NS, E, L, told = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
+    PR, NS, E, L, scaled = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
     for k in range(n):
         if begins[k]:
             S[:] = R
@@ -149,13 +149,13 @@ def _gains(carry, onward, R, Q, begins):
                     total -= L[i, m] * inverse[m, j]
                 inverse[i, j] = total / L[i, i]
         # K = (P R)^T E^-1, and E^-1 = L^-T L^-1.
-        _product(inverse, PR, told)
+        _product(inverse, PR, scaled)
         K = gain[k]
         for i in range(3):
             for j in range(3):
                 K[i, j] = 0.0
                 for m in range(3):
-                    K[i, j] += told[m, i] * inverse[m, j]
+                    K[i, j] += scaled[m, i] * inverse[m, j]
         for i in range(3):
             for j in range(3):
                 S[i, j] = R[i, j]

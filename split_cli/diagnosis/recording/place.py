@@ -18,7 +18,7 @@ _FULL_SIZE_WHEELBASE = 2.7
 
 @dataclass(frozen=True)
 class TrackReference:
-    """The path places are told on.
+    """The path on which places are given.
 
     Attributes
     ----------

@@ -75,8 +75,8 @@ def cleaned(drive: Drive, rules: Screening = STANDARD.screening) -> tuple[Drive,
     moving = ~np.any([rows for name, rows in stuck.items() if np.ptp(drive[name]) > 0.0] or [[False]], axis=0)
     if not moving.all():
         drive = drive.select(np.broadcast_to(moving, (len(drive),)))
-    drive, told = _with_sound_position(drive, rules)
-    return drive, (*notes, *told)
+    drive, repaired = _with_sound_position(drive, rules)
+    return drive, (*notes, *repaired)
 
 
 def clean_drives(

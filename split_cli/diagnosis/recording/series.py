@@ -73,7 +73,7 @@ class Series:
         return self.recording.period
 
     @property
-    def told_noise(self) -> np.ndarray:
+    def stated_noise(self) -> np.ndarray:
         """Noise of v_x, v_y, r, shape (3,); v_x tells nothing where torque was derived from it."""
         return self.noise * np.array([_WORTHLESS if torque_is_derived(self.drive) else 1.0, 1.0, 1.0])
 

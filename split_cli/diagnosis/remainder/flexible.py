@@ -7,9 +7,9 @@ from itertools import product
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.common import CommonPhysics, scaled_features
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, scaled_features
+from split_cli.diagnosis.innovations.effect_to_noise import windowed
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
-from split_cli.diagnosis.innovations.severity import windowed
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects.recording import first_order_response
@@ -39,11 +39,11 @@ class FlexibleRows:
     groups: tuple[str, ...]
 
 
-def flexible_rows(one: Evidence, common: CommonPhysics) -> FlexibleRows:
+def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy) -> FlexibleRows:
     """Return the functions' rows; group by group, since the rates of all of them fill memory."""
     series, vehicle = one.series, one.vehicle
     groups = {
-        "operating point": lambda: common.columns(series),
+        "operating point": lambda: discrepancy.columns(series),
         "left against right": lambda: _asymmetric(series, vehicle),
         "memory": lambda: _memory(series, vehicle),
         "time": lambda: _time(series, vehicle),

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.common import features
+from split_cli.diagnosis.baseline.discrepancy import features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Reporting
 from split_cli.diagnosis.statement.result import GapSeries, Location, Place
@@ -21,15 +21,15 @@ _FOLDS = 5
 FORCES = ("longitudinal", "front_lateral", "rear_lateral")
 
 
-def gap_forces(evidence: Evidence, terms: Sequence[Term], common_rates: np.ndarray) -> np.ndarray:
+def gap_forces(evidence: Evidence, terms: Sequence[Term], discrepancy_rates: np.ndarray) -> np.ndarray:
     """Return the gap as forces [N], shape (N, 3), averaged over about 0.2 s.
 
     Notes
     -----
-    Rates left by model, terms and common physics, through the inverse of the invariant force matrix.
+    Rates left by model, terms and the shared discrepancy, through the inverse of the invariant force matrix.
     """
     series = evidence.series
-    left = evidence.left(terms, common_rates) / series.period
+    left = evidence.left(terms, discrepancy_rates) / series.period
     left = np.concatenate([left, left[-1:]])
     width = max(1, int(round(_AVERAGE_SECONDS / series.period)))
     total = np.cumsum(np.concatenate([np.zeros((1, 3)), left]), axis=0)
@@ -87,7 +87,8 @@ def locate(
     block = np.concatenate([_blocks(one, at, k) for k, (one, at) in enumerate(zip(evidence, rows, strict=True))])
     variance = [force_noise(one, at) for one, at in zip(evidence, rows, strict=True)]
     noise = np.average(variance, axis=0, weights=[len(at) for at in rows])
-    # A gap without a pattern in the common physics passes for a disturbance; what the findings leave bounds it.
+    # A gap without a pattern in the shared discrepancy passes for a disturbance; what the findings leave bounds
+    # it.
     left = np.concatenate([force[at] for force, at in zip(after, rows, strict=True)])
     mean_square = np.mean(gap**2, axis=0)
     noise = np.maximum(np.minimum(noise, np.mean(left**2, axis=0)), 1e-9 * mean_square + 1e-18)
@@ -123,7 +124,7 @@ def locate(
 
 
 def force_noise(evidence: Evidence, at: np.ndarray) -> np.ndarray:
-    """Return the variance of gap forces [N^2], shape (3,), that sensor noise and nameless disturbances make.
+    """Return the variance of gap forces [N^2], shape (3,), that sensor noise and unnamed disturbances make.
 
     Notes
     -----

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
+from split_cli.diagnosis.innovations.effect_to_noise import effect_to_noise
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
-from split_cli.diagnosis.innovations.judge import Judge
-from split_cli.diagnosis.innovations.severity import severity
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import Unnamed
 from split_cli.vehicle.effects import Term
 
@@ -38,7 +38,7 @@ class Line:
         v_x, v_y or r.
     amplitude : float
         Of its rate, [m/s^2] or [rad/s^2].
-    severity : float
+    effect_to_noise : float
         Root mean square of its 0.05 s prediction error over that of sensor noise, in the worst channel.
     p_value : float
         Of a line as strong as this in noise, all frequencies and channels counted.
@@ -48,7 +48,7 @@ class Line:
     frequency: float
     channel: str
     amplitude: float
-    severity: float
+    effect_to_noise: float
     p_value: float
 
     def like(self, other: Line) -> float:
@@ -64,12 +64,14 @@ class Line:
         return f"{self.channel}' swings by {self.amplitude:.2g} {unit}, {often}"
 
 
-def strongest_line(judge: Judge, terms: Sequence[Term], simulated: Sequence[Evidence] = ()) -> Line | None:
+def strongest_line(
+    objective: MarginalLikelihood, terms: Sequence[Term], simulated: Sequence[Evidence] = ()
+) -> Line | None:
     """Return the most significant line that terms leave in the real recordings, and simulations do not show.
 
     Parameters
     ----------
-    judge : Judge
+    objective : MarginalLikelihood
     terms : sequence of Term
     simulated : sequence of Evidence
 
@@ -78,22 +80,24 @@ def strongest_line(judge: Judge, terms: Sequence[Term], simulated: Sequence[Evid
     Periodograms of whitened samples over their running median: a ratio above x ln 2 has probability exp(-x) in
     noise of any smooth spectrum (Brockwell and Davis, 1991, section 10.2).
     """
-    rules = judge.policy.unnamed
-    lines = [line for one in judge.evidence for line in _lines(one, _left(judge, one, terms), rules)]
+    rules = objective.policy.unnamed
+    lines = [line for one in objective.evidence for line in _lines(one, _left(objective, one, terms), rules)]
     lines = [line for line in lines if line.p_value < rules.line_level]
     # A simulation that has lines of its own is a recording: another line of their size is no difference.
-    own = [line for one in simulated for line in _lines(one, _left(judge, one, ()), rules)] if lines else []
+    own = [line for one in simulated for line in _lines(one, _left(objective, one, ()), rules)] if lines else []
     lines = [line for line in lines if line.amplitude > rules.line_margin * max(map(line.like, own), default=0.0)]
     for line in sorted(lines, key=lambda line: line.p_value):
-        if not any(_shows(judge, one, line) for one in simulated):
+        if not any(_shows(objective, one, line) for one in simulated):
             return line
     return None
 
 
-def _left(judge: Judge, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
-    """Return the defects that terms and common physics leave, shape (N - 1, 3); 0 where wheels spin or lock."""
-    known = judge.knowledge
-    left = one.left(terms, None if known is None else judge.common.rates(one.series, known.weights, terms))
+def _left(objective: MarginalLikelihood, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
+    """Return the defects that terms and discrepancy leave, shape (N - 1, 3); 0 where wheels spin or lock."""
+    known = objective.posterior
+    left = one.left(
+        terms, None if known is None else objective.discrepancy.rates(one.series, known.weights, terms)
+    )
     left[~one.rolls[1:]] = 0.0
     return left
 
@@ -145,7 +149,7 @@ def _fast_enough(one: Evidence, over: str, frequency: np.ndarray, rules: Unnamed
 def _size(
     one: Evidence, left: np.ndarray, clock: np.ndarray, frequency: float, channel: int
 ) -> tuple[float, float]:
-    """Return the amplitude of a line's rate and its severity, by whitened least squares."""
+    """Return the amplitude of a line's rate and its effect-to-noise ratio, by whitened least squares."""
     angle = 2.0 * np.pi * frequency * np.append(clock, clock[-1])
     rates = np.zeros((len(angle), 3, 2))
     rates[:, channel, 0], rates[:, channel, 1] = np.sin(angle), np.cos(angle)
@@ -153,14 +157,15 @@ def _size(
     whiten = one.whitener.of_every_sample()
     offered = whiten(columns).reshape(-1, 2)
     weights = np.linalg.lstsq(offered, whiten(left).reshape(-1), rcond=None)[0]
-    return float(np.hypot(*weights)), severity(one.series, columns @ weights)
+    return float(np.hypot(*weights)), effect_to_noise(one.series, columns @ weights)
 
 
-def _shows(judge: Judge, one: Evidence, line: Line) -> bool:
+def _shows(objective: MarginalLikelihood, one: Evidence, line: Line) -> bool:
     """Return whether a simulation shows a line there too."""
-    left, clock = _left(judge, one, ()), _clock(one, line.over)
+    left, clock = _left(objective, one, ()), _clock(one, line.over)
     channel = _CHANNELS.index(line.channel)
     nearby = line.frequency * np.linspace(0.98, 1.02, 9)
     return (
-        max(_size(one, left, clock, f, channel)[0] for f in nearby) > judge.policy.unnamed.shared * line.amplitude
+        max(_size(one, left, clock, f, channel)[0] for f in nearby)
+        > objective.policy.unnamed.shared * line.amplitude
     )

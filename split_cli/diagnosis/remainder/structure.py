@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise, rms_over_noise
 from split_cli.diagnosis.innovations.evidence import integrated
-from split_cli.diagnosis.innovations.judge import Judge
-from split_cli.diagnosis.innovations.severity import rms_over_noise, severities
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.remainder.flexible import FlexibleRows
 
@@ -21,7 +21,7 @@ __all__ = [
     "FlexibleFit",
     "Structure",
     "build_structure",
-    "common_severities",
+    "discrepancy_to_noise",
     "minimum_effect_p",
     "term_allowances",
 ]
@@ -31,7 +31,7 @@ _RIDGE_SHARE = 2e-3
 
 @dataclass(frozen=True)
 class FlexibleFit:
-    """What a flexible fit makes of entries.
+    """What a flexible fit makes of whitened residuals.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class FlexibleFit:
         Cost it saves.
     freedom : float
         Effective number of parameters.
-    severity : float
+    effect_to_noise : float
         Root mean square of its 0.05 s prediction error over that of sensor noise, in the worst channel.
     p_value : float
         Of the hypothesis that the difference does not exceed the allowance.
@@ -49,61 +49,65 @@ class FlexibleFit:
 
     saved: float
     freedom: float
-    severity: float
+    effect_to_noise: float
     p_value: float
     group_saved: tuple[tuple[str, float], ...]
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Whitened columns of the flexible fit on a judge's rows.
+    """Whitened columns of the flexible fit on an objective's rows.
 
     Attributes
     ----------
-    judge : Judge
+    objective : MarginalLikelihood
     columns : ndarray, shape (R, Q)
-        Whitened, the common physics' part that is still free taken out.
+        Whitened, the shared discrepancy's part that is still free taken out.
     windows : tuple of ndarray, shape (G, 3, Q)
         What each function adds over 0.05 s about each compared row of each recording.
     groups : tuple of str
         Group of each column.
     """
 
-    judge: Judge
+    objective: MarginalLikelihood
     columns: np.ndarray
     windows: tuple[np.ndarray, ...]
     groups: tuple[str, ...]
     factor: np.ndarray
 
-    def fit(self, entries: np.ndarray, inflation: float) -> FlexibleFit:
-        """Fit whitened entries, shape (R,)."""
-        score = self.columns.T @ entries
+    def fit(self, residuals: np.ndarray, variance_inflation: float) -> FlexibleFit:
+        """Fit whitened residuals, shape (R,)."""
+        score = self.columns.T @ residuals
         weights = np.linalg.solve(self.factor, np.linalg.solve(self.factor.T, score))
         saved = float(score @ weights)
         inverse = np.linalg.inv(self.factor)
-        freedom = float(len(score) - _RIDGE_SHARE * len(entries) * np.sum(inverse**2))
+        freedom = float(len(score) - _RIDGE_SHARE * len(residuals) * np.sum(inverse**2))
         size = max(
             float(rms_over_noise(one.series, part @ weights).max())
-            for one, part in zip(self.judge.evidence, self.windows, strict=True)
+            for one, part in zip(self.objective.evidence, self.windows, strict=True)
         )
         # The size is overestimated by what the fit makes of noise.
-        size *= np.sqrt(max(1.0 - inflation * freedom / max(saved, 1e-9), 0.0))
+        size *= np.sqrt(max(1.0 - variance_inflation * freedom / max(saved, 1e-9), 0.0))
         floor = self.allowed(freedom)
-        p = minimum_effect_p(saved, freedom, size, inflation, floor, self.judge.policy.allowances.nameless)
+        p = minimum_effect_p(
+            saved, freedom, size, variance_inflation, floor, self.objective.policy.allowances.unnamed
+        )
         return FlexibleFit(saved, freedom, float(size), p, self._by_group(score))
 
     def allowed(self, freedom: float) -> float:
-        """Return the saving that a dictionary's misfit may bring with so many parameters."""
-        if self.judge.knowledge is None:
+        """Return the saving that a dictionary's model-form error may bring with so many parameters."""
+        if self.objective.posterior is None:
             return 0.0
-        allowances = self.judge.policy.allowances
-        misfit = allowances.misfit_a_parameter * freedom + allowances.structure_floor * self.judge.shared_cost
-        return max(misfit, self.judge.nameless_floor)
+        allowances = self.objective.policy.allowances
+        form_error = (
+            allowances.form_error_a_parameter * freedom + allowances.structure_floor * self.objective.shared_cost
+        )
+        return max(form_error, self.objective.unnamed_floor)
 
-    def nameless_share(self, left: FlexibleFit, named: float, inflation: float) -> float:
+    def unnamed_share(self, left: FlexibleFit, named: float, variance_inflation: float) -> float:
         """Return which share of a gap has no name, where names save a cost of `named` and `left` fits the rest."""
-        nameless = max(left.saved - inflation * left.freedom - self.allowed(left.freedom), 0.0)
-        return nameless / max(nameless + named, 1e-9)
+        unnamed = max(left.saved - variance_inflation * left.freedom - self.allowed(left.freedom), 0.0)
+        return unnamed / max(unnamed + named, 1e-9)
 
     def _by_group(self, score: np.ndarray) -> tuple[tuple[str, float], ...]:
         out = []
@@ -115,50 +119,50 @@ class Structure:
         return tuple(sorted(out, key=lambda pair: -pair[1]))
 
 
-def build_structure(judge: Judge, rows: Sequence[FlexibleRows]) -> Structure:
-    """Set up the flexible fit on a judge's rows, from the functions' rows of every recording."""
-    columns = judge.whiten(judge.stack([one.whitened for one in rows]))
+def build_structure(objective: MarginalLikelihood, rows: Sequence[FlexibleRows]) -> Structure:
+    """Set up the flexible fit on an objective's rows, from the functions' rows of every recording."""
+    columns = objective.whiten(objective.stack([one.whitened for one in rows]))
     scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-12
     # A ridge: sums of nearly collinear columns hold little beside the noise of the smoothed states, which is also
-    # in the entries and would look like structure.
+    # in the residuals and would look like structure.
     scale = np.where(scale > 1e-9, scale, np.inf)
     columns /= scale
     penalty = _RIDGE_SHARE * len(columns)
     factor = np.linalg.cholesky(columns.T @ columns + penalty * np.eye(columns.shape[1])).T
-    windows = tuple(one.windows[mask] / scale for one, mask in zip(rows, judge.keep, strict=True))
-    return Structure(judge, columns, windows, rows[0].groups, factor)
+    windows = tuple(one.windows[mask] / scale for one, mask in zip(rows, objective.keep, strict=True))
+    return Structure(objective, columns, windows, rows[0].groups, factor)
 
 
-def common_severities(judge: Judge) -> np.ndarray:
-    """Return the severities of the common physics on the compared rows, of v_x, v_y and r, shape (3,)."""
-    if judge.knowledge is None:
+def discrepancy_to_noise(objective: MarginalLikelihood) -> np.ndarray:
+    """Return the shared discrepancy's effect-to-noise ratios in v_x, v_y, r on the compared rows, (3,)."""
+    if objective.posterior is None:
         return np.zeros(3)
-    if "common severities" not in judge.memo:
+    if "discrepancy to noise" not in objective.memo:
         sizes = [
-            severities(
+            effects_to_noise(
                 one.series,
-                integrated(one.series, judge.common.rates(one.series, judge.knowledge.weights)),
+                integrated(one.series, objective.discrepancy.rates(one.series, objective.posterior.weights)),
                 one.at[mask],
             )
-            for one, mask in zip(judge.evidence, judge.keep, strict=True)
+            for one, mask in zip(objective.evidence, objective.keep, strict=True)
         ]
-        judge.memo["common severities"] = np.max(sizes, axis=0)
-    return judge.memo["common severities"]
+        objective.memo["discrepancy to noise"] = np.max(sizes, axis=0)
+    return objective.memo["discrepancy to noise"]
 
 
-def term_allowances(judge: Judge) -> np.ndarray:
-    """Return the severities in v_x, v_y and r below which a term is not named, shape (3,)."""
-    allowances = judge.policy.allowances
-    if judge.knowledge is None:
+def term_allowances(objective: MarginalLikelihood) -> np.ndarray:
+    """Return the effect-to-noise ratios in v_x, v_y and r below which a term is not named, shape (3,)."""
+    allowances = objective.policy.allowances
+    if objective.posterior is None:
         return np.full(3, allowances.bare)
-    return np.maximum(allowances.term, allowances.common_share * common_severities(judge))
+    return np.maximum(allowances.term, allowances.discrepancy_share * discrepancy_to_noise(objective))
 
 
 def minimum_effect_p(
     saved: float,
     freedom: float,
     size: float,
-    inflation: float,
+    variance_inflation: float,
     floor: float = 0.0,
     allowance: float = STANDARD.allowances.term,
 ) -> float:
@@ -171,25 +175,25 @@ def minimum_effect_p(
     freedom : float
         Parameters that saved it.
     size : float
-        Severity of the fitted effect.
-    inflation : float
+        Effect-to-noise ratio of the fitted effect.
+    variance_inflation : float
     floor : float
         Saving that is allowed whatever the size.
     allowance : float
-        Severity that is allowed.
+        Effect-to-noise ratio that is allowed.
 
     Notes
     -----
-    A test against a minimum effect (Murphy and Myors, 1999): under the null the saved cost over the inflation is
-    non-central chi squared with the saving that an effect of the allowed size would bring.
+    A test against a minimum effect (Murphy and Myors, 1999): under the null the saved cost over the variance
+    inflation is non-central chi squared with the saving that an effect of the allowed size would bring.
     """
     from scipy.stats import ncx2
 
     if saved <= 0.0 or size <= 0.0:
         return 1.0
-    ratio = saved / inflation
+    ratio = saved / variance_inflation
     allowed = max(ratio - freedom, 0.0) * min(allowance / size, 1.0) ** 2
-    noncentrality = max(allowed, floor / inflation)
+    noncentrality = max(allowed, floor / variance_inflation)
     try:
         chance = ncx2.sf(ratio, max(freedom, 1.0), noncentrality)
     except OverflowError:  # far out on either side the series' terms are beyond any number

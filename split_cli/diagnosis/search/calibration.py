@@ -13,16 +13,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence
-from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge, build_judge, learn_common
+from split_cli.diagnosis.innovations.objective import (
+    DiscrepancyPosterior,
+    MarginalLikelihood,
+    build_objective,
+    learn_discrepancy,
+)
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import Kinematics
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
+from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
 from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
-from split_cli.diagnosis.remainder.wander import wander_of
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
@@ -43,41 +48,42 @@ class SelfTest:
         Rows that were judged; 0 where the halves have not been in the same places, and nothing is known.
     ratio : float
         Cost that a flexible fit saves, noise included, over its freedom; about 1 when nothing is there.
-    nameless : float
+    unnamed : float
         Cost that a flexible fit saves.
     terms : mapping of str to float
         Cost that each term saves alone, in its best variant, start and place.
-    wander : float
-        How much rows vary together, see `wander`.
+    autocorrelation : float
+        How much rows vary together, see `residual_autocorrelation`.
     """
 
     rows: int = 0
     ratio: float = 1.0
-    nameless: float = 0.0
+    unnamed: float = 0.0
     terms: Mapping[str, float] = field(default_factory=dict)
-    wander: float = 1.0
+    autocorrelation: float = 1.0
 
-    def allow(self, judge: Judge) -> Judge:
-        """Return a judge that forgives as much, with a margin.
+    def allow(self, objective: MarginalLikelihood) -> MarginalLikelihood:
+        """Return an objective that forgives as much, with a margin.
 
-        A misfit saves in proportion to the rows, what wanders saves no more of more rows; the root lies between.
+        A model-form error saves in proportion to the rows, autocorrelated residuals save no more of more rows;
+        the root lies between.
         """
         if not self.rows:
-            return judge
-        rules = judge.policy.self_test
-        rows = sum(int(mask.sum()) for mask in judge.keep)
+            return objective
+        rules = objective.policy.self_test
+        rows = sum(int(mask.sum()) for mask in objective.keep)
         scale = float(np.sqrt(max(rows / self.rows, 1.0)))
         most = max(self.terms.values(), default=0.0)
         return replace(
-            judge,
-            nameless_floor=rules.nameless_margin * scale * self.nameless,
+            objective,
+            unnamed_floor=rules.unnamed_margin * scale * self.unnamed,
             term_floors={
                 term: rules.term_margin * scale * max(saved, rules.kindred * most)
                 for term, saved in self.terms.items()
             },
         )
 
-    def misfit_of(self, gap: FlexibleFit, policy: Policy = STANDARD) -> float:
+    def form_error_inflation_of(self, gap: FlexibleFit, policy: Policy = STANDARD) -> float:
         """Return the variance inflation factor by model-form error: that between the halves, within limits.
 
         It is no more than reality itself shows, whose difference may hold model-form error and nothing else.
@@ -87,13 +93,13 @@ class SelfTest:
 
 def self_test(
     graded: Sequence[Evidence],
-    common: CommonPhysics,
+    discrepancy: SharedDiscrepancy,
     candidates: Sequence[Candidate],
     kinematics: Sequence[Kinematics | Witness] = (),
     *,
-    inflation: float,
+    variance_inflation: float,
     reach: float,
-    knowledge: CommonKnowledge | None = None,
+    posterior: DiscrepancyPosterior | None = None,
     policy: Policy = STANDARD,
 ) -> SelfTest:
     """Judge each half of a simulation by the other.
@@ -102,15 +108,15 @@ def self_test(
     ----------
     graded : sequence of Evidence
         The simulation with the noise and disturbance of the real recordings, see `graded_as`.
-    common : CommonPhysics
+    discrepancy : SharedDiscrepancy
     candidates : sequence of Candidate
         Terms that reality will be searched for.
     kinematics : sequence of Kinematics or Witness
         Of the real recordings; nothing but their noise is taken.
-    inflation, reach : float
+    variance_inflation, reach : float
         As for reality.
-    knowledge : CommonKnowledge, optional
-        Of the whole simulation: then halves are believed to the letter.
+    posterior : DiscrepancyPosterior, optional
+        Of the whole simulation: then halves are taken as a fixed baseline.
     policy : Policy
 
     Notes
@@ -128,13 +134,17 @@ def self_test(
         if one.kind in scales
     )
     all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
-    judge = build_judge(graded, knowledge, common, all_rows, [one for _, one in positions], policy=policy)
-    offers = _offers(judge.believed_to_the_letter() if knowledge else judge, candidates)
-    rows = tuple(flexible_rows(one, common) for one in graded)
-    sides = _Sides(tuple(graded), positions, rows, common, inflation, reach, knowledge is not None, policy)
+    objective = build_objective(
+        graded, posterior, discrepancy, all_rows, [one for _, one in positions], policy=policy
+    )
+    offers = _offers(objective.with_fixed_baseline() if posterior else objective, candidates)
+    rows = tuple(flexible_rows(one, discrepancy) for one in graded)
+    sides = _Sides(
+        tuple(graded), positions, rows, discrepancy, variance_inflation, reach, posterior is not None, policy
+    )
     first = _first_half(graded)
     halves = [[mask ^ turned for mask in first] for turned in (False, True)]
-    tests = together(lambda teaching: _judge_half(sides, teaching, offers), halves)
+    tests = together(lambda teaching: _test_half(sides, teaching, offers), halves)
     tests = [test for test in tests if test is not None]
     if not tests:
         return SelfTest()
@@ -142,9 +152,9 @@ def self_test(
     return SelfTest(
         max(test.rows for test in tests),
         max(test.ratio for test in tests),
-        max(test.nameless for test in tests),
+        max(test.unnamed for test in tests),
         {term: max(test.terms[term] for test in tests) for term in names},
-        max(test.wander for test in tests),
+        max(test.autocorrelation for test in tests),
     )
 
 
@@ -165,21 +175,23 @@ class _Offer:
     located: str
 
 
-def _offers(judge: Judge, candidates: Sequence[Candidate]) -> list[_Offer]:
+def _offers(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> list[_Offer]:
     """Linearise every candidate about its starts; one with a place about its being everywhere."""
-    base = judge.residual(())
+    base = objective.residual(())
 
     def offered(candidate: Candidate) -> list[_Offer]:
         if candidate.located:
             whole, _ = candidate.everywhere()
-            return [_Offer(candidate.term, (judge.left_by((whole,)) - base)[:, None], candidate.located)]
+            return [_Offer(candidate.term, (objective.left_by((whole,)) - base)[:, None], candidate.located)]
         neutral = {name: CATALOGUE[candidate.term].neutral.get(name) for name in candidate.ranges}
         out = []
         for start in candidate.starts:
             shape = {name: value for name, value in start.items() if neutral[name] is None}
             sizes = [name for name in start if neutral[name] is not None]
             columns = [
-                judge.left_by((candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),))
+                objective.left_by(
+                    (candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),)
+                )
                 - base
                 for name in sizes
             ]
@@ -196,10 +208,10 @@ class _Sides:
     graded: tuple[Evidence, ...]
     positions: tuple[tuple[int, Kinematics | Witness], ...]
     rows: tuple[FlexibleRows, ...]
-    common: CommonPhysics
-    inflation: float
+    discrepancy: SharedDiscrepancy
+    variance_inflation: float
     reach: float
-    to_the_letter: bool = False
+    fixed_baseline: bool = False
     policy: Policy = STANDARD
 
     def windows(self, teaching: Sequence[np.ndarray]) -> tuple[list[Kinematics | Witness], np.ndarray]:
@@ -213,26 +225,26 @@ class _Sides:
         return judged, np.concatenate([~side for _, side in pairs]) if pairs else np.zeros(0, dtype=bool)
 
 
-def _judge_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_Offer]) -> SelfTest | None:
-    graded, common = sides.graded, sides.common
+def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_Offer]) -> SelfTest | None:
+    graded, discrepancy = sides.graded, sides.discrepancy
     taught = [replace(one, weight=one.weight * mask) for one, mask in zip(graded, teaching, strict=True)]
     if not any((one.weight > 0.0).any() for one in taught):
         return None
     keep = [
-        comparable(one, taught, common, sides.reach, sides.policy) & ~mask
+        comparable(one, taught, discrepancy, sides.reach, sides.policy) & ~mask
         for one, mask in zip(graded, teaching, strict=True)
     ]
     rows = sum(int(mask.sum()) for mask in keep)
     if rows < sides.policy.self_test.least_rows:
         return None
     positions, windows = sides.windows(teaching)
-    knowledge = learn_common(taught, sides.inflation, sides.policy.believing)
-    judge = build_judge(graded, knowledge, common, keep, positions, policy=sides.policy)
-    if sides.to_the_letter:
-        judge = judge.believed_to_the_letter()
-    entries = judge.whiten(judge.residual(()))
-    structure = build_structure(judge, sides.rows)
-    fit = structure.fit(entries, sides.inflation)
+    posterior = learn_discrepancy(taught, sides.variance_inflation, sides.policy.believing)
+    objective = build_objective(graded, posterior, discrepancy, keep, positions, policy=sides.policy)
+    if sides.fixed_baseline:
+        objective = objective.with_fixed_baseline()
+    residuals = objective.whiten(objective.residual(()))
+    structure = build_structure(objective, sides.rows)
+    fit = structure.fit(residuals, sides.variance_inflation)
     chosen = np.concatenate([np.repeat(np.concatenate(keep), 3), windows])
     # Kinematic rows have no place; nothing that has one moves them.
     s = [np.repeat(one.series.s[one.at][mask], 3) for one, mask in zip(graded, keep, strict=True)]
@@ -240,37 +252,43 @@ def _judge_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[
     lap = graded[0].series.lap_length
     terms = {offer.term: 0.0 for offer in offers}
     for offer in offers:
-        columns = judge.whiten(offer.columns[chosen])
+        columns = objective.whiten(offer.columns[chosen])
         if offer.located:
-            saved = _best_place(columns[:, 0], entries, s, offer.located, lap)
+            saved = _best_place(columns[:, 0], residuals, s, offer.located, lap)
         else:
-            saved = _saving(columns, entries)
+            saved = _saving(columns, residuals)
         terms[offer.term] = max(terms[offer.term], saved)
     # What the simulation lacks of reality's noise would have added its share.
-    quiet = max(0.0, 1.0 - (float(entries @ entries) - fit.saved) / max(len(entries) - fit.freedom, 1.0))
-    return SelfTest(rows, fit.saved / fit.freedom + quiet, fit.saved, terms, wander_of(structure, entries).ratio)
+    quiet = max(0.0, 1.0 - (float(residuals @ residuals) - fit.saved) / max(len(residuals) - fit.freedom, 1.0))
+    return SelfTest(
+        rows,
+        fit.saved / fit.freedom + quiet,
+        fit.saved,
+        terms,
+        residual_autocorrelation(structure, residuals).ratio,
+    )
 
 
-def _saving(columns: np.ndarray, entries: np.ndarray) -> float:
+def _saving(columns: np.ndarray, residuals: np.ndarray) -> float:
     scale = np.sqrt(np.sum(columns**2, axis=0))
     if not scale.max(initial=0.0):
         return 0.0
     unit = columns[:, scale > 0.0] / scale[scale > 0.0]
-    score = unit.T @ entries
+    score = unit.T @ residuals
     return float(score @ np.linalg.solve(unit.T @ unit + 1e-9 * np.eye(len(score)), score))
 
 
-def _best_place(column: np.ndarray, entries: np.ndarray, s: np.ndarray, kind: str, lap: float | None) -> float:
+def _best_place(column: np.ndarray, residuals: np.ndarray, s: np.ndarray, kind: str, lap: float | None) -> float:
     """Return what a column saves on the best stretch, or as the best wave, of the track."""
     reach = lap or max(float(s.max()), 1e-9)
     if kind == "wave":
         angles = 2.0 * np.pi * s[:, None] / reach * np.arange(1, _WAVES + 1)
         return max(
-            _saving(column[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1), entries)
+            _saving(column[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1), residuals)
             for angle in angles.T
         )
     place = np.minimum((s / reach * _BINS).astype(int), _BINS - 1)
-    score = np.bincount(place, column * entries, minlength=_BINS)
+    score = np.bincount(place, column * residuals, minlength=_BINS)
     information = np.bincount(place, column**2, minlength=_BINS)
     best = 0.0
     for length in range(1, _BINS):

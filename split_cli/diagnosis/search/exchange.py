@@ -28,7 +28,7 @@ def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> 
                 continue
             others = [part for i, part in enumerate(parts) if i not in (j, k)]
             for sibling in _siblings(kept.candidate, explore.candidates):
-                fit = fit_parts(explore.judge, (*others, Part(sibling, dict(kept.values))))
+                fit = fit_parts(explore.objective, (*others, Part(sibling, dict(kept.values))))
                 if explore.price(fit) < least:
                     best, least = fit, explore.price(fit)
     return best
@@ -41,14 +41,14 @@ def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
     may get wrong of the whole as well.
     """
     rules = explore.rules
-    burden = rules.same_misfit * (base.cost - chosen.cost) / explore.inflation
+    burden = rules.same_form_error * (base.cost - chosen.cost) / explore.variance_inflation
     best, least = None, explore.price(chosen) - burden - rules.least_swap
     for k, part in enumerate(chosen.parts):
         others = chosen.parts[:k] + chosen.parts[k + 1 :]
         taken = {one.candidate.term for one in others}
         for pair in _pairs_like(part, explore.candidates) if named[k] else ():
             if not taken & {one.candidate.term for one in pair}:
-                fit = fit_parts(explore.judge, (*others, *pair))
+                fit = fit_parts(explore.objective, (*others, *pair))
                 if explore.price(fit) < least:
                     best, least = fit, explore.price(fit)
     return best

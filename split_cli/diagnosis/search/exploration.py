@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.judge import Judge, alters_inputs
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import (
@@ -32,29 +32,29 @@ class Explorer:
 
     Attributes
     ----------
-    judge : Judge
+    objective : MarginalLikelihood
     candidates : tuple of Candidate
-    inflation : float
+    variance_inflation : float
     """
 
-    judge: Judge
+    objective: MarginalLikelihood
     candidates: tuple[Candidate, ...]
-    inflation: float
+    variance_inflation: float
     _explored: list[tuple[Fit, list[Fit]]] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @property
     def rules(self) -> SelectionRules:
-        """The judge's rules of the selection."""
-        return self.judge.policy.selection
+        """The objective's rules of the selection."""
+        return self.objective.policy.selection
 
     def price(self, fit: Fit) -> float:
         """Return a fit's cost with the price of its parameters."""
-        return fit.cost / self.inflation + self.rules.price * fit.complexity
+        return fit.cost / self.variance_inflation + self.rules.price * fit.complexity
 
     def __call__(self, current: Fit) -> list[Fit]:
         """Return the promising candidates fitted together with an explanation, best first; one fit a variant."""
         for known, fits in self._explored:
-            close = abs(known.cost - current.cost) < self.rules.same_cost * self.inflation
+            close = abs(known.cost - current.cost) < self.rules.same_cost * self.variance_inflation
             if close and _labels(known) == _labels(current):
                 return fits
         fits = self._followed(self._fits(current))
@@ -63,7 +63,7 @@ class Explorer:
 
     @cached_property
     def _base(self) -> np.ndarray:
-        return self.judge.residual(())
+        return self.objective.residual(())
 
     @cached_property
     def _tangents(self) -> list[Tangent]:
@@ -72,11 +72,13 @@ class Explorer:
 
     def _tangents_at(self, parts: Sequence[Part]) -> list[Tangent]:
         base = self._base
-        return together(lambda part: tangent(self.judge, base, part), parts)
+        return together(lambda part: tangent(self.objective, base, part), parts)
 
     @cached_property
     def _effects(self) -> list[tuple[Candidate, np.ndarray]]:
-        return [(one, effect_everywhere(self.judge, self._base, one)) for one in self.candidates if not one.starts]
+        return [
+            (one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts
+        ]
 
     def _promises(self, current: Fit) -> list[tuple[float, Part]]:
         """Return what each start of each candidate promises to cost, price included, best first."""
@@ -84,11 +86,12 @@ class Explorer:
         lines = [one for one in self._tangents if one.part.candidate.term not in taken]
         for candidate, effect in self._effects:
             if candidate.term not in taken:
-                starts = scan_places(self.judge, current.entries, candidate, effect)
+                starts = scan_places(self.objective, current.residuals, candidate, effect)
                 lines += self._tangents_at([Part(candidate, start) for start in starts])
         promises = together(lambda one: (one.cost(current), one.part), lines)
         return sorted(
-            promises, key=lambda one: one[0] / self.inflation + self.rules.price * one[1].candidate.complexity
+            promises,
+            key=lambda one: one[0] / self.variance_inflation + self.rules.price * one[1].candidate.complexity,
         )
 
     def _fits(self, current: Fit) -> list[Fit]:
@@ -104,22 +107,22 @@ class Explorer:
             for promised, part in promises:
                 # Another start may have kept more than this one promises.
                 if len(fits) < 2 and all(fit.cost >= promised for fit in fits):
-                    fits.append(fit_parts(self.judge, (*current.parts, part), refreshes=settled))
+                    fits.append(fit_parts(self.objective, (*current.parts, part), refreshes=settled))
             return fits
 
         fits = [fit for several in together(fitted, starts.values()) for fit in several]
         return sorted((fit for fit in fits if not self._is_everywhere(fit.parts[-1])), key=self.price)
 
     def _followed(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Return the best fit of each variant; in the first few the common physics follows what they alter."""
+        """Return the best fit of each variant; in the first few the shared discrepancy follows what they alter."""
         best: dict[str, Fit] = {}
         for fit in fits:
             best.setdefault(fit.parts[-1].candidate.label, fit)
 
         def followed(fit: Fit) -> Fit:
-            return fit_parts(self.judge, fit.parts) if any(alters_inputs(term) for term in fit.terms) else fit
+            return fit_parts(self.objective, fit.parts) if any(alters_inputs(term) for term in fit.terms) else fit
 
-        # Only what may win is worth following with the common physics.
+        # Only what may win is worth following with the shared discrepancy.
         first, rest = list(best.values())[: self.rules.followed], list(best.values())[self.rules.followed :]
         found = sorted([*together(followed, first), *rest], key=self.price)
         relatives = {fit.parts[-1].candidate.label: fit for fit in self._relatives(found, first)}
@@ -129,9 +132,9 @@ class Explorer:
     def _relatives(self, found: Sequence[Fit], followed: Sequence[Fit]) -> list[Fit]:
         """Return what looks like the best term and alters inputs as it does, followed as it was.
 
-        With the common physics held, such a term may save nothing where it is large, and never be followed.
+        With the shared discrepancy held, such a term may save nothing where it is large, and never be followed.
         """
-        if not found or self.judge.knowledge is None or not alters_inputs(found[0].parts[-1].term):
+        if not found or self.objective.posterior is None or not alters_inputs(found[0].parts[-1].term):
             return []
         *others, own = found[0].parts
         done = {fit.parts[-1].candidate.label for fit in followed}
@@ -142,7 +145,7 @@ class Explorer:
             if one.label not in done and one.term not in taken and one.starts and look_alike(own.term.id, one.term)
         ]
         parts = [part for part in parts if alters_inputs(part.term)]
-        return together(lambda part: fit_parts(self.judge, (*others, part)), parts)
+        return together(lambda part: fit_parts(self.objective, (*others, part)), parts)
 
     def _is_everywhere(self, part: Part) -> bool:
         """Return whether a stretch covers so much of the track that it is none."""

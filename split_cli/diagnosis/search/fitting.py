@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.judge import Judge, alters_inputs
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.effects import Term
 
@@ -41,22 +41,22 @@ class Part:
 
 @dataclass(frozen=True)
 class Fit:
-    """An explanation fitted on a judge's rows.
+    """An explanation fitted on an objective's rows.
 
     Attributes
     ----------
     parts : tuple of Part
     cost : float
         In units of chi squared.
-    entries : ndarray, shape (R,)
-        Whitened entries it leaves, common physics taken out.
+    residuals : ndarray, shape (R,)
+        Whitened residuals it leaves, the shared discrepancy taken out.
     sensitivity : ndarray, shape (R, P)
-        Derivative of the entries by each parameter, over the parts in order; empty until asked for.
+        Derivative of the residuals by each parameter, over the parts in order; empty until asked for.
     """
 
     parts: tuple[Part, ...]
     cost: float
-    entries: np.ndarray
+    residuals: np.ndarray
     sensitivity: np.ndarray
 
     @property
@@ -75,28 +75,28 @@ class Fit:
         return sum(part.candidate.complexity for part in self.parts)
 
 
-def fit_parts(judge: Judge, parts: Sequence[Part], *, refreshes: int = _REFRESHES) -> Fit:
+def fit_parts(objective: MarginalLikelihood, parts: Sequence[Part], *, refreshes: int = _REFRESHES) -> Fit:
     """Refit all parameters of all parts together from where they are.
 
     Parameters
     ----------
-    judge : Judge
+    objective : MarginalLikelihood
     parts : sequence of Part
     refreshes : int
-        How often the common physics follows what the terms do to the inputs; 0 to leave it where the recording
+        How often the shared discrepancy follows what the terms do to the inputs; 0 to leave it where the recording
         puts it, for a first look at many candidates.
     """
     parts = tuple(parts)
-    if judge.to_the_letter or not refreshes or not any(alters_inputs(part.term) for part in parts):
-        return _fit(judge, parts, np.zeros(len(judge.weight)), _ITERATIONS)
-    fit = _fit(judge, parts, judge.shift([part.term for part in parts]), _ITERATIONS)
+    if objective.fixed_baseline or not refreshes or not any(alters_inputs(part.term) for part in parts):
+        return _fit(objective, parts, np.zeros(len(objective.weight)), _ITERATIONS)
+    fit = _fit(objective, parts, objective.shift([part.term for part in parts]), _ITERATIONS)
     for _ in range(refreshes):
-        fit = _fit(judge, fit.parts, judge.shift(fit.terms), _ITERATIONS)
+        fit = _fit(objective, fit.parts, objective.shift(fit.terms), _ITERATIONS)
     return fit
 
 
-def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: int) -> Fit:
-    """Refit all parameters from where they are, the common physics' shift held.
+def _fit(objective: MarginalLikelihood, parts: tuple[Part, ...], shift: np.ndarray, iterations: int) -> Fit:
+    """Refit all parameters from where they are, the shared discrepancy's shift held.
 
     Notes
     -----
@@ -110,15 +110,15 @@ def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: i
     x = np.clip(np.array([parts[k].values[name] for k, name in names]) / steps, lower, upper)
 
     def residual_at(x: np.ndarray) -> np.ndarray:
-        return judge.left_by([part.term for part in _with(parts, names, x * steps)])
+        return objective.left_by([part.term for part in _with(parts, names, x * steps)])
 
     here = residual_at(x)
-    entries = judge.whiten(here - shift)
-    cost = float(entries @ entries)
+    residuals = objective.whiten(here - shift)
+    cost = float(residuals @ residuals)
     damping = 1e-3
     for _ in range(iterations):
-        jacobian = judge.whiten(_slopes(residual_at, here, x, upper))
-        curvature, slope = jacobian.T @ jacobian, jacobian.T @ entries
+        jacobian = objective.whiten(_slopes(residual_at, here, x, upper))
+        curvature, slope = jacobian.T @ jacobian, jacobian.T @ residuals
         improved = 0.0
         for _ in range(5):
             scaled = curvature + damping * np.diag(np.diag(curvature)) + 1e-9 * np.eye(len(x))
@@ -128,21 +128,21 @@ def _fit(judge: Judge, parts: tuple[Part, ...], shift: np.ndarray, iterations: i
                 move[free] = -np.linalg.solve(scaled[np.ix_(free, free)], slope[free])
             trial = np.clip(x + move, lower, upper)
             there = residual_at(trial)
-            trial_entries = judge.whiten(there - shift)
-            trial_cost = float(trial_entries @ trial_entries)
+            trial_residuals = objective.whiten(there - shift)
+            trial_cost = float(trial_residuals @ trial_residuals)
             if trial_cost < cost:
                 improved = cost - trial_cost
-                x, here, entries, cost = trial, there, trial_entries, trial_cost
+                x, here, residuals, cost = trial, there, trial_residuals, trial_cost
                 damping = max(damping / 5.0, 1e-6)
                 break
             damping *= 8.0
         if improved < 0.02:
             break
-    return Fit(_with(parts, names, x * steps), cost, entries, jacobian / steps)
+    return Fit(_with(parts, names, x * steps), cost, residuals, jacobian / steps)
 
 
-def raw_slopes(judge: Judge, parts: Sequence[Part]) -> np.ndarray:
-    """Return derivatives of the entries by each parameter's step, common physics still in, shape (R, P)."""
+def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarray:
+    """Return derivatives of the residuals by each parameter's step, the discrepancy still in, shape (R, P)."""
     parts = tuple(parts)
     names = [(k, name) for k, part in enumerate(parts) for name in part.values]
     limits = [parts[k].candidate.ranges[name] for k, name in names]
@@ -151,7 +151,7 @@ def raw_slopes(judge: Judge, parts: Sequence[Part]) -> np.ndarray:
     x = np.array([parts[k].values[name] for k, name in names]) / steps
 
     def residual_at(x: np.ndarray) -> np.ndarray:
-        return judge.left_by([part.term for part in _with(parts, names, x * steps)])
+        return objective.left_by([part.term for part in _with(parts, names, x * steps)])
 
     return _slopes(residual_at, residual_at(x), x, upper)
 
@@ -170,7 +170,7 @@ def _slopes(residual_at: Callable, here: np.ndarray, x: np.ndarray, upper: np.nd
 
 @dataclass(frozen=True)
 class Tangent:
-    """A part at a start and straight lines from there, on a judge's whitened rows.
+    """A part at a start and straight lines from there, on an objective's whitened rows.
 
     What one term does beside others is taken for what it does alone: good enough to see what promises most.
 
@@ -178,7 +178,7 @@ class Tangent:
     ----------
     part : Part
     moved : ndarray, shape (R,)
-        What the part at its start does to entries.
+        What the part at its start does to the residuals.
     slopes : ndarray, shape (R, P)
         Derivatives by its parameters, a step each.
     """
@@ -191,23 +191,23 @@ class Tangent:
         """Return the cost that one linear fit of this part and those of an explanation promises."""
         columns = np.hstack([self.slopes, current.sensitivity])
         columns = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
-        here = current.entries + self.moved
+        here = current.residuals + self.moved
         normal, score = columns.T @ columns, columns.T @ here
         return float(here @ here - score @ np.linalg.solve(normal + 1e-9 * np.eye(len(score)), score))
 
 
-def tangent(judge: Judge, base: np.ndarray, part: Part) -> Tangent:
-    """Return a part's lines at the values it has; `base` is `judge.residual(())`."""
+def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part) -> Tangent:
+    """Return a part's lines at the values it has; `base` is `objective.residual(())`."""
     names = [(0, name) for name in part.values]
     steps = np.array([part.candidate.ranges[name].step for _, name in names])
     x = np.array(list(part.values.values())) / steps
 
     def at(values: np.ndarray) -> np.ndarray:
-        return judge.left_by([one.term for one in _with((part,), names, values * steps)])
+        return objective.left_by([one.term for one in _with((part,), names, values * steps)])
 
     here = at(x)
     columns = [here - base, *(at(x + unit) - here for unit in np.eye(len(x)))]
-    lines = judge.whiten(np.stack(columns, axis=1))
+    lines = objective.whiten(np.stack(columns, axis=1))
     return Tangent(part, np.ascontiguousarray(lines[:, 0]), np.ascontiguousarray(lines[:, 1:]))
 
 
@@ -218,34 +218,39 @@ def _with(parts: tuple[Part, ...], names: list[tuple[int, str]], values: np.ndar
     return tuple(Part(part.candidate, entry) for part, entry in zip(parts, new, strict=True))
 
 
-def effect_everywhere(judge: Judge, base: np.ndarray, candidate: Candidate) -> np.ndarray:
-    """Return what one unit of a candidate with a place takes off `base`, `judge.residual(())`, anywhere."""
+def effect_everywhere(objective: MarginalLikelihood, base: np.ndarray, candidate: Candidate) -> np.ndarray:
+    """Return what one unit of a candidate with a place takes off `base`, `objective.residual(())`, anywhere."""
     whole, size = candidate.everywhere()
-    return (base - judge.residual((whole,))) / size
+    return (base - objective.residual((whole,))) / size
 
 
-def scan_places(judge: Judge, entries: np.ndarray, candidate: Candidate, effect: np.ndarray) -> list[dict]:
+def scan_places(
+    objective: MarginalLikelihood, residuals: np.ndarray, candidate: Candidate, effect: np.ndarray
+) -> list[dict]:
     """Return starts for a candidate that acts on a stretch or as a wave, from scores place by place.
 
     Parameters
     ----------
-    judge : Judge
-    entries : ndarray, shape (R,)
-        Whitened entries left by what is explained already.
+    objective : MarginalLikelihood
+    residuals : ndarray, shape (R,)
+        Whitened residuals left by what is explained already.
     candidate : Candidate
     effect : ndarray, shape (R,)
         Of `effect_everywhere`.
     """
     amount, neutral = ("scale", 1.0) if candidate.located == "patch" else ("angle", 0.0)
     # Kinematic rows have no place; what acts on the road does not move them.
-    s = np.zeros(len(entries))
-    own = [np.repeat(one.series.s[one.at][keep], 3) for one, keep in zip(judge.evidence, judge.keep, strict=True)]
+    s = np.zeros(len(residuals))
+    own = [
+        np.repeat(one.series.s[one.at][keep], 3)
+        for one, keep in zip(objective.evidence, objective.keep, strict=True)
+    ]
     s[: sum(map(len, own))] = np.concatenate(own)
     reach = max(
         limit.upper for name, limit in candidate.ranges.items() if name in ("s_start", "s_end", "wavelength")
     )
-    left = judge.whiten(entries)
-    closed = judge.evidence[0].series.lap_length is not None
+    left = objective.whiten(residuals)
+    closed = objective.evidence[0].series.lap_length is not None
     if candidate.located == "wave":
         return _scan_waves(left, effect, s, reach / 4.0, closed)
     bins = int(np.clip(reach / (0.02 * reach), 20, 60))

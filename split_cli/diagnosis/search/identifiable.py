@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.common import features
+from split_cli.diagnosis.baseline.discrepancy import features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy, Screening
 from split_cli.diagnosis.recording.screening import (
@@ -19,10 +19,10 @@ from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["judgeable", "tellable"]
+__all__ = ["identifiable", "limits_of"]
 
 
-def judgeable(
+def limits_of(
     real: Sequence[Evidence], vehicle: Vehicle, share: float = 1.0, policy: Policy = STANDARD
 ) -> tuple[str, ...]:
     """Return which kinds of physics the real recordings could not show, and the manoeuvre that would.
@@ -79,7 +79,7 @@ def judgeable(
     return tuple(out)
 
 
-def tellable(
+def identifiable(
     candidates: Sequence[Candidate],
     real: Sequence[Series],
     vehicle: Vehicle,
@@ -87,9 +87,9 @@ def tellable(
 ) -> list[Candidate]:
     """Return the candidates that recordings of this kind can tell at all.
 
-    Places are told only with position, since a distance travelled is nothing but a time; wind only with position
-    and yaw. What acts along the car is told only by a torque that was not derived from how the car moved, and
-    what comes of the torque only where that changes.
+    Places are identifiable only with position, since a distance travelled is nothing but a time; wind only with
+    position and yaw. What acts along the car is identifiable only by a torque that was not derived from how the
+    car moved, and what comes of the torque only where that changes.
     """
     lacking = set()
     drives = [one.drive for one in real]

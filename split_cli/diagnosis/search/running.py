@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.innovations.rollouts import Stage, roll_out_stages, shared_rates
 from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.search.candidates import Candidate
@@ -25,38 +25,39 @@ _TINY = 1e-30
 
 
 def with_variants_that_run(
-    structure: Structure, candidates: Sequence[Candidate], selection: Selection, inflation: float
+    structure: Structure, candidates: Sequence[Candidate], selection: Selection, variance_inflation: float
 ) -> Selection:
     """Return a selection with another variant of a term where that runs freely with clearly smaller errors.
 
-    Only where more than misfit is left without a name, and only variants that explain the data as well beside it.
+    Only where more than model-form error is left without a name, and only variants that explain the data as well
+    beside it.
 
     Parameters
     ----------
     structure : Structure
-        With the judge.
+        With the objective.
     candidates : sequence of Candidate
     selection : Selection
-    inflation : float
+    variance_inflation : float
     """
-    judge, chosen = structure.judge, selection.chosen
-    rules = judge.policy.selection
-    left = structure.fit(chosen.entries, inflation)
-    nameless = structure.nameless_share(left, selection.base.cost - chosen.cost, inflation)
-    if nameless <= rules.same_misfit:
+    objective, chosen = structure.objective, selection.chosen
+    rules = objective.policy.selection
+    left = structure.fit(chosen.residuals, variance_inflation)
+    unnamed = structure.unnamed_share(left, selection.base.cost - chosen.cost, variance_inflation)
+    if unnamed <= rules.same_form_error:
         return selection
     others = [
         sibling.fit
         for k, siblings in enumerate(selection.siblings)
-        for sibling in explaining_as_well(judge, selection, k, siblings, nameless)
+        for sibling in explaining_as_well(objective, selection, k, siblings, unnamed)
     ]
     if not others:
         return selection
-    own, *theirs = free_running_errors(judge, [chosen, *others])
+    own, *theirs = free_running_errors(objective, [chosen, *others])
     best = int(np.argmin(theirs))
     if not theirs[best] < rules.runs_better * own:
         return selection
-    found = with_chosen(Explorer(judge, tuple(candidates), inflation), selection, others[best])
+    found = with_chosen(Explorer(objective, tuple(candidates), variance_inflation), selection, others[best])
     if sum(found.named) < sum(selection.named):
         return selection
     label = others[best].parts[-1].candidate.label
@@ -64,15 +65,17 @@ def with_variants_that_run(
     return replace(found, history=(*selection.history, note))
 
 
-def free_running_errors(judge: Judge, fits: Sequence[Fit]) -> list[float]:
+def free_running_errors(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
     """Return how far each explanation is off after 0.5, 1 and 2 s of running freely, over what noise makes.
 
     The geometric mean over channels and horizons of rms errors, all of the real recordings' time used.
     """
     totals, weight = np.zeros(len(fits)), 0
-    for one in judge.evidence:
+    for one in objective.evidence:
         stages = {
-            str(k): Stage(fit.terms, shared_rates(one.series, judge.common, judge.knowledge, fit.terms))
+            str(k): Stage(
+                fit.terms, shared_rates(one.series, objective.discrepancy, objective.posterior, fit.terms)
+            )
             for k, fit in enumerate(fits)
         }
         errors = roll_out_stages(one, stages, np.ones(len(one.series), dtype=bool))

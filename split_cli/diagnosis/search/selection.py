@@ -8,26 +8,26 @@ from functools import partial
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.judge import Judge
-from split_cli.diagnosis.innovations.severity import severities_of
+from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
-from split_cli.diagnosis.remainder.structure import common_severities, minimum_effect_p, term_allowances
+from split_cli.diagnosis.remainder.structure import discrepancy_to_noise, minimum_effect_p, term_allowances
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exchange import merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
-from split_cli.diagnosis.search.misfit import costs_beside_misfit, saved_beside_misfit
+from split_cli.diagnosis.search.form_error import costs_beside_form_error, saved_beside_form_error
 from split_cli.vehicle.effects import Term
 
 __all__ = [
     "Rival",
     "Selection",
+    "effect_to_noise_of_terms",
     "explaining_as_well",
     "nothing",
     "over_allowance",
     "p_of_effect",
     "select_terms",
-    "severity_of_terms",
     "term_p",
     "term_size",
     "with_chosen",
@@ -36,7 +36,7 @@ __all__ = [
 
 
 _ONCE = "nearly all in a few moments"
-_MISFIT = "no more than the others misfit"
+_FORM_ERROR = "no more than the model-form error of the others"
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Rival:
     ----------
     fit : Fit
     excess : float
-        Cost above the chosen explanation, prices included, in units of chi squared after inflation by chance or
-        misfit, whichever is more.
+        Cost above the chosen explanation, prices included, in units of chi squared after variance inflation by
+        chance or model-form error, whichever is more.
     z : float
         The same over its standard error from differences block by block.
     """
@@ -73,7 +73,8 @@ class Selection:
     siblings : tuple of tuple of Rival
         The same with other variants of the part's own term.
     named : tuple of bool
-        Which parts are large enough to be named; the others are kept aside, so that they take nothing from these.
+        Which parts are large enough to be named; the others are nuisance terms, so that they take nothing from
+        these.
     history : tuple of str
         What was added or removed, in order, in words.
     first_p : float
@@ -98,25 +99,27 @@ class Selection:
         return tuple(term for term, named in zip(self.chosen.terms, self.named, strict=True) if named)
 
 
-def nothing(judge: Judge) -> Fit:
+def nothing(objective: MarginalLikelihood) -> Fit:
     """Return the explanation without any term."""
-    entries = judge.whiten(judge.residual(()))
-    return Fit((), float(entries @ entries), entries, np.empty((len(entries), 0)))
+    residuals = objective.whiten(objective.residual(()))
+    return Fit((), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
 
 
-def select_terms(judge: Judge, candidates: Sequence[Candidate], inflation: float) -> Selection:
+def select_terms(
+    objective: MarginalLikelihood, candidates: Sequence[Candidate], variance_inflation: float
+) -> Selection:
     """Add the term that saves most while one earns its price, then drop those that no longer do.
 
     Where the best first term leaves something, the search begins anew from the next best: two terms together may
     be one that is not the best alone.
     """
-    rules = judge.policy.selection
-    explore = Explorer(judge, tuple(candidates), inflation)
-    base = nothing(judge)
+    rules = objective.policy.selection
+    explore = Explorer(objective, tuple(candidates), variance_inflation)
+    base = nothing(objective)
     first = explore(base)
     found = _forward(explore, base, first)
-    # Several terms may imitate one, and fit better by what the one misfits.
-    burden = rules.same_misfit * (base.cost - found.chosen.cost) / inflation
+    # Several terms may imitate one, and fit better by the model-form error of the one.
+    burden = rules.same_form_error * (base.cost - found.chosen.cost) / variance_inflation
 
     def score(found: _Found) -> float:
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
@@ -124,14 +127,14 @@ def select_terms(judge: Judge, candidates: Sequence[Candidate], inflation: float
     for other in _other_beginnings(first, base, rules) if found.left_something else ():
         found = min(found, _forward(explore, base, [other]), key=score)
     chosen, history = found.with_what_matters(base, rules), list(found.history)
-    if chosen is not found.chosen and term_size(judge, chosen, len(chosen.parts) - 1) < rules.aside_severity:
-        history.append(f"{chosen.parts[-1].candidate.label} kept aside")
+    if chosen is not found.chosen and term_size(objective, chosen, len(chosen.parts) - 1) < rules.nuisance_size:
+        history.append(f"{chosen.parts[-1].candidate.label} kept as a nuisance")
     else:
         chosen = found.chosen
     selection = _examined(explore, base, chosen)
     for _ in range(rules.rounds):
         selection, exchanged = _exchanged(explore, selection, history)
-        selection, moved = _exchanged_beside_misfit(explore, selection, history)
+        selection, moved = _exchanged_beside_form_error(explore, selection, history)
         if not (exchanged or moved):
             break
         # What a wrong term took a share of is seen once that has given way.
@@ -162,32 +165,35 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
     return selection, exchanged
 
 
-def _exchanged_beside_misfit(
+def _exchanged_beside_form_error(
     explore: Explorer, selection: Selection, history: list[str]
 ) -> tuple[Selection, bool]:
-    """Let alternatives take places that are better where every misfit is free; return whether any did."""
+    """Let alternatives that are better with free model-form errors take places; return whether any did."""
     exchanged = False
     for _ in range(explore.rules.swaps):
-        better, saved = _better_beside_misfit(explore, selection)
+        better, saved = _better_beside_form_error(explore, selection)
         trial = _examined(explore, selection.base, better) if better is not None else selection
         if better is None or sum(trial.named) < sum(selection.named):
             break
-        history.append(f"{better.parts[-1].candidate.label} takes a place, saves {saved:.1f} beside misfit")
+        history.append(
+            f"{better.parts[-1].candidate.label} takes a place, saves {saved:.1f} beside model-form error"
+        )
         selection, exchanged = trial, True
     return selection, exchanged
 
 
 def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
     """Compare an explanation with what is left without each part, and with what might be there instead."""
-    judge, rules = explore.judge, explore.rules
-    without = without_parts(judge, base, chosen)
+    objective, rules = explore.objective, explore.rules
+    without = without_parts(objective, base, chosen)
     sure = [
-        term_p(judge, chosen, k, one.cost - chosen.cost, explore.inflation) * len(explore.candidates) < rules.level
-        and is_spread(judge, chosen, k, one, rules)
+        term_p(objective, chosen, k, one.cost - chosen.cost, explore.variance_inflation) * len(explore.candidates)
+        < rules.level
+        and is_spread(objective, chosen, k, one, rules)
         and not chosen.parts[k].candidate.at_limit(chosen.parts[k].values)
         for k, one in enumerate(without)
     ]
-    named = _believed_together(judge, chosen, without, sure, rules)
+    named = _believed_together(objective, chosen, without, sure, rules)
     rivals = tuple(_rivals(explore, chosen, k, rest) if named[k] else ((), ()) for k, rest in enumerate(without))
     others, siblings = zip(*rivals, strict=True) if rivals else ((), ())
     return Selection(base, chosen, without, others, siblings, named)
@@ -200,35 +206,35 @@ def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selecti
 
 
 def _believed_together(
-    judge: Judge, chosen: Fit, without: Sequence[Fit], sure: Sequence[bool], rules: SelectionRules
+    objective: MarginalLikelihood, chosen: Fit, without: Sequence[Fit], sure: Sequence[bool], rules: SelectionRules
 ) -> tuple[bool, ...]:
-    """Return which parts are named: of those that are sure the largest, and what is no misfit of larger ones."""
+    """Return which parts are named: the largest sure one, and what is no model-form error of larger ones."""
     if sum(sure) < 2:
         return tuple(sure)
-    sizes = {k: _part_sizes(judge, chosen, k) for k, one in enumerate(sure) if one}
+    sizes = {k: _part_sizes(objective, chosen, k) for k, one in enumerate(sure) if one}
     named: list[int] = []
     for k in sorted(sizes, key=lambda k: -sizes[k].max()):
-        larger = _sizes(judge, tuple(chosen.terms[i] for i in named), ())
-        witnessed = _is_witnessed(judge, chosen, k, rules)
-        if not named or witnessed or not _is_misfit(judge, sizes[k], larger, without[k], chosen, rules):
+        larger = _sizes(objective, tuple(chosen.terms[i] for i in named), ())
+        witnessed = _is_witnessed(objective, chosen, k, rules)
+        if not named or witnessed or not _is_form_error(objective, sizes[k], larger, without[k], chosen, rules):
             named.append(k)
     return tuple(k in named for k in range(len(chosen.parts)))
 
 
-def _better_beside_misfit(explore: Explorer, selection: Selection) -> tuple[Fit | None, float]:
-    """Return the alternative that is best where misfit of every effect is free, and what it saves; else None.
+def _better_beside_form_error(explore: Explorer, selection: Selection) -> tuple[Fit | None, float]:
+    """Return the best alternative with every effect's model-form error free, and what it saves; else None.
 
     Alternatives differ from the chosen explanation by less than what a single track gets wrong of either.
     """
     alternatives = {}
     for k, rivals in enumerate(selection.rivals):
-        for rival in explaining_as_well(explore.judge, selection, k, rivals):
+        for rival in explaining_as_well(explore.objective, selection, k, rivals):
             alternatives.setdefault((k, rival.fit.parts[-1].candidate.term), rival.fit)
     best, most = None, 0.0
     for fit in alternatives.values():
-        here, there = costs_beside_misfit(explore.judge, [selection.chosen, fit])
+        here, there = costs_beside_form_error(explore.objective, [selection.chosen, fit])
         price = explore.rules.price * (fit.complexity - selection.chosen.complexity)
-        saved = (here - there) / explore.inflation - price
+        saved = (here - there) / explore.variance_inflation - price
         if saved > most:
             best, most = fit, saved
     return best, most
@@ -241,7 +247,7 @@ class _Found:
     Attributes
     ----------
     chosen, with_refused : Fit
-        As far as it is believed or kept aside, and with the term that was refused last.
+        As far as it is believed or kept as a nuisance, and with the term that was refused last.
     names : int
         How many of its parts were added to be named.
     history : tuple of str
@@ -255,12 +261,12 @@ class _Found:
     first_p: float
 
     def with_what_matters(self, base: Fit, rules: SelectionRules) -> Fit:
-        """Return the explanation with the refused term, if that saves more than a single track misfits.
+        """Return the explanation with the refused term, if that saves more than model-form error.
 
-        Too small to be told, it would yet be taken for more or less of the others.
+        Too small to be reported, it would yet be taken for more or less of the others.
         """
-        refused, told = self.chosen.cost - self.with_refused.cost, base.cost - self.chosen.cost
-        return self.with_refused if refused > rules.same_misfit * told else self.chosen
+        refused, saved = self.chosen.cost - self.with_refused.cost, base.cost - self.chosen.cost
+        return self.with_refused if refused > rules.same_form_error * saved else self.chosen
 
     @property
     def left_something(self) -> bool:
@@ -270,10 +276,10 @@ class _Found:
 
 def _forward(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Selection | None = None) -> _Found:
     """Add terms while evidence carries them, beginning with the best of `first`, or with what is `begun`."""
-    judge, rules, inflation = explore.judge, explore.rules, explore.inflation
-    chosen, history, first_p, aside, refused = base, [], 1.0, 0, None
+    objective, rules, variance_inflation = explore.objective, explore.rules, explore.variance_inflation
+    chosen, history, first_p, nuisances, refused = base, [], 1.0, 0, None
     if begun is not None:
-        chosen, aside = begun.chosen, begun.named.count(False)
+        chosen, nuisances = begun.chosen, begun.named.count(False)
 
     def price_saved(fit: Fit) -> float:
         return explore.price(chosen) - explore.price(fit)
@@ -284,7 +290,9 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Selectio
         if not fits:
             break
         best = fits[0]
-        if len(chosen.parts) > aside:  # beside what is kept aside there is no name to be a misfit of
+        if (
+            len(chosen.parts) > nuisances
+        ):  # beside what is kept as a nuisance there is no name to be a model-form error of
             best, reason = _first_believed(explore, chosen, fits[: rules.considered])
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
@@ -292,21 +300,21 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Selectio
             refused = fits[0]
             break
         label, saved = best.parts[-1].candidate.label, price_saved(best)
-        p_value = term_p(judge, best, len(best.parts) - 1, chosen.cost - best.cost, inflation)
+        p_value = term_p(objective, best, len(best.parts) - 1, chosen.cost - best.cost, variance_inflation)
         p_value *= len(explore.candidates)
-        small, spread = p_value >= rules.level, is_spread(judge, best, len(best.parts) - 1, chosen, rules)
+        small, spread = p_value >= rules.level, is_spread(objective, best, len(best.parts) - 1, chosen, rules)
         first_p = min(first_p, p_value if spread else 1.0)
         if small or not spread:
             history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
-            aside += 1
-            if aside > rules.most_aside:
+            nuisances += 1
+            if nuisances > rules.most_nuisances:
                 break
             chosen = best
             continue
         history.append(f"added {label}, saves {saved:.0f}")
         chosen, dropped = _prune(explore, best)
         history += dropped
-    names = len(chosen.parts) - aside
+    names = len(chosen.parts) - nuisances
     return _Found(chosen, refused or chosen, names, tuple(history), first_p)
 
 
@@ -321,43 +329,44 @@ def _other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) ->
     return list(out.values())[: rules.beginnings]
 
 
-def without_parts(judge: Judge, base: Fit, fit: Fit) -> tuple[Fit, ...]:
+def without_parts(objective: MarginalLikelihood, base: Fit, fit: Fit) -> tuple[Fit, ...]:
     """Return an explanation refitted without each of its parts; `base` is the one without any."""
     several = len(fit.parts) > 1
     return tuple(
-        fit_parts(judge, fit.parts[:k] + fit.parts[k + 1 :]) if several else base for k in range(len(fit.parts))
+        fit_parts(objective, fit.parts[:k] + fit.parts[k + 1 :]) if several else base
+        for k in range(len(fit.parts))
     )
 
 
-def block_z(judge: Judge, fit: Fit, other: Fit) -> float:
+def block_z(objective: MarginalLikelihood, fit: Fit, other: Fit) -> float:
     """Return what a fit saves against another in standard errors, from differences block by block."""
-    difference = judge.block_sums(other.entries**2) - judge.block_sums(fit.entries**2)
+    difference = objective.block_sums(other.residuals**2) - objective.block_sums(fit.residuals**2)
     return float(difference.sum()) / _error_of_sum(difference)
 
 
-def is_spread(judge: Judge, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> bool:
+def is_spread(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> bool:
     """Return whether one part saves in enough blocks of time, or its size is known well enough from them all.
 
     A place is passed once a lap. What acts in few blocks saves in few; if it is there, those agree about its size,
     and if it stands for something else they do not. What is larger than the noise is seen however seldom it acts.
-    Where there is much misfit it is worst somewhere, and a place says no more than any few moments.
+    Where there is much model-form error it is worst somewhere, and a place says no more than any few moments.
     """
-    seldom = fit.parts[k].candidate.located and judge.misfit <= rules.much_misfit
-    if seldom or block_z(judge, fit, without) > rules.spread:
+    seldom = fit.parts[k].candidate.located and objective.form_error_inflation <= rules.much_form_error
+    if seldom or block_z(objective, fit, without) > rules.spread:
         return True
-    return block_t(judge, fit, without) > rules.sure or term_size(judge, fit, k) > rules.plain
+    return block_t(objective, fit, without) > rules.sure or term_size(objective, fit, k) > rules.plain
 
 
-def block_t(judge: Judge, fit: Fit, without: Fit) -> float:
+def block_t(objective: MarginalLikelihood, fit: Fit, without: Fit) -> float:
     """Return the size of what a fit adds to another in standard errors, from scores block by block.
 
     Notes
     -----
-    With what it adds taken as one direction d, e the entries left: d^T d/sqrt(sum over blocks of (d_b^T e_b)^2),
+    With what it adds taken as one direction d, e the residuals left: d^T d/sqrt(sum over blocks of (d_b^T e_b)^2),
     a Wald statistic with the sandwich's variance (Liang and Zeger, 1986).
     """
-    added = without.entries - fit.entries
-    scores = judge.block_sums(added * fit.entries)
+    added = without.residuals - fit.residuals
+    scores = objective.block_sums(added * fit.residuals)
     return float(added @ added) / (float(np.sqrt(scores @ scores)) + 1e-9)
 
 
@@ -368,8 +377,8 @@ def _error_of_sum(difference: np.ndarray) -> float:
 
 def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tuple[Fit | None, str]:
     """Return the first further term that is believed; where none is, why not the first of them, in words."""
-    judge = explore.judge
-    sizes = _sizes(judge, chosen.terms, ())
+    objective = explore.objective
+    sizes = _sizes(objective, chosen.terms, ())
     reasons = []
     for fit in fits:
         reasons.append(_refusal(explore, chosen, sizes, fit))
@@ -387,40 +396,47 @@ def _refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) ->
     others may get wrong, too: by what it saves where they are free to. Or it may save all in a few moments, unless
     it acts at a place, which is passed once a lap.
     """
-    judge, rules = explore.judge, explore.rules
+    objective, rules = explore.objective, explore.rules
     k = len(further.parts) - 1
     # What witnesses show is the instrument's own, whatever the model gets wrong.
-    if not _is_witnessed(judge, further, k, rules):
-        if _is_misfit(judge, _sizes(judge, further.terms, chosen.terms), sizes, chosen, further, rules):
-            return _MISFIT
-        saved = saved_beside_misfit(judge, chosen, further)
-        if term_p(judge, further, k, saved, explore.inflation) * len(explore.candidates) >= rules.level:
-            return _MISFIT
-    return "" if is_spread(judge, further, len(further.parts) - 1, chosen, rules) else _ONCE
+    if not _is_witnessed(objective, further, k, rules):
+        if _is_form_error(
+            objective, _sizes(objective, further.terms, chosen.terms), sizes, chosen, further, rules
+        ):
+            return _FORM_ERROR
+        saved = saved_beside_form_error(objective, chosen, further)
+        if (
+            term_p(objective, further, k, saved, explore.variance_inflation) * len(explore.candidates)
+            >= rules.level
+        ):
+            return _FORM_ERROR
+    return "" if is_spread(objective, further, len(further.parts) - 1, chosen, rules) else _ONCE
 
 
-def _is_witnessed(judge: Judge, fit: Fit, k: int, rules: SelectionRules) -> bool:
+def _is_witnessed(objective: MarginalLikelihood, fit: Fit, k: int, rules: SelectionRules) -> bool:
     """Return whether a sensor's fault moves what a recording knows twice, which no model-form error does."""
     if not fit.parts[k].term.corrects:
         return False
-    return judge.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :]) > rules.least_witnessed
+    return objective.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :]) > rules.least_witnessed
 
 
-def _is_misfit(
-    judge: Judge, size: np.ndarray, of: np.ndarray, before: Fit, after: Fit, rules: SelectionRules
+def _is_form_error(
+    objective: MarginalLikelihood, size: np.ndarray, of: np.ndarray, before: Fit, after: Fit, rules: SelectionRules
 ) -> bool:
-    """Return whether severities, shape (3,), are no more than terms with severities `of`, shape (3,), misfit.
+    """Return whether sizes (3,) are no more than the model-form error of terms with sizes `of` (3,).
 
-    What large terms misfit in a channel they hardly act in has no simple shape: a term that takes nearly all that
-    was left there, and much was, is none of it.
+    Sizes are effect-to-noise ratios in v_x, v_y and r.
+
+    The model-form error of large terms in a channel they hardly act in has no simple shape: a term that takes
+    nearly all that was left there, and much was, is none of it.
     """
     channel = int(np.argmax(size))
-    across = 0.0 if _settles(judge, channel, before, after, rules) else rules.misfit_across * of.max()
-    common = rules.common_misfit * common_severities(judge)[channel]
-    return bool(size[channel] < max(rules.least_severity, rules.misfit * of[channel], across, common))
+    across = 0.0 if _settles(objective, channel, before, after, rules) else rules.form_error_across * of.max()
+    discrepancy = rules.discrepancy_form_error * discrepancy_to_noise(objective)[channel]
+    return bool(size[channel] < max(rules.least_size, rules.form_error * of[channel], across, discrepancy))
 
 
-def _settles(judge: Judge, channel: int, before: Fit, after: Fit, rules: SelectionRules) -> bool:
+def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fit, rules: SelectionRules) -> bool:
     """Return whether a fit leaves next to noise in a channel where another leaves much more.
 
     Notes
@@ -428,60 +444,60 @@ def _settles(judge: Judge, channel: int, before: Fit, after: Fit, rules: Selecti
     Noise is half the mean square of successive differences (von Neumann, 1941), which what varies slowly hardly
     adds to.
     """
-    rows = sum(int(mask.sum()) for mask in judge.keep)
-    left, still = (fit.entries[: 3 * rows].reshape(rows, 3)[:, channel] for fit in (before, after))
+    rows = sum(int(mask.sum()) for mask in objective.keep)
+    left, still = (fit.residuals[: 3 * rows].reshape(rows, 3)[:, channel] for fit in (before, after))
     noise = 0.5 * np.mean(np.diff(still) ** 2)
     much, little = np.mean(left**2) - noise, np.mean(still**2) - noise
     return bool(much > rules.settled_noise * noise and little < (1.0 - rules.settled) * much)
 
 
-def _sizes(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
-    """Return severities of terms against those of `without` in v_x, v_y and r, shape (3,)."""
+def _sizes(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
+    """Return effect-to-noise ratios of terms against those of `without` in v_x, v_y and r, shape (3,)."""
     sizes = [
-        severities_of(one, one.at[mask], terms, without, partial(judge.carried, one))
-        for one, mask in zip(judge.evidence, judge.keep, strict=True)
+        effects_to_noise_of(one, one.at[mask], terms, without, partial(objective.carried, one))
+        for one, mask in zip(objective.evidence, objective.keep, strict=True)
     ]
     size = np.max(sizes, axis=0)
     # An accelerometer's fault moves no prediction of the velocities: it is as large as its witness says.
-    return size if size.any() else np.full(3, judge.witnessed(terms, without))
+    return size if size.any() else np.full(3, objective.witnessed(terms, without))
 
 
-def _part_sizes(judge: Judge, fit: Fit, k: int) -> np.ndarray:
-    return _sizes(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
+def _part_sizes(objective: MarginalLikelihood, fit: Fit, k: int) -> np.ndarray:
+    return _sizes(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 
-def term_size(judge: Judge, fit: Fit, k: int) -> float:
-    """Return the severity of one part of an explanation, the others in place."""
-    return float(_part_sizes(judge, fit, k).max())
+def term_size(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
+    """Return the effect-to-noise ratio of one part of an explanation, the others in place."""
+    return float(_part_sizes(objective, fit, k).max())
 
 
-def severity_of_terms(judge: Judge, terms: tuple[Term, ...]) -> float:
+def effect_to_noise_of_terms(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> float:
     """Return the effect-to-noise ratio of terms, in the channel where it is most."""
-    return float(_sizes(judge, terms, ()).max())
+    return float(_sizes(objective, terms, ()).max())
 
 
-def over_allowance(judge: Judge, terms: tuple[Term, ...], without: tuple[Term, ...]) -> float:
+def over_allowance(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> float:
     """Return the size of terms against `without` over what is allowed, in the channel where that is most."""
-    return float(np.max(_sizes(judge, terms, without) / term_allowances(judge)))
+    return float(np.max(_sizes(objective, terms, without) / term_allowances(objective)))
 
 
-def _over_allowance(judge: Judge, fit: Fit, k: int) -> float:
-    return over_allowance(judge, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
+def _over_allowance(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
+    return over_allowance(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 
 def explaining_as_well(
-    judge: Judge, selection: Selection, k: int, rivals: Sequence[Rival], misfit: float = 0.0
+    objective: MarginalLikelihood, selection: Selection, k: int, rivals: Sequence[Rival], form_error: float = 0.0
 ) -> list[Rival]:
     """Return the rivals of a part that may be what acts instead of it.
 
-    They may where the two differ by chance, and where a misfit that is allowed, or no larger than single tracks
-    have, or than a share `misfit` of the part's savings, could have made the difference.
+    They may where the two differ by chance, and where a model-form error that is allowed, or no larger than single
+    tracks have, or than a share `form_error` of the part's savings, could have made the difference.
     """
-    rules, margin = judge.policy.selection, judge.policy.self_test.term_margin
-    # An excess is told in what misfit makes of chance; so is what it is compared with.
-    saved = (selection.without[k].cost - selection.chosen.cost) / max(judge.misfit / margin, 1.0)
-    share = min(1.0 / max(_over_allowance(judge, selection.chosen, k), 1e-9), 1.0) ** 2
-    allowed = max(rules.same_excess, max(share, rules.same_misfit, misfit / margin) * saved)
+    rules, margin = objective.policy.selection, objective.policy.self_test.term_margin
+    # An excess is measured in what model-form error makes of chance; so is what it is compared with.
+    saved = (selection.without[k].cost - selection.chosen.cost) / max(objective.form_error_inflation / margin, 1.0)
+    share = min(1.0 / max(_over_allowance(objective, selection.chosen, k), 1e-9), 1.0) ** 2
+    allowed = max(rules.same_excess, max(share, rules.same_form_error, form_error / margin) * saved)
     by_chance = rules.same_share * saved
     return [
         rival
@@ -490,33 +506,42 @@ def explaining_as_well(
     ]
 
 
-def term_p(judge: Judge, fit: Fit, k: int, saved: float, inflation: float) -> float:
+def term_p(objective: MarginalLikelihood, fit: Fit, k: int, saved: float, variance_inflation: float) -> float:
     """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
-    return p_of_effect(judge, fit.parts[k].candidate, _over_allowance(judge, fit, k), saved, inflation)
+    return p_of_effect(
+        objective, fit.parts[k].candidate, _over_allowance(objective, fit, k), saved, variance_inflation
+    )
 
 
-def p_of_effect(judge: Judge, candidate: Candidate, size: float, saved: float, inflation: float) -> float:
+def p_of_effect(
+    objective: MarginalLikelihood, candidate: Candidate, size: float, saved: float, variance_inflation: float
+) -> float:
     """Return the minimum-effect p value of a term of `size`, over what is allowed, that saves `saved`.
 
-    What misfit may save is told twice, as what it is known to save and as what it adds to chance. A term has to
-    stand against each, so the larger of two is returned; both at once would count it double.
+    What model-form error may save counts twice, as what it is known to save and as what it adds to chance. A
+    term has to stand against each, so the larger of two is returned; both at once would count it double.
     """
-    floor = max(judge.policy.allowances.term_floor * judge.shared_cost, judge.term_floors.get(candidate.term, 0.0))
+    floor = max(
+        objective.policy.allowances.term_floor * objective.shared_cost,
+        objective.term_floors.get(candidate.term, 0.0),
+    )
 
     def p_value(freedom: float, widened: float, spared: float) -> float:
         return minimum_effect_p(saved, freedom, size, widened, spared, allowance=1.0)
 
-    known = p_value(candidate.complexity, inflation, floor)
-    if judge.misfit <= inflation:
+    known = p_value(candidate.complexity, variance_inflation, floor)
+    if objective.form_error_inflation <= variance_inflation:
         return known
-    searched = candidate.complexity + (judge.policy.selection.searched_places if candidate.located else 0.0)
-    return max(known, p_value(searched, judge.misfit, 0.0))
+    searched = candidate.complexity + (objective.policy.selection.searched_places if candidate.located else 0.0)
+    return max(known, p_value(searched, objective.form_error_inflation, 0.0))
 
 
 def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
     history = []
     while len(fit.parts) > 1:
-        reduced = [fit_parts(explore.judge, fit.parts[:k] + fit.parts[k + 1 :]) for k in range(len(fit.parts) - 1)]
+        reduced = [
+            fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :]) for k in range(len(fit.parts) - 1)
+        ]
         best = min(reduced, key=explore.price)
         if explore.price(best) > explore.price(fit):
             break
@@ -528,15 +553,15 @@ def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
 
 def _rivals(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
     """Return a part replaced by other terms, and by other variants of its own, best first."""
-    judge = explore.judge
-    inflation = max(explore.inflation, judge.misfit)
+    objective = explore.objective
+    variance_inflation = max(explore.variance_inflation, objective.form_error_inflation)
     own = chosen.parts[k].candidate
-    reference = judge.block_sums(chosen.entries**2)
+    reference = objective.block_sums(chosen.residuals**2)
     rivals = []
     for fit in explore(rest):
         if fit.parts[-1].candidate.label == own.label:
             continue
-        difference = (judge.block_sums(fit.entries**2) - reference) / inflation
+        difference = (objective.block_sums(fit.residuals**2) - reference) / variance_inflation
         total = float(difference.sum()) + explore.rules.price * (fit.complexity - chosen.complexity)
         rivals.append(Rival(fit, total, total / _error_of_sum(difference)))
     rivals.sort(key=lambda rival: rival.excess)

@@ -90,7 +90,7 @@ class Finding:
     alternatives : tuple of str
         Terms that fit as well on this data, and exact degeneracies; a pair is written ``a+b``.
     sentence : str
-    severity : float
+    effect_to_noise : float
         Rms of its 0.05 s prediction error over that of sensor noise, in the worst channel [1].
     runners_up : tuple of RivalSummary
         Best first; the first that is no alternative is the placebo.
@@ -106,7 +106,7 @@ class Finding:
     gap_explained: float
     alternatives: tuple[str, ...]
     sentence: str
-    severity: float
+    effect_to_noise: float
     runners_up: tuple[RivalSummary, ...] = ()
     separated_by: tuple[str, ...] = ()
     exported: bool = True
@@ -197,7 +197,7 @@ class RemainderTest:
     p_value : float
     share : float
         Of the gap that has no name [1].
-    severity : float
+    effect_to_noise : float
     by_group : tuple of (str, float)
         What kinds of dependence explain of it, strongest first, in units of chi squared.
     formula : str
@@ -208,7 +208,7 @@ class RemainderTest:
 
     p_value: float
     share: float
-    severity: float
+    effect_to_noise: float
     by_group: tuple[tuple[str, float], ...]
     formula: str = ""
     drifts: tuple[tuple[str, float], ...] = ()

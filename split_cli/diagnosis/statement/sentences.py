@@ -141,7 +141,7 @@ def summarise(
     if location is not None:
         parts.append(_where(location))
     if unexplained and remainder is not None:
-        parts.append(_nameless(remainder, bool(findings)))
+        parts.append(_unnamed(remainder, bool(findings)))
     if improvement is not None:
         parts.append(_help(improvement, "physics" if findings else "split_only"))
     if corrected is not None and not corrected.accepted:
@@ -230,7 +230,7 @@ def not_accepted(corrected: CorrectedVehicle) -> str:
     )
 
 
-def _nameless(remainder: RemainderTest, named: bool) -> str:
+def _unnamed(remainder: RemainderTest, named: bool) -> str:
     share = f"{percent(remainder.share)} of the gap" if named else "The gap"
     kind = remainder.by_group[0][0] if remainder.by_group else ""
     lead = f"; it goes with {_KINDS.get(kind, kind)}" if kind else ""

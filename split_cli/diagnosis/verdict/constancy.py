@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.common import features
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.baseline.discrepancy import features
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, raw_slopes
 
 __all__ = ["Drift", "parameter_drifts"]
@@ -35,7 +35,7 @@ class Drift:
     freedom: int
 
 
-def parameter_drifts(judge: Judge, fit: Fit) -> tuple[Drift, ...]:
+def parameter_drifts(objective: MarginalLikelihood, fit: Fit) -> tuple[Drift, ...]:
     """Return the drifts of a fit's parameters, strongest first.
 
     Notes
@@ -45,12 +45,12 @@ def parameter_drifts(judge: Judge, fit: Fit) -> tuple[Drift, ...]:
     """
     if not fit.parts:
         return ()
-    slopes = raw_slopes(judge, fit.parts)
-    own = _orthonormal(judge.whiten(slopes))
-    left = fit.entries - own @ (own.T @ fit.entries)
+    slopes = raw_slopes(objective, fit.parts)
+    own = _orthonormal(objective.whiten(slopes))
+    left = fit.residuals - own @ (own.T @ fit.residuals)
     out = []
-    for name, weight in _modulators(judge).items():
-        columns = judge.whiten(slopes * weight[:, None])
+    for name, weight in _modulators(objective).items():
+        columns = objective.whiten(slopes * weight[:, None])
         columns -= own @ (own.T @ columns)
         basis = _orthonormal(columns)
         out.append(Drift(name, float(np.sum((basis.T @ left) ** 2)), basis.shape[1]))
@@ -63,10 +63,10 @@ def _orthonormal(columns: np.ndarray) -> np.ndarray:
     return left[:, size > 1e-4 * max(float(size.max(initial=0.0)), 1e-12)]
 
 
-def _modulators(judge: Judge) -> dict[str, np.ndarray]:
-    """Return variables between about -1 and 1 on the judge's entries, by the name they are told with."""
+def _modulators(objective: MarginalLikelihood) -> dict[str, np.ndarray]:
+    """Return variables between about -1 and 1 on the objective's rows, by the name they are reported with."""
     tables = []
-    for one in judge.evidence:
+    for one in objective.evidence:
         z = features(one.series, one.vehicle)[one.at]
         torque = z[:, 2]
         tables.append({
@@ -78,11 +78,11 @@ def _modulators(judge: Judge) -> dict[str, np.ndarray]:
             "rear slip": np.abs(z[:, 1]) / max(float(np.quantile(np.abs(z[:, 1]), 0.98)), 1e-9),
             "time": one.series.t[one.at] / max(float(one.series.t[-1]), 1e-9),
         })  # fmt: skip
-    extra = np.zeros(sum(len(one.begin) for one in judge.kinematics))
+    extra = np.zeros(sum(len(one.begin) for one in objective.kinematics))
     out = {}
     for name in tables[0]:
         rows = [
-            np.repeat(np.clip(t[name], -1.5, 1.5)[keep], 3) for t, keep in zip(tables, judge.keep, strict=True)
+            np.repeat(np.clip(t[name], -1.5, 1.5)[keep], 3) for t, keep in zip(tables, objective.keep, strict=True)
         ]
         out[name] = np.concatenate([*rows, extra])
     return out

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import brentq
 
-from split_cli.diagnosis.innovations.judge import Judge, alters_inputs
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.selection import nothing, over_allowance, p_of_effect
@@ -24,17 +24,21 @@ _NEAR, _PROPORTIONAL = np.log(1.2), np.log(4.0)
 
 
 def smallest_named(
-    judges: Sequence[Judge], candidates: Sequence[Candidate], inflation: float, level: float
+    objectives: Sequence[MarginalLikelihood],
+    candidates: Sequence[Candidate],
+    variance_inflation: float,
+    level: float,
 ) -> tuple[Detectable, ...]:
     """Return from which size on each term of the catalogue would be named alone on these recordings.
 
     Parameters
     ----------
-    judges : sequence of Judge
-        The last of them, where it believes the simulation to the letter, names what alters inputs or sensors.
+    objectives : sequence of MarginalLikelihood
+        The last of them, where its baseline is fixed, names what alters inputs or
+        sensors.
     candidates : sequence of Candidate
         Those that act at a place are left out: it depends on the place.
-    inflation : float
+    variance_inflation : float
     level : float
         Of the minimum-effect test.
 
@@ -48,17 +52,17 @@ def smallest_named(
     for one in candidates:
         if one.starts:
             variants.setdefault(one.term, []).append(one)
-    bare = [nothing(judge) for judge in judges]
+    bare = [nothing(objective) for objective in objectives]
 
     def smallest(candidate: Candidate) -> tuple[float, dict[str, float]]:
         last = -1 if alters_inputs(candidate.build(candidate.starts[0])) else 0
-        return _smallest(judges[last], bare[last], candidate, inflation, level / len(candidates))
+        return _smallest(objectives[last], bare[last], candidate, variance_inflation, level / len(candidates))
 
     every = [one for several in variants.values() for one in several]
     found = dict(zip((one.label for one in every), together(smallest, every), strict=True))
     out = []
     for term, several in variants.items():
-        # Which of them is there nobody knows: what is told holds for all.
+        # Which of them is there nobody knows: what is reported holds for all.
         worst = max(several, key=lambda one: found[one.label][0])
         units = CATALOGUE[term].parameter_units(worst.variant)
         values = found[worst.label][1]
@@ -67,7 +71,7 @@ def smallest_named(
 
 
 def _smallest(
-    judge: Judge, bare: Fit, candidate: Candidate, inflation: float, level: float
+    objective: MarginalLikelihood, bare: Fit, candidate: Candidate, variance_inflation: float, level: float
 ) -> tuple[float, dict[str, float]]:
     """Return how many times its start an effect has to be, and its values; infinity and none beyond its range."""
     start = candidate.starts[len(candidate.starts) // 2]
@@ -75,17 +79,19 @@ def _smallest(
 
     def excess(size: float, saved: float) -> float:
         """Return by how much an effect, its size over what is allowed, passes, above 0, or fails, below."""
-        p_value = p_of_effect(judge, candidate, size, saved, inflation)
+        p_value = p_of_effect(objective, candidate, size, saved, variance_inflation)
         margin = np.log(level) - np.log(max(p_value, 1e-300))
-        if judge.to_the_letter:
-            margin = min(margin, np.log(saved / (saved + bare.cost)) - np.log(judge.policy.selection.letter_share))
+        if objective.fixed_baseline:
+            margin = min(
+                margin, np.log(saved / (saved + bare.cost)) - np.log(objective.policy.selection.fixed_share)
+            )
         return float(margin)
 
     values, factor, inside = dict(start), 1.0, True
     for _ in range(_ROUNDS):
         term = candidate.build(values)
-        moved = judge.whiten(judge.residual((term,)) - judge.shift((term,))) - bare.entries
-        saved, size = float(moved @ moved), over_allowance(judge, (term,), ())
+        moved = objective.whiten(objective.residual((term,)) - objective.shift((term,))) - bare.residuals
+        saved, size = float(moved @ moved), over_allowance(objective, (term,), ())
 
         def passes(log: float, saved=saved, size=size) -> float:
             return excess(np.exp(log) * size, np.exp(2.0 * log) * saved)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part
 from split_cli.diagnosis.search.selection import term_size
 from split_cli.diagnosis.statement.result import ParameterEstimate
@@ -15,38 +15,38 @@ _CHI2_95 = 3.84  # of one parameter
 _PLACES = ("s_start", "s_end")
 
 
-def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEstimate], ...]:
+def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[str, ParameterEstimate], ...]:
     """Return the parameters of every part.
 
     Notes
     -----
     The covariance is the sandwich (J^T J)^-1 (sum over blocks of s_b s_b^T) (J^T J)^-1, s_b a block's score: what
     a bootstrap over blocks converges to, with the simulation's uncertainty inside J. Systematic error is added.
-    Where misfit widens what terms save, it widens both by its root: it acts alike in block after block.
-    To the letter J knows nothing of the simulation's uncertainty; what was learned from a recording with as much
-    misfit is as uncertain as what is found on this one.
+    Where model-form error widens what terms save, it widens both by its root: it acts alike in block after block.
+    With a fixed baseline J knows nothing of the simulation's uncertainty; what was learned from a recording with
+    as much model-form error is as uncertain as what is found on this one.
     """
     from scipy.stats import t as student
 
-    J, rules = fit.sensitivity, judge.policy.reporting
+    J, rules = fit.sensitivity, objective.policy.reporting
     if not J.shape[1]:
         return ()
     scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-150
     normal = np.linalg.pinv((J / scale).T @ (J / scale), rcond=1e-10)
-    scores = judge.block_sums((J / scale) * fit.entries[:, None])
+    scores = objective.block_sums((J / scale) * fit.residuals[:, None])
     blocks = len(scores)
     middle = scores.T @ scores * blocks / max(blocks - J.shape[1], 1)
     covariance = normal @ middle @ normal / np.outer(scale, scale)
     plain = np.diag(normal) / scale**2
-    variance = np.maximum(np.diag(covariance), plain * max(judge.misfit, 1.0))
-    if judge.to_the_letter:
+    variance = np.maximum(np.diag(covariance), plain * max(objective.form_error_inflation, 1.0))
+    if objective.fixed_baseline:
         variance = 2.0 * variance
     wide = float(student.ppf(0.975, max(blocks - J.shape[1], 2)))
     out, column = [], 0
     for k, part in enumerate(fit.parts):
-        size = term_size(judge, fit, k)
-        term, entries = part.term, {}
-        systematic = rules.systematic * np.sqrt(max(judge.misfit, 1.0))
+        size = term_size(objective, fit, k)
+        term, residuals = part.term, {}
+        systematic = rules.systematic * np.sqrt(max(objective.form_error_inflation, 1.0))
         relative = np.hypot(systematic / max(size, 1e-9), rules.through_tires if term.through_tires else 0.0)
         for name, unit in term.parameter_units(part.candidate.variant).items():
             value = term.parameters[name]
@@ -55,27 +55,27 @@ def parameter_estimates(judge: Judge, fit: Fit) -> tuple[dict[str, ParameterEsti
             limits = (value - wide * error, value + wide * error)
             if name in _PLACES:
                 rise = _CHI2_95 * max(float(np.max(variance / np.maximum(plain, 1e-300))), 1.0)
-                limits = _place_limits(judge, fit, k, name, rise)
+                limits = _place_limits(objective, fit, k, name, rise)
                 error = (limits[1] - limits[0]) / (2.0 * wide)
-            entries[name] = ParameterEstimate(value, error, unit, limits)
+            residuals[name] = ParameterEstimate(value, error, unit, limits)
             column += 1
-        out.append(entries)
+        out.append(residuals)
     return tuple(out)
 
 
-def _place_limits(judge: Judge, fit: Fit, k: int, name: str, rise: float) -> tuple[float, float]:
+def _place_limits(objective: MarginalLikelihood, fit: Fit, k: int, name: str, rise: float) -> tuple[float, float]:
     """Return how far an end of a stretch may be moved to either side until the cost has risen by `rise`.
 
     Costs are no parabola there: between two turns nothing tells where a stretch ends, so derivatives do not say.
     """
     part = fit.parts[k]
     limit, here = part.candidate.ranges[name], part.values[name]
-    shift = judge.shift(fit.terms)
+    shift = objective.shift(fit.terms)
 
     def cost_at(place: float) -> float:
         moved = Part(part.candidate, {**part.values, name: place})
-        entries = judge.whiten(judge.residual([*fit.terms[:k], moved.term, *fit.terms[k + 1 :]]) - shift)
-        return float(entries @ entries)
+        residuals = objective.whiten(objective.residual([*fit.terms[:k], moved.term, *fit.terms[k + 1 :]]) - shift)
+        return float(residuals @ residuals)
 
     allowed = cost_at(here) + rise
     ends = []

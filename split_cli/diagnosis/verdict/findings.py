@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD, Abstention, Policy
+from split_cli.diagnosis.remainder.autocorrelation import ResidualAutocorrelation, residual_autocorrelation
 from split_cli.diagnosis.remainder.structure import Structure
-from split_cli.diagnosis.remainder.wander import Wander, wander_of
+from split_cli.diagnosis.search.baselines import SearchOutcome
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
-from split_cli.diagnosis.search.misfit import entries_beside_misfit
-from split_cli.diagnosis.search.reading import Reading
+from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well, term_size, without_parts
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
@@ -22,30 +22,30 @@ from split_cli.diagnosis.verdict.constancy import parameter_drifts
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["describe", "wanders", "with_shares"]
+__all__ = ["describe", "is_autocorrelated", "with_shares"]
 
 _SHOWN_RIVALS = 6
 
 
 def describe(
-    reading: Reading, contradicted: bool = False
+    outcome: SearchOutcome, contradicted: bool = False
 ) -> tuple[Selection, tuple[Finding, ...], RemainderTest, bool]:
     """Return what is trusted of a reading's selection, its findings, what is left, and whether that has no name.
 
     Parameters
     ----------
-    reading : Reading
+    outcome : SearchOutcome
     contradicted : bool
         Whether speed or yaw rate is out of scale: then physics is not named, which might stand for it.
     """
-    structure, selection, inflation = reading.structure, reading.selection, reading.inflation
-    judge = structure.judge
-    rules = judge.policy.abstention
-    left = entries_beside_misfit(judge, selection.chosen)
-    remainder = _remainder(structure, selection, inflation, left)
-    findings = _findings(judge, selection, remainder.share)
-    wander = wander_of(structure, left)
-    unexplained = not findings or _is_unexplained(findings, remainder, wander, reading, rules)
+    structure, selection, variance_inflation = outcome.structure, outcome.selection, outcome.variance_inflation
+    objective = structure.objective
+    rules = objective.policy.abstention
+    left = residuals_beside_form_error(objective, selection.chosen)
+    remainder = _remainder(structure, selection, variance_inflation, left)
+    findings = _findings(objective, selection, remainder.share)
+    autocorrelation = residual_autocorrelation(structure, left)
+    unexplained = not findings or _is_unexplained(findings, remainder, autocorrelation, outcome, rules)
     kept = {one.term for one in findings}
     if contradicted:
         unexplained, kept = True, {one.term for one in findings if not one.exported}
@@ -56,10 +56,10 @@ def describe(
     kept -= _vague(selection, findings, rules)
     if len(kept) < len(findings):
         unexplained = True
-        selection = _only(judge, selection, kept)
-        left = entries_beside_misfit(judge, selection.chosen)
-        remainder = _remainder(structure, selection, inflation, left)
-        findings = _findings(judge, selection, remainder.share)
+        selection = _only(objective, selection, kept)
+        left = residuals_beside_form_error(objective, selection.chosen)
+        remainder = _remainder(structure, selection, variance_inflation, left)
+        findings = _findings(objective, selection, remainder.share)
     return selection, findings, remainder, unexplained
 
 
@@ -82,23 +82,29 @@ def _vague(selection: Selection, findings: Sequence[Finding], rules: Abstention)
 def _is_unexplained(
     findings: Sequence[Finding],
     remainder: RemainderTest,
-    wander: Wander,
-    reading: Reading,
+    autocorrelation: ResidualAutocorrelation,
+    outcome: SearchOutcome,
     rules: Abstention,
 ) -> bool:
     """Return whether what is left is structured and large, or wanders."""
-    large = max(2.0 * rules.severity, min(rules.size * reading.gap.severity, rules.most))
-    if wanders(wander, reading.known.wander, reading.structure.judge.policy) and wander.severity > large:
+    large = max(2.0 * rules.effect_to_noise, min(rules.size * outcome.gap.effect_to_noise, rules.most))
+    if (
+        is_autocorrelated(autocorrelation, outcome.known.autocorrelation, outcome.structure.objective.policy)
+        and autocorrelation.effect_to_noise > large
+    ):
         return True
-    if remainder.p_value >= rules.level or remainder.severity < rules.severity:
+    if remainder.p_value >= rules.level or remainder.effect_to_noise < rules.effect_to_noise:
         return False
-    return remainder.severity > large or remainder.share > rules.share
+    return remainder.effect_to_noise > large or remainder.share > rules.share
 
 
-def wanders(wander: Wander, usual: float, policy: Policy = STANDARD) -> bool:
+def is_autocorrelated(autocorrelation: ResidualAutocorrelation, usual: float, policy: Policy = STANDARD) -> bool:
     """Return whether rows vary together by more than they usually do, and by enough to matter."""
     rules = policy.abstention
-    return wander.severity > rules.severity and wander.p_value(usual, policy.unnamed) < rules.level
+    return (
+        autocorrelation.effect_to_noise > rules.effect_to_noise
+        and autocorrelation.p_value(usual, policy.unnamed) < rules.level
+    )
 
 
 def with_shares(findings: Sequence[Finding], chosen: Fit, shares: Sequence[float] | None) -> tuple[Finding, ...]:
@@ -106,51 +112,53 @@ def with_shares(findings: Sequence[Finding], chosen: Fit, shares: Sequence[float
     if shares is None:
         return tuple(findings)
     by_term = {part.candidate.term: share for part, share in zip(chosen.parts, shares, strict=True)}
-    told = [replace(one, gap_explained=by_term[one.term]) for one in findings]
-    return tuple(sorted(told, key=lambda finding: -finding.gap_explained))
+    shared = [replace(one, gap_explained=by_term[one.term]) for one in findings]
+    return tuple(sorted(shared, key=lambda finding: -finding.gap_explained))
 
 
 def _remainder(
-    structure: Structure, selection: Selection, inflation: float, entries: np.ndarray
+    structure: Structure, selection: Selection, variance_inflation: float, residuals: np.ndarray
 ) -> RemainderTest:
-    """Return what is left beyond what the named terms may get wrong; `entries` of `entries_beside_misfit`."""
-    left = structure.fit(entries, inflation)
+    """Return what is left beyond the named terms' model-form error; see `residuals_beside_form_error`."""
+    left = structure.fit(residuals, variance_inflation)
     named = selection.base.cost - selection.chosen.cost
-    drifts = tuple((one.variable, one.saved) for one in parameter_drifts(structure.judge, selection.chosen)[:3])
-    share = structure.nameless_share(left, named, inflation)
-    return RemainderTest(left.p_value, share, left.severity, left.group_saved, drifts=drifts)
+    drifts = tuple(
+        (one.variable, one.saved) for one in parameter_drifts(structure.objective, selection.chosen)[:3]
+    )
+    share = structure.unnamed_share(left, named, variance_inflation)
+    return RemainderTest(left.p_value, share, left.effect_to_noise, left.group_saved, drifts=drifts)
 
 
-def _only(judge: Judge, selection: Selection, terms: set[str]) -> Selection:
-    """Return an explanation with these of its named terms, refitted; what was kept aside stays."""
+def _only(objective: MarginalLikelihood, selection: Selection, terms: set[str]) -> Selection:
+    """Return an explanation with these of its named terms, refitted; what was kept as a nuisance stays."""
     keep = [
         k
         for k, (part, named) in enumerate(zip(selection.chosen.parts, selection.named, strict=True))
         if part.candidate.term in terms or not named
     ]
     parts = tuple(selection.chosen.parts[k] for k in keep)
-    chosen = fit_parts(judge, parts) if parts else selection.base
+    chosen = fit_parts(objective, parts) if parts else selection.base
     return replace(
         selection,
         chosen=chosen,
-        without=without_parts(judge, selection.base, chosen),
+        without=without_parts(objective, selection.base, chosen),
         rivals=tuple(selection.rivals[k] for k in keep),
         siblings=tuple(selection.siblings[k] for k in keep),
         named=tuple(selection.named[k] for k in keep),
     )
 
 
-def _findings(judge: Judge, selection: Selection, nameless: float) -> tuple[Finding, ...]:
+def _findings(objective: MarginalLikelihood, selection: Selection, unnamed: float) -> tuple[Finding, ...]:
     chosen = selection.chosen
-    estimates = parameter_estimates(judge, chosen)
+    estimates = parameter_estimates(objective, chosen)
     total = max(selection.base.cost - chosen.cost, 1e-9)
     out = []
     for k, (part, rivals) in enumerate(zip(chosen.parts, selection.rivals, strict=True)):
         if not selection.named[k]:
             continue
         term, variant = part.candidate.term, part.candidate.variant
-        alternatives = _alternatives(judge, selection, k)
-        parameters = _with_variants(judge, selection, k, estimates[k], nameless)
+        alternatives = _alternatives(objective, selection, k)
+        parameters = _with_variants(objective, selection, k, estimates[k], unnamed)
         out.append(
             Finding(
                 term,
@@ -158,8 +166,8 @@ def _findings(judge: Judge, selection: Selection, nameless: float) -> tuple[Find
                 parameters,
                 float(np.clip((selection.without[k].cost - chosen.cost) / total, 0.0, 1.0)),
                 alternatives,
-                sentence_for(term, variant, parameters, alternatives, judge.evidence[0].vehicle),
-                term_size(judge, chosen, k),
+                sentence_for(term, variant, parameters, alternatives, objective.evidence[0].vehicle),
+                term_size(objective, chosen, k),
                 _runners_up(rivals),
                 separations(term, variant, alternatives),
                 CATALOGUE[term].exported,
@@ -169,23 +177,27 @@ def _findings(judge: Judge, selection: Selection, nameless: float) -> tuple[Find
 
 
 def _with_variants(
-    judge: Judge, selection: Selection, k: int, own: Mapping[str, ParameterEstimate], nameless: float
+    objective: MarginalLikelihood,
+    selection: Selection,
+    k: int,
+    own: Mapping[str, ParameterEstimate],
+    unnamed: float,
 ) -> dict[str, ParameterEstimate]:
     """Widen a part's intervals by those of its term's other variants, where they explain the data as well.
 
-    Of variants that differ by less than the share of the gap that is `nameless`, either may be the better one.
+    Of variants that differ by less than the share of the gap that is `unnamed`, either may be the better one.
     """
     out = dict(own)
-    for sibling in explaining_as_well(judge, selection, k, selection.siblings[k], nameless):
-        theirs = parameter_estimates(judge, sibling.fit)[-1]
+    for sibling in explaining_as_well(objective, selection, k, selection.siblings[k], unnamed):
+        theirs = parameter_estimates(objective, sibling.fit)[-1]
         out = {name: one.covering(theirs[name]) if name in theirs else one for name, one in out.items()}
     return out
 
 
-def _alternatives(judge: Judge, selection: Selection, k: int) -> tuple[str, ...]:
+def _alternatives(objective: MarginalLikelihood, selection: Selection, k: int) -> tuple[str, ...]:
     """Return terms that fit as well here, and those that always would: exact degeneracies."""
     own = selection.chosen.parts[k].candidate
-    rivals = explaining_as_well(judge, selection, k, selection.rivals[k])
+    rivals = explaining_as_well(objective, selection, k, selection.rivals[k])
     names = [rival.fit.parts[-1].candidate.term for rival in rivals]
     names += exact_mimics(own.term, own.variant)
     taken = {part.candidate.term for part in selection.chosen.parts}

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence
-from split_cli.diagnosis.innovations.judge import CommonKnowledge, Judge, build_judge
+from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood, build_objective
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import Kinematics
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
@@ -23,15 +23,15 @@ class HeldOut:
 
     Attributes
     ----------
-    training : Judge
-    judging : Judge or None
+    training : MarginalLikelihood
+    testing : MarginalLikelihood or None
         None where too little is kept out to judge by.
     masks : tuple of ndarray of bool, shape (N,)
         Samples kept out of each real recording.
     """
 
-    training: Judge
-    judging: Judge | None
+    training: MarginalLikelihood
+    testing: MarginalLikelihood | None
     masks: tuple[np.ndarray, ...]
 
 
@@ -40,12 +40,12 @@ def hold_out(
     keep: Sequence[np.ndarray],
     others: Sequence[Evidence],
     keep_others: Sequence[np.ndarray],
-    knowledge: CommonKnowledge | None,
-    common: CommonPhysics,
+    posterior: DiscrepancyPosterior | None,
+    discrepancy: SharedDiscrepancy,
     kinematics: Sequence[Kinematics],
     policy: Policy = STANDARD,
     *,
-    to_the_letter: bool = False,
+    fixed_baseline: bool = False,
 ) -> HeldOut:
     """Keep out the recordings named for it, else the last share of the time of every real one.
 
@@ -56,30 +56,30 @@ def hold_out(
     keep, keep_others : sequence of ndarray of bool, shape (G,)
         Rows that are compared.
     knowledge, common, kinematics
-        As for `build_judge`.
+        As for `build_objective`.
     policy : Policy
-    to_the_letter : bool
-        Whether the simulation is believed without reserve.
+    fixed_baseline : bool
+        Whether the simulation is a fixed baseline.
     """
 
-    def judge_of(recordings: Sequence[Evidence], rows: Sequence[np.ndarray], *positions) -> Judge:
-        judge = build_judge(recordings, knowledge, common, rows, *positions, policy=policy)
-        return judge.believed_to_the_letter() if to_the_letter else judge
+    def objective_of(recordings: Sequence[Evidence], rows: Sequence[np.ndarray], *positions) -> MarginalLikelihood:
+        objective = build_objective(recordings, posterior, discrepancy, rows, *positions, policy=policy)
+        return objective.with_fixed_baseline() if fixed_baseline else objective
 
     if others:
         masks = tuple(np.zeros(len(one.series), dtype=bool) for one in real)
     else:
         masks = tuple(one.series.t > (1.0 - policy.comparison.holdout_share) * one.series.t[-1] for one in real)
     before = [mask & ~held[one.at] for one, mask, held in zip(real, keep, masks, strict=True)]
-    training = judge_of(real, before, kinematics)
+    training = objective_of(real, before, kinematics)
     pairs = list(zip(others, keep_others, strict=True)) if others else []
     if not others:
         pairs = [(one, mask & held[one.at]) for one, mask, held in zip(real, keep, masks, strict=True)]
     pairs = [(one, mask) for one, mask in pairs if mask.any()]
     if sum(int(mask.sum()) for _, mask in pairs) < policy.reporting.least_heldout:
         return HeldOut(training, None, masks)
-    judging = judge_of([one for one, _ in pairs], [mask for _, mask in pairs])
-    return HeldOut(training, judging, masks)
+    testing = objective_of([one for one, _ in pairs], [mask for _, mask in pairs])
+    return HeldOut(training, testing, masks)
 
 
 def explained_shares(split: HeldOut, fit: Fit) -> tuple[float, ...] | None:
@@ -96,14 +96,14 @@ def explained_shares(split: HeldOut, fit: Fit) -> tuple[float, ...] | None:
     tuple of float or None
         Of every part, between 0 and 1; None where too little was kept out.
     """
-    if split.judging is None or not fit.parts:
+    if split.testing is None or not fit.parts:
         return None
-    full = split.judging.cost(fit.terms)
-    bare = split.judging.cost(())
-    above = max(bare - min(full, float(len(split.judging.weight))), 1e-9)
+    full = split.testing.cost(fit.terms)
+    bare = split.testing.cost(())
+    above = max(bare - min(full, float(len(split.testing.weight))), 1e-9)
     out = []
     for k in range(len(fit.parts)):
         others = fit.parts[:k] + fit.parts[k + 1 :]
-        without = split.judging.cost(fit_parts(split.training, others).terms) if others else bare
+        without = split.testing.cost(fit_parts(split.training, others).terms) if others else bare
         out.append(float(np.clip((without - full) / above, 0.0, 1.0)))
     return tuple(out)

@@ -8,9 +8,9 @@ from dataclasses import asdict
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence
-from split_cli.diagnosis.innovations.judge import CommonKnowledge
+from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior
 from split_cli.diagnosis.innovations.rollouts import (
     HORIZONS,
     RolloutErrors,
@@ -19,13 +19,13 @@ from split_cli.diagnosis.innovations.rollouts import (
     shared_rates,
 )
 from split_cli.diagnosis.statement.result import HorizonErrors, Improvement
+from split_cli.diagnosis.verdict.correction import learn_correction, without_correction
 from split_cli.diagnosis.verdict.label_errors import (
     BLOCK_SECONDS,
     blocks_of_time,
     in_standard_errors,
     label_errors,
 )
-from split_cli.diagnosis.verdict.rest import learn_rest, without_rest
 from split_cli.diagnosis.verdict.simulation_part import believed_parts, part_of
 from split_cli.vehicle.effects import Term
 
@@ -38,8 +38,8 @@ _MOSTLY = 0.9  # of the draws must leave something to improve, else a share has 
 def measure_improvement(
     recordings: Sequence[tuple[Evidence, np.ndarray]],
     terms: Sequence[Term],
-    common: CommonPhysics,
-    knowledge: CommonKnowledge | None,
+    discrepancy: SharedDiscrepancy,
+    posterior: DiscrepancyPosterior | None,
     simulated: Sequence[Evidence] = (),
 ) -> Improvement | None:
     """Compare simulation, named physics and SPLIT on held-out time.
@@ -50,8 +50,8 @@ def measure_improvement(
         Real recordings and which of their rows are held out; SPLIT learns what the others leave.
     terms : sequence of Term
         Fitted without the held-out rows.
-    common : CommonPhysics
-    knowledge : CommonKnowledge or None
+    discrepancy : SharedDiscrepancy
+    posterior : DiscrepancyPosterior or None
         What the simulation taught.
     simulated : sequence of Evidence
         That taught it; what they taught is checked on them.
@@ -67,9 +67,9 @@ def measure_improvement(
     easy to beat.
     """
     terms = tuple(terms)
-    plain = [shared_rates(one.series, common, knowledge) for one, _ in recordings]
-    named = [shared_rates(one.series, common, knowledge, terms) for one, _ in recordings] if terms else plain
-    chosen = believed_parts(recordings, simulated, common, plain, named, terms)
+    plain = [shared_rates(one.series, discrepancy, posterior) for one, _ in recordings]
+    named = [shared_rates(one.series, discrepancy, posterior, terms) for one, _ in recordings] if terms else plain
+    chosen = believed_parts(recordings, simulated, discrepancy, plain, named, terms)
     plain, named = (
         [part_of(part, one) for one in several] for part, several in zip(chosen, (plain, named), strict=True)
     )
@@ -79,17 +79,17 @@ def measure_improvement(
     if not any(part.held.any() for part in parts):
         return None
     errors_before, errors_physics = ([getattr(one, name) for one in parts] for name in ("before", "physics"))
-    split_only = learn_rest(recordings, [Stage((), one) for one in plain], parts, errors_before)
+    split_only = learn_correction(recordings, [Stage((), one) for one in plain], parts, errors_before)
     both = split_only
     if terms:
-        both = learn_rest(recordings, [Stage(terms, one) for one in named], parts, errors_physics)
+        both = learn_correction(recordings, [Stage(terms, one) for one in named], parts, errors_physics)
     errors = {
         name: np.concatenate([values[part.held] for values, part in zip(several, parts, strict=True)])
         for name, several in {
             "before": errors_before,
             "physics": errors_physics,
-            "split_only": [without_rest(part, part.before, split_only) for part in parts],
-            "after": [without_rest(part, part.physics, both) for part in parts],
+            "split_only": [without_correction(part, part.before, split_only) for part in parts],
+            "after": [without_correction(part, part.physics, both) for part in parts],
             "persistence": [part.persistence for part in parts],
         }.items()
     }
@@ -115,8 +115,8 @@ def measure_improvement(
         tuple(np.sqrt(floor.mean(axis=0)).tolist()), intervals, _pooled([one for one in rollouts if one]), removed,
         {stage: asdict(part) for stage, part in zip(("before", "physics"), chosen, strict=True)},
         {
-            name: (0.0, 0.0, 0.0) if rest is None else tuple(rest.trust.tolist())
-            for name, rest in (("split_only", split_only), ("after", both))
+            name: (0.0, 0.0, 0.0) if correction is None else tuple(correction.trust.tolist())
+            for name, correction in (("split_only", split_only), ("after", both))
         },
     )  # fmt: skip
 
@@ -173,8 +173,8 @@ def _bootstrap(squared: Mapping[str, np.ndarray], floor: np.ndarray, block: np.n
             improvable_removed(*row) for row in zip(rms["before"], rms[name], noise, strict=True)
         ])  # fmt: skip
         drawn = drawn[np.isfinite(drawn)]
-        told = math.isfinite(share) and len(drawn) > _MOSTLY * _BOOTSTRAPS
-        removed[name] = (share, *np.minimum(interval(drawn, share), 1.0).tolist()) if told else None
+        known = math.isfinite(share) and len(drawn) > _MOSTLY * _BOOTSTRAPS
+        removed[name] = (share, *np.minimum(interval(drawn, share), 1.0).tolist()) if known else None
     return intervals, removed
 
 

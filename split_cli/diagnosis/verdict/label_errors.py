@@ -29,7 +29,7 @@ class LabelErrors:
     Attributes
     ----------
     labels : Labels
-        Of the simulation as learned: nominal less common physics.
+        Of the simulation as learned: nominal less the shared discrepancy.
     before, physics, persistence : ndarray, shape (L, 3)
     held : ndarray of bool, shape (L,)
     floor : ndarray, shape (L, 3)

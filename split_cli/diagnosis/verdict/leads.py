@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.result import Lead, ParameterEstimate
@@ -14,21 +14,21 @@ from split_cli.diagnosis.verdict.estimates import parameter_estimates
 __all__ = ["find_leads"]
 
 
-def find_leads(judge: Judge, selection: Selection) -> tuple[Lead, ...]:
+def find_leads(objective: MarginalLikelihood, selection: Selection) -> tuple[Lead, ...]:
     """Return what would explain much, had a car what it would need.
 
     Parameters
     ----------
-    judge : Judge
+    objective : MarginalLikelihood
     selection : Selection
         With what every term explains alone.
 
     Notes
     -----
-    A term whose fit ended at a bound of what a car can have is followed beyond it. It is told if it then explains
-    a fair share of what is there, alone.
+    A term whose fit ended at a bound of what a car can have is followed beyond it. It is reported if it then
+    explains a fair share of what is there, alone.
     """
-    rules = judge.policy.abstention
+    rules = objective.policy.abstention
     known = {term.id for term in selection.terms}
     whole = max(selection.base.cost - min(one.cost for one in (selection.chosen, *selection.first)), 1e-9)
     bounded: dict[str, Fit] = {}
@@ -41,17 +41,17 @@ def find_leads(judge: Judge, selection: Selection) -> tuple[Lead, ...]:
         if selection.base.cost - fit.cost < 0.5 * rules.lead_share * whole:
             continue
         part = fit.parts[-1]
-        free = fit_parts(judge, (Part(part.candidate.unlimited(), dict(part.values)),))
+        free = fit_parts(objective, (Part(part.candidate.unlimited(), dict(part.values)),))
         saved = selection.base.cost - free.cost
         if saved >= rules.lead_share * whole:
-            leads.append(_lead(judge, selection, fit, free, saved / max(saved, whole)))
+            leads.append(_lead(objective, selection, fit, free, saved / max(saved, whole)))
     return tuple(sorted(leads, key=lambda one: -one.share)[: rules.most_leads])
 
 
-def _lead(judge: Judge, selection: Selection, bounded: Fit, free: Fit, share: float) -> Lead:
+def _lead(objective: MarginalLikelihood, selection: Selection, bounded: Fit, free: Fit, share: float) -> Lead:
     """Return the lead that an explanation beyond the bounds of another is."""
     part, candidate = free.parts[-1], bounded.parts[-1].candidate
-    estimates = parameter_estimates(judge, free)[-1]
+    estimates = parameter_estimates(objective, free)[-1]
     limits = {
         name: (limit.lower, limit.upper)
         for name, limit in candidate.ranges.items()
@@ -59,10 +59,10 @@ def _lead(judge: Judge, selection: Selection, bounded: Fit, free: Fit, share: fl
     }
     sources = tuple(dict.fromkeys(candidate.ranges[name].source for name in limits or candidate.ranges))
     saved = selection.base.cost - free.cost
-    others = _as_good(judge, selection, saved, candidate.term)
+    others = _as_good(objective, selection, saved, candidate.term)
     sentence = lead_sentence(
         candidate.term, candidate.variant, estimates, sources, [(term, variant, p) for term, variant, p in others],
-        judge.evidence[0].vehicle,
+        objective.evidence[0].vehicle,
     )  # fmt: skip
     return Lead(
         candidate.term, candidate.variant, estimates, limits, share, tuple(one[0] for one in others), sentence
@@ -70,13 +70,13 @@ def _lead(judge: Judge, selection: Selection, bounded: Fit, free: Fit, share: fl
 
 
 def _as_good(
-    judge: Judge, selection: Selection, saved: float, but: str
+    objective: MarginalLikelihood, selection: Selection, saved: float, but: str
 ) -> Sequence[tuple[str, str, Mapping[str, ParameterEstimate]]]:
     """Return terms that alone save nearly as much within their ranges, with their parameters, best first."""
-    rules, out = judge.policy.abstention, {}
+    rules, out = objective.policy.abstention, {}
     for fit in selection.first:
         one = fit.parts[-1].candidate
         enough = selection.base.cost - fit.cost >= (1.0 - rules.lead_as_good) * saved
         if enough and one.term not in {but, *out} and not one.at_limit(fit.parts[-1].values):
-            out[one.term] = (one.term, one.variant, parameter_estimates(judge, fit)[-1])
+            out[one.term] = (one.term, one.variant, parameter_estimates(objective, fit)[-1])
     return tuple(out.values())[: rules.most_leads]

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from split_cli.diagnosis.innovations.judge import Judge
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.selection import severity_of_terms
+from split_cli.diagnosis.search.selection import effect_to_noise_of_terms
 from split_cli.diagnosis.statement.wording import number, term_name
 from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = ["hidden_effect"]
 
 
-def hidden_effect(judge: Judge, candidates: Sequence[Candidate], gap_severity: float) -> str:
+def hidden_effect(objective: MarginalLikelihood, candidates: Sequence[Candidate], gap_to_noise: float) -> str:
     """Return why no match can be said, in words; empty where a big effect would have been seen.
 
     Parameters
     ----------
-    judge : Judge
+    objective : MarginalLikelihood
     candidates : sequence of Candidate
         That these recordings can tell.
-    gap_severity : float
+    gap_to_noise : float
         Effect-to-noise ratio of all that differs between simulation and reality.
 
     Notes
@@ -30,14 +30,14 @@ def hidden_effect(judge: Judge, candidates: Sequence[Candidate], gap_severity: f
     effect makes: then silence is no match. An effect is big when it is a fair share of what a car can have; it
     counts when it is larger than the noise on these drives.
     """
-    plain = judge.policy.selection.plain
-    if gap_severity <= plain:
+    plain = objective.policy.selection.plain
+    if gap_to_noise <= plain:
         return ""
     for one in candidates:
-        for name, value, values in _big(one, judge.policy.abstention.big_effect):
-            if plain < severity_of_terms(judge, (one.build(values),)) <= gap_severity:
+        for name, value, values in _big(one, objective.policy.abstention.big_effect):
+            if plain < effect_to_noise_of_terms(objective, (one.build(values),)) <= gap_to_noise:
                 return (
-                    f"Simulation and reality differ by {number(gap_severity, 2)} times sensor noise in a step, "
+                    f"Simulation and reality differ by {number(gap_to_noise, 2)} times sensor noise in a step, "
                     f"and so do halves of the simulation. A {term_name(one.term)} with {name} = "
                     f"{number(value, 2)} would hide in that. Drive both alike and longer, or "
                     "calibrate the vehicle file (split calibrate)."

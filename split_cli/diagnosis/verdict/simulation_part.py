@@ -8,9 +8,9 @@ from itertools import product
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence
-from split_cli.diagnosis.innovations.judge import learn_common
+from split_cli.diagnosis.innovations.objective import learn_discrepancy
 from split_cli.diagnosis.innovations.rollouts import (
     HORIZONS,
     RolloutErrors,
@@ -60,7 +60,7 @@ def part_of(part: SimulationPart, whole: SharedRates | None) -> SharedRates | No
 def believed_parts(
     recordings: Sequence[tuple[Evidence, np.ndarray]],
     simulated: Sequence[Evidence],
-    common: CommonPhysics,
+    discrepancy: SharedDiscrepancy,
     plain: Sequence[SharedRates | None],
     named: Sequence[SharedRates | None],
     terms: Sequence[Term] = (),
@@ -72,7 +72,7 @@ def believed_parts(
     recordings : sequence of (Evidence, ndarray of bool of shape (N,))
         Real recordings and which of their rows are held out; those are not looked at.
     simulated : sequence of Evidence
-    common : CommonPhysics
+    discrepancy : SharedDiscrepancy
     plain, named : sequence of SharedRates or None
         All that the simulation knows along each recording, without and with terms.
     terms : sequence of Term
@@ -85,19 +85,19 @@ def believed_parts(
     """
     if any(one is None for one in plain):
         return SimulationPart(), SimulationPart()
-    believable = _that_predict_the_simulation(simulated, common)
+    believable = _that_predict_the_simulation(simulated, discrepancy)
     rows = [(one, ~held) for one, held in recordings]
     before = _best(rows, plain, (), believable)
     return before, _best(rows, named, terms, believable) if terms else before
 
 
 def _that_predict_the_simulation(
-    simulated: Sequence[Evidence], common: CommonPhysics
+    simulated: Sequence[Evidence], discrepancy: SharedDiscrepancy
 ) -> tuple[Sequence[str], Sequence[str]]:
     """Return the longitudinal and the lateral offers that predict the simulations' ends."""
     ends = [one.series.t > (1.0 - _CHECKED_SHARE) * one.series.t[-1] for one in simulated]
-    taught = learn_common([_without(one, end) for one, end in zip(simulated, ends, strict=True)])
-    rates = [shared_rates(one.series, common, taught) for one in simulated]
+    taught = learn_discrepancy([_without(one, end) for one, end in zip(simulated, ends, strict=True)])
+    rates = [shared_rates(one.series, discrepancy, taught) for one in simulated]
     parts = {offer: SimulationPart(offer, offer) for offer in OFFERS}
     judged = _errors(list(zip(simulated, ends, strict=True)), rates, (), parts)
     return tuple(
@@ -120,7 +120,7 @@ def _without(evidence: Evidence, rows: np.ndarray) -> Evidence:
     """Return evidence to learn from, less what lies on `rows` of the recording."""
     kept = ~rows[evidence.at]
     return replace(
-        evidence, plain=evidence.plain[kept], common=evidence.common[kept], weight=evidence.weight[kept]
+        evidence, plain=evidence.plain[kept], discrepancy=evidence.discrepancy[kept], weight=evidence.weight[kept]
     )
 
 

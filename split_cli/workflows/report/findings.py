@@ -40,7 +40,8 @@ def _finding(order: int, finding: Finding) -> str:
         f"<p>{escape(finding.sentence)}</p>"
         f'<div class="columns"><div>{table(("Parameter", "Value", "95 % interval", "Unit"), rows)}</div>'
         f'<div><div class="bars">{explained}</div>'
-        f"<p>{number(finding.severity, 2)} times sensor noise in a prediction over 0.05 s. {kind}</p></div></div>"
+        f"<p>{number(finding.effect_to_noise, 2)} times sensor noise in a prediction over 0.05 s. "
+        f"{kind}</p></div></div>"
         f"{_alternatives(finding)}{_rivals(finding)}</article>"
     )
 
@@ -95,8 +96,8 @@ def _rival(finding: Finding, rival: RivalSummary, longest: float) -> str:
 def _remainder(remainder: RemainderTest, unexplained: bool) -> str:
     title = "What remains has structure" if unexplained else "What remains"
     words = (
-        f"{percent(remainder.share)} of the gap has no name: {number(remainder.severity, 2)} times sensor noise "
-        f"in a prediction over 0.05 s, {chance(remainder.p_value)} for noise alone."
+        f"{percent(remainder.share)} of the gap has no name: {number(remainder.effect_to_noise, 2)} times "
+        f"sensor noise in a prediction over 0.05 s, {chance(remainder.p_value)} for noise alone."
     )
     most = max((saved for _, saved in remainder.by_group), default=0.0)
     bars = "".join(

@@ -102,9 +102,9 @@ def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
         yield "Chance", chance(diagnosis.p_value), "of as much, were simulation and reality alike"
     yield "Compared", percent(diagnosis.compared_share), "of the real drive, where the simulation has been too"
     if diagnosis.findings:
-        largest = max(diagnosis.findings, key=lambda finding: finding.severity)
+        largest = max(diagnosis.findings, key=lambda finding: finding.effect_to_noise)
         note = f"sensor noise in 0.05 s ({term_title(largest.term)})"
-        yield "Size", f"{number(largest.severity, 2)} ×", note
+        yield "Size", f"{number(largest.effect_to_noise, 2)} ×", note
     if diagnosis.improvement is not None and diagnosis.improvement.tells and diagnosis.findings:
         yield from _facts_of_help(diagnosis.improvement)
     if diagnosis.remainder is not None:

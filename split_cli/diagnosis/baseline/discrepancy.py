@@ -20,7 +20,7 @@ from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["CommonPhysics", "build_common_physics", "tangents"]
+__all__ = ["SharedDiscrepancy", "build_shared_discrepancy", "tangents"]
 
 # Powers of alpha_f, alpha_r, T and v_x in the smooth functions, even and odd in the slip angles.
 _POWERS = [
@@ -36,7 +36,7 @@ _MEMORY_SECONDS = (0.03, 0.1, 0.35)  # for a full-size car; times shrink with th
 
 
 @dataclass(frozen=True)
-class CommonPhysics:
+class SharedDiscrepancy:
     """The dictionary, scaled so that every weight has a standard normal prior.
 
     Attributes
@@ -70,8 +70,8 @@ class CommonPhysics:
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return what weights add in the middle of samples, shape (N, 3); terms alter inputs, sensors or body.
 
-        What the actuators really did, and where the car really was, is what common physics answers to; and its
-        forces move the body that is there.
+        What the actuators really did, and where the car really was, is what the shared discrepancy answers to; and
+        its forces move the body that is there.
         """
         _, smooth = series.corrected(terms)
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
@@ -143,13 +143,13 @@ class CommonPhysics:
         return [(0, np.array(along)), (1, both), (2, both)]
 
 
-def build_common_physics(vehicle: Vehicle, series: Series) -> CommonPhysics:
+def build_shared_discrepancy(vehicle: Vehicle, series: Series) -> SharedDiscrepancy:
     """Return the dictionary, its smooth functions scaled to where `series` (a simulation) has been."""
     z = features(series, vehicle)
     width = np.maximum(np.quantile(np.abs(z[:, :2]), 0.995, axis=0), 1e-3)
     low, high = np.quantile(z[:, 2:], [0.005, 0.995], axis=0)
     center = np.array([0.0, 0.0, *(0.5 * (low + high))])
-    return CommonPhysics(vehicle, center, np.array([*width, *np.maximum(0.5 * (high - low), 1e-3)]))
+    return SharedDiscrepancy(vehicle, center, np.array([*width, *np.maximum(0.5 * (high - low), 1e-3)]))
 
 
 def features(series: Series, vehicle: Vehicle) -> np.ndarray:

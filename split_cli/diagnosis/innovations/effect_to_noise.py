@@ -10,17 +10,17 @@ from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
 
-__all__ = ["rms_over_noise", "severities", "severities_of", "severity", "windowed"]
+__all__ = ["effect_to_noise", "effects_to_noise", "effects_to_noise_of", "rms_over_noise", "windowed"]
 
 _HORIZON = 0.05
 
 
-def severity(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> float:
-    """Return the severity of defects in the channel where it is largest; see `severities`."""
-    return float(severities(series, defect, rows).max())
+def effect_to_noise(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> float:
+    """Return the effect-to-noise ratio of defects in the channel where it is largest; see `effects_to_noise`."""
+    return float(effects_to_noise(series, defect, rows).max())
 
 
-def severities(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
+def effects_to_noise(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
     """Return the rms of defects (N - 1, 3) summed over 0.05 s over that of sensor noise, of v_x, v_y and r.
 
     Only windows about the samples `rows` count, where they are given: what a function does elsewhere is not known.
@@ -43,19 +43,19 @@ def rms_over_noise(series: Series, errors: np.ndarray) -> np.ndarray:
     """Return the rms of prediction errors (W, 3) over that of the noise of a difference, shape (3,)."""
     if not len(errors):
         return np.zeros(3)
-    return np.sqrt(np.mean(errors**2, axis=0)) / (np.sqrt(2.0) * series.told_noise)
+    return np.sqrt(np.mean(errors**2, axis=0)) / (np.sqrt(2.0) * series.stated_noise)
 
 
-def severities_of(
+def effects_to_noise_of(
     evidence: Evidence,
     rows: np.ndarray,
     terms: tuple[Term, ...],
     without: tuple[Term, ...] = (),
-    common_rates: Callable[[tuple[Term, ...]], np.ndarray | None] = lambda terms: None,
+    discrepancy_rates: Callable[[tuple[Term, ...]], np.ndarray | None] = lambda terms: None,
 ) -> np.ndarray:
-    """Return the severities of terms about the samples `rows`, against the model with `without` alone.
+    """Return the effect-to-noise ratios of terms about the samples `rows`, against the model with `without` alone.
 
-    `common_rates` returns what terms make of the common physics, (N, 3), or nothing.
+    `discrepancy_rates` returns what terms make of the shared discrepancy, (N, 3), or nothing.
     """
-    with_all, with_some = (evidence.left(some, common_rates(some)) for some in (terms, without))
-    return severities(evidence.series, with_all - with_some, rows)
+    with_all, with_some = (evidence.left(some, discrepancy_rates(some)) for some in (terms, without))
+    return effects_to_noise(evidence.series, with_all - with_some, rows)

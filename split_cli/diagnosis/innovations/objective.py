@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from split_cli.diagnosis.baseline.body import alters_body, at_another_body
-from split_cli.diagnosis.baseline.common import CommonPhysics
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.projection import damped
@@ -21,14 +21,14 @@ from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import Kinematics
 from split_cli.vehicle.effects import Term
 
-_LEAST_TOLD = 2e-3
+_LEAST_INFORMED = 2e-3
 
-__all__ = ["CommonKnowledge", "Judge", "build_judge", "learn_common"]
+__all__ = ["DiscrepancyPosterior", "MarginalLikelihood", "build_objective", "learn_discrepancy"]
 
 
 @dataclass(frozen=True)
-class CommonKnowledge:
-    """What the simulation taught about the common physics: weights and their precision.
+class DiscrepancyPosterior:
+    """What the simulation taught about the shared discrepancy: weights and their precision.
 
     Attributes
     ----------
@@ -40,15 +40,15 @@ class CommonKnowledge:
     precision: np.ndarray
 
 
-def learn_common(
-    simulations: Sequence[Evidence], inflation: float = 1.0, rules: Believing = STANDARD.believing
-) -> CommonKnowledge:
-    """Learn the common physics from whitened simulations.
+def learn_discrepancy(
+    simulations: Sequence[Evidence], variance_inflation: float = 1.0, rules: Believing = STANDARD.believing
+) -> DiscrepancyPosterior:
+    """Learn the shared discrepancy from whitened simulations.
 
     Parameters
     ----------
     simulations : sequence of Evidence
-    inflation : float
+    variance_inflation : float
         By which autocorrelation widens the noise.
     rules : Believing
 
@@ -60,19 +60,19 @@ def learn_common(
     bound beyond which nothing would be known.
     """
     columns = np.concatenate(
-        [one.common.reshape(-1, one.common.shape[2]) * _entry_weight(one) for one in simulations]
+        [one.discrepancy.reshape(-1, one.discrepancy.shape[2]) * _entry_weight(one) for one in simulations]
     )
     target = np.concatenate([one.plain.reshape(-1) * _entry_weight(one)[:, 0] for one in simulations])
     normal, score = columns.T @ columns, columns.T @ target
     prior = np.eye(len(score))
-    noise = inflation
+    noise = variance_inflation
     for _ in range(2):
         weights = np.linalg.solve(prior + normal / noise, score / noise)
         left = (target - columns @ weights).reshape(-1, 3)
         long_run = _long_run_variance(left).max()
-        noise = inflation * float(np.clip(long_run, rules.least_noise, rules.most_noise))
+        noise = variance_inflation * float(np.clip(long_run, rules.least_noise, rules.most_noise))
     precision = prior + normal / noise
-    return CommonKnowledge(np.linalg.solve(precision, score / noise), precision)
+    return DiscrepancyPosterior(np.linalg.solve(precision, score / noise), precision)
 
 
 def _entry_weight(one: Evidence) -> np.ndarray:
@@ -92,22 +92,22 @@ def alters_inputs(term: Term) -> bool:
 
 
 @dataclass(frozen=True)
-class Judge:
+class MarginalLikelihood:
     """Costs of explanations on a choice of rows of the real recordings.
 
-    The common physics' weights are integrated out: with r the weighted rows left by the terms and the simulation's
-    weights, the cost is r^T (I + Phi H^-1 Phi^T)^-1 r = |r|^2 - |V^T r|^2.
+    The shared discrepancy's weights are integrated out: with r the weighted rows left by the terms and the
+    simulation's weights, the cost is r^T (I + Phi H^-1 Phi^T)^-1 r = |r|^2 - |V^T r|^2.
 
     Attributes
     ----------
     evidence : tuple of Evidence
-    knowledge : CommonKnowledge or None
+    posterior : DiscrepancyPosterior or None
         None where the nominal model is the simulation: nothing is common.
-    common : CommonPhysics
+    discrepancy : SharedDiscrepancy
     keep : tuple of ndarray of bool
         Rows used, of every recording.
     offset : ndarray, shape (R,)
-        Weighted rows of the common physics at the simulation's weights.
+        Weighted rows of the shared discrepancy at the simulation's weights.
     basis : ndarray, shape (R, C)
         V; without columns when nothing is common.
     block : ndarray of int, shape (R,)
@@ -118,24 +118,24 @@ class Judge:
         M, diagonal in the directions of V, with (I - V M V^T)^2 = I - V V^T.
     kinematics : tuple of Kinematics or Witness
         Recordings against themselves; their rows come last in every stack, and nothing but sensors moves them.
-    nameless_floor : float
+    unnamed_floor : float
         Cost that a flexible fit may save without a difference: what simulation shows against itself, see
         `calibration`.
     term_floors : mapping of str to float
         The same for terms.
-    misfit : float
+    form_error_inflation : float
         By how much what no dictionary holds widens what a term saves by chance.
-    to_the_letter : bool
-        Whether the simulation is believed without reserve, see `believed_to_the_letter`.
+    fixed_baseline : bool
+        Whether the simulation is a fixed baseline, see `with_fixed_baseline`.
     policy : Policy
     memo : dict
-        What was computed before: shifts and severities of the common physics, kinematic rows without faulty
-        sensors.
+        What was computed before: shifts and effect-to-noise ratios of the shared discrepancy, kinematic rows
+        without faulty sensors.
     """
 
     evidence: tuple[Evidence, ...]
-    knowledge: CommonKnowledge | None
-    common: CommonPhysics
+    posterior: DiscrepancyPosterior | None
+    discrepancy: SharedDiscrepancy
     keep: tuple[np.ndarray, ...]
     offset: np.ndarray
     basis: np.ndarray
@@ -143,32 +143,32 @@ class Judge:
     weight: np.ndarray
     root: np.ndarray
     kinematics: tuple[Kinematics, ...] = ()
-    nameless_floor: float = 0.0
+    unnamed_floor: float = 0.0
     term_floors: Mapping[str, float] = field(default_factory=dict)
-    misfit: float = 1.0
-    to_the_letter: bool = False
+    form_error_inflation: float = 1.0
+    fixed_baseline: bool = False
     policy: Policy = STANDARD
     memo: dict = field(default_factory=dict, repr=False, compare=False)
 
     def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the kept, weighted entries of rows (G, 3, ...) of all recordings, shape (R, ...)."""
+        """Return the kept, weighted elements of rows (G, 3, ...) of all recordings, shape (R, ...)."""
         kept = [np.compress(keep, part, axis=0) for part, keep in zip(rows, self.keep, strict=True)]
         flat = np.concatenate([part.reshape(-1, *part.shape[2:]) for part in kept])
         extra = sum(len(one.begin) for one in self.kinematics)
         flat = np.concatenate([flat, np.zeros((extra, *flat.shape[1:]))])
         return flat * (self.weight if flat.ndim == 1 else self.weight[:, None])
 
-    def believed_to_the_letter(self) -> Judge:
-        """Return a judge to whom the common physics is what the simulation taught, and nothing of it free.
+    def with_fixed_baseline(self) -> MarginalLikelihood:
+        """Return the objective with a fixed baseline: the shared discrepancy is what the simulation taught.
 
         What the simulation leaves open is much where no dictionary holds its physics. All that brings a recording
-        back to where the simulation has been is open, too, and saves nothing. To the letter it saves what it
-        brings back.
+        back to where the simulation has been is open, too, and saves nothing. With a fixed baseline it saves what
+        it brings back.
         """
-        return replace(self, basis=np.zeros((len(self.weight), 0)), root=np.zeros(0), to_the_letter=True)
+        return replace(self, basis=np.zeros((len(self.weight), 0)), root=np.zeros(0), fixed_baseline=True)
 
     def residual(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return what terms and the simulation's common physics leave, shape (R,)."""
+        """Return what terms and the simulation's shared discrepancy leave, shape (R,)."""
         rows = self.stack([one.rows(terms, self.carried(one, terms)) for one in self.evidence]) - self.offset
         first = len(rows)
         for one in reversed(self.kinematics):
@@ -190,44 +190,44 @@ class Judge:
         return max((float(np.sqrt(np.mean(rows**2))) for rows in moved if len(rows)), default=0.0)
 
     def shift(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return how the common physics' rows change where terms alter inputs or sensors, shape (R,).
+        """Return how the shared discrepancy's rows change where terms alter inputs or sensors, shape (R,).
 
         Zero unless one of them does; it is costly and taken as constant while parameters move a little.
         """
         altering = [term for term in terms if alters_inputs(term)]
-        if self.knowledge is None or not altering:
+        if self.posterior is None or not altering:
             return np.zeros(len(self.weight))
         key = tuple((term.id, *sorted(term.parameters.items())) for term in altering)
         if key not in self.memo:
-            self.memo[key] = self._common_rows(altering) - self.offset
+            self.memo[key] = self._discrepancy_rows(altering) - self.offset
         return self.memo[key]
 
-    def _common_rows(self, terms: Sequence[Term]) -> np.ndarray:
+    def _discrepancy_rows(self, terms: Sequence[Term]) -> np.ndarray:
         rows = []
         for one in self.evidence:
-            rates = self.common.rates(one.series, self.knowledge.weights, terms)
+            rates = self.discrepancy.rates(one.series, self.posterior.weights, terms)
             rows.append(one.whitener(integrated(one.series, rates)))
         return self.stack(rows)
 
     def carried(self, one: Evidence, terms: Sequence[Term]) -> np.ndarray | None:
-        """Return how the rates of common physics change where terms alter the body, shape (N, 3), or nothing."""
-        if self.knowledge is None or not any(map(alters_body, terms)):
+        """Return how the discrepancy rates change where terms alter the body, shape (N, 3), or nothing."""
+        if self.posterior is None or not any(map(alters_body, terms)):
             return None
-        key = ("common rates", id(one))
+        key = ("discrepancy rates", id(one))
         if key not in self.memo:
-            self.memo[key] = self.common.rates(one.series, self.knowledge.weights)
-        return at_another_body(self.memo[key], self.common.vehicle, terms) - self.memo[key]
+            self.memo[key] = self.discrepancy.rates(one.series, self.posterior.weights)
+        return at_another_body(self.memo[key], self.discrepancy.vehicle, terms) - self.memo[key]
 
     def left_by(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what terms leave while they are fitted, shape (R,).
 
-        To the letter the common physics follows them at every step; else it is moved along in between.
+        With a fixed baseline the shared discrepancy follows them at every step; else it is moved along in between.
         """
         left = self.residual(terms)
-        return left - self.shift(terms) if self.to_the_letter else left
+        return left - self.shift(terms) if self.fixed_baseline else left
 
     def whiten(self, rows: np.ndarray) -> np.ndarray:
-        """Return entries from which the still free part of the common physics is taken out, shape as given.
+        """Return residuals from which the still free part of the shared discrepancy is taken out, shape as given.
 
         Sums of squares of the result are costs: it applies a symmetric root of (I + Phi H^-1 Phi^T)^-1.
         """
@@ -236,37 +236,37 @@ class Judge:
         return damped(rows, self.basis, self.root)
 
     def cost(self, terms: Sequence[Term]) -> float:
-        """Return the cost of an explanation, common physics moved along; its units are those of chi squared."""
-        entries = self.whiten(self.residual(terms) - self.shift(terms))
-        return float(entries @ entries)
+        """Return an explanation's cost in units of chi squared, the shared discrepancy moved along."""
+        residuals = self.whiten(self.residual(terms) - self.shift(terms))
+        return float(residuals @ residuals)
 
     @property
     def shared_cost(self) -> float:
-        """Cost that the common physics, at the simulation's weights, explains of the real recordings."""
+        """Cost that the shared discrepancy, at the simulation's weights, explains of the real recordings."""
         plain = self.stack([evidence.plain for evidence in self.evidence])
         return max(float(plain @ plain - np.sum((plain - self.offset) ** 2)), 0.0)
 
-    def channel_sums(self, entries: np.ndarray) -> np.ndarray:
+    def channel_sums(self, residuals: np.ndarray) -> np.ndarray:
         """Return sums over the rows of v_x, v_y and r, and over kinematic rows, shape (4,)."""
-        rows = len(entries) - sum(len(one.begin) for one in self.kinematics)
-        return np.append(entries[:rows].reshape(-1, 3).sum(axis=0), entries[rows:].sum())
+        rows = len(residuals) - sum(len(one.begin) for one in self.kinematics)
+        return np.append(residuals[:rows].reshape(-1, 3).sum(axis=0), residuals[rows:].sum())
 
-    def block_sums(self, entries: np.ndarray) -> np.ndarray:
+    def block_sums(self, residuals: np.ndarray) -> np.ndarray:
         """Return sums over blocks of time, shape (B, ...)."""
-        total = np.zeros((int(self.block.max()) + 1, *entries.shape[1:]))
-        np.add.at(total, self.block, entries)
+        total = np.zeros((int(self.block.max()) + 1, *residuals.shape[1:]))
+        np.add.at(total, self.block, residuals)
         return total
 
 
-def build_judge(
+def build_objective(
     evidence: Sequence[Evidence],
-    knowledge: CommonKnowledge | None,
-    common: CommonPhysics,
+    posterior: DiscrepancyPosterior | None,
+    discrepancy: SharedDiscrepancy,
     keep: Sequence[np.ndarray],
     kinematics: Sequence[Kinematics] = (),
     block_seconds: float = 2.0,
     policy: Policy = STANDARD,
-) -> Judge:
+) -> MarginalLikelihood:
     """Set up the costs on the kept rows; blocks are stretches of `block_seconds` of a recording."""
     numbers, first = [], 0
     for one, mask in zip(evidence, keep, strict=True):
@@ -281,10 +281,10 @@ def build_judge(
     block = np.unique(np.concatenate(numbers), return_inverse=True)[1]
     weights = [np.repeat(one.weight[mask], 3) for one, mask in zip(evidence, keep, strict=True)]
     weight = np.concatenate([*weights, *(np.ones(len(one.begin)) for one in kinematics)])
-    judge = Judge(
+    objective = MarginalLikelihood(
         tuple(evidence),
-        knowledge,
-        common,
+        posterior,
+        discrepancy,
         tuple(keep),
         offset=np.zeros(len(weight)),
         basis=np.zeros((len(weight), 0)),
@@ -294,15 +294,15 @@ def build_judge(
         kinematics=tuple(kinematics),
         policy=policy,
     )
-    if knowledge is None:
-        return judge
-    columns = judge.stack([one.common for one in evidence])
-    lower = np.linalg.cholesky(knowledge.precision + columns.T @ columns)
+    if posterior is None:
+        return objective
+    columns = objective.stack([one.discrepancy for one in evidence])
+    lower = np.linalg.cholesky(posterior.precision + columns.T @ columns)
     basis = solve_triangular(lower, columns.T, lower=True).T
     # With V^T V = U diag(d) U^T the root is U diag(1/(1 + sqrt(1 - d))) U^T; directions that reality says next to
     # nothing about change no cost and are left out.
     d, U = np.linalg.eigh(basis.T @ basis)
-    told = d > _LEAST_TOLD
-    root = 1.0 / (1.0 + np.sqrt(np.clip(1.0 - d[told], 0.0, 1.0)))
-    basis = np.ascontiguousarray(basis @ U[:, told])
-    return replace(judge, offset=columns @ knowledge.weights, basis=basis, root=root)
+    informed = d > _LEAST_INFORMED
+    root = 1.0 / (1.0 + np.sqrt(np.clip(1.0 - d[informed], 0.0, 1.0)))
+    basis = np.ascontiguousarray(basis @ U[:, informed])
+    return replace(objective, offset=columns @ posterior.weights, basis=basis, root=root)

@@ -1,4 +1,4 @@
-"""Readings with reserve and to the letter."""
+"""Readings with a marginalised baseline and with a fixed baseline."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import split_cli.diagnosis.search.reading as reading_module
+import split_cli.diagnosis.search.baselines as search_module
 from split_cli.diagnosis.innovations.case import Case, gather_case
 from split_cli.diagnosis.innovations.evidence import integrated
-from split_cli.diagnosis.innovations.judge import build_judge
+from split_cli.diagnosis.innovations.objective import build_objective
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.series import build_series
+from split_cli.diagnosis.search.baselines import SearchOutcome, _brings_back, search
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.fitting import Part, fit_parts
-from split_cli.diagnosis.search.reading import Reading, _brings_back, read
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.test_calibration import drive, recorded
@@ -43,9 +43,9 @@ def commanded(drive: Drive, gain: float) -> Drive:
     return replace(drive, columns={**drive.columns, "delta": drive["delta"] / gain})
 
 
-def read_it(reality: Drive, simulation: Drive, policy: Policy = STANDARD) -> Reading:
+def searched(reality: Drive, simulation: Drive, policy: Policy = STANDARD) -> SearchOutcome:
     case = case_of(reality, simulation)
-    return read(case, build_candidates(road_car(), case.real[0].series), reach=0.35, policy=policy)
+    return search(case, build_candidates(road_car(), case.real[0].series), reach=0.35, policy=policy)
 
 
 @pytest.fixture(scope="module")
@@ -55,76 +55,76 @@ def restless() -> Case:
     return case_of(reality, recorded(drive(1), 1, restless=0.1))
 
 
-def letter_judge(case: Case):
-    judge = build_judge(case.real, case.knowledge, case.common, case.keep, case.kinematics)
-    return judge.believed_to_the_letter()
+def fixed_objective(case: Case):
+    objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics)
+    return objective.with_fixed_baseline()
 
 
-def test_to_the_letter_a_cost_is_that_of_the_simulations_own_function(restless):
-    judge = letter_judge(restless)
+def test_with_a_fixed_baseline_a_cost_is_that_of_the_simulations_own_function(restless):
+    objective = fixed_objective(restless)
     (one,) = restless.real
     for terms in ((), (term("steer_gain", gain=0.8),), (term("sensor_lever_arm", dx=0.5),)):
-        rates = restless.common.rates(one.series, restless.knowledge.weights, terms)
+        rates = restless.discrepancy.rates(one.series, restless.posterior.weights, terms)
         rows = one.rows(terms) - one.whitener(integrated(one.series, rates))
         kept = rows * one.weight[:, None] * restless.keep[0][:, None]
-        assert judge.cost(terms) == pytest.approx(float(np.sum(kept**2)), rel=1e-9)
+        assert objective.cost(terms) == pytest.approx(float(np.sum(kept**2)), rel=1e-9)
 
 
-def test_to_the_letter_a_fit_is_where_a_scan_finds_the_least(restless):
-    judge = letter_judge(restless)
+def test_with_a_fixed_baseline_a_fit_is_where_a_scan_finds_the_least(restless):
+    objective = fixed_objective(restless)
     candidate = next(
         one for one in build_candidates(road_car(), restless.real[0].series) if one.term == "steer_gain"
     )
-    fit = fit_parts(judge, (Part(candidate, {"gain": 0.9}),))
-    scan = {gain: judge.cost((term("steer_gain", gain=gain),)) for gain in np.arange(0.6, 1.0, 0.01)}
+    fit = fit_parts(objective, (Part(candidate, {"gain": 0.9}),))
+    scan = {gain: objective.cost((term("steer_gain", gain=gain),)) for gain in np.arange(0.6, 1.0, 0.01)}
     best = min(scan, key=scan.get)
     assert fit.cost <= scan[best] + 1e-6
     assert fit.parts[0].values["gain"] == pytest.approx(best, abs=0.011)
     assert best == pytest.approx(0.75, abs=0.03)
 
 
-def test_what_brings_reality_back_is_named_where_misfit_is_much(monkeypatch):
+def test_what_brings_reality_back_is_named_where_form_error_is_much(monkeypatch):
     never = STANDARD.altered("selection", sure_level=0.0)
     simulation = recorded(drive(1), 1, restless=0.1)
-    same = read_it(recorded(drive(2), 2, restless=0.1), simulation, never)
+    same = searched(recorded(drive(2), 2, restless=0.1), simulation, never)
     assert same.known.ratio > 3.0
     assert not any(same.selection.named)
     reality = recorded(commanded(drive(2), 0.75), 2, restless=0.1)
-    confirmed = read_it(reality, simulation, never)
-    # The second reading names it too, and the first one's value stays.
-    assert len(confirmed.judges) == 2 and not confirmed.structure.judge.to_the_letter
+    confirmed = searched(reality, simulation, never)
+    # The second search names it too, and the first one's value stays.
+    assert len(confirmed.objectives) == 2 and not confirmed.structure.objective.fixed_baseline
     assert [one.id for one in confirmed.selection.terms] == ["steer_gain"]
-    monkeypatch.setattr(reading_module, "_ids", lambda selection: {id(selection)})
-    reading = read_it(reality, simulation, never)
-    assert reading.structure.judge.to_the_letter
-    assert [one.id for one in reading.selection.terms] == ["steer_gain"]
-    for one in (confirmed, reading):
+    monkeypatch.setattr(search_module, "_ids", lambda selection: {id(selection)})
+    outcome = searched(reality, simulation, never)
+    assert outcome.structure.objective.fixed_baseline
+    assert [one.id for one in outcome.selection.terms] == ["steer_gain"]
+    for one in (confirmed, outcome):
         assert one.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
 
 
-def test_a_name_beyond_all_doubt_is_not_read_again():
-    """With reserve its value is as near the truth, and its interval knows what the simulation leaves open."""
+def test_a_name_beyond_all_doubt_is_not_searched_again():
+    """Marginalised, its value is as near the truth, and its interval knows what the simulation leaves open."""
     steps: list[str] = []
     case = case_of(
         recorded(commanded(drive(2), 0.75), 2, restless=0.1),
         recorded(drive(1), 1, restless=0.1),
     )
     candidates = build_candidates(road_car(), case.real[0].series)
-    reading = read(case, candidates, reach=0.35, progress=steps.append)
-    assert reading.known.ratio > 3.0 and reading.selection.first_p < STANDARD.selection.sure_level
-    assert steps == ["comparing", "naming"] and len(reading.judges) == 1
-    assert [one.id for one in reading.selection.terms] == ["steer_gain"]
-    assert reading.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
+    outcome = search(case, candidates, reach=0.35, progress=steps.append)
+    assert outcome.known.ratio > 3.0 and outcome.selection.first_p < STANDARD.selection.sure_level
+    assert steps == ["comparing", "naming"] and len(outcome.objectives) == 1
+    assert [one.id for one in outcome.selection.terms] == ["steer_gain"]
+    assert outcome.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
 
 
-def test_without_misfit_the_simulation_is_read_with_reserve():
-    reading = read_it(recorded(commanded(drive(2), 0.9), 2), drive(1))
-    assert not reading.structure.judge.to_the_letter
-    assert "steer_gain" in [one.id for one in reading.selection.terms]
+def test_without_form_error_the_simulation_is_searched_with_a_marginalised_baseline():
+    outcome = searched(recorded(commanded(drive(2), 0.9), 2), drive(1))
+    assert not outcome.structure.objective.fixed_baseline
+    assert "steer_gain" in [one.id for one in outcome.selection.terms]
 
 
 @pytest.mark.parametrize(
-    ("names", "left", "reserved", "p_value", "expected"),
+    ("names", "left", "marginalised", "p_value", "expected"),
     [
         (["steer_gain"], 700.0, [], 1e-3, True),
         (["steer_gain"], 850.0, [], 1e-3, False),  # too small a share
@@ -136,15 +136,15 @@ def test_without_misfit_the_simulation_is_read_with_reserve():
         ([], 100.0, ["tire_stiffness"], 0.0, False),
     ],
 )
-def test_what_is_believed_to_the_letter(names, left, reserved, p_value, expected):
+def test_what_is_believed_with_a_fixed_baseline(names, left, marginalised, p_value, expected):
     def fit(cost: float, terms=()) -> SimpleNamespace:
         parts = tuple(SimpleNamespace(candidate=SimpleNamespace(term=one)) for one in terms)
         return SimpleNamespace(cost=cost, parts=parts)
 
     terms = tuple(CATALOGUE[name](dict(CATALOGUE[name].neutral)) for name in names)
     selection = SimpleNamespace(terms=terms, base=fit(1000.0), chosen=fit(left), first_p=p_value)
-    reserved = SimpleNamespace(chosen=fit(900.0, reserved))
-    assert _brings_back(selection, reserved, STANDARD.selection) is expected
+    marginalised = SimpleNamespace(chosen=fit(900.0, marginalised))
+    assert _brings_back(selection, marginalised, STANDARD.selection) is expected
 
 
 def test_wide_starts_lie_to_both_sides_and_inside_the_bounds():

@@ -14,26 +14,26 @@ from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovaria
 from split_cli.diagnosis.policy import STANDARD, Unnamed
 from split_cli.diagnosis.remainder.structure import Structure
 
-__all__ = ["Wander", "wander_of"]
+__all__ = ["ResidualAutocorrelation", "residual_autocorrelation"]
 
 _NEAR_ROWS = 4
 
 
 @dataclass(frozen=True)
-class Wander:
+class ResidualAutocorrelation:
     """How much rows vary together.
 
     Attributes
     ----------
     ratio : float
         Long-run variance over that of a row, at least 1; the worst of v_x, v_y and r.
-    severity : float
+    effect_to_noise : float
         Root of the variance that neighbouring rows share, over that of their noise.
     rows : int
     """
 
     ratio: float
-    severity: float
+    effect_to_noise: float
     rows: int
 
     def p_value(self, usual: float, rules: Unnamed = STANDARD.unnamed) -> float:
@@ -46,27 +46,27 @@ class Wander:
         """
         from scipy.stats import norm
 
-        allowed = rules.wander_margin * max(usual, 1.0)
+        allowed = rules.autocorrelation_margin * max(usual, 1.0)
         spread = allowed * np.sqrt(4.0 * LAG_ROWS / (3.0 * max(self.rows, 1)))
         return float(norm.sf((self.ratio - allowed) / spread))
 
 
-def wander_of(structure: Structure, entries: np.ndarray) -> Wander:
-    """Return how much whitened entries (R,) vary together beyond every flexible fit.
+def residual_autocorrelation(structure: Structure, residuals: np.ndarray) -> ResidualAutocorrelation:
+    """Return how much whitened residuals (R,) vary together beyond every flexible fit.
 
     Notes
     -----
     The long-run variance over the plain one (Newey and West, 1987). A flexible fit takes slow parts with it, so
     that white rows give less than 1. Rows quieter than noise, of a simulation without any, count as noisy ones.
     """
-    score = structure.columns.T @ entries
+    score = structure.columns.T @ residuals
     weights = np.linalg.solve(structure.factor, np.linalg.solve(structure.factor.T, score))
-    left = entries - structure.columns @ weights
-    rows = sum(int(mask.sum()) for mask in structure.judge.keep)
+    left = residuals - structure.columns @ weights
+    rows = sum(int(mask.sum()) for mask in structure.objective.keep)
     left = left[: 3 * rows].reshape(rows, 3)  # kinematic rows come last
     width = max(min(LAG_ROWS, rows // 4), 2)
     plain = np.maximum(np.mean(left**2, axis=0), 1.0)
     shared = autocovariances(left, width - 1) / plain
     ratio = 1.0 + bartlett_sum(shared, width)
     near = np.sqrt(np.maximum(shared[:_NEAR_ROWS].mean(axis=0), 0.0))
-    return Wander(float(max(1.0, ratio.max())), float(near.max()), rows)
+    return ResidualAutocorrelation(float(max(1.0, ratio.max())), float(near.max()), rows)

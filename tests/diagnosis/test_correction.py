@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from split_cli.diagnosis.innovations.rollouts import Stage, roll_out_stages
+from split_cli.diagnosis.verdict.correction import learn_correction
 from split_cli.diagnosis.verdict.label_errors import in_standard_errors, label_errors
-from split_cli.diagnosis.verdict.rest import learn_rest
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import recorded
 
@@ -16,24 +16,24 @@ RESISTANCE = CATALOGUE["rolling_resistance"]({"force": 450.0})
 def learned(evidence):
     held = evidence.series.t > 0.75 * evidence.series.t[-1]
     part = label_errors(evidence, (), None, None, held)
-    return learn_rest([(evidence, held)], [Stage((), None)], [part], [part.before]), held
+    return learn_correction([(evidence, held)], [Stage((), None)], [part], [part.before]), held
 
 
 def test_noise_alone_earns_no_trust():
     """A nominal car: what SPLIT learns is noise, and no output of it predicts the time left out."""
-    rest, _ = learned(recorded(31))
+    correction, _ = learned(recorded(31))
     # Chance lets one output in six beyond one standard error; its regression is near nothing even then.
-    assert rest is None or np.all(rest.trust < 0.2)
+    assert correction is None or np.all(correction.trust < 0.2)
 
 
 def test_a_force_that_is_missing_earns_trust_and_is_predicted():
     evidence = recorded(11, (RESISTANCE,))
-    rest, held = learned(evidence)
+    correction, held = learned(evidence)
     # A label's noise is twice the force; what is learned of it carries a part of that and is shrunk for it.
-    assert 0.5 < rest.trust[0] <= 1.0
-    errors = roll_out_stages(evidence, {"plain": Stage((), None), "rest": Stage((), None, rest)}, held)
-    plain, with_rest = (np.sqrt(errors.squared[name][:, 2, 0].mean()) for name in ("plain", "rest"))
-    assert with_rest < 0.7 * plain
+    assert 0.5 < correction.trust[0] <= 1.0
+    errors = roll_out_stages(evidence, {"plain": Stage((), None), "rest": Stage((), None, correction)}, held)
+    plain, with_correction = (np.sqrt(errors.squared[name][:, 2, 0].mean()) for name in ("plain", "rest"))
+    assert with_correction < 0.7 * plain
 
 
 def test_sums_in_standard_errors_by_hand():

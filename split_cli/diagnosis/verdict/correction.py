@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.diagnosis.innovations.evidence import Evidence
-from split_cli.diagnosis.innovations.rollouts import Rest, Stage, roll_out_stages
+from split_cli.diagnosis.innovations.rollouts import LearnedCorrection, Stage, roll_out_stages
 from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, LabelErrors, blocks_of_time, in_standard_errors
 from split_cli.learning.cells import learn
 from split_cli.learning.hyperparameters import default_kernel, scatter_variance
 from split_cli.learning.region import z2_grid
 from split_cli.prediction import make_predictor
 
-__all__ = ["learn_rest", "without_rest"]
+__all__ = ["learn_correction", "without_correction"]
 
 _FEWEST_TO_LEARN = 100
 _FOLDS = 4
@@ -26,12 +26,12 @@ _GROUPS = ((0,), (1, 2))
 _BEYOND_CHANCE = 1.0  # standard errors of a difference, by blocks of time
 
 
-def learn_rest(
+def learn_correction(
     recordings: Sequence[tuple[Evidence, np.ndarray]],
     stages: Sequence[Stage],
     parts: Sequence[LabelErrors],
     errors: Sequence[np.ndarray],
-) -> Rest | None:
+) -> LearnedCorrection | None:
     """Learn what a model leaves, with the trust that it earned where it had not been learned.
 
     Parameters
@@ -67,12 +67,12 @@ def learn_rest(
     return replace(whole, trust=trust) if np.any(trust) else None
 
 
-def without_rest(part: LabelErrors, error: np.ndarray, rest: Rest | None) -> np.ndarray:
+def without_correction(part: LabelErrors, error: np.ndarray, correction: LearnedCorrection | None) -> np.ndarray:
     """Return label errors (L, 3) less what SPLIT predicts, where it claims to be valid and on held-out time."""
     left = error.copy()
-    if rest is not None:
+    if correction is not None:
         use = part.held & part.labels.accepted
-        left[use] -= rest.at(part.labels.z[use], part.labels.row[use])
+        left[use] -= correction.at(part.labels.z[use], part.labels.row[use])
     return left
 
 
@@ -84,7 +84,7 @@ def _folds(part: LabelErrors) -> np.ndarray:
     return fold
 
 
-def _learned(parts, errors, masks, vehicle) -> Rest | None:
+def _learned(parts, errors, masks, vehicle) -> LearnedCorrection | None:
     """Learn SPLIT on labels of a choice; None for too few."""
     training = [
         replace(part.labels, y=error).take(mask) for part, error, mask in zip(parts, errors, masks, strict=True)
@@ -96,18 +96,18 @@ def _learned(parts, errors, masks, vehicle) -> Rest | None:
         return None
     noise = np.mean([scatter_variance(labels) for labels in training], axis=0)
     trained = learn(training, vehicle=vehicle, grid=grid, kernel=default_kernel(grid, accepted, noise))
-    return Rest(make_predictor("bcm", trained), grid, np.ones(3))
+    return LearnedCorrection(make_predictor("bcm", trained), grid, np.ones(3))
 
 
-def _trust_in_labels(parts, errors, folds, others: Sequence[Rest | None]) -> np.ndarray:
+def _trust_in_labels(parts, errors, folds, others: Sequence[LearnedCorrection | None]) -> np.ndarray:
     """Return the share of each output's prediction that leaves least of the errors of the fold left out."""
     error, predicted, block = [], [], []
     for part, left, fold in zip(parts, errors, folds, strict=True):
         guess = np.zeros_like(left)
-        for k, rest in enumerate(others):
+        for k, correction in enumerate(others):
             rows = (fold == k) & part.labels.accepted
-            if rest is not None and rows.any():
-                guess[rows] = rest.at(part.labels.z[rows], part.labels.row[rows])
+            if correction is not None and rows.any():
+                guess[rows] = correction.at(part.labels.z[rows], part.labels.row[rows])
         used = (fold >= 0) & part.labels.accepted
         error.append(left[used])
         predicted.append(guess[used])
@@ -121,27 +121,27 @@ def _trust_in_labels(parts, errors, folds, others: Sequence[Rest | None]) -> np.
 
 @dataclass(frozen=True)
 class _LeftOut:
-    """SPLIT at every row of a recording as learned from the other quarters of it; a `Rest` for rollouts.
+    """SPLIT at every row as learned from the other quarters of the recording; a `LearnedCorrection` for rollouts.
 
     Attributes
     ----------
-    others : sequence of Rest or None
+    others : sequence of LearnedCorrection or None
         Learned without each quarter.
     fold : ndarray of int, shape (N,)
         Quarter of each row, -1 for held-out ones.
     trust : ndarray, shape (3,)
     """
 
-    others: Sequence[Rest | None]
+    others: Sequence[LearnedCorrection | None]
     fold: np.ndarray
     trust: np.ndarray
 
     def at(self, z: np.ndarray, rows: np.ndarray) -> np.ndarray:
         out = np.zeros((len(z), 3))
-        for k, rest in enumerate(self.others):
+        for k, correction in enumerate(self.others):
             here = self.fold[rows] == k
-            if rest is not None and here.any():
-                out[here] = self.trust * rest.at(z[here], rows[here])
+            if correction is not None and here.any():
+                out[here] = self.trust * correction.at(z[here], rows[here])
         return out
 
 
@@ -162,7 +162,7 @@ def _borne(recordings, stages, parts, folds, others, trust: np.ndarray) -> np.nd
             if without is None:
                 continue
             (one, _), fold = recordings[number], of_rows[number]
-            trusted = replace(stages[number], rest=_LeftOut(others, fold, now))
+            trusted = replace(stages[number], correction=_LeftOut(others, fold, now))
             errors = roll_out_stages(one, {"it": trusted}, _inside(fold), most_starts=_STARTS)
             change.append(errors.squared["it"] - without.squared["it"])
             block.append(errors.t // BLOCK_SECONDS + 1e6 * number)

@@ -1,4 +1,4 @@
-"""The dictionary of common physics against altered vehicles, its two ways of evaluation, and its mirror image."""
+"""The shared discrepancy's dictionary against altered vehicles, evaluated in two ways and mirrored."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.baseline.common import build_common_physics, tangents
+from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy, tangents
 from split_cli.diagnosis.recording.series import extended_model
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
@@ -59,10 +59,10 @@ def altered(name: str, step: float) -> Vehicle:
         "mass.scale",
     ],
 )
-def test_a_tangent_is_what_altering_the_vehicle_does(name, common, nominal_series):
+def test_a_tangent_is_what_altering_the_vehicle_does(name, discrepancy, nominal_series):
     term, parameter = name.split(".")
     (k,) = (k for k, entry in enumerate(tangents()) if (entry[0].id, *entry[1:3]) == (term, "", parameter))
-    columns = common.columns(nominal_series)[:, :, k]
+    columns = discrepancy.columns(nominal_series)[:, :, k]
     plain = nominal_series.rates(extended_model(road_car()))
     expected = nominal_series.rates(extended_model(altered(name, tangents()[k][3]))) - plain
     # Two ways to write one number; the atan is taken in another order of rounding.
@@ -70,9 +70,9 @@ def test_a_tangent_is_what_altering_the_vehicle_does(name, common, nominal_serie
     assert np.abs(expected).max() > 0.01
 
 
-def test_a_tangent_of_an_input_is_what_altering_the_input_does(common, nominal_series):
+def test_a_tangent_of_an_input_is_what_altering_the_input_does(discrepancy, nominal_series):
     names = [(entry[0].id, entry[2]) for entry in tangents()]
-    columns = common.columns(nominal_series)
+    columns = discrepancy.columns(nominal_series)
     model = extended_model(road_car())
     plain = nominal_series.rates(model)
     steered = replace(nominal_series, steer_angle=1.05 * nominal_series.steer_angle)
@@ -86,9 +86,9 @@ def test_a_tangent_of_an_input_is_what_altering_the_input_does(common, nominal_s
     )
 
 
-def test_tangents_are_secants_that_tend_to_the_derivative(common, nominal_series):
+def test_tangents_are_secants_that_tend_to_the_derivative(discrepancy, nominal_series):
     """Over its step, a smooth term's tangent differs from the central difference by its curvature alone."""
-    columns, plain = common.columns(nominal_series), nominal_series.rates(extended_model(road_car()))
+    columns, plain = discrepancy.columns(nominal_series), nominal_series.rates(extended_model(road_car()))
     for k, (kind, variant, parameter, step) in enumerate(tangents()):
         neutral = {key: kind.neutral[key] for key in kind.units}
         size = step * unit_of(road_car(), kind.id, parameter)
@@ -97,7 +97,7 @@ def test_tangents_are_secants_that_tend_to_the_derivative(common, nominal_series
             term = kind({**neutral, parameter: value}, variant)
             return nominal_series.rates(extended_model(road_car(), (term,)))
 
-        # Lags and lengths end at 0: there, forward; and where it is steep at first, only the far end is told.
+        # Lags and lengths end at 0: there, forward; and where it is steep at first, only the far end is reported.
         if neutral[parameter] == 0.0 and kind.id in ("drive_lag", "steer_lag", "tire_relaxation"):
             np.testing.assert_allclose(columns[:, :, k], rates(size) - plain, rtol=1e-9, atol=1e-12)
             continue
@@ -108,10 +108,10 @@ def test_tangents_are_secants_that_tend_to_the_derivative(common, nominal_series
         assert away < 0.35, (kind.id, away)
 
 
-def test_rates_of_weights_are_the_columns_times_them(common, nominal_series):
-    columns = common.columns(nominal_series)
+def test_rates_of_weights_are_the_columns_times_them(discrepancy, nominal_series):
+    columns = discrepancy.columns(nominal_series)
     weights = np.random.default_rng(3).standard_normal(columns.shape[2])
-    np.testing.assert_allclose(common.rates(nominal_series, weights), columns @ weights, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(discrepancy.rates(nominal_series, weights), columns @ weights, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -123,29 +123,35 @@ def test_rates_of_weights_are_the_columns_times_them(common, nominal_series):
     ],
 )
 def test_actuators_of_the_vehicle_file_act_once(term, parameters, nominal_series):
-    common = build_common_physics(road_car().with_effects(EffectSpec(term, parameters)), nominal_series)
-    columns = common.columns(nominal_series)
+    discrepancy = build_shared_discrepancy(road_car().with_effects(EffectSpec(term, parameters)), nominal_series)
+    columns = discrepancy.columns(nominal_series)
     weights = np.random.default_rng(3).standard_normal(columns.shape[2])
-    np.testing.assert_allclose(common.rates(nominal_series, weights), columns @ weights, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(discrepancy.rates(nominal_series, weights), columns @ weights, rtol=1e-9, atol=1e-9)
 
 
-def test_common_physics_answers_to_what_arrives_of_the_inputs(common, nominal_series):
-    """Behind a gain on the wheel angle, common physics is that of the angle that arrived."""
-    weights = np.random.default_rng(4).standard_normal(common.columns(nominal_series).shape[2])
+def test_shared_discrepancy_answers_to_what_arrives_of_the_inputs(discrepancy, nominal_series):
+    """Behind a gain on the wheel angle, the shared discrepancy is that of the angle that arrived."""
+    weights = np.random.default_rng(4).standard_normal(discrepancy.columns(nominal_series).shape[2])
     gain = CATALOGUE["steer_gain"]({"gain": 0.8})
     steered = replace(nominal_series, steer_angle=0.8 * nominal_series.steer_angle)
     np.testing.assert_allclose(
-        common.rates(nominal_series, weights, (gain,)), common.rates(steered, weights), rtol=1e-9, atol=1e-9
+        discrepancy.rates(nominal_series, weights, (gain,)),
+        discrepancy.rates(steered, weights),
+        rtol=1e-9,
+        atol=1e-9,
     )
     turned = CATALOGUE["sensor_lever_arm"]({"dx": 0.3})
     vx, vy, r = nominal_series.smooth.T
     moved = replace(nominal_series, smooth=np.stack([vx, vy - 0.3 * r, r], axis=1))
     np.testing.assert_allclose(
-        common.rates(nominal_series, weights, (turned,)), common.rates(moved, weights), rtol=1e-9, atol=1e-9
+        discrepancy.rates(nominal_series, weights, (turned,)),
+        discrepancy.rates(moved, weights),
+        rtol=1e-9,
+        atol=1e-9,
     )
 
 
-def test_what_is_common_is_the_same_in_the_mirror(common, nominal_series):
+def test_what_is_common_is_the_same_in_the_mirror(discrepancy, nominal_series):
     """Left and right exchanged: v_x' as before, v_y' and r' of the other sign, entry by entry."""
     flip = np.array([1.0, -1.0, -1.0])
     mirrored = replace(
@@ -155,24 +161,24 @@ def test_what_is_common_is_the_same_in_the_mirror(common, nominal_series):
         steer_angle=-nominal_series.steer_angle,
         yaw=-nominal_series.yaw,
     )
-    here, there = common.columns(nominal_series), common.columns(mirrored)
+    here, there = discrepancy.columns(nominal_series), discrepancy.columns(mirrored)
     np.testing.assert_allclose(there, here * flip[:, None], rtol=1e-9, atol=1e-9)
     assert np.all(np.abs(here).max(axis=(0, 1)) > 0.0)
 
 
-def test_nothing_is_extrapolated(common, nominal_series):
+def test_nothing_is_extrapolated(discrepancy, nominal_series):
     """Twice as fast and sideways as the simulation has ever been: smooth functions stay within their bounds."""
     wild = replace(nominal_series, smooth=nominal_series.smooth * np.array([2.0, 10.0, 10.0]))
     first = len(tangents())
-    inside = np.abs(common.columns(nominal_series)[:, :, first:]).max()
+    inside = np.abs(discrepancy.columns(nominal_series)[:, :, first:]).max()
     # Each scaled feature levels off at 2, and four of them are multiplied at most.
-    assert np.abs(common.columns(wild)[:, :, first:]).max() < 2.0**4 * max(inside, 1.0)
+    assert np.abs(discrepancy.columns(wild)[:, :, first:]).max() < 2.0**4 * max(inside, 1.0)
 
 
 def test_the_scales_are_those_of_the_simulation(nominal_series):
-    one = build_common_physics(road_car(), nominal_series)
+    one = build_shared_discrepancy(road_car(), nominal_series)
     slower = replace(nominal_series, torque=0.5 * nominal_series.torque)
-    other = build_common_physics(road_car(), slower)
+    other = build_shared_discrepancy(road_car(), slower)
     assert other.width[2] == pytest.approx(0.5 * one.width[2])
     assert other.width[3] == one.width[3]
     assert one.center[0] == one.center[1] == 0.0

@@ -1,0 +1,173 @@
+"""The search under its two baselines: marginalised, and fixed where the first leaves doubt.
+
+With a marginalised baseline, the uncertainty of the shared model discrepancy explains a gap before any term does.
+That is right where the dictionary holds the simulation. It fails where model-form error is large, as between real
+recordings. Nearly everything is uncertain there off the simulation's own path. A fault that takes a drive off that
+path then hides in the discrepancy, as a steering gain of 0.8 does.
+
+With a fixed baseline a term saves what it brings back to where the simulation has been. Only terms that alter
+inputs or sensors do that. Where model-form error is large, only this second search names them, unless the first is
+beyond doubt. A name that the second search confirms keeps the values of the first, since the discrepancy's error
+off its path would go into the second ones. Other terms are named with a fixed baseline only where the first search
+had chosen them, too small to name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from split_cli.diagnosis.innovations.case import Case
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs, build_objective
+from split_cli.diagnosis.policy import STANDARD, Policy, SelectionRules
+from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
+from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
+from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, build_structure
+from split_cli.diagnosis.search.calibration import SelfTest, self_test
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.running import with_variants_that_run
+from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
+
+__all__ = ["SearchOutcome", "search"]
+
+
+@dataclass(frozen=True)
+class SearchOutcome:
+    """What the search found in the real recordings.
+
+    Attributes
+    ----------
+    structure : Structure
+        With the objective.
+    gap : FlexibleFit
+        Of the whole gap.
+    selection : Selection
+    known : SelfTest
+        What the simulation shows against itself, searched alike.
+    variance_inflation : float
+        By which residual autocorrelation widens chi squared.
+    objectives : tuple of MarginalLikelihood
+        With a marginalised baseline, and with a fixed one where that was searched, too.
+    """
+
+    structure: Structure
+    gap: FlexibleFit
+    selection: Selection
+    known: SelfTest
+    variance_inflation: float
+    objectives: tuple[MarginalLikelihood, ...] = ()
+
+
+def search(
+    case: Case,
+    candidates: Sequence[Candidate],
+    *,
+    reach: float,
+    policy: Policy = STANDARD,
+    progress: Callable[[str], None] = lambda step: None,
+) -> SearchOutcome:
+    """Search with a marginalised baseline; and with a fixed one where the first leaves doubt.
+
+    The first leaves doubt where model-form error is large, what is named alters inputs, and no name is sure.
+
+    Parameters
+    ----------
+    case : Case
+    candidates : sequence of Candidate
+    reach : float
+        See `ComparisonRules`.
+    policy : Policy
+    progress : callable
+        Called with the name of each step.
+    """
+    progress("comparing")
+    objective = build_objective(
+        case.real, case.posterior, case.discrepancy, case.keep, case.kinematics, policy=policy
+    )
+    known = _known(case, candidates, reach, policy)
+    rows = [flexible_rows(one, case.discrepancy) for one in case.real]
+    progress("naming")
+    outcome = _search(objective, rows, candidates, known)
+    altering = [alters_inputs(term) for term in outcome.selection.terms]
+    sure = bool(altering) and outcome.selection.first_p < policy.selection.sure_level
+    if known.ratio <= policy.selection.much_form_error or sure or (altering and not any(altering)):
+        return outcome
+    progress("naming with a fixed baseline")
+    known = _known(case, candidates, reach, policy, fixed_baseline=True)
+    # The shared discrepancy follows at every step, and costs have more than one valley.
+    wide = [one.widely_started() if _alters(one) else one for one in candidates]
+    # What is small beside a name is model-form error here, and would share a delay's savings with its like.
+    alone = replace(policy, selection=replace(policy.selection, most_nuisances=0))
+    fixed = replace(objective.with_fixed_baseline(), policy=alone)
+    again = _search(fixed, rows, wide, known)
+    kept = outcome
+    if _brings_back(again.selection, outcome.selection, policy.selection):
+        confirmed = bool(altering) and _ids(outcome.selection) <= _ids(again.selection)
+        kept = outcome if confirmed else again
+    elif altering:
+        kept = replace(outcome, selection=_without_names(outcome.selection))
+    return replace(kept, objectives=(outcome.structure.objective, again.structure.objective))
+
+
+def _ids(selection: Selection) -> set[str]:
+    return {term.id for term in selection.terms}
+
+
+def _alters(candidate: Candidate) -> bool:
+    return bool(candidate.starts) and alters_inputs(candidate.build(candidate.starts[0]))
+
+
+def _brings_back(selection: Selection, marginalised: Selection, rules: SelectionRules) -> bool:
+    """Return whether what a fixed baseline names saves a fair share of the cost, and all of it is believed.
+
+    That is what alters inputs or sensors, and beyond doubt what the search with a marginalised baseline chose
+    too, if only to keep it as a nuisance: a function that is wrong off its path looks like physics with a fixed
+    baseline alone.
+    """
+    saved = selection.base.cost - selection.chosen.cost
+    fair = saved > rules.fixed_share * selection.base.cost
+    chosen = {part.candidate.term for part in marginalised.chosen.parts if selection.first_p < rules.sure_level}
+    return bool(selection.terms) and fair and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
+
+
+def _without_names(selection: Selection) -> Selection:
+    nuisances = tuple(False for _ in selection.named)
+    nobody = tuple(() for _ in selection.named)
+    return replace(selection, named=nuisances, rivals=nobody, siblings=nobody)
+
+
+def _known(
+    case: Case, candidates: Sequence[Candidate], reach: float, policy: Policy, *, fixed_baseline: bool = False
+) -> SelfTest:
+    if not case.graded:
+        return SelfTest()
+    return self_test(
+        case.graded,
+        case.discrepancy,
+        candidates,
+        case.kinematics,
+        variance_inflation=policy.comparison.variance_inflation,
+        reach=reach,
+        posterior=case.posterior if fixed_baseline else None,
+        policy=policy,
+    )
+
+
+def _search(
+    objective: MarginalLikelihood,
+    rows: Sequence[FlexibleRows],
+    candidates: Sequence[Candidate],
+    known: SelfTest,
+) -> SearchOutcome:
+    objective = known.allow(objective)
+    structure = build_structure(objective, rows)
+    base = nothing(objective)
+    variance_inflation = max(
+        objective.policy.comparison.variance_inflation, residual_autocorrelation(structure, base.residuals).ratio
+    )
+    gap = structure.fit(base.residuals, variance_inflation)
+    objective = replace(objective, form_error_inflation=known.form_error_inflation_of(gap, objective.policy))
+    structure = replace(structure, objective=objective)
+    selection = select_terms(objective, candidates, variance_inflation)
+    selection = with_variants_that_run(structure, candidates, selection, variance_inflation)
+    return SearchOutcome(structure, gap, selection, known, variance_inflation, (objective,))

@@ -1,0 +1,100 @@
+"""Model-form error of a term: the share of its effect that a single track gets wrong, by operating point.
+
+Physics that is put into a single track acts on two tyres instead of four, so a few hundredths of what it does are
+wrong, and where it does much that is far more than noise. Of two terms that do nearly the same, the one that
+happens to err less would win by it. With that share free, what decides is what they do differently.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from split_cli.diagnosis.baseline.discrepancy import scaled_features
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.search.fitting import Fit
+from split_cli.vehicle.effects import Term
+
+__all__ = ["costs_beside_form_error", "residuals_beside_form_error", "saved_beside_form_error"]
+
+
+def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
+    """Return the cost of each fit with a share of every effect of them all free, by channel and operating point.
+
+    What one of them might get wrong is free for the others too: else the one would win that can bend most.
+
+    Notes
+    -----
+    M holds the whitened effects times functions of the operating point, times the policy's `form_error_share`; e
+    are the residuals left. The weights of M are integrated out: e^T (I + M M^T)^-1 e = |e|^2 - |L^-1 M^T e|^2 with
+    L L^T = I + M^T M.
+    """
+    form_error = _columns(objective, [(fit.terms, k) for fit in fits for k in range(len(fit.parts))])
+    return _costs(form_error, [fit.residuals for fit in fits])
+
+
+def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: Fit) -> float:
+    """Return what an explanation saves against another, the other's terms free to be wrong by their share.
+
+    What single-track terms get wrong of a real car's effect is of their own kind, channel by channel, and varies
+    with the operating point. Evidence for a further term is what it saves beyond that.
+    """
+    form_error = _columns(objective, [(before.terms, k) for k in range(len(before.parts))])
+    here, there = _costs(form_error, [before.residuals, after.residuals])
+    return here - there
+
+
+def residuals_beside_form_error(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
+    """Return the residuals that an explanation leaves beyond the likeliest model-form error of its terms, (R,).
+
+    Notes
+    -----
+    e - M (I + M^T M)^-1 M^T e, with M as in `costs_beside_form_error`.
+    """
+    form_error = _columns(objective, [(fit.terms, k) for k in range(len(fit.parts))])
+    if not form_error.shape[1]:
+        return fit.residuals
+    normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
+    return fit.residuals - form_error @ np.linalg.solve(normal, form_error.T @ fit.residuals)
+
+
+def _columns(objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]]) -> np.ndarray:
+    """Return M, shape (R, 18 a part), of parts given as terms and the number of one of them."""
+    share = objective.policy.selection.form_error_share
+    columns = [share * objective.whiten(_varied(objective, terms, k)) for terms, k in parts]
+    return np.hstack(columns) if columns else np.empty((len(objective.weight), 0))
+
+
+def _costs(form_error: np.ndarray, residuals: Sequence[np.ndarray]) -> list[float]:
+    if not form_error.shape[1]:
+        return [float(one @ one) for one in residuals]
+    normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
+    scores = form_error.T @ np.stack(residuals, axis=1)
+    explained = np.sum(scores * np.linalg.solve(normal, scores), axis=0)
+    return [float(one @ one - part) for one, part in zip(residuals, explained, strict=True)]
+
+
+def _varied(objective: MarginalLikelihood, terms: tuple[Term, ...], k: int) -> np.ndarray:
+    """Return what one term adds, channel by channel and times each function, as residuals, shape (R, 18)."""
+    others = terms[:k] + terms[k + 1 :]
+    return objective.stack([one.whitener(_variations(one, terms, others)) for one in objective.evidence])
+
+
+def _variations(one: Evidence, terms: Sequence[Term], others: Sequence[Term]) -> np.ndarray:
+    """Return the defects that terms take off beyond others, varied, shape (N - 1, 3, 18)."""
+    effect = one.left(others) - one.left(terms)
+    functions = _functions(one)
+    out = np.zeros((len(effect), 3, 3 * functions.shape[1]))
+    for channel in range(3):
+        columns = slice(channel * functions.shape[1], (channel + 1) * functions.shape[1])
+        out[:, channel, columns] = effect[:, channel, None] * functions
+    return out
+
+
+def _functions(one: Evidence) -> np.ndarray:
+    """Return 1, and slips, torque and speed within about [-1, 1], in the middle of each transition, (N - 1, 6)."""
+    a, b, c, v = np.clip(scaled_features(one.series, one.vehicle), -1.5, 1.5).T
+    out = np.stack([np.ones_like(a), a * a, b * b, c, np.abs(c), v], axis=1)
+    return 0.5 * (out[1:] + out[:-1])

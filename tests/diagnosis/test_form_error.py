@@ -1,0 +1,146 @@
+"""Costs with a share of every effect free: against dense algebra, and on two terms that do nearly the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.search import form_error as module
+from split_cli.diagnosis.search import selection as selecting
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.form_error import (
+    costs_beside_form_error,
+    residuals_beside_form_error,
+    saved_beside_form_error,
+)
+from split_cli.diagnosis.search.selection import nothing, select_terms
+from tests.diagnosis.recordings import candidates_of, driven, late, noisy_objective
+
+
+@pytest.fixture(scope="module")
+def behind() -> MarginalLikelihood:
+    """Steering that arrives 30 ms late."""
+    return noisy_objective(driven(41, steer=lambda inputs, step: late(inputs, 0.03, step)), 3)
+
+
+def fitted(objective: MarginalLikelihood, term: str) -> Fit:
+    (one,) = candidates_of(objective, term)
+    return min((fit_parts(objective, [Part(one, dict(start))]) for start in one.starts), key=lambda fit: fit.cost)
+
+
+@pytest.fixture(scope="module")
+def delay(behind) -> Fit:
+    return fitted(behind, "steer_delay")
+
+
+@pytest.fixture(scope="module")
+def lag(behind) -> Fit:
+    return fitted(behind, "steer_lag")
+
+
+def test_the_cost_is_that_of_the_dense_gaussian(behind, delay):
+    """Unit noise and model-form error together: e^T (I + M M^T)^-1 e, on every tenth row to keep it small."""
+    form_error = 0.1 * behind.whiten(module._varied(behind, delay.terms, 0))
+    assert form_error.shape == (len(delay.residuals), 18)
+    rows = slice(0, None, 10)
+    few, residuals = form_error[rows], delay.residuals[rows]
+    expected = residuals @ np.linalg.solve(np.eye(len(residuals)) + few @ few.T, residuals)
+    score = few.T @ residuals
+    told = residuals @ residuals - score @ np.linalg.solve(np.eye(18) + few.T @ few, score)
+    assert told == pytest.approx(expected, rel=1e-9)
+    # And on all rows it is the least of |e - M w|^2 + |w|^2.
+    stacked, target = np.vstack([form_error, np.eye(18)]), np.append(delay.residuals, np.zeros(18))
+    left = target - stacked @ np.linalg.lstsq(stacked, target, rcond=None)[0]
+    assert costs_beside_form_error(behind, [delay]) == pytest.approx([left @ left], rel=1e-9)
+
+
+def test_without_a_term_nothing_is_free(behind):
+    base = nothing(behind)
+    assert costs_beside_form_error(behind, [base]) == [base.cost]
+
+
+def test_the_first_column_of_a_channel_is_the_effect_itself(behind, delay):
+    varied = module._varied(behind, delay.terms, 0)
+    effect = behind.residual(()) - behind.residual(delay.terms)
+    assert varied[:, [0, 6, 12]].sum(axis=1) == pytest.approx(effect, abs=1e-9)
+
+
+def test_a_form_error_that_favours_another_term_does_not_decide(behind, delay, lag):
+    """What is wrong of the late steering's effect on v_x happens to look like a lag."""
+    assert delay.cost < lag.cost
+    between = lag.residuals - delay.residuals
+    columns = behind.whiten(module._varied(behind, delay.terms, 0))
+    column = columns[:, np.argmax(np.abs(columns.T @ between) / np.linalg.norm(columns, axis=0))]
+    size = -1.5 * (lag.cost - delay.cost) / (2.0 * float(column @ between))
+    moved = [
+        replace(
+            fit, residuals=fit.residuals + size * column, cost=float(np.sum((fit.residuals + size * column) ** 2))
+        )
+        for fit in (delay, lag)
+    ]
+    assert abs(size) < 0.5 and moved[0].cost > moved[1].cost
+    beside = costs_beside_form_error(behind, moved)
+    assert beside[0] < beside[1]
+
+
+def test_what_one_may_get_wrong_is_free_for_the_others(behind, delay):
+    """Something in v_x that the brakes do, which only a term that acts there could bend to."""
+    (one,) = candidates_of(behind, "drive_gain")
+    bends = fit_parts(behind, [Part(one, {"drive_gain": 0.97, "brake_gain": 0.97})])
+    alone = costs_beside_form_error(behind, [delay])[0]
+    together = costs_beside_form_error(behind, [delay, bends])
+    assert together[0] < alone and together == pytest.approx(costs_beside_form_error(behind, [bends, delay])[::-1])
+    # Of the same residuals none is better than another.
+    same = replace(bends, residuals=delay.residuals)
+    assert np.ptp(costs_beside_form_error(behind, [delay, same])) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_alternative_takes_the_place_where_it_is_better_beside_form_error(behind, monkeypatch):
+    candidates = candidates_of(behind, "steer_delay", "steer_lag")
+    plain = select_terms(behind, candidates, 1.5)
+    assert plain.chosen.names == ("steer_delay",)
+    # Alternatives are what may be model-form error; here the lag is made one.
+    monkeypatch.setattr(selecting, "explaining_as_well", lambda objective, selection, k, rivals: list(rivals))
+    assert select_terms(behind, candidates, 1.5).chosen.names == ("steer_delay",)
+    monkeypatch.setattr(
+        selecting,
+        "costs_beside_form_error",
+        lambda objective, fits: [float("steer_delay" in fit.names) for fit in fits],
+    )
+    turned = select_terms(behind, candidates, 1.5)
+    assert turned.chosen.names == ("steer_lag",) and turned.named == (True,)
+    assert "beside model-form error" in turned.history[-1]
+    # What it was compared with is reported as seen from the one that is chosen now.
+    (rival, *_) = turned.rivals[0]
+    assert rival.fit.names == ("steer_delay",) and rival.excess == pytest.approx(
+        -plain.rivals[0][0].excess, rel=1e-6
+    )
+
+
+def test_residuals_beside_form_error_are_what_a_dense_gaussian_leaves(behind, delay):
+    """Of noise and model-form error what remains is e - M E[w | e]; the error's price is in the cost."""
+    form_error = behind.policy.selection.form_error_share * behind.whiten(module._varied(behind, delay.terms, 0))
+    stacked, target = np.vstack([form_error, np.eye(18)]), np.append(delay.residuals, np.zeros(18))
+    weights = np.linalg.lstsq(stacked, target, rcond=None)[0]
+    left = residuals_beside_form_error(behind, delay)
+    np.testing.assert_allclose(left, delay.residuals - form_error @ weights, atol=1e-8)
+    assert left @ left + weights @ weights == pytest.approx(costs_beside_form_error(behind, [delay])[0], rel=1e-9)
+    base = nothing(behind)
+    assert residuals_beside_form_error(behind, base) is base.residuals
+
+
+def test_what_a_named_term_may_get_wrong_is_no_evidence_for_another(behind, delay):
+    """A twentieth of the delay's own effect, more at one end of the speeds, saves next to nothing."""
+    varied = behind.whiten(module._varied(behind, delay.terms, 0))
+    wrong = replace(delay, residuals=delay.residuals + 0.05 * varied[:, 17], cost=0.0)
+    wrong = replace(wrong, cost=float(wrong.residuals @ wrong.residuals))
+    plainly, beside = wrong.cost - delay.cost, saved_beside_form_error(behind, wrong, delay)
+    assert plainly > 20.0 and beside < 0.1 * plainly
+    # Noise-like residuals that no model-form error makes count in full.
+    rng = np.random.default_rng(1)
+    apart = replace(delay, residuals=delay.residuals + 0.05 * rng.standard_normal(len(delay.residuals)))
+    apart = replace(apart, cost=float(apart.residuals @ apart.residuals))
+    assert saved_beside_form_error(behind, apart, delay) == pytest.approx(apart.cost - delay.cost, rel=0.1)
