@@ -69,7 +69,7 @@ def test_so_it_is_with_a_delay_which_is_not_in_proportion_and_with_a_sensor(told
 
 def test_form_error_asks_for_more(sound, told):
     for form_error, factor in ((20.0, 1.0), (2000.0, 1.4)):
-        for term, one in smallest(replace(sound, form_error=form_error)).items():
+        for term, one in smallest(replace(sound, form_error_inflation=form_error)).items():
             ((parameter, (value, _)),) = one.parameters.items()
             neutral = CATALOGUE[term].neutral[parameter]
             assert abs(value - neutral) > factor * abs(told[term].parameters[parameter][0] - neutral)
@@ -99,7 +99,7 @@ def test_what_is_told_holds_for_every_variant(sound):
 
 
 def test_an_effect_that_would_have_to_be_larger_than_any_is_told_at_no_size(sound):
-    deaf = replace(sound, form_error=1e9)
+    deaf = replace(sound, form_error_inflation=1e9)
     assert all(not one.parameters for one in smallest(deaf).values())
 
 

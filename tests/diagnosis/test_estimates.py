@@ -182,14 +182,16 @@ def test_systematic_error_is_a_share_of_the_effect(drive):
 def test_form_error_widens_chance_and_systematic_error_by_its_root(drive):
     objective = noisy_objective(drive, 4)
     fit = fitted(objective, "yaw_inertia", TRUTH)
-    (own,), (wide,) = (parameter_estimates(one, fit) for one in (objective, replace(objective, form_error=25.0)))
+    (own,), (wide,) = (
+        parameter_estimates(one, fit) for one in (objective, replace(objective, form_error_inflation=25.0))
+    )
     away, size = wide["scale"].value - 1.0, term_size(objective, fit, 0)
     systematic = 5.0 * STANDARD.reporting.systematic * away / size
     chance = np.sqrt(wide["scale"].std_error ** 2 - systematic**2)
     assert chance == pytest.approx(5.0 / np.sqrt(np.sum(fit.sensitivity**2)), rel=1e-6)
     assert own["scale"].std_error < wide["scale"].std_error
     # Blocks that vary by more than that already tell it.
-    (same,) = parameter_estimates(replace(objective, form_error=1e-3), fit)
+    (same,) = parameter_estimates(replace(objective, form_error_inflation=1e-3), fit)
     assert same["scale"].std_error == own["scale"].std_error
 
 

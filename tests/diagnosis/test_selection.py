@@ -166,7 +166,7 @@ def test_a_further_term_no_larger_than_a_form_error_is_not_named():
         objective, candidates_of(objective, "yaw_inertia", "steer_offset"), VARIANCE_INFLATION
     )
     assert named(selection) == {"yaw_inertia"}
-    assert "steer_offset" in selection.history[-1] and "form_error" in selection.history[-1]
+    assert "steer_offset" in selection.history[-1] and "model-form error" in selection.history[-1]
     # Alone, as large as it is, it would be named.
     alone = objective_of(*planted(steer_offset=0.0005))
     assert named(select_terms(alone, candidates_of(alone, "yaw_inertia", "steer_offset"), VARIANCE_INFLATION)) == {
@@ -346,10 +346,15 @@ def test_form_error_widens_chance_and_is_not_counted_twice(pair, chosen_pair):
 
     widened = saved / 30.0
     # The same as chance that is so wide, unless chance is wider itself.
-    assert p_value(form_error=widened) == pytest.approx(term_p(pair, fit, k, saved, widened), rel=1e-12)
-    assert p_value(form_error=widened) > 1e-8 > p_value(form_error=VARIANCE_INFLATION) == p_value()
-    both = p_value(form_error=widened, term_floors=floors)
-    assert both == max(p_value(form_error=widened), p_value(term_floors=floors))
+    assert p_value(form_error_inflation=widened) == pytest.approx(term_p(pair, fit, k, saved, widened), rel=1e-12)
+    assert (
+        p_value(form_error_inflation=widened)
+        > 1e-8
+        > p_value(form_error_inflation=VARIANCE_INFLATION)
+        == p_value()
+    )
+    both = p_value(form_error_inflation=widened, term_floors=floors)
+    assert both == max(p_value(form_error_inflation=widened), p_value(term_floors=floors))
     assert both < term_p(replace(pair, term_floors=floors), fit, k, saved, widened)
 
 
@@ -369,7 +374,7 @@ def test_rivals_are_as_far_off_as_form_error_lets_them_be(pair, chosen_pair):
     candidates = tuple(candidates_of(pair, *NAMES))
     free = STANDARD.altered("selection", price=0.0)
     explore = Explorer(
-        replace(pair, form_error=10.0 * VARIANCE_INFLATION, policy=free), candidates, VARIANCE_INFLATION
+        replace(pair, form_error_inflation=10.0 * VARIANCE_INFLATION, policy=free), candidates, VARIANCE_INFLATION
     )
     (near, *_), _ = _rivals(explore, chosen_pair.chosen, 0, chosen_pair.without[0])
     (far, *_), _ = _rivals(replace(explore, objective=pair), chosen_pair.chosen, 0, chosen_pair.without[0])
