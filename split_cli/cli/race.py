@@ -89,7 +89,8 @@ def command(
     """
     from split_cli.control.limits import Limits
     from split_cli.control.mpcc import MpccSettings
-    from split_cli.workflows.race import RaceSettings, run_race
+    from split_cli.workflows.race import run_race
+    from split_cli.workflows.racing.settings import RaceSettings
 
     mpcc = MpccSettings(limits=Limits(p_long=p_long, p_ellipse=p_ellipse))
     settings = RaceSettings(delay=not no_delay, printed_iol=iol_update == "printed", settings=mpcc, **options)

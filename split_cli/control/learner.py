@@ -10,19 +10,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.control.residual import NoResidual, OnlineResidual, PredictorResidual, Residual
-from split_cli.learning.labels import Labels, compute_labels
+from split_cli.learning.labels import Labels, compute_labels, window_samples
 from split_cli.learning.online import OnlineSet
 from split_cli.learning.region import Region
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.prediction.online import OnlineCommittee
 from split_cli.prediction.predictor import Predictor
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["WIDER", "LabellingLearner", "Learned", "Learner", "NoLearner", "SplitLearner", "learning_region"]
+__all__ = [
+    "WIDER",
+    "LabellingLearner",
+    "Learned",
+    "Learner",
+    "NoLearner",
+    "SplitLearner",
+    "learning_region",
+    "settling_time",
+]
 
 #: How much wider the learned region is than the controller's own limits, in slip angles and in the ellipse [1]. A
 #: fast lap runs along the limits, and its samples scatter to both sides of them.
 WIDER = 1.35
+
+
+#: Time constants after which a lag has forgotten where it began [1]: e^-8 is 3e-4 of the first difference, far
+#: below what sensors tell of it.
+SETTLED = 8.0
 
 
 def learning_region(vehicle, alpha_max: float, dalpha_max: float, p_long: float) -> Region:
@@ -49,12 +65,16 @@ class Learned:
     updates : int
     seconds : float
         Of label and update [s].
+    exact_label, exact_predicted : ndarray, shape (3,) or None
+        The same of the exact motion, where it was given and lies in the region.
     """
 
     label: np.ndarray | None
     predicted: np.ndarray
     updates: int
     seconds: float
+    exact_label: np.ndarray | None = None
+    exact_predicted: np.ndarray | None = None
 
 
 class Learner(ABC):
@@ -73,13 +93,35 @@ class Learner(ABC):
     def begin_lap(self, name: str, start_time: float) -> None:
         """Begin a lap, which becomes a source of the set."""
 
+    def run_up_rows(self, driven: int, period: float) -> int:
+        """Return how many rows before an interval `learn` wants to see, of `driven` there are in the lap."""
+        return 0
+
     @abstractmethod
-    def learn(self, interval: Drive, row: int) -> Learned:
-        """Take the samples of one control interval, its two ends included; `row` is its first in the lap."""
+    def learn(self, interval: Drive, row: int, exact: Drive | None = None) -> Learned:
+        """Take the samples of one control interval, its two ends included.
+
+        Parameters
+        ----------
+        interval : Drive
+            With its run-up before it.
+        row : int
+            Its first row in the lap.
+        exact : Drive, optional
+            The same motion without noise. It is compared with the residual and not learned.
+        """
 
     @abstractmethod
     def end_lap(self, duration: float) -> TrainingSet | None:
         """End the lap; return the set, if there is one."""
+
+
+def settling_time(vehicle: Vehicle) -> float:
+    """Return how long before a moment the commands still matter [s]: delays, and `SETTLED` of the slowest lag."""
+    terms = SingleTrack(vehicle).terms
+    slowest = [term.fastest_rate(vehicle.minimum_speed) for term in terms if getattr(term, "state_names", ())]
+    delays = [delay for term in terms for delay in getattr(term, "input_delays", {}).values()]
+    return max((SETTLED / rate for rate in slowest), default=0.0) + max(delays, default=0.0)
 
 
 class LabellingLearner(Learner):
@@ -87,19 +129,38 @@ class LabellingLearner(Learner):
 
     def __init__(self, header: TrainingSet) -> None:
         self.header = header
+        self._run_up = settling_time(header.vehicle)
 
-    def learn(self, interval: Drive, row: int) -> Learned:
+    def run_up_rows(self, driven: int, period: float) -> int:
+        """Return whole label windows that cover the vehicle's memory, as far as the lap goes back."""
+        window = window_samples(self.header.horizon, period)
+        return min(int(np.ceil(self._run_up / (window * period))), driven // window) * window
+
+    def learn(self, interval: Drive, row: int, exact: Drive | None = None) -> Learned:
         """Label the interval, compare with what the residual says, then learn."""
         start = time.thread_time()
-        labels = compute_labels(
-            interval, self.header.vehicle, self.header.features, self.header.region, horizon=self.header.horizon
-        )
+        labels = self._last_label(interval)
         labels = replace(labels, row=labels.row + row)
         accepted = bool(labels.inside(self.header.grid).accepted[0])
         predicted = self.residual.along(labels.z[:1]).mean[0] if accepted else np.zeros(3)
+        known = time.thread_time() - start
+        of_motion = self._of_motion(exact) if accepted and exact is not None else (None, None)
+        start = time.thread_time()
         updates = self._update(labels)
         label = labels.y[0] if accepted else None
-        return Learned(label, predicted, updates, time.thread_time() - start)
+        return Learned(label, predicted, updates, known + time.thread_time() - start, *of_motion)
+
+    def _last_label(self, interval: Drive) -> Labels:
+        """Return the label of the last window; what is before it only lets lags settle."""
+        header = self.header
+        labels = compute_labels(interval, header.vehicle, header.features, header.region, horizon=header.horizon)
+        return labels.take(slice(len(labels) - 1, None))
+
+    def _of_motion(self, exact: Drive) -> tuple[np.ndarray | None, np.ndarray | None]:
+        labels = self._last_label(exact)
+        if not labels.inside(self.header.grid).accepted[0]:
+            return None, None
+        return labels.y[0], self.residual.along(labels.z).mean[0]
 
     @abstractmethod
     def _update(self, labels: Labels) -> int:

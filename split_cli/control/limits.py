@@ -7,11 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.control.model import Linearization
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.control.residual import ResidualValues
 
 __all__ = ["SLIP_ROWS", "Limits", "slip_limit", "slip_rows"]
 
 SLIP_ROWS = 5
+
+LEAST_SIDE = 0.1
+"""Share of its side force that an axle keeps when it brakes with all it has [1], so that a slope is left."""
 
 
 @dataclass(frozen=True)
@@ -24,66 +27,72 @@ class Limits:
         Shape of the force ellipse [1].
     alpha_max, dalpha_max : float
         Slip angle and difference of slip angles [rad].
+    p_unknown : float or None
+        Ellipse where the residual knows nothing [1]; as `p_ellipse` when it is None.
     """
 
     p_long: float = 0.9
     p_ellipse: float = 0.95
     alpha_max: float = 0.18
     dalpha_max: float = 0.10
+    p_unknown: float | None = None
+
+    def ellipse(self, residual: ResidualValues) -> np.ndarray:
+        """Return the share of the axles' peak that may be used at N places, shape (N,).
+
+        Notes
+        -----
+        From `p_unknown` where nothing was learned to `p_ellipse` where everything is known, in proportion to the
+        knowledge 1 - variance/prior of v_y and r, the lesser of the two. Beyond its data a process says zero, and
+        so the nominal model speaks: the very model whose grip is not to be trusted there.
+        """
+        if self.p_unknown is None:
+            return np.full(len(residual.mean), self.p_ellipse)
+        known = residual.knowledge[:, 1:].min(axis=1)
+        return self.p_unknown + known * (self.p_ellipse - self.p_unknown)
 
 
-def slip_limit(vehicle: Vehicle, limits: Limits, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest slip angle of front and rear [rad] and its slope by torque, each shape (N, 2).
+def slip_limit(limits: Limits, found: Linearization) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest slip angle of front and rear [rad], shape (N, 2), and its slope by the state (N, 2, n).
 
     Notes
     -----
     SPLIT paper, the tire forces constraint, solved for the slip angle:
     |alpha| <= tan(asin(sqrt(p_ellipse^2 - (p_long F_x/D)^2))/C)/B. As a force the constraint's slope changes sign
-    past the peak, and a linearised controller then steers into the slide instead of out of it.
+    past the peak, and a linearised controller then steers into the slide instead of out of it. B, C, D are taken
+    as they are at the point; only the force moves with the state.
     """
-    kappa = np.where(torque < 0.0, vehicle.brake_split_front, vehicle.drive_split_front)
-    out, slope = np.empty((len(torque), 2)), np.empty((len(torque), 2))
-    parts = (
-        (vehicle.front_tire, kappa, vehicle.rolling_resistance_front),
-        (vehicle.rear_tire, 1.0 - kappa, vehicle.rolling_resistance_rear),
-    )
-    for axle, (tire, share, rolling) in enumerate(parts):
-        gain = limits.p_long / tire.D
-        used = gain * (share * torque / vehicle.wheel_radius - rolling)
-        # An axle that brakes with all it has keeps a tenth of its side force, so that a slope is left.
-        left = np.sqrt(np.maximum(limits.p_ellipse**2 - used**2, (0.1 * limits.p_ellipse) ** 2))
-        angle = np.arcsin(left) / tire.C
-        alpha = np.tan(angle) / tire.B
-        inside = (used**2 < 0.99 * limits.p_ellipse**2) & (alpha < limits.alpha_max)
-        d_left = -used * gain * share / vehicle.wheel_radius / left
-        d_alpha = d_left / np.sqrt(1.0 - left**2) / tire.C / np.cos(angle) ** 2 / tire.B
-        out[:, axle] = np.minimum(alpha, limits.alpha_max)
-        slope[:, axle] = np.where(inside, d_alpha, 0.0)
-    return out, slope
+    ellipse = limits.ellipse(found.residual)[:, None]
+    B, C, D = (found.curve[:, :, k] for k in range(3))
+    used = limits.p_long * found.force / D
+    left = np.sqrt(np.maximum(ellipse**2 - used**2, (LEAST_SIDE * ellipse) ** 2))
+    angle = np.arcsin(left) / C
+    alpha = np.tan(angle) / B
+    inside = (used**2 < 0.99 * ellipse**2) & (alpha < limits.alpha_max)
+    by_force = -used * limits.p_long / D / left / np.sqrt(1.0 - left**2) / C / np.cos(angle) ** 2 / B
+    slope = np.where(inside, by_force, 0.0)[:, :, None] * found.force_slope
+    return np.minimum(alpha, limits.alpha_max), slope
 
 
-def slip_rows(
-    vehicle: Vehicle, limits: Limits, torque: np.ndarray, found: Linearization, free: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def slip_rows(limits: Limits, found: Linearization, free: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return rows C (N, 5, n) of a step dx, with lower and upper bounds (N, 5).
 
     Two rows an axle (alpha - limit <= 0 and alpha + limit >= 0), one for the difference of slip angles.
 
     Parameters
     ----------
-    torque : ndarray, shape (N,)
-        At the points of linearisation [N m].
+    limits : Limits
+    found : Linearization
     free : float
         What stands for no bound.
     """
-    bound, slope = slip_limit(vehicle, limits, torque)
+    bound, slope = slip_limit(limits, found)
     count, n = found.slip_slope.shape[0], found.slip_slope.shape[2]
     C = np.zeros((count, SLIP_ROWS, n))
     lower, upper = np.full((count, SLIP_ROWS), -free), np.full((count, SLIP_ROWS), free)
     for axle in range(2):
         for side, row in ((1.0, 2 * axle), (-1.0, 2 * axle + 1)):
-            C[:, row] = found.slip_slope[:, axle]
-            C[:, row, 6] -= side * slope[:, axle]
+            C[:, row] = found.slip_slope[:, axle] - side * slope[:, axle]
             gap = side * bound[:, axle] - found.slip[:, axle]
             (upper if side > 0 else lower)[:, row] = gap
     C[:, 4] = found.slip_slope[:, 0] - found.slip_slope[:, 1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import casadi
 import numpy as np
@@ -10,7 +10,8 @@ import numpy as np
 from split_cli.control._compiled import discretize
 from split_cli.control.residual import Residual, ResidualValues
 from split_cli.errors import VehicleError
-from split_cli.export.symbolic import build_nominal
+from split_cli.export.memory import exported_model
+from split_cli.export.symbolic import CASADI, build_nominal
 from split_cli.learning.features import Z2, FeatureSet
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -36,6 +37,11 @@ class Linearization:
         Nominal front and rear slip angle [rad].
     slip_slope : ndarray, shape (N, 2, n)
     residual : ResidualValues
+    curve : ndarray, shape (N, 2, 3)
+        B [1/rad], C [1] and D [N] of front and rear, as the vehicle's terms leave them there.
+    force : ndarray, shape (N, 2)
+        Longitudinal force of front and rear, of the torque that has arrived [N].
+    force_slope : ndarray, shape (N, 2, n)
     """
 
     A: np.ndarray
@@ -44,6 +50,15 @@ class Linearization:
     slip: np.ndarray
     slip_slope: np.ndarray
     residual: ResidualValues
+    curve: np.ndarray
+    force: np.ndarray
+    force_slope: np.ndarray
+
+    def stages(self, which: slice) -> Linearization:
+        """Return the model at some of the stages."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        residual = values.pop("residual")
+        return Linearization(residual=residual.stages(which), **{name: v[which] for name, v in values.items()})
 
 
 class ControlModel:
@@ -106,7 +121,7 @@ class ControlModel:
         slow = x[:, 3] < SLOWEST
         kept = x[:, 3].copy()
         x[slow, 3] = SLOWEST
-        rates, jacobian, slip, slip_slope, z, z_slope = self._evaluate(x)
+        rates, jacobian, slip, slip_slope, z, z_slope, curve, force, force_slope = self._evaluate(x)
         found = self.residual.along(z)
         f, A = self._whole(x, rates, jacobian)
         f[:, 6:8] = u
@@ -115,7 +130,8 @@ class ControlModel:
         E, G = discretize(A, self.step)
         x[:, 3] = kept
         following = x + np.einsum("kij,kj->ki", G, f)
-        return Linearization(E, np.ascontiguousarray(G[:, :, 6:8]), following, slip, slip_slope, found)
+        B, curve = np.ascontiguousarray(G[:, :, 6:8]), curve.reshape(-1, 2, 3)
+        return Linearization(E, B, following, slip, slip_slope, found, curve, force, force_slope)
 
     def follow(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the states, shape (N + 1, n), that inputs `u`, shape (N, 2), lead to from `x`, shape (n,)."""
@@ -154,7 +170,11 @@ class ControlModel:
 
 
 def _stage_function(vehicle: Vehicle, features: FeatureSet, step: float) -> casadi.Function:
-    """Return x to (rates, their Jacobian by x[2:]; slip angles and theirs by x; features and theirs by x)."""
+    """Return x to what `ControlModel.linearize` needs of one state.
+
+    Rates and their Jacobian by x[2:]; slip angles and theirs by x; features and theirs; the axles' B, C, D;
+    longitudinal forces and their Jacobian by x.
+    """
     track = SingleTrack(vehicle)
     basic, asked = build_nominal(track, Z2, step), build_nominal(track, features, step)
     n = 2 + basic.rates.size1_in(0)
@@ -164,5 +184,19 @@ def _stage_function(vehicle: Vehicle, features: FeatureSet, step: float) -> casa
     still = casadi.SX.zeros(2)
     z2, z = basic.features(given, still)[0], asked.features(given, still)[0]
     slip = z2[:2]
-    outputs = [rates, jacobian, slip, casadi.jacobian(slip, x), z, casadi.jacobian(z, x)]
+    curve, force = _axles(track, x)
+    outputs = [
+        rates, jacobian, slip, casadi.jacobian(slip, x), z, casadi.jacobian(z, x), curve, force,
+        casadi.jacobian(force, x),
+    ]  # fmt: skip
     return casadi.Function("stage", [x], [casadi.densify(o) for o in outputs], {"cse": True})
+
+
+def _axles(track: SingleTrack, x: casadi.SX) -> tuple[casadi.SX, casadi.SX]:
+    """Return B, C, D of front and rear, shape (6,), and their longitudinal forces [N], shape (2,)."""
+    model = exported_model(track)
+    states = {name: x[8 + k] for k, name in enumerate(model.state_names)} or None
+    flow = model.flow(*(x[i] for i in range(3, 8)), yaw=x[2], ops=CASADI, states=states)
+    axles = flow.front, flow.rear
+    curve = casadi.vertcat(*(value for axle in axles for value in (axle.B, axle.C, axle.D)))
+    return curve, casadi.vertcat(*(axle.longitudinal_force for axle in axles))

@@ -301,12 +301,8 @@ class RecedingController(ABC):
         C[:, 0] = of_contour[:-1]
         lower[:, 0] = -(at.left - inside)[:-1] - contour[:-1]
         upper[:, 0] = (at.right - inside)[:-1] - contour[:-1]
-        torque = self.plan.x[1:N, 6]
-        later = Linearization(
-            found.A[1:], found.B[1:], found.following[1:], found.slip[1:], found.slip_slope[1:], found.residual
-        )
         C[:, 1:, : self.n_model], lower[:, 1:], upper[:, 1:] = slip_rows(
-            self.model.vehicle, self.limits, torque, later, FREE
+            self.limits, found.stages(slice(1, None)), FREE
         )
         return C, lower, upper
 

@@ -35,6 +35,10 @@ class ResidualValues:
     variance: np.ndarray
     knowledge: np.ndarray
 
+    def stages(self, which: slice) -> ResidualValues:
+        """Return the residual at some of the features."""
+        return ResidualValues(self.mean[which], self.slope[which], self.variance[which], self.knowledge[which])
+
 
 class Residual(ABC):
     """What a controller adds to its nominal model.

@@ -127,9 +127,19 @@ class World:
             self.t += SAMPLE_PERIOD
             self._record(outputs.specific_force)
 
-    def recording(self, first: int = 0, last: int | None = None, name: str = "race") -> Drive:
-        """Return rows `first` to `last` as a drive; T and delta are commands, led in straight lines."""
-        rows = np.array(self.rows[first:last])
+    @property
+    def period(self) -> float:
+        """Of the recording [s]."""
+        return SAMPLE_PERIOD
+
+    def recording(
+        self, first: int = 0, last: int | None = None, name: str = "race", *, exact: bool = False
+    ) -> Drive:
+        """Return rows `first` to `last` as a drive; T and delta are commands, led in straight lines.
+
+        With `exact` it is the motion itself, without what sensors add to it.
+        """
+        rows = np.array((self.truth if exact else self.rows)[first:last])
         columns = {"t": rows[:, 0]}
         columns |= {channel: rows[:, 1 + k] for k, channel in enumerate(_MEASURED)}
         columns |= {"T": rows[:, 9], "delta": rows[:, 10]}

@@ -135,25 +135,55 @@ def test_a_delay_in_the_vehicle_is_refused_with_its_reason():
         ControlModel(CAR.with_effects(EffectSpec("steer_delay", {"delay": 0.1})), NoResidual(), 0.05)
 
 
+def rolling(car, torque):
+    """Return the model linearised while it rolls straight ahead under several torques."""
+    model = ControlModel(car, NoResidual(), 0.05)
+    x = np.array([model.steady_states(np.array([0, 0, 0, 20.0, 0, 0, value, 0.0])) for value in torque])
+    return model.linearize(x, np.zeros((len(x), 2)))
+
+
 def test_the_slip_limit_is_on_the_friction_ellipse():
     limits = Limits(alpha_max=1.0)
     torque = np.array([-2500.0, -1000.0, 0.0, 700.0])
-    alpha, slope = slip_limit(CAR, limits, torque)
+    alpha, slope = slip_limit(limits, rolling(CAR, torque))
     kappa = np.where(torque < 0, CAR.brake_split_front, CAR.drive_split_front)
     force_x = kappa * torque / CAR.wheel_radius - CAR.rolling_resistance_front
     force_y = lateral_force(CAR.front_tire.B, CAR.front_tire.C, CAR.front_tire.D, alpha[:, 0])
     used = (limits.p_long * force_x) ** 2 + force_y**2
     assert used == pytest.approx(np.full(4, (limits.p_ellipse * CAR.front_tire.D) ** 2), rel=1e-9)
-    near = (slip_limit(CAR, limits, torque + 0.1)[0] - slip_limit(CAR, limits, torque - 0.1)[0]) / 0.2
-    assert slope[[0, 1, 3]] == pytest.approx(near[[0, 1, 3]], rel=1e-4)
+    ahead, behind = (slip_limit(limits, rolling(CAR, torque + move))[0] for move in (0.1, -0.1))
+    assert slope[[0, 1, 3], :, 6] == pytest.approx((ahead - behind)[[0, 1, 3]] / 0.2, rel=1e-4)
+
+
+def test_the_slip_limit_is_that_of_the_tyres_that_the_terms_leave():
+    terms = EffectSpec("friction_scale", {"scale": 0.8}), EffectSpec("drive_lag", {"tau": 0.1})
+    torque = np.array([-1000.0, 0.0])
+    plain, found = rolling(CAR, torque), rolling(CAR.with_effects(*terms), torque)
+    # The peak falls, the slope B C D stays.
+    assert found.curve[:, :, 2] == pytest.approx(0.8 * plain.curve[:, :, 2])
+    assert found.curve.prod(axis=2) == pytest.approx(plain.curve.prod(axis=2))
+    # Half the ellipse of a tyre with 0.8 of the grip: the angles are 0.8 of what they were, where no torque is.
+    limits = Limits(p_ellipse=0.5)
+    assert slip_limit(limits, found)[0][1] == pytest.approx(0.8 * slip_limit(limits, plain)[0][1], rel=1e-2)
+    # What brakes is the torque that has arrived, a state of its own behind the command.
+    slope = slip_limit(limits, found)[1][0, 0]
+    assert slope[6] == 0.0 and abs(slope[8]) > 0.0
+
+
+def test_the_ellipse_is_as_wide_as_the_residual_is_known():
+    knowledge = np.array([[1.0, 0.0, 0.9], [1.0, 1.0, 1.0], [0.0, 0.5, 0.75]])
+    nothing = np.zeros((3, 3))
+    known = ResidualValues(nothing, np.zeros((3, 3, 3)), nothing, knowledge)
+    assert Limits(p_ellipse=0.95, p_unknown=0.75).ellipse(known) == pytest.approx([0.75, 0.95, 0.85])
+    assert Limits(p_ellipse=0.95).ellipse(known) == pytest.approx([0.95, 0.95, 0.95])
 
 
 def test_rows_bound_the_slip_angles_of_the_linearised_model():
     x, u = situations()
     found = ControlModel(CAR, NoResidual(), 0.05).linearize(x, u)
     limits = Limits()
-    C, lower, upper = slip_rows(CAR, limits, x[:, 6], found, 1e4)
-    bound = slip_limit(CAR, limits, x[:, 6])[0]
+    C, lower, upper = slip_rows(limits, found, 1e4)
+    bound = slip_limit(limits, found)[0]
     # A step that brings the front slip angle to its bound at the same torque fills the row exactly.
     step = np.linalg.pinv(C[:, 0][:, None, [4, 5]])[:, :, 0] * (bound[:, 0] - found.slip[:, 0])[:, None]
     filled = np.einsum("ki,ki->k", C[:, 0][:, [4, 5]], step)

@@ -13,7 +13,7 @@ import numpy as np
 
 from split_cli import __version__
 from split_cli.control.path import Path
-from split_cli.workflows.race import Lap, RaceResult
+from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.report.payload import embedded_json
 from split_cli.workflows.report.words import escape
 

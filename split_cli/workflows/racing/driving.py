@@ -1,0 +1,234 @@
+"""The laps themselves: plant, controller and learner side by side, one control interval after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from split_cli.control.learner import Learner, NoLearner
+from split_cli.control.model import ControlModel
+from split_cli.control.mpcc import Mpcc
+from split_cli.control.path import check_path, contour_and_lag
+from split_cli.control.receding import Actuators, ControllerLost, StepInfo
+from split_cli.errors import SplitError
+from split_cli.learning.cells import warm_up
+from split_cli.learning.training_set import TrainingSet, read_set, write_set
+from split_cli.logs.drive import write_drive
+from split_cli.plant.cars import find_car
+from split_cli.plant.recording import write_mcap
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.workflows.closed_loop import World, body_width
+from split_cli.workflows.racing.entry import check_settings, check_trusted, find_path
+from split_cli.workflows.racing.result import Lap, RaceResult
+from split_cli.workflows.racing.settings import RaceSettings
+from split_cli.workflows.racing.study import blank_header, make_learner, studied_header
+from split_cli.workflows.racing.tally import Tally
+
+__all__ = ["Race"]
+
+RUN_UP_SHARE, LONGEST_RUN_UP = 0.3, 200.0
+"""Of a lap [1] and at most [m]: the way before the line, so that lap 0 starts flying as others do."""
+
+LEFT_BEHIND = 1.0
+"""A car whose whole width and this much more [m] is beyond the border has left the track, and its lap ends."""
+
+
+class Race:
+    """The state of a race between its laps.
+
+    Parameters
+    ----------
+    settings : RaceSettings
+    vehicle : Vehicle
+    set_output : path or None
+        Where the set goes after each lap.
+    say : callable
+        Takes words on progress.
+
+    Raises
+    ------
+    SplitError
+        If settings, track or set cannot be driven with.
+    """
+
+    def __init__(
+        self, settings: RaceSettings, vehicle: Vehicle, set_output: str | FilePath | None,
+        say: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        self.settings, self.vehicle, self.set_output, self.say = settings, vehicle, set_output, say
+        check_settings(settings)
+        self.car = find_car(settings.car)
+        self.width = settings.width or body_width(self.car)
+        self.path = find_path(settings.track)
+        check_path(self.path, self.width)
+        self.mpcc = replace(settings.settings, max_speed=settings.max_speed)
+        torque = settings.max_torque or vehicle.max_torque
+        self.actuators = Actuators(min(torque, vehicle.max_torque), vehicle.max_brake_torque)
+        self.start_set: TrainingSet | None = None
+        if settings.start_set is not None:
+            self.start_set = read_set(settings.start_set)
+            check_trusted(self.start_set, vehicle, settings.start_set)
+        self.notes: list[str] = []
+        self.laps: list[Lap] = []
+        self.traces: list[np.ndarray] = []
+        self.spans: dict[int, tuple[int, int]] = {}
+        self.ended = ""
+        self.lines, self.crossing, self.until = 0, 0.0, 0.0
+
+    def begin(self) -> None:
+        """Put the car on the run-up to the first line, and find a first plan."""
+        warm_up()
+        s = self.settings
+        speed = min(0.5 * s.max_speed, self._speed_at_start())
+        self.start = -min(RUN_UP_SHARE * self.path.length, LONGEST_RUN_UP)
+        self.world = World(
+            self.car, self.path, speed, self.start, s.grip, None if s.exact_sensors else s.seed
+        )  # fmt: skip
+        if self.start_set is None:
+            self.header = blank_header(self.vehicle, self.mpcc)
+            self.learner: Learner = NoLearner(self.header)
+        else:
+            self.header = self.start_set
+            self.learner = make_learner(s, self.start_set)
+        self.model = ControlModel(self.vehicle, self.learner.residual, self.mpcc.step)
+        self.controller = Mpcc(self.model, self.path, self.actuators, self.mpcc, self.width, s.tightening)
+        self.controller.begin(self.model.steady_states(self.world.measured), self.start)
+        self.rates = self.controller.plan.u[0, :2].copy()
+        self.memory = self.model.steady_states(self.world.measured)[8:]
+
+    def _speed_at_start(self) -> float:
+        """Return a speed at which the run-up's tightest bend takes half the grip [m/s]."""
+        s = -np.linspace(0.0, min(RUN_UP_SHARE * self.path.length, LONGEST_RUN_UP), 200)
+        bend = np.abs(self.path.at(s).curvature).max()
+        tire = min(self.vehicle.front_tire.D, self.vehicle.rear_tire.D)
+        return float(np.sqrt(0.5 * self.settings.grip * 2.0 * tire / self.vehicle.mass / max(bend, 1e-4)))
+
+    def run(self) -> None:
+        """Drive the run-up, lap 0 where nothing is known, and the laps."""
+        s = self.settings
+        if self._drive(record=None) is None:
+            raise SplitError(
+                f"the run-up to the line was not finished: {self.ended}", where=self.path.name,
+                advice="Lower --p-ellipse or --max-speed: the nominal model asks for more than the road gives.",
+            )  # fmt: skip
+        if self.start_set is None:
+            self.say("lap 0, nominal")
+            self._lap(0)
+            if s.learner != "none" and not self.ended:
+                self._start_learning()
+        for number in range(1, s.laps + 1):
+            if self.ended:
+                break
+            self.say(f"lap {number}")
+            self._lap(number)
+
+    def _start_learning(self) -> None:
+        """Fit the kernel to lap 0 and begin with an empty set."""
+        lap = self.world.recording(*self.spans[self.laps[-1].number], name="lap 0")
+        self.header = studied_header(self.header, lap, self.settings, self.notes)
+        self.learner = make_learner(self.settings, self.header)
+        self.model = ControlModel(self.vehicle, self.learner.residual, self.mpcc.step)
+        self.controller.model = self.model
+
+    def _lap(self, number: int) -> None:
+        tally = Tally(number, len(self.world.rows) - 1)
+        self.learner.begin_lap(f"lap {number}", self.world.t)
+        begin = self.crossing
+        self.lines += 1
+        self.until = self.lines * self.path.length
+        finished = self._drive(tally)
+        world = self.world
+        duration = world.rows[-1][0] - world.rows[tally.first][0]
+        trained = self.learner.end_lap(duration)
+        time = None if finished is None else finished - begin
+        truth = np.array(world.truth[tally.first :])
+        self.laps.append(tally.lap(time, truth, self.learner.size, self.learner.cells, self.ended))
+        self.traces.append(np.array(tally.trace))
+        self.spans[number] = (tally.first, len(world.rows))
+        self.model.residual = self.learner.residual
+        if trained is not None and self.set_output is not None:
+            write_set(trained, self.set_output)
+
+    def _drive(self, record: Tally | None) -> float | None:
+        """Drive until the progress reaches `until`; return the time of crossing [s], None when the lap ended."""
+        world, h = self.world, self.mpcc.step
+        s = self.path.project(*world.exact[:2], self.controller.plan.x[0, -2])
+        deadline = world.t + 10.0 + 8.0 * (self.until - s) / self.settings.max_speed
+        while True:
+            before, t_before = s, world.t
+            try:
+                info = self._interval(record)
+            except ControllerLost as error:
+                self.ended = str(error)
+                return None
+            s = self.path.project(*world.exact[:2], before + world.exact[3] * h, reach=8.0)
+            contour, off = self._outside(s)
+            if record is not None:
+                row = (world.t, s, *world.exact, *world.truth[-1][7:9], contour)
+                record.add(row, off, info)
+            if world.spun:
+                self.ended = f"the car spun at {s % self.path.length:.0f} m"
+            elif off > self.width + LEFT_BEHIND:
+                self.ended = f"the car left the track at {s % self.path.length:.0f} m"
+            elif world.t > deadline:
+                self.ended = "the lap took too long"
+            if self.ended:
+                return None
+            if s >= self.until:
+                self.crossing = t_before + h * (self.until - before) / (s - before)
+                return self.crossing
+
+    def _outside(self, s: float) -> tuple[float, float]:
+        """Return the contour error [m] and how far a side of the car is beyond the border [m], not below 0."""
+        point = self.path.at(np.array([s]))
+        x, y = self.world.exact[:2]
+        contour = float(contour_and_lag(point, np.array([x]), np.array([y]))[0][0])
+        beyond = max(contour - point.right[0], -contour - point.left[0]) + 0.5 * self.width
+        return contour, max(float(beyond), 0.0)
+
+    def _interval(self, record: Tally | None) -> StepInfo:
+        """Plan the interval after the next one while the car drives the next, then learn what came of it."""
+        world, h = self.world, self.mpcc.step
+        now = np.concatenate([world.measured, self.memory])
+        if self.settings.delay:
+            ahead = self.model.linearize(now[None], self.rates[None]).following[0]
+            following, info = self.controller.step(ahead)
+            applied = self.rates
+        else:
+            following, info = self.controller.step(now)
+            applied = following
+        if self.model.memory:
+            self.memory = self.model.linearize(now[None], applied[None]).following[0][8:]
+        first = len(world.rows) - 1
+        world.drive(applied, h)
+        self.rates = following
+        if record is not None:
+            # Lags and delays of the vehicle file settle over what was driven before the interval.
+            begin = first - self.learner.run_up_rows(first - record.first, world.period)
+            name = f"lap {record.number}"
+            seen, exact = (world.recording(begin, name=name, exact=exact) for exact in (False, True))
+            record.learned.append(self.learner.learn(seen, begin - record.first, exact))
+        return info
+
+    def write(self, output: FilePath) -> None:
+        """Write the laps as one drive, the run-up left out: Parquet, or MCAP as a logger would."""
+        if not self.laps:
+            return
+        first, last = self.spans[self.laps[0].number][0], self.spans[self.laps[-1].number][1]
+        drive = self.world.recording(first, last, output.name)
+        if output.suffix.lower() == ".mcap":
+            write_mcap(self.world.readings(drive), output)
+        else:
+            write_drive(drive, output)
+
+    def result(self, output: str | FilePath | None) -> RaceResult:
+        """Return what was driven."""
+        return RaceResult(
+            track=self.path.name, car=self.car.name, vehicle=self.vehicle.name, learner=self.settings.learner,
+            length=self.path.length, laps=tuple(self.laps), output=None if output is None else str(output),
+            set_path=None if self.set_output is None else str(self.set_output), notes=tuple(self.notes),
+            traces=tuple(self.traces), path=self.path,
+        )  # fmt: skip

@@ -1,0 +1,73 @@
+"""What a race is asked to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+
+from split_cli.control.mpcc import MpccSettings
+
+__all__ = ["LEARNERS", "RaceSettings"]
+
+LEARNERS = ("none", "iol", "split")
+
+
+@dataclass(frozen=True)
+class RaceSettings:
+    """What to drive.
+
+    Attributes
+    ----------
+    track : str
+        Name of a track, or a centre-line CSV.
+    car : str
+        The car of the plant.
+    laps : int
+        After lap 0, which the nominal model drives.
+    learner : str
+        none, iol or split.
+    start_set : path or None
+        What is known before; lap 0 is left out then.
+    max_speed : float
+        [m/s]
+    max_torque : float or None
+        Cap of the driving torque [N m]; by default what the vehicle file says.
+    grip : float
+        Friction of the road against the tyres' own peak [1].
+    seed : int
+        Of the sensors' noise.
+    exact_sensors : bool
+    delay : bool
+        Whether a command takes effect one interval after the measurement it follows from.
+    features : str
+    predictor : str
+        Evaluates the set; ``bcm`` follows every update of a learner, others are built anew after each lap.
+    hyperparameters : str
+        ``fit`` (to lap 0), ``default``, or a kernel's YAML.
+    width : float or None
+        Of the car's body [m].
+    printed_iol : bool
+        Count updates of the dictionary as costly as the papers print them; see `IolLearner`.
+    tightening : float
+        Standard deviations by which the borders are moved in [1].
+    settings : MpccSettings
+    """
+
+    track: str = "small"
+    car: str = "road_car"
+    laps: int = 3
+    learner: str = "split"
+    start_set: str | FilePath | None = None
+    max_speed: float = 30.0
+    max_torque: float | None = None
+    grip: float = 1.0
+    seed: int = 0
+    exact_sensors: bool = False
+    delay: bool = True
+    features: str = "z2"
+    predictor: str = "bcm"
+    hyperparameters: str = "fit"
+    width: float | None = None
+    printed_iol: bool = True
+    tightening: float = 0.0
+    settings: MpccSettings = MpccSettings()

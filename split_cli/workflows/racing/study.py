@@ -1,0 +1,69 @@
+"""What lap 0 decides before learning begins: grid and kernel, and with them the learner."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from split_cli.control.iol_learner import IolLearner
+from split_cli.control.learner import Learner, NoLearner, SplitLearner, learning_region
+from split_cli.control.mpcc import MpccSettings
+from split_cli.learning.cells import empty_set
+from split_cli.learning.features import Z2, parse_features
+from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fit_kernel, scatter_variance
+from split_cli.learning.kernel import Kernel
+from split_cli.learning.kernel_file import read_kernel
+from split_cli.learning.labels import Labels, compute_labels
+from split_cli.learning.region import Grid, build_grid
+from split_cli.learning.training_set import TrainingSet
+from split_cli.logs.drive import Drive
+from split_cli.prediction import Predictor, make_predictor
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.workflows.racing.settings import RaceSettings
+
+__all__ = ["blank_header", "make_learner", "studied_header"]
+
+
+def blank_header(vehicle: Vehicle, mpcc: MpccSettings) -> TrainingSet:
+    """Return an empty set that is only asked for its labels, since no kernel is known yet."""
+    limits = mpcc.limits
+    region = learning_region(vehicle, limits.alpha_max, limits.dalpha_max, limits.p_long)
+    grid = build_grid(Z2, vehicle, region)
+    return empty_set(
+        vehicle, Z2, region, grid, Kernel(np.array(grid.edges), np.ones(3), np.ones(3)), horizon=mpcc.step
+    )
+
+
+def studied_header(blank: TrainingSet, lap: Drive, settings: RaceSettings, notes: list[str]) -> TrainingSet:
+    """Return an empty set, grid and kernel fitted to `lap` as the settings ask; remarks go to `notes`."""
+    features = parse_features(settings.features)
+    labels = compute_labels(lap, blank.vehicle, features, blank.region, horizon=blank.horizon)
+    grid = build_grid(features, blank.vehicle, blank.region, labels.z[labels.accepted])
+    kernel = _kernel(labels, grid, settings, notes)
+    return empty_set(blank.vehicle, features, blank.region, grid, kernel, horizon=blank.horizon)
+
+
+def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]) -> Kernel:
+    good, asked = labels.accepted, settings.hyperparameters
+    start = default_kernel(grid, labels.y[good], scatter_variance(labels))
+    if asked == "default":
+        return start
+    if asked != "fit":
+        return read_kernel(asked, parse_features(settings.features))
+    if np.count_nonzero(good) < FEWEST_TO_FIT:
+        notes.append(f"lap 0 has {np.count_nonzero(good)} valid labels, too few to fit a kernel: default")
+        return start
+    return fit_kernel(labels.z[good], labels.y[good], grid, start).kernel
+
+
+def make_learner(settings: RaceSettings, training_set: TrainingSet) -> Learner:
+    """Return the learner that the settings name, beginning with `training_set`."""
+    name = settings.predictor
+
+    def evaluate(known: TrainingSet) -> Predictor:
+        return make_predictor(name, known)
+
+    if settings.learner == "none":
+        return NoLearner(training_set, evaluate(training_set))
+    if settings.learner == "split":
+        return SplitLearner(training_set, None if name == "bcm" else evaluate)
+    return IolLearner(training_set, printed=settings.printed_iol)

@@ -1,0 +1,71 @@
+"""What adds up over a lap."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from split_cli.control.learner import Learned
+from split_cli.control.receding import StepInfo
+from split_cli.workflows.racing.result import Lap
+
+__all__ = ["Tally"]
+
+_GRAVITY = 9.80665
+
+
+class Tally:
+    """Sums of one lap.
+
+    Parameters
+    ----------
+    number : int
+        Of the lap.
+    first : int
+        Row of the world's recording at which it begins.
+    """
+
+    def __init__(self, number: int, first: int) -> None:
+        self.number, self.first = number, first
+        self.infos: list[StepInfo] = []
+        self.learned: list[Learned] = []
+        self.trace: list[tuple[float, ...]] = []
+        self.outside = 0.0
+
+    def add(self, row: tuple[float, ...], outside: float, info: StepInfo) -> None:
+        """Take one interval: a row of `RaceResult.traces`, and how far the car was off the track [m]."""
+        self.infos.append(info)
+        self.outside = max(self.outside, outside)
+        self.trace.append(row)
+
+    def lap(self, time: float | None, truth: np.ndarray, size: int, cells: int, ended: str) -> Lap:
+        """Return the lap: its time [s], `truth` the exact rows (t, X, Y, yaw, v_x, v_y, r, a_x, a_y, ...)."""
+        used = [entry for entry in self.learned if entry.label is not None]
+        before, after = _errors([(entry.label, entry.predicted) for entry in used])
+        exact = [(entry.exact_label, entry.exact_predicted) for entry in used if entry.exact_label is not None]
+        motion_before, motion_after = _errors(exact)
+        return Lap(
+            number=self.number, time=time, mean_speed=float(np.hypot(truth[:, 4], truth[:, 5]).mean()),
+            max_lateral=float(np.abs(truth[:, 8]).max()) / _GRAVITY,
+            updates=sum(entry.updates for entry in self.learned), size=size, cells=cells,
+            error_before=before, error_after=after, samples=len(self.learned), accepted=len(used),
+            solver_ms=_times([info.solver_seconds for info in self.infos]),
+            step_ms=_times([info.total_seconds for info in self.infos]),
+            update_ms=_times([entry.seconds for entry in self.learned]),
+            failures=sum(not info.solved for info in self.infos), outside=self.outside, ended=ended,
+            motion_before=motion_before, motion_after=motion_after,
+        )  # fmt: skip
+
+
+def _errors(pairs: list[tuple[np.ndarray, np.ndarray]]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return root mean squares of labels and of what predictions leave of them."""
+    labels = np.array([label for label, _ in pairs]).reshape(-1, 3)
+    predicted = np.array([prediction for _, prediction in pairs]).reshape(-1, 3)
+    return _rms(labels), _rms(labels - predicted)
+
+
+def _rms(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(np.sqrt(np.mean(np.square(values), axis=0)).tolist()) if len(values) else (0.0, 0.0, 0.0)
+
+
+def _times(seconds: list[float]) -> tuple[float, ...]:
+    return tuple((1e3 * np.quantile(seconds, [0.5, 0.99, 1.0])).tolist()) if seconds else (0.0, 0.0, 0.0)
