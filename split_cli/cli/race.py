@@ -52,6 +52,10 @@ __all__ = ["command"]
 @click.option("--grip", type=float, default=1.0, show_default=True, help="Of the road: 1 dry, 0.5 wet.")
 @click.option("--p-ellipse", type=float, default=0.9, show_default=True, help="Share of the axles' peak that the "
               "controller allows.")  # fmt: skip
+@click.option("--p-unknown", type=float, metavar="SHARE", help="The same where the residual knows nothing; from "
+              "there to --p-ellipse in proportion to what it knows  [default: --p-ellipse].")  # fmt: skip
+@click.option("--margin", type=float, default=0.3, show_default=True, metavar="M", help="Kept from the car's side "
+              "to the border.")  # fmt: skip
 @click.option("--p-long", type=float, default=1.1, show_default=True, help="Weight of braking force in it.")
 @click.option("--features", default="z2", show_default=True, help="z2, z1 or a list such as z2's and vx.")
 @click.option("--hyperparameters", default="fit", show_default=True, help="fit (to lap 0), default, or YAML.")
@@ -74,8 +78,9 @@ __all__ = ["command"]
 @output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
 def command(
-    vehicle_path, output, set_output, report, p_ellipse, p_long, no_delay, iol_update, as_json, **options
-) -> None:
+    vehicle_path, output, set_output, report, p_ellipse, p_unknown, margin, p_long, no_delay, iol_update, as_json,
+    **options,
+) -> None:  # fmt: skip
     """Race the double-track plant with a contouring controller that learns while it drives.
 
     The controller (MPCC, 80 steps of 50 ms) drives with the vehicle's nominal model plus what the learner has
@@ -92,7 +97,8 @@ def command(
     from split_cli.workflows.race import run_race
     from split_cli.workflows.racing.settings import RaceSettings
 
-    mpcc = MpccSettings(limits=Limits(p_long=p_long, p_ellipse=p_ellipse))
+    limits = Limits(p_long=p_long, p_ellipse=p_ellipse, p_unknown=p_unknown)
+    mpcc = MpccSettings(limits=limits, margin=margin)
     settings = RaceSettings(delay=not no_delay, printed_iol=iol_update == "printed", settings=mpcc, **options)
     result = run_race(
         settings, vehicle_path, output=output, set_output=set_output,

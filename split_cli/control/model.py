@@ -8,6 +8,7 @@ import casadi
 import numpy as np
 
 from split_cli.control._compiled import discretize
+from split_cli.control.generated import Batch, compiled
 from split_cli.control.residual import Residual, ResidualValues
 from split_cli.errors import VehicleError
 from split_cli.export.memory import exported_model
@@ -72,6 +73,9 @@ class ControlModel:
         May be replaced between steps, as long as its features stay.
     step : float
         h [s].
+    compile_c : bool
+        Whether the model's functions become compiled C where a compiler is present; why they did not is told by
+        ``not_compiled``. Both ways give the same numbers but for rounding.
 
     Raises
     ------
@@ -85,7 +89,9 @@ class ControlModel:
     h B_d Phi g, the prediction that labels are made for (docs/nomenclature.md).
     """
 
-    def __init__(self, vehicle: Vehicle, residual: Residual, step: float) -> None:
+    def __init__(
+        self, vehicle: Vehicle, residual: Residual, step: float, *, compile_c: bool = True
+    ) -> None:
         self.vehicle, self.residual, self.step = vehicle, residual, step
         graph = build_nominal(SingleTrack(vehicle), Z2, step)
         where = f"vehicle {vehicle.name}, effects"
@@ -106,8 +112,10 @@ class ControlModel:
         self.start = graph.start
         self.memory = graph.rates.size1_in(0) - 6
         self.states = 8 + self.memory
-        self._stage = _stage_function(vehicle, residual.features, step)
-        self._mapped: dict[int, casadi.Function] = {}
+        self._stage, self.not_compiled = _stage_function(vehicle, residual.features, step), "was not asked for"
+        if compile_c:
+            self._stage, self.not_compiled = compiled(self._stage)
+        self._batches: dict[int, Batch] = {}
 
     def steady_states(self, x: np.ndarray) -> np.ndarray:
         """Return the state, shape (n,), whose first eight entries are `x`, with the terms' states settled."""
@@ -144,14 +152,9 @@ class ControlModel:
     def _evaluate(self, x: np.ndarray) -> list[np.ndarray]:
         """Evaluate the stage function at N states at once."""
         count = len(x)
-        if count not in self._mapped:
-            self._mapped[count] = self._stage.map(count)
-        outputs = self._mapped[count](x.T)
-        shapes = [(self._stage.size1_out(k), self._stage.size2_out(k)) for k in range(self._stage.n_out())]
-        # A mapped matrix stands side by side with its neighbours.
-        arrays = [np.asarray(o).reshape(rows, count, columns).transpose(1, 0, 2)
-                  for o, (rows, columns) in zip(outputs, shapes, strict=True)]  # fmt: skip
-        return [a[:, :, 0] if a.shape[2] == 1 else a for a in arrays]
+        if count not in self._batches:
+            self._batches[count] = Batch(self._stage, count)
+        return [a[:, :, 0] if a.shape[2] == 1 else a for a in self._batches[count](x)]
 
     def _whole(self, x: np.ndarray, rates: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return f without inputs, shape (N, n), and its Jacobian, shape (N, n, n)."""

@@ -190,3 +190,21 @@ def test_rows_bound_the_slip_angles_of_the_linearised_model():
     assert filled == pytest.approx(upper[:, 0], abs=1e-9)
     assert (lower[:, 0] == -1e4).all()
     assert upper[:, 4] - lower[:, 4] == pytest.approx(2 * limits.dalpha_max)
+
+
+def test_compiled_functions_give_what_interpreted_ones_give():
+    terms = EffectSpec("friction_scale", {"scale": 0.9}), EffectSpec("tire_relaxation", {"length": 0.5})
+    car = CAR.with_effects(*terms)
+    ours, plain = (ControlModel(car, NoResidual(), 0.05, compile_c=choice) for choice in (True, False))
+    x, u = situations()
+    x = np.array([ours.steady_states(row) for row in x])
+    fast, slow = ours.linearize(x, u), plain.linearize(x, u)
+    for name in ("A", "B", "following", "slip", "slip_slope", "curve", "force", "force_slope"):
+        assert getattr(fast, name) == pytest.approx(getattr(slow, name), rel=1e-12, abs=1e-12), name
+
+
+def test_without_a_compiler_the_model_is_interpreted_and_says_so(monkeypatch):
+    monkeypatch.setattr("split_cli.control.generated.find_compiler", lambda: None)
+    model = ControlModel(CAR, NoResidual(), 0.05)
+    assert model.not_compiled == "no C compiler was found"
+    assert np.isfinite(model.linearize(*situations()).A).all()

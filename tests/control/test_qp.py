@@ -97,3 +97,21 @@ def test_bounds_that_no_input_reaches_are_a_failure_and_the_next_programme_is_so
     broken = replace(data, c=np.full((4, 3), np.nan))
     assert not solver.solve(broken).solved
     assert solver.solve(data).solved
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_fast_mode_answers_as_the_safe_one(seed):
+    data = programme(seed, N=12)
+    solver = StageQP(12, 3, 2, 2)
+    solver._fill(solver._safe, data)
+    safe = solver._answer(solver._safe, data)
+    # Both end an interior point method at complementarities of about 1e-5 of variables of size 1.
+    assert solver.solve(data).u == pytest.approx(safe.u, abs=1e-4)
+
+
+def test_the_safe_mode_answers_where_the_fast_one_does_not(monkeypatch):
+    solver, data = StageQP(4, 3, 2, 2), programme(5)
+    expected = solver.solve(data)
+    monkeypatch.setattr(solver._fast, "run", lambda: False)
+    found = solver.solve(data)
+    assert found.solved and found.u == pytest.approx(expected.u, abs=1e-4)

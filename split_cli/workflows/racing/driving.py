@@ -94,6 +94,8 @@ class Race:
             self.header = self.start_set
             self.learner = make_learner(s, self.start_set)
         self.model = ControlModel(self.vehicle, self.learner.residual, self.mpcc.step)
+        if self.model.not_compiled:
+            self.notes.append(f"the model's functions are interpreted, not compiled: {self.model.not_compiled}")
         self.controller = Mpcc(self.model, self.path, self.actuators, self.mpcc, self.width, s.tightening)
         self.controller.begin(self.model.steady_states(self.world.measured), self.start)
         self.rates = self.controller.plan.u[0, :2].copy()
