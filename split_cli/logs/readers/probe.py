@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from split_cli.errors import LogError
@@ -43,13 +44,16 @@ def probe(path: Path) -> None:
     paths = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
     command = [sys.executable, "-c", _CODE, str(path.resolve()), str(_LEAST_MEMORY + _MEMORY_A_BYTE * size)]
     try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            timeout=_LONGEST_SECONDS + _SECONDS_A_MEGABYTE * size / 1e6,
-            env={**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"},
-            check=False,
-        )
+        # asammdf unfolds into files in the temporary folder: a probe that is killed leaves none behind.
+        with tempfile.TemporaryDirectory() as scratch:
+            own = {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1", "TMPDIR": scratch}
+            done = subprocess.run(
+                command,
+                capture_output=True,
+                timeout=_LONGEST_SECONDS + _SECONDS_A_MEGABYTE * size / 1e6,
+                env={**os.environ, **own},
+                check=False,
+            )
     except subprocess.TimeoutExpired as error:
         raise LogError("is damaged: reading it does not end", where=path.name, advice=_ADVICE) from error
     if done.returncode < 0 or b"MemoryError" in done.stderr:
