@@ -35,15 +35,44 @@ def field_candidates(infos: Sequence[RawChannelInfo]) -> list[tuple[str, tuple[s
     """
     found: list[tuple[str, tuple[str, ...], str]] = []
     for info in infos:
-        if not info.name.startswith("/") or re.search(r"\[[1-9]\d*\]", info.name) or "covariance" in info.name:
+        place = _topic_and_field(info)
+        if place is None or re.search(r"\[[1-9]\d*\]", info.name) or "covariance" in info.name:
             continue
-        topic, field = info.name.rsplit("/", 1)
+        topic, field = place
         for channel, pattern, convert in _FIELDS:
             if not re.fullmatch(pattern, field):
                 continue
             if _COMMANDS.search(topic) and channel not in _OF_A_COMMAND:
                 continue
-            address = info.name.removesuffix(".w") if convert else info.name
+            address = info.name[:-2] if convert else info.name
             found.append((channel, (address,), convert))
             break
-    return found
+    return [*found, *_quaternions_in_columns(infos, found)]
+
+
+def _topic_and_field(info: RawChannelInfo) -> tuple[str, str] | None:
+    """Return topic and field; of a table's column, messages written out flat, both are the whole path."""
+    if info.type_name == "column":
+        path = info.name.strip("/").replace("/", ".")
+        return (info.name, path) if "." in path else None
+    if not info.name.startswith("/"):
+        return None
+    topic, field = info.name.rsplit("/", 1)
+    return topic, field
+
+
+def _quaternions_in_columns(
+    infos: Sequence[RawChannelInfo], found: Sequence[tuple[str, tuple[str, ...], str]]
+) -> list[tuple[str, tuple[str, ...], str]]:
+    """Return the yaw of four columns that differ by a last x, y, z, w and are named as a quaternion."""
+    names = {info.name for info in infos if info.type_name == "column"}
+    known = {source for _, sources, _ in found for source in sources}
+    made = []
+    for name in sorted(names):
+        group = re.fullmatch(r"(.*(?:orientation|rotation|quat(?:ernion)?|^q|_q)[_ ]?)[wW]", name, re.IGNORECASE)
+        if group is None or group[1].rstrip("._/") in known or "covariance" in name:
+            continue
+        four = tuple(group[1] + axis for axis in ("xyzw" if name.endswith("w") else "XYZW"))
+        if set(four) <= names:
+            made.append(("yaw", four, "yaw_from_quaternion"))
+    return made

@@ -132,7 +132,9 @@ def gather(
         have = ", ".join(recording.clocks) or "none: its time is a column"
         raise MapError(f"has no {chosen} clock", where=recording.name, advice=f"It has {have}.")
     time_column = _time_column(infos, signal_map, recording)
-    signals = recording.read(list(dict.fromkeys([*wanted, *([time_column] if time_column else [])])), chosen)
+    part = signal_map.time.nanoseconds
+    clocks = [name for name in (time_column, part) if name]
+    signals = recording.read(list(dict.fromkeys([*wanted, *clocks])), chosen)
     notes = _Notes([], [], [])
     found, absent = resolver.without_absent_elements(found, signals, needed)
     skipped += absent
@@ -149,7 +151,7 @@ def gather(
             for source, names in zip(entry.sources, names_of_sources, strict=True)
         )
     for column in extras:
-        if column != time_column and column not in series:
+        if column not in clocks and column not in series:
             signal = signals[column]
             time = common if signal.time is None else signal.time
             maps[column] = ChannelMap(column, (Source((column,), unit=signal.unit),), optional=True)
@@ -309,12 +311,10 @@ def _time_column(infos: Mapping, signal_map: SignalMap, recording: Recording) ->
     if recording.clocks or signal_map.time.period or hasattr(recording, "paths"):
         return None
     if signal_map.time.source:
-        if signal_map.time.source not in infos:
-            raise MapError(
-                f"the recording has no time column {signal_map.time.source!r}",
-                where=recording.name,
-                advice=nearest_names(signal_map.time.source, infos),
-            )
+        for name in filter(None, (signal_map.time.source, signal_map.time.nanoseconds)):
+            if name not in infos:
+                advice = nearest_names(name, infos)
+                raise MapError(f"the recording has no time column {name!r}", where=recording.name, advice=advice)
         return signal_map.time.source
     found = time_column(list(infos.values()))
     return found.name if found is not None else None
@@ -347,6 +347,10 @@ def _common_time(
     finite = np.isfinite(raw.values)
     if not finite.any():
         raise LogError(f"time column {column!r} holds no finite value", where=recording.name)
+    if signal_map.time.nanoseconds:
+        first, part = np.floor(raw.values[finite][0]), signals[signal_map.time.nanoseconds].values
+        time = raw.values - first + 1e-9 * part
+        return time, float(first), f"columns {column} and {signal_map.time.nanoseconds}"
     first = float(raw.values[finite][0])
     # Subtract before the conversion: nanoseconds since 1970 lose nothing then.
     time = convert_to_si(raw.values - first, unit or "s", where=recording.name)

@@ -6,15 +6,17 @@ import re
 from dataclasses import dataclass
 
 from split_cli.logs.raw import RawChannelInfo
+from split_cli.logs.vocabulary import concepts_of, read_concepts, tokens_of
 from split_cli.signals import find_unit
 
-__all__ = ["Meaning", "meanings", "stated_unit", "words_of"]
+__all__ = ["Meaning", "is_command", "meanings", "spelled_without_unit", "stated_unit", "words_of"]
 
 _UNIT_WORDS = {
-    "mps": "m/s", "mps2": "m/s^2", "mpss": "m/s^2", "ms2": "m/s^2", "kph": "km/h", "kmh": "km/h", "kmph": "km/h",
-    "mph": "mph", "kn": "kn", "knots": "kn", "rad": "rad", "radps": "rad/s", "rads": "rad/s", "deg": "deg",
-    "degps": "deg/s", "dps": "deg/s", "degs": "deg/s", "degree": "deg", "degrees": "deg", "rpm": "rpm",
-    "nm": "N m", "bar": "bar", "kpa": "kPa", "pct": "%", "percent": "%", "mm": "mm", "m": "m", "g": "g", "n": "N",
+    "mps": "m/s", "mps2": "m/s^2", "mpss": "m/s^2", "ms2": "m/s^2", "kph": "km/h", "kmh": "km/h",
+    "kmph": "km/h", "mph": "mph", "kn": "kn", "knots": "kn", "rad": "rad", "radps": "rad/s", "rads": "rad/s",
+    "deg": "deg", "degps": "deg/s", "dps": "deg/s", "degs": "deg/s", "degree": "deg", "degrees": "deg",
+    "rpm": "rpm", "s": "s", "sec": "s", "us": "us", "ns": "ns", "nm": "N m", "bar": "bar", "kpa": "kPa",
+    "pct": "%", "percent": "%", "mm": "mm", "m": "m", "g": "g", "n": "N",
 }  # fmt: skip
 _LAST_TWO = {
     ("m", "s"): "m/s", ("m", "s2"): "m/s^2", ("km", "h"): "km/h", ("rad", "s"): "rad/s", ("deg", "s"): "deg/s",
@@ -59,6 +61,7 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("sideslip", 3, r"(side_?)?slip(_angle)?(_?(cog|cg|body|vehicle))?|beta|body_slip\w*|float_angle|sideslip\w*"),
     ("r", 3, r"(imu_|body_|gyro_|can_)?yaw_?(rate|vel\w*|speed)\w*|psi_?(dot|p|d)|d_?psi"),
     ("r", 3, r"omega(_?z)?|w_?z|gyro_?z"),
+    ("r", 3, r"av_?z(_\d)?"),
     ("r", 3, r"gyro_?yaw\w*|heading_rate|yawdot"),
     ("r", 3, r"z_?(gyro|rate|ang\w*_vel\w*)|ang(ular)?_?(vel\w*|rate|speed)_?z|gps_gyro"),
     ("r", 2, r"rot(ation)?_?(rate_?)?z|turn_rate|rate_z|yr|w_imu|imu_w|gyro_?yaw"),
@@ -70,9 +73,9 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("latitude", 3, r"(gps_)?lat(itude)?(_?deg)?"),
     ("longitude", 3, r"(gps_)?(lon|long|lng)(gitude|itude)?(_?deg)?"),
     ("X", 3, r"x|(pos(ition)?|loc\w*|local|enu|vicon|utm|map|odom|est)_?x(_pos\w*)?|x_?(pos\w*|m|cg|coord\w*)"),
-    ("X", 3, r"east(ing)?|utm_?e\w*"),
+    ("X", 3, r"east(ing)?|utm_?e\w*|x_?cg(_tm)?|x_?o|xg|tx"),
     ("Y", 3, r"y|(pos(ition)?|loc\w*|local|enu|vicon|utm|map|odom|est)_?y(_pos\w*)?|y_?(pos\w*|m|cg|coord\w*)"),
-    ("Y", 3, r"north(ing)?|utm_?n\w*"),
+    ("Y", 3, r"north(ing)?|utm_?n\w*|y_?cg(_tm)?|y_?o|yg|ty"),
     ("ax", 3, r"a_?x(_(body|cg|imu|vehicle))?|acc(el(eration)?)?_?x(_?(imu|body|cg))?|x_?acc\w*"),
     ("ax", 3, r"a_?lgt\d?|imu_a(cc\w*)?_?x"),
     ("ax", 3, r"(g_?force_?|gps_|inline_?|a_?|acc\w*_?)?(long|lon|lng)\w*(_?(acc\w*|g|a))?|inline_?acc\w*"),
@@ -88,10 +91,11 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("delta", 3, r"(steer(ing)?_?)?tire_?angle|tyre_angle|front_wheel_angle"),
     ("delta", 1, r"steer(ed|ing)?(_?(angle|ang|pos\w*|cmd|command|actual|measured|rad|input))?"),
     ("delta", 1, r"st_?angle|steering_?angle_?\d?"),
-    ("T", 3, r"T|(wheel_?|total_?|axle_?|drive_?)?torque(_?(wheel\w*|total|cmd|command))?|t_?wheel\w*"),
+    ("T", 3, r"T|(wheel_?|total_?|axle_?|drive_?)?torque(_?(wheel\w*|total|cmd|command))?|t_?wheel\w*|tq"),
     ("T", 3, r"axle_?trq|trq_?whl\w*"),
     ("wheel_torque", 3, rf"(pt_?)?(t|tq|torque|trq)_?(at_?w\w*|whl|wheel)?_?({'|'.join(_CORNER.values())})"),
     ("wheel_torque", 3, r"t_?wheel_?(fl|fr|rl|rr)"),
+    ("wheel_torque", 3, r"my_?(wm|wc|dr)_?(l1|r1|l2|r2)"),
     ("throttle", 3, r"(ff_?)?thr(ottle)?(_?(p(os\w*|ed\w*)|cmd|\d|pct))?|accelerator\w*|accr?_?ped\w*"),
     ("throttle", 3, r"gas(_ped\w*)?|tps|app"),
     ("brake_pressure", 3, r"(p_?brake\w*|brake_?pres\w*|fbp|rbp|brk_?pres\w*|brake_?line\w*|p_?brk\w*|mcp)"),
@@ -104,6 +108,10 @@ _RULES: tuple[tuple[str, int, str], ...] = (
         for c, p in _CORNER.items()
     ),
 )  # fmt: skip
+_LETTERS = {
+    ("T", "N m"): "T", ("t", "N m"): "T", ("E", "m"): "X", ("e", "m"): "X", ("N", "m"): "Y", ("n", "m"): "Y",
+}  # fmt: skip
+"""Single letters that only their unit makes clear."""
 _COMPILED = tuple((channel, weight, re.compile(pattern)) for channel, weight, pattern in _RULES)
 _MAKERS = {"esp", "abs", "ecu", "can", "imu", "ins", "gps", "vbox", "obd", "ego", "odom", "mti", "oxts", "ff"}
 """Words in front that say which device measured."""
@@ -121,7 +129,9 @@ def words_of(name: str) -> list[str]:
         topic, tail = name.rsplit("/", 1)
         if tail.lower() in ("data", "value"):
             tail = topic.rsplit("/", 1)[-1]
-    tail = re.split(r"(?<=\w)\.(?=[A-Za-z])", tail)[-1]
+    parts = re.split(r"(?<=\w)\.(?=[A-Za-z])", tail)
+    # Of orientation.w the w alone says nothing.
+    tail = "_".join(parts[-2:]) if len(parts[-1]) == 1 else parts[-1]
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", tail)
     return [word for word in re.split(r"[^A-Za-z0-9]+", spaced.lower()) if word]
 
@@ -138,12 +148,39 @@ def stated_unit(info: RawChannelInfo) -> str | None:
     return None
 
 
+def _own_part(info: RawChannelInfo) -> str:
+    """Return the part of an address that names the quantity: the field of a message, else the whole name."""
+    if not info.name.startswith("/"):
+        return info.name
+    topic, field = info.name.rsplit("/", 1)
+    return topic.rsplit("/", 1)[-1] if field.lower() in ("data", "value") else field
+
+
+def spelled_without_unit(info: RawChannelInfo) -> str:
+    """Return the name without the unit that it ends with, parts joined by underscores, capitals kept."""
+    words = [word for word in re.split(r"[^\w]+|_", _own_part(info)) if word]
+    lowered = [word.lower() for word in words]
+    if len(words) > 2 and tuple(lowered[-2:]) in _LAST_TWO:
+        return "_".join(words[:-2])
+    if len(words) > 1 and lowered[-1] in _UNIT_WORDS:
+        return "_".join(words[:-1])
+    return "_".join(words)
+
+
+def is_command(name: str) -> bool:
+    """Tell whether a name says that it is what was asked for, not what was measured."""
+    return "command" in concepts_of(tokens_of(name))[0]
+
+
 def meanings(info: RawChannelInfo) -> tuple[Meaning, ...]:
     """Return the channels that the name of a signal fits, the clearest first."""
     if info.name.strip() == "T":
         return (Meaning("T", 3),)
     if info.name.strip() in ("t", "time"):
         return ()
+    bare = spelled_without_unit(info)
+    if (bare, stated_unit(info)) in _LETTERS:
+        return (Meaning(_LETTERS[bare, stated_unit(info)], 2),)
     if info.name.startswith("/") and re.search("orientation|rotation|covariance|quaternion", info.name):
         return ()
     words = words_of(info.name)
@@ -161,6 +198,10 @@ def meanings(info: RawChannelInfo) -> tuple[Meaning, ...]:
     for channel, weight, expression in _COMPILED:
         if any(expression.fullmatch(spelling) for spelling in spellings):
             found[channel] = max(found.get(channel, 0), weight)
+    if not found:
+        read = read_concepts(tokens_of(bare))
+        if read is not None:
+            found[read[0]] = read[1]
     if _COMMAND_WORDS & set(words):
         found = {c: w for c, w in found.items() if c in ("delta", "T", "throttle", "brake", "brake_pressure")}
     return tuple(Meaning(c, w) for c, w in sorted(found.items(), key=lambda entry: -entry[1]))

@@ -25,12 +25,15 @@ __all__ = [
     "column_name_and_unit",
     "nearest_column",
     "note_once",
+    "seconds_and_nanoseconds",
     "time_column",
 ]
 
 TIME_COLUMNS = (
     "t", "time", "timestamp", "timestamps", "time_s", "time_sec", "t_s", "time_ms", "t_ms", "time_ns", "time_us",
-    "timestamp_ns", "timestamp_us", "timestamp_ms", "elapsed_time", "sec", "seconds",
+    "timestamp_ns", "timestamp_us", "timestamp_ms", "elapsed_time", "sec", "seconds", "__time", "%time",
+    "zeit", "zeit_s", "zeit_ms", "zeitstempel", "temps", "tiempo", "unix_time", "epoch", "utc", "utc_time",
+    "time_utc", "elapsed", "elapsed_s", "elapsed_ms", "datetime", "date_time", "date/time", "stamp",
 )  # fmt: skip
 """Names of columns that hold the time, in lower case, blanks as underscores."""
 
@@ -206,6 +209,19 @@ def time_column(infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
             return names[name]
     timed = [info for name, info in names.items() if re.search(r"(^|_)(time|timestamp)(_|$)", name)]
     return timed[0] if len(timed) == 1 and timed[0].type_name != "text" else None
+
+
+def seconds_and_nanoseconds(infos: Sequence[RawChannelInfo]) -> tuple[str, str] | None:
+    """Return the columns of a time stamp of ROS written out flat, whole seconds and nanoseconds; None if none."""
+    names = {info.name for info in infos if info.type_name != "text"}
+    for name in sorted(names, key=len):
+        match = re.fullmatch(r"(.*?)(nanosec|nanosecs|nsec|nsecs|nanoseconds)", name, re.IGNORECASE)
+        if match is None or not re.search(r"(^|[._/ ])(stamp|time|header)?[._/ ]?$", match[1], re.IGNORECASE):
+            continue
+        whole = next((n for n in (match[1] + w for w in ("sec", "secs", "seconds")) if n in names), None)
+        if whole is not None:
+            return whole, name
+    return None
 
 
 def nearest_column(known: Mapping[str, Any], name: str, where: str) -> Any:

@@ -138,6 +138,8 @@ class TimeBase:
         Column.
     unit : str or None
         Of that column.
+    nanoseconds : str or None
+        A second column, added to the first, which then holds whole seconds.
     period : float or None
         [s].
     clock : str or None
@@ -148,6 +150,7 @@ class TimeBase:
     unit: str | None = None
     period: float | None = None
     clock: str | None = None
+    nanoseconds: str | None = None
 
 
 @dataclass(frozen=True)
@@ -198,7 +201,7 @@ _MAP_KEYS = (
 )  # fmt: skip
 _SOURCE_KEYS = ("source", "convert", "scale", "offset", "curve", "unit", "delay", "frame", "world")
 _CHANNEL_KEYS = (*_SOURCE_KEYS, "sum", "position", "kind", "resample", "optional", "note")
-_TIME_KEYS = ("source", "unit", "period", "clock")
+_TIME_KEYS = ("source", "unit", "nanoseconds", "period", "clock")
 
 
 def read_map(names: str | Path | Iterable[str | Path]) -> SignalMap:
@@ -391,13 +394,19 @@ def _time(entry: Any, where: str) -> TimeBase:
     period = entry.get("period")
     if period is not None and not _number(period, where, "period") > 0:
         raise MapError(f"period is {period}, it must be positive", where=where)
+    for key in ("source", "nanoseconds"):
+        if entry.get(key) is not None and not isinstance(entry[key], str):
+            raise MapError(f"{key} must be the name of a column", where=where)
+    if "nanoseconds" in entry and "source" not in entry:
+        raise MapError("nanoseconds needs the column of whole seconds: source", where=where)
     unit = entry.get("unit")
     if unit is not None and getattr(find_unit(str(unit)), "si", "") != "s":
         raise MapError(f"{unit!r} is not a unit of time", where=where)
     clock = entry.get("clock")
     return TimeBase(
         source=entry.get("source"),
-        unit=unit,
+        unit=unit or ("s" if "nanoseconds" in entry else None),
+        nanoseconds=entry.get("nanoseconds"),
         period=None if period is None else float(period),
         clock=None if clock is None else _one_of(clock, ("header", "publish", "log"), where, "clock"),
     )

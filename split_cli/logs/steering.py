@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -16,6 +17,8 @@ __all__ = ["apparent_wheelbase", "read_steering"]
 
 _LONGEST_WHEELBASE = 6.5
 """Of a lorry with understeer [m]; what steers more a turn than that is no road wheel."""
+_SHORTEST_CAR = 1.8
+"""Wheelbase of a full-size car, the smallest [m]."""
 _SHORTEST_STEERING_WHEEL = 12.0
 """Wheelbase of a small car, 1.9 m, times its steering ratio, at least 8, with margin [m]."""
 
@@ -67,15 +70,53 @@ def read_steering(
     """
     told = []
     if "steering_wheel_angle" in chosen:
-        wheel = chosen["steering_wheel_angle"]
-        told.append(replace(wheel, reason="" if wheel.status == "stated" else "unit not stated"))
+        wheel = _hand_wheel(chosen["steering_wheel_angle"], columns)
+        told.append(wheel)
         if "delta" not in chosen:
             reach = apparent_wheelbase(columns.get("steering_wheel_angle", np.zeros(0)), columns) if (
                 "steering_wheel_angle" in columns) else None  # fmt: skip
+            found = chosen["steering_wheel_angle"]
+            if reach is not None and found.unit != wheel.unit and wheel.unit == "deg":
+                reach *= np.pi / 180.0
             told.append(make("delta", wheel.sources, status="open", reason=_ratio(reach, wheel.unit, vehicle)))
     if "delta" in chosen:
         told.append(_road_wheel(chosen["delta"], columns, vehicle))
     return told
+
+
+def _hand_wheel(s: Any, columns: Mapping[str, np.ndarray]) -> Any:
+    """Return the steering wheel's angle with its unit: as stated, as its size over curvature tells, or assumed."""
+    if s.status == "stated":
+        return replace(s, reason="")
+    reach = apparent_wheelbase(columns[s.channel], columns) if s.channel in columns else None
+    if s.unit is None and reach is not None and _is_full_size(columns):
+        unit, of_road = _read_size(abs(reach))
+        if unit and not of_road:
+            size = abs(reach) * (np.pi / 180.0 if unit == "deg" else 1.0)
+            return replace(s, unit=unit, status="judged", reason=f"{unit}: {size:.3g} m over curvature")
+    return replace(s, reason=f"{s.reason}; unit not stated" if s.reason else "unit not stated")
+
+
+def _is_full_size(columns: Mapping[str, np.ndarray]) -> bool:
+    return "vx" in columns and float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0
+
+
+def _read_size(size: float) -> tuple[str, bool]:
+    """Return unit and whether it is the road wheel's angle, of a full-size car by its angle over curvature [m].
+
+    Wheelbases of 1.8 to 6.5 m with understeer, ratios of 8 and more, radians and degrees give four stretches that
+    do not meet; empty between them.
+    """
+    degree = 180.0 / np.pi
+    if _SHORTEST_CAR <= size <= _LONGEST_WHEELBASE:
+        return "rad", True
+    if _SHORTEST_STEERING_WHEEL <= size < _SHORTEST_CAR * degree:
+        return "rad", False
+    if _SHORTEST_CAR * degree <= size <= _LONGEST_WHEELBASE * degree:
+        return "deg", True
+    if _SHORTEST_STEERING_WHEEL * degree <= size < 30.0 * _LONGEST_WHEELBASE * degree:
+        return "deg", False
+    return "", False
 
 
 def _ratio(reach: float | None, unit: str | None, vehicle: Vehicle | None) -> str:
@@ -122,12 +163,20 @@ def _without_unit(
         why = f"reaches 1 and no more: a command in -1..1; give a `curve:` or `scale:` ({size:.3g} m/curvature)"
         return replace(s, status="open", reason=why)
     named = s.sources[0].lower()
-    full_size = float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0
     if "steer" not in named and 0.05 < size < _LONGEST_WHEELBASE:
         reason = f"rad: {size:.3g} m of angle over curvature is a wheelbase{hand}"
         return replace(s, unit="rad", status="judged", reason=reason, **turned)
-    if full_size and 1.8 <= size <= _LONGEST_WHEELBASE:
-        reason = f"rad: {size:.3g} m of angle over curvature is a wheelbase{hand}"
-        return replace(s, unit="rad", status="judged", reason=reason, **turned)
+    if _is_full_size(columns):
+        unit, of_road = _read_size(size)
+        if of_road:
+            factor = 1.0 if unit == "rad" else np.pi / 180.0
+            reason = f"{unit}: {size * factor:.3g} m of angle over curvature is a wheelbase{hand}"
+            return replace(s, unit=unit, status="judged", reason=reason, **turned)
+        if unit:
+            sign = -1.0 if turned else 1.0
+            return replace(s, unit=unit, status="open", reason=_ratio(sign * size, unit, None))
+    if not _is_full_size(columns) and re.search("ang|tire|tyre", named) and 0.05 < size < 1.8:
+        reason = f"unit not stated, rad assumed: {size:.3g} m over curvature may be a small car's wheelbase{hand}"
+        return replace(s, unit="rad", status="assumed", reason=reason, **turned)
     why = f"unit not stated, {size:.3g} m of it over curvature: radians of which wheel, or a command without unit?"
     return replace(s, status="open", reason=why)

@@ -73,7 +73,12 @@ class InitResult:
             steps.append(f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}.")
         if missing:
             steps.append(f"Map or derive {', '.join(missing)}: the map's comments say how.")
-        derive = " --derive torque-from-acceleration" if "T" in missing else ""
+        derive = ""
+        if "vy" in missing and {"sideslip", "vx"} <= mapped:
+            derive += " --derive lateral-velocity-from-sideslip"
+        elif {"vx", "vy", "r"} & set(missing) and {"X", "Y", "yaw"} <= mapped:
+            derive += " --derive velocity-from-pose"
+        derive += " --derive torque-from-acceleration" if "T" in missing else ""
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
         steps.append(f"Run: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o drive.parquet")
         return tuple(steps)

@@ -27,7 +27,9 @@ class PlantedDrive:
     linear front tyres, T what the nominal model needs.
     """
 
-    def __init__(self, vehicle: Vehicle | None = None, seconds: float = 120.0, seed: int = 1) -> None:
+    def __init__(
+        self, vehicle: Vehicle | None = None, seconds: float = 120.0, seed: int = 1, yaw: float = 0.3
+    ) -> None:
         self.vehicle = car = vehicle or road_car()
         self.seconds = seconds
         rng = np.random.default_rng(seed)
@@ -41,7 +43,7 @@ class PlantedDrive:
         q = car.mass * car.cg_to_front_axle / (car.wheelbase * car.rear_tire.cornering_stiffness)
         vy = car.cg_to_rear_axle * r - q * vx**2 * r
         dvy = car.cg_to_rear_axle * dr - q * (2.0 * vx * dvx * r + vx**2 * dr)
-        yaw = CubicSpline(t, r).antiderivative()(t) + 0.3
+        yaw = CubicSpline(t, r).antiderivative()(t) + yaw
         ax, ay = dvx - vy * r, dvy + vx * r
         force = (car.mass * car.cg_to_rear_axle * ay + car.yaw_inertia * dr) / car.wheelbase
         delta = (vy + car.cg_to_front_axle * r) / vx + force / car.front_tire.cornering_stiffness

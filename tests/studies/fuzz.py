@@ -193,7 +193,7 @@ def judge(path: Path, read: Callable[[Path], object], tally: Tally) -> str | Non
 
 
 SHARES = {"mf4": 0.01}
-"""How many inputs a kind gets against the others [1]: an MF4 file is read in a process of its own, 1 to 2 s each."""
+"""Inputs of a kind against those of the others [1]: an MF4 file is read in a process of its own, 1 to 2 s each."""
 
 
 def fuzz(
@@ -301,7 +301,8 @@ def main() -> int:
     begin = time.perf_counter()
     if not given.json:
         print(f"{'kind':14} {'inputs':>8} {'read':>8} {'drops':>8} {'refused':>8} {'broken':>7} {'slowest s':>9}")
-    tallies = fuzz(given.inputs, given.seed, given.keep, given.only, (lambda *_: None) if given.json else _print_row)
+    tell = (lambda *_: None) if given.json else _print_row
+    tallies = fuzz(given.inputs, given.seed, given.keep, given.only, tell)
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
     broken = [line for tally in tallies.values() for line in tally.broken]
     if peak > MOST_MEMORY:

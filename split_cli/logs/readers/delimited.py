@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -102,16 +103,39 @@ def _number(cell: str, decimal: str) -> float:
         return _seconds(cell)
 
 
+_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+)?)$")
+_DATE = re.compile(r"(\d{1,4})([./-])(\d{1,2})\2(\d{1,4})[ T]+(.+)$")
+
+
 def _seconds(cell: str) -> float:
-    """Return the seconds since 1970 of an ISO 8601 time, UTC where it names no zone, else NaN."""
+    """Return a time written in words as seconds, else NaN.
+
+    ISO 8601 counts from 1970, in UTC where it names no zone. A date in another order does so too; its day comes
+    first where both readings are possible. A clock without a date (``10:15:03.25``, ``1:03.25``) counts from 0.
+    """
     from datetime import UTC, datetime
 
-    if len(cell) < 16 or cell[4:5] != "-":
+    clock = _CLOCK.match(cell)
+    if clock:
+        hours, minutes, seconds = clock.groups()
+        return 3600.0 * float(hours or 0) + 60.0 * float(minutes) + float(seconds.replace(",", "."))
+    if len(cell) < 14:
         return float("nan")
     try:
-        moment = datetime.fromisoformat(cell)
+        moment = datetime.fromisoformat(cell.replace("/", "-").replace(",", "."))
     except ValueError:
-        return float("nan")
+        dated = _DATE.match(cell)
+        clock = _CLOCK.match(dated[5].strip()) if dated else None
+        if dated is None or clock is None:
+            return float("nan")
+        first, second, third = int(dated[1]), int(dated[3]), int(dated[4])
+        year, month, day = (first, second, third) if first > 31 else (third, second, first)
+        month, day = (day, month) if month > 12 else (month, day)
+        try:
+            moment = datetime(year + 2000 if year < 100 else year, month, day, tzinfo=UTC)
+        except ValueError:
+            return float("nan")
+        return moment.timestamp() + _seconds(dated[5].strip())
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 

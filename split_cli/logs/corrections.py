@@ -1,0 +1,167 @@
+"""What the consistency checks change in a draft: units nobody states, signs, hands, the zero of yaw."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from split_cli.logs.consistency import Consistency
+from split_cli.logs.draft import UNITS_OF, Suggestion
+from split_cli.logs.gather import expected_unit
+from split_cli.logs.trial import Trial
+from split_cli.logs.vocabulary import concepts_of, tokens_of
+from split_cli.signals import find_unit
+
+__all__ = ["as_siblings", "correct", "with_status"]
+
+_HANDED = ("r", "vy", "ay", "yaw", "delta", "steering_wheel_angle", "sideslip")
+"""Channels whose sign says left or right."""
+_UNIT_BY_FACTOR = {
+    ("vx", 3.6): "km/h", ("vy", 3.6): "km/h", ("vx", 2.237): "mph", ("vy", 2.237): "mph", ("vx", 1.944): "kn",
+    ("r", 57.3): "deg/s", ("yaw", 57.3): "deg", ("delta", 57.3): "deg", ("ax", 0.102): "g", ("ay", 0.102): "g",
+}  # fmt: skip
+_SIBLINGS = {
+    "vy": ("vx",), "vx": ("vy",), "ay": ("ax",), "ax": ("ay",), "yaw": ("r",), "r": ("yaw",),
+    "sideslip": ("yaw", "r"),
+}  # fmt: skip
+_ANGLE_OF_RATE = {"deg/s": "deg", "rad/s": "rad", "deg": "deg/s", "rad": "rad/s"}
+
+
+def correct(
+    chosen: dict[str, Suggestion], trial: Trial
+) -> tuple[dict[str, Suggestion], Consistency]:
+    """Set units that nobody states, and signs, as the checks say, until they say nothing more."""
+    verdict = trial.judge(chosen)
+    for _ in range(4):
+        changed = False
+        # Units first: whether an angle is a compass bearing shows in degrees.
+        for channel, factor in sorted(verdict.factors.items(), key=lambda entry: entry[0] == "hand"):
+            if channel == "hand":
+                chosen = _other_hand(chosen, trial)
+                changed = True
+            elif channel in chosen:
+                better = _corrected(chosen[channel], factor)
+                changed |= better != chosen[channel]
+                chosen = {**chosen, channel: better}
+                if channel == "X" and better.unit:
+                    chosen["Y"] = replace(chosen["Y"], unit=better.unit)
+        for finding in verdict.findings:
+            if finding.check == "compass" and "yaw" in chosen:
+                yaw = replace(chosen["yaw"], scale=1.0, offset=0.0, world="ned", reason="a compass bearing")
+                chosen = {**chosen, "yaw": yaw}
+                changed = True
+            elif finding.check == "direction" and "yaw" in chosen and finding.measured is not None:
+                chosen = {**chosen, "yaw": _with_zero(chosen["yaw"], finding.measured)}
+                changed = True
+        if not changed:
+            break
+        verdict = trial.judge(chosen)
+    return chosen, verdict
+
+
+def as_siblings(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[str, Suggestion]:
+    """Give a channel whose unit nobody states and nothing judges the unit of the one beside it in the file.
+
+    A file that has v_x in km/h has v_y so too; that stays an assumption, and is marked as one.
+    """
+    judged = {channel for r in verdict.relations if r.holds for channel in r.powers}
+    made = dict(chosen)
+    for channel, others in _SIBLINGS.items():
+        s = made.get(channel)
+        if s is None or s.unit is not None or channel in judged:
+            continue
+        other = next((made[o] for o in others if o in made and made[o].unit and o in judged), None)
+        if other is None or other.unit is None:
+            continue
+        rate = other.channel == "r" or channel == "r"
+        unit = _ANGLE_OF_RATE.get(other.unit) if rate else other.unit
+        if unit is not None:
+            made[channel] = replace(s, unit=unit, reason=f"taken in {unit} as {other.channel} has it")
+    return made
+
+
+def _with_zero(s: Suggestion, shift: float) -> Suggestion:
+    """Return yaw counted from the axis X: an angle [rad] is added to what `world` and unit make of it."""
+    unit = find_unit(s.unit).factor if s.unit and find_unit(s.unit) else 1.0
+    own = -shift if s.world == "ned" else shift
+    told = f"its zero is {np.degrees(-shift):.4g} deg off X"
+    return replace(s, offset=s.offset + own / unit, reason=f"{s.reason}; {told}" if s.reason else told)
+
+
+def _other_hand(chosen: dict[str, Suggestion], trial: Trial) -> dict[str, Suggestion]:
+    """Resolve a car that turns the other way than its path: exchange X and Y, or turn the car's channels.
+
+    North and east of a satellite fix, or so called, are what they are. An angle of 0 to 360 degrees that is called
+    a heading counts clockwise from north. With either the car's channels are right-positive.
+    """
+    turned = {c: replace(s, scale=-s.scale, reason="right-positive, as the path shows") for c, s in chosen.items()
+              if c in ("r", "vy", "ay")}  # fmt: skip
+    yaw = chosen.get("yaw")
+    certain = chosen["X"].convert == "local_x" or _are_east_and_north(chosen)
+    if not certain and not (yaw is not None and _is_heading(yaw, trial)):
+        told = "exchanged with the other, or the car's channels are right-positive: nothing recorded decides"
+        return {**chosen, "X": replace(chosen["Y"], channel="X", reason=told),
+                "Y": replace(chosen["X"], channel="Y", reason=told)}  # fmt: skip
+    if yaw is not None and yaw.world != "ned":
+        turned["yaw"] = replace(yaw, scale=1.0, offset=0.0, world="ned", reason="a compass bearing")
+    return {**chosen, **turned}
+
+
+def _are_east_and_north(chosen: Mapping[str, Suggestion]) -> bool:
+    words = [concepts_of(tokens_of(chosen[c].sources[0]))[0] for c in "XY"]
+    return "east" in words[0] and "north" in words[1]
+
+
+def _is_heading(s: Suggestion, trial: Trial) -> bool:
+    """Whether an angle is named a heading and runs from 0 to 360 degrees."""
+    if s.convert or not re.search("head|hdg|azimuth|bearing|kurs", s.sources[0], re.IGNORECASE):
+        return False
+    values = trial.signals[s.sources[0]].values
+    finite = values[np.isfinite(values)]
+    whole = 360.0 if s.unit == "deg" else 2.0 * np.pi
+    return bool(finite.min() >= 0.0 and finite.max() <= whole and finite.max() > 0.5 * whole)
+
+
+def _corrected(s: Suggestion, factor: float) -> Suggestion:
+    size = abs(factor)
+    known = [(f, u) for (c, f), u in _UNIT_BY_FACTOR.items() if c == s.channel]
+    unit = next((u for f, u in known if abs(size / f - 1.0) < 0.03), None)
+    if s.channel == "X" and size != 1.0:
+        unit = {0.3048: "ft", 1000.0: "km", 0.01: "cm", 0.001: "mm"}.get(round(1.0 / size, 4))
+    if s.channel.startswith("wheel_speed"):
+        unit = {3.6: "km/h", 2.237: "mph", 1.944: "kn"}.get(round(size, 3))
+    turned = factor < 0.0
+    if s.status == "stated" and size != 1.0:
+        return s  # the file states a unit: a finding tells of the contradiction
+    if size == 1.0:
+        return replace(s, scale=-s.scale, reason="its sign is turned") if turned else s
+    if unit is None:
+        return s
+    return replace(s, unit=unit, scale=-s.scale if turned else s.scale, reason=f"found to be in {unit}")
+
+
+def with_status(s: Suggestion, verdict: Consistency) -> Suggestion:
+    """Say what supports or contradicts a suggestion."""
+    faults = ("scale", "sign", "range", "constant", "swapped")
+    wrong = [f for f in verdict.findings if f.channel == s.channel and f.check in faults]
+    if wrong:
+        return replace(s, status="open", reason=wrong[0].text)
+    undecided = [f for f in verdict.findings if f.check == "sign" and f.channel in ("r", "yaw", "X")]
+    if undecided and s.channel in _HANDED:
+        return replace(s, status="open", reason=f"left or right positive is undecided: {undecided[0].text}")
+    key = {"Y": "X"}.get(s.channel, s.channel)
+    keys = {key, "hand"} if key == "X" else {key}
+    holding = [relation for relation in verdict.relations if relation.holds and keys & set(relation.powers)]
+    notes = [f.text for f in verdict.findings if f.channel == s.channel]
+    told = f"{s.reason}; " if s.reason else ""
+    if holding:
+        shown = "; ".join(f"{r.name} {r.slope.slope:.3g}" for r in holding[:3])
+        return replace(s, status="judged", reason=f"{told}{shown}{'; note: ' + notes[0] if notes else ''}")
+    if s.status == "stated":
+        return replace(s, reason=f"{'; ' + s.reason if s.reason else ''}")
+    unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
+    assumed = "unit not stated" if s.unit else f"unit not stated, {unit} assumed"
+    return replace(s, unit=unit, reason=f"{told}{assumed}, and nothing judges it")

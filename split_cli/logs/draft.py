@@ -1,0 +1,143 @@
+"""A drafted signal map: what is said of each channel, and how it is written as YAML."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from split_cli.logs.gather import expected_unit
+from split_cli.signals import REQUIRED_CHANNELS
+
+__all__ = ["UNITS_OF", "Draft", "Suggestion", "quoted", "render_draft"]
+
+UNITS_OF = {"sideslip": "rad", "latitude": "rad", "longitude": "rad", "wheel_torque": "N m", "course": "rad"}
+_MARKS = {"judged": "judged: ", "stated": "unit as the file says; not judged", "assumed": "CHECK: "}
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """What the draft says of one channel.
+
+    Attributes
+    ----------
+    channel : str
+    sources : tuple of str
+        Recorded names; several with `convert`, or to be summed.
+    unit : str or None
+    scale : float
+    convert, world : str
+    status : str
+        ``judged`` (a relation to other channels holds), ``stated`` (the file gives the unit, nothing judges it),
+        ``assumed`` (nobody gives the unit, nothing judges it) or ``open`` (left out, with the reason).
+    reason : str
+    offset : float
+        Added after `scale`, in `unit`.
+    command : bool
+        Whether the name says that it was asked for, not measured.
+    """
+
+    channel: str
+    sources: tuple[str, ...]
+    unit: str | None = None
+    scale: float = 1.0
+    convert: str = ""
+    world: str = ""
+    status: str = "assumed"
+    reason: str = ""
+    offset: float = 0.0
+    command: bool = False
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A drafted map.
+
+    Attributes
+    ----------
+    suggestions : tuple of Suggestion
+    time : str
+        The map's line for the time, a comment where none was found.
+    unused : tuple of str
+    undefined : tuple of str
+        Message types that cannot be read, for want of a definition.
+    """
+
+    suggestions: tuple[Suggestion, ...]
+    time: str
+    unused: tuple[str, ...]
+    undefined: tuple[str, ...] = ()
+
+    def of(self, channel: str) -> Suggestion | None:
+        """Return what is said of a channel, None when nothing is."""
+        return next((s for s in self.suggestions if s.channel == channel), None)
+
+
+def render_draft(draft: Draft, name: str) -> str:
+    """Return a drafted map as YAML text."""
+    lines = [
+        f"# A draft for {name}. `judged` fits the other channels; `CHECK` was not judged: look at it.",
+        "name: draft",
+        draft.time,
+        "frame: flu   # or frd: y right, z down",
+        "channels:",
+    ]
+    for s in draft.suggestions:
+        if s.status != "open":
+            lines.append(f"  {s.channel}: {_entry(s)}   # {_MARKS[s.status]}{s.reason}")
+    for s in draft.suggestions:
+        if s.status == "open":
+            lines.append(f"  # open: {s.channel} from {', '.join(s.sources)}: {s.reason}")
+    mapped = {s.channel for s in draft.suggestions if s.status != "open"}
+    missing = [channel for channel in REQUIRED_CHANNELS if channel not in mapped]
+    if missing:
+        lines.append(f"# Required and not found: {', '.join(missing)}.")
+    lines += [f"# {text}" for text in _ways(missing, mapped)]
+    if draft.undefined:
+        shown = ", ".join(draft.undefined[:12])
+        lines.append(f"# Types that the recording does not define: {shown}. Give their .msg files: --msg-path.")
+    if draft.unused:
+        shown = [name.replace("\n", " ") for name in draft.unused[:40]]
+        lines.append(f"# Not used: {', '.join(shown)}{' ...' if len(draft.unused) > 40 else ''}")
+    return "\n".join(lines)
+
+
+def _ways(missing: Sequence[str], mapped: set[str]) -> list[str]:
+    """Return how missing channels can be derived from what is mapped."""
+    ways = []
+    if "T" in missing:
+        ways.append("T: --derive torque-from-acceleration (it says nothing of the drive train), or from pedals.")
+    if "vy" in missing and "sideslip" in mapped:
+        ways.append("vy: --derive lateral-velocity-from-sideslip.")
+    elif {"vx", "vy", "r"} & set(missing) and {"X", "Y", "yaw"} <= mapped:
+        ways.append("vx, vy, r: --derive velocity-from-pose.")
+    elif "vy" in missing:
+        ways.append("vy: neither lateral velocity, sideslip nor pose was found; it takes one of them.")
+    return ways
+
+
+def _entry(s: Suggestion) -> str:
+    if s.convert == "sum":
+        unit = f", unit: {quoted(s.unit)}" if s.unit else ""
+        return "{sum: [" + ", ".join(f"{{source: {quoted(n)}{unit}}}" for n in s.sources) + "]}"
+    source = quoted(s.sources[0]) if len(s.sources) == 1 else "[" + ", ".join(map(quoted, s.sources)) + "]"
+    parts = [f"source: {source}"]
+    if s.convert:
+        parts.append(f"convert: {s.convert}")
+    if not s.convert or s.convert == "pair_mean":
+        unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel)
+        parts += [f"unit: {quoted(unit)}"] if unit else []
+    if s.scale != 1.0:
+        parts.append(f"scale: {s.scale:g}")
+    if s.offset != 0.0:
+        parts.append(f"offset: {s.offset:.6g}")
+    if s.world:
+        parts.append(f"world: {s.world}")
+    if s.command and s.channel in ("T", "delta"):
+        parts.append("kind: command")
+    return "{" + ", ".join(parts) + "}"
+
+
+def quoted(text: str) -> str:
+    """Return a name as YAML writes it, in quotes where it needs them."""
+    return text if re.fullmatch(r"[A-Za-z_][\w./ ^-]*", text) else '"' + text.replace('"', '\\"') + '"'

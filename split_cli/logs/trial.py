@@ -1,0 +1,164 @@
+"""Guesses of a draft as SI columns on one clock, to be judged by the consistency checks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.logs.checks import NO_CAR_EXCEEDS
+from split_cli.logs.consistency import Consistency, check_consistency
+from split_cli.logs.draft import Suggestion
+from split_cli.logs.drive import Drive
+from split_cli.logs.raw import RawSignal
+from split_cli.logs.transform import local_tangent_plane, yaw_from_quaternion
+from split_cli.signals import REQUIRED_CHANNELS, find_unit
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["Candidate", "Trial", "names_of"]
+
+_JUDGED = ("vx", "vy", "r", "yaw", "X", "Y", "ax", "ay", "delta")
+_GRID_RATE = 50.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One reading of one or several recorded names.
+
+    Attributes
+    ----------
+    channel : str
+    sources : tuple of str
+        Recorded names; one without its axes for a quaternion.
+    weight : int
+        How clearly names say so; 3 is clear.
+    unit : str or None
+    convert : str
+    """
+
+    channel: str
+    sources: tuple[str, ...]
+    weight: int
+    unit: str | None
+    convert: str = ""
+
+
+def names_of(candidate: Candidate) -> tuple[str, ...]:
+    """Return the recorded names that a candidate reads."""
+    if candidate.convert == "yaw_from_quaternion" and len(candidate.sources) == 1:
+        base = candidate.sources[0]
+        joint = "." if "." in base.rsplit("/", 1)[-1] or not base.startswith("/") else "/"
+        return tuple(f"{base}{joint}{axis}" for axis in "xyzw")
+    return candidate.sources
+
+
+class Trial:
+    """Candidates as SI columns on one clock, to be judged by the consistency checks."""
+
+    def __init__(
+        self,
+        signals: Mapping[str, RawSignal],
+        time: np.ndarray | None,
+        vehicle: Vehicle | None,
+        time_is_known: bool,
+    ) -> None:
+        self.signals, self.time, self.vehicle, self.time_is_known = signals, time, vehicle, time_is_known
+        self.wheel_torques: list[Candidate] = []
+        stamps = [time if s.time is None else s.time for s in signals.values()]
+        stamps = [t for t in stamps if t is not None and np.isfinite(t).sum() > 20]
+        low = max((float(np.nanquantile(t, 0.0)) for t in stamps if _is_long(t, stamps)), default=0.0)
+        high = min((float(np.nanquantile(t, 1.0)) for t in stamps if _is_long(t, stamps)), default=0.0)
+        count = int(min(max((high - low) * _GRID_RATE, 0), 60_000))
+        self.grid = low + np.arange(count) / _GRID_RATE
+
+    def unusable(self, candidate: Candidate) -> str:
+        """Return why a candidate cannot be used, empty when it can."""
+        missing = [name for name in names_of(candidate) if name not in self.signals]
+        if missing:
+            return f"{missing[0]} cannot be read"
+        values = self._combined(candidate, [self.signals[name].values for name in names_of(candidate)])
+        finite = values[np.isfinite(values)]
+        if len(finite) < 20:
+            return "nearly empty"
+        if candidate.channel == "wheel_torque" and len(self.wheel_torques) not in (2, 4):
+            return f"torque of {len(self.wheel_torques)} wheel(s): those of two or four wheels make T"
+        if np.ptp(finite) == 0.0:
+            return f"never changes ({finite[0]:g})"
+        unit = find_unit(candidate.unit) if candidate.unit else None
+        reach = float(np.quantile(np.abs(finite), 0.99)) * (unit.factor if unit is not None else 0.0)
+        limit, si = NO_CAR_EXCEEDS.get(candidate.channel, (np.inf, ""))
+        if reach > limit and candidate.channel != "delta":
+            return f"reaches {reach:.3g} {si} in the unit that the file states, no car's exceeds {limit:g}"
+        if candidate.channel == "course":
+            return "direction of travel over ground: yaw plus sideslip, not yaw"
+        return ""
+
+    def column(self, s: Suggestion) -> np.ndarray | None:
+        """Return a suggestion's samples on the grid, SI, shape (N,); None where too few."""
+        names = names_of(Candidate(s.channel, s.sources, 0, s.unit, s.convert))
+        if any(name not in self.signals for name in names):
+            return None
+        raw = [self.signals[name] for name in names]
+        values = self._combined(s, [signal.values for signal in raw])
+        stamps = self.time if raw[0].time is None else raw[0].time
+        if stamps is None or len(stamps) != len(values):
+            return None
+        unit = find_unit(s.unit) if s.unit else None
+        values = (values * s.scale + s.offset) * (unit.factor if unit is not None else 1.0)
+        if s.channel == "yaw" and s.world == "ned":
+            values = 0.5 * np.pi - values
+        good = np.isfinite(values) & np.isfinite(stamps)
+        stamps, values = stamps[good], values[good]
+        order = np.argsort(stamps, kind="stable")
+        if len(order) < 20 or not len(self.grid):
+            return None
+        if s.channel in ("yaw", "course"):
+            values = np.unwrap(values[order])
+            return np.interp(self.grid, stamps[order], values)
+        return np.interp(self.grid, stamps[order], values[order])
+
+    def _combined(self, s: Suggestion | Candidate, values: list[np.ndarray]) -> np.ndarray:
+        if s.convert == "yaw_from_quaternion":
+            return yaw_from_quaternion(*values)
+        if s.convert in ("local_x", "local_y"):
+            finite = np.flatnonzero(np.isfinite(values[0]) & np.isfinite(values[1]) & (values[0] != 0.0))
+            if not len(finite):
+                return np.full(len(values[0]), np.nan)
+            plane = local_tangent_plane(*values, (values[0][finite[0]], values[1][finite[0]]))
+            return plane[0] if s.convert == "local_x" else plane[1]
+        if s.convert == "pair_mean":
+            return np.mean(values, axis=0)
+        return np.sum(values, axis=0) if s.convert == "sum" else values[0]
+
+    def columns(self, chosen: Mapping[str, Suggestion]) -> dict[str, np.ndarray]:
+        """Return all suggestions that can be laid on the grid."""
+        made = {channel: self.column(s) for channel, s in chosen.items()}
+        return {channel: values for channel, values in made.items() if values is not None}
+
+    def judge(self, chosen: Mapping[str, Suggestion]) -> Consistency:
+        """Return what the consistency checks say of a choice; channels without a suggestion are not judged."""
+        columns = self.columns(chosen)
+        wheels = {c: v for c, v in columns.items() if c.startswith("wheel_speed")}
+        unit_of = {c: find_unit(s.unit).si for c, s in chosen.items() if s.unit and find_unit(s.unit)}
+        radius = self.vehicle.wheel_radius if self.vehicle is not None else None
+        used = {c: columns[c] for c in (*_JUDGED, "T") if c in columns}
+        for channel, values in wheels.items():
+            if unit_of.get(channel) == "rad/s":
+                if radius is None:
+                    continue
+                values = values * radius
+            used[channel] = values
+        if "vx" not in used or len(self.grid) < 200 or not self.time_is_known:
+            return Consistency()
+        kinds = {channel: "derived: nothing" for channel in REQUIRED_CHANNELS if channel not in used}
+        nothing = {channel: np.zeros(len(self.grid)) for channel in kinds}
+        drive = Drive("draft", {"t": self.grid - self.grid[0], **used, **nothing},
+                      np.zeros(len(self.grid), dtype=np.int32), 1.0 / _GRID_RATE)  # fmt: skip
+        with np.errstate(all="ignore"):
+            return check_consistency(drive, self.vehicle, kinds)
+
+
+def _is_long(stamps: np.ndarray, others: Sequence[np.ndarray]) -> bool:
+    """Whether a clock covers half of what the longest does; others must not shrink the common time."""
+    return float(np.ptp(stamps[np.isfinite(stamps)])) > 0.5 * max(float(np.ptp(t[np.isfinite(t)])) for t in others)

@@ -1,0 +1,236 @@
+"""What the words of a recorded name mean together: quantity, direction, object, in English, German and shorthand.
+
+A name is taken apart into words, compounds too (``WhlSpdFL``, ``Querbeschleunigung``). Each word stands for a
+concept; the set of concepts decides the channel. Words that say who measured, where or how well are neutral.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+
+__all__ = ["concepts_of", "read_concepts", "tokens_of"]
+
+_WORDS: dict[str, str] = {
+    "velocity": (
+        "v vel velo velocity velocities velocidad velocita speed speeds spd vitesse geschwindigkeit "
+        "geschw fahrgeschwindigkeit"
+    ),
+    "acceleration": "a acc accel accelerometer acceleration accelerations beschleunigung beschl gforce",
+    "rate": "rate rates rt rot rotation rotationrate gyro gyroscope omega dot drehrate geschwindigkeitsrate",
+    "angular": "angular",
+    "yaw": "yaw psi heading hdg gier",
+    "angle": "angle angles ang winkel",
+    "position": "pose pos posn position loc location coordinate coord",
+    "long": "x long longi longitudinal lng lngt lgt fwd forward forwards inline laengs",
+    "lat": "y lat lateral side sideways quer transverse transversal",
+    "up": "z vert vertical up hoch",
+    "linear": "linear lin",
+    "steer": "steer steered steering str strg lenk lenkung",
+    "handwheel": "handwheel lenkrad stw swa sw",
+    "wheel": "wheel wheels whl whls roadwheel",
+    "road": "road tire tyre",
+    "torque": "torque torques trq tq moment mom drehmoment",
+    "brake": "brake brakes braking brk brems bremse",
+    "pressure": "pressure press pres prs druck",
+    "throttle": "throttle thr thrt gas accelerator app tps fahrpedal gaspedal",
+    "pedal": "pedal ped",
+    "engine": "engine eng motor mot kurbelwelle",
+    "current": "current curr strom",
+    "drive": "drive drv antrieb antriebs total sum axle axles powertrain net",
+    "slip": "slip sideslip beta schwimm bodyslip",
+    "east": "east easting ost",
+    "north": "north northing nord",
+    "world": "world map global earth inertial utm enu ned ground over abs",
+    "fl": "fl lf l1 vl",
+    "fr": "fr rf r1 vr",
+    "rl": "rl lr l2 hl",
+    "rr": "rr r2 hr",
+    "front": "front vorn vorne",
+    "rear": "rear hinten",
+    "left": "left links",
+    "right": "right rechts",
+    "command": (
+        "cmd cmded command commanded commands demand demanded dmd request requested req desired target "
+        "goal setpoint reference ref soll sollwert"
+    ),
+    "other": (
+        "std stddev sigma cov covariance var variance err error accuracy quality status valid validity "
+        "flag count cnt counter id seq index min max limit bias temp temperature lap age confidence jerk "
+        "roll rolling pitch pitching tilt bank bearing course slope grade altitude height kappa curvature "
+        "radius distance dist combined combo gear ratio level battery voltage power fuel lean satellites "
+        "sats hdop residual steps engine_speed orientation quaternion quat"
+    ),
+    "driver": "driver fahrer",
+    "velocity long": "vx vlong vlon vlgt vfwd",
+    "velocity lat": "vy vlat",
+    "acceleration long": "ax along alon algt",
+    "acceleration lat": "ay alat",
+    "yaw rate": "wz psip yr yawrate psidot dpsi",
+    "position long": "px xpos",
+    "position lat": "py ypos",
+    "": (
+        "car vehicle veh vhcl ego body chassis cg cog com cm sensor sens meas measured act actual est "
+        "estimated estimate filt filtered filter raw ins imu gps gnss dgps odo odom odometry vbox ecu can "
+        "obd esp abs1 state states signal sig value val fused kf ekf ukf local frame field header twist "
+        "msg fahrzeug ist corr corrected mti oxts novatel vicon optitrack mocap rt3000 of in the at from "
+        "to s sm tm ii 2d 3d dev device coor sys e1 sim simulated model true truth gt log data input "
+        "output stellung stand"
+    ),
+}
+_CONCEPT = {word: concept for concept, words in _WORDS.items() for word in words.split()}
+_CORNERS = ("fl", "fr", "rl", "rr")
+_FOLD = str.maketrans({
+    "ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "é": "e", "è": "e", "á": "a", "à": "a", "í": "i", "ó": "o",
+    "ú": "u", "ñ": "n", "ç": "c", "ψ": "psi", "β": "beta", "δ": "delta",
+})  # fmt: skip
+_PARTS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+_AXES = ("x", "y", "z")
+
+
+def tokens_of(name: str) -> list[str]:
+    """Return the words of a name in lower case; compounds of known words are parted, others stay whole."""
+    folded = re.sub(r"[ÄÖÜ]", lambda m: {"Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}[m[0]], name).translate(_FOLD)
+    found: list[str] = []
+    for piece in re.split(r"[^A-Za-z0-9]+", folded):
+        # L1 is a wheel and FL a corner: what is a word as it stands is not parted at its capitals.
+        if piece.lower() in _CONCEPT:
+            found.append(piece.lower())
+            continue
+        for part in _PARTS.findall(piece):
+            found += _segmented(part.lower())
+    return [word for word in found if not word.isdigit()]
+
+
+@lru_cache(maxsize=4096)
+def _segmented(word: str) -> tuple[str, ...]:
+    """Return a word as known words in a row, the fewest; whole where that does not go up.
+
+    Inside a compound a word has three letters or more, a corner or ``sw`` two, and an axis one, at an end.
+    """
+    if word in _CONCEPT or len(word) > 40:
+        return (word,)
+    best: list[tuple[str, ...] | None] = [(), *[None] * len(word)]
+    for end in range(1, len(word) + 1):
+        for start in range(end):
+            head, part = best[start], word[start:end]
+            is_axis = part in _AXES and end == len(word) and start > 2
+            fits = part in _CONCEPT and (len(part) > 2 or part in (*_CORNERS, "rt", "tq") or is_axis)
+            # German joins words with an s.
+            if part == "s" and start > 0 and end < len(word):
+                fits = True
+            if head is not None and fits and (best[end] is None or len(head) + 1 < len(best[end] or ())):
+                best[end] = (*head, part)
+    return best[-1] or (word,)
+
+
+def concepts_of(words: list[str]) -> tuple[set[str], int]:
+    """Return what the words stand for, and how many are not known."""
+    known = [_CONCEPT[word] for word in words if word in _CONCEPT]
+    concepts = {concept for entry in known for concept in entry.split()}
+    if {"steer", "driver"} <= concepts:
+        concepts = (concepts - {"steer"}) | {"handwheel"}
+    for end in ("front", "rear"):
+        for hand in ("left", "right"):
+            if {end, hand} <= concepts:
+                concepts -= {end, hand}
+                concepts.add(end[0] + hand[0])
+    if {"steer", "wheel"} <= concepts and not concepts & {"road", "front", *_CORNERS}:
+        concepts = (concepts - {"steer", "wheel"}) | {"handwheel"}
+    if "roadwheel" in words:
+        concepts |= {"road"}
+    return concepts, len(words) - len(known)
+
+
+def read_concepts(words: list[str]) -> tuple[str, int] | None:
+    """Return the channel that a name's words fit and how clearly (3 clear, 1 vague); None where none.
+
+    A command is a command of an input: steering, torque or a pedal.
+    """
+    concepts, unknown = concepts_of(words)
+    if not concepts or "other" in concepts:
+        return None
+    found = _motion(concepts) or _input(concepts)
+    if found is None and "x" in words and concepts <= {"long", "world"}:
+        found = "X", 2
+    if found is None and "y" in words and concepts <= {"lat", "world"}:
+        found = "Y", 2
+    if found is None:
+        return None
+    channel, weight = found
+    inputs = ("delta", "steering_wheel_angle", "T", "wheel_torque", "throttle", "brake", "brake_pressure")
+    if "command" in concepts and channel not in inputs:
+        return None
+    return channel, max(weight - min(unknown, 2), 1)
+
+
+def _motion(c: set[str]) -> tuple[str, int] | None:
+    """Return velocity, acceleration, yaw, yaw rate, position or wheel speed; see `read_concepts`."""
+    corner = next((name for name in _CORNERS if name in c), None)
+    if c & {"steer", "handwheel", "torque", "throttle", "brake", "pressure", "current", "engine"}:
+        return None
+    if corner is not None:
+        return (f"wheel_speed_{corner}", 3) if "velocity" in c or "wheel" in c else None
+    turning = "yaw" in c or ("up" in c and bool(c & {"rate", "angular"} or {"angle", "velocity"} <= c))
+    if "acceleration" in c:
+        if "angular" in c or "yaw" in c or "up" in c:
+            return None
+        return ("ax", 3) if "long" in c else ("ay", 3) if "lat" in c else None
+    if turning and c & {"rate", "velocity", "angular"}:
+        return ("r", 3) if not c & {"long", "lat"} else None
+    if "yaw" in c:
+        return ("yaw", 3) if c <= {"yaw", "angle", "world", "position"} else None
+    if "rate" in c or "angular" in c or "angle" in c:
+        return ("sideslip", 3) if "slip" in c and "rate" not in c else None
+    if "slip" in c:
+        return ("sideslip", 2) if c <= {"slip", "angle"} else None
+    if "velocity" in c or "linear" in c:
+        return _velocity(c)
+    if c & {"east", "north"}:
+        return ("X", 3) if "east" in c else ("Y", 3)
+    if "position" in c:
+        return ("X", 3) if "long" in c else ("Y", 3) if "lat" in c else None
+    return None
+
+
+def _velocity(c: set[str]) -> tuple[str, int] | None:
+    if c & {"up", "wheel", "east", "north"}:
+        return None
+    if "world" in c and c & {"long", "lat"}:
+        return None  # along the axes of the world, not the car's
+    if "long" in c:
+        return "vx", 3
+    if "lat" in c:
+        return "vy", 3
+    return ("vx", 1) if "velocity" in c else None
+
+
+def _input(c: set[str]) -> tuple[str, int] | None:
+    """Return steering, torque, pedal or pressure; see `read_concepts`."""
+    corner = next((name for name in _CORNERS if name in c), None)
+    if "pressure" in c:
+        return ("brake_pressure", 3) if "brake" in c else None
+    if "torque" in c:
+        if c & {"steer", "handwheel", "engine", "yaw"}:
+            return None  # the driver's hand, or before the gearbox
+        if "brake" in c and "drive" not in c:
+            return None
+        if corner is not None:
+            return "wheel_torque", 3
+        return "T", 3 if c & {"wheel", "drive"} else 2
+    if c & {"rate", "velocity", "acceleration"}:
+        return None
+    if "handwheel" in c:
+        return "steering_wheel_angle", 3
+    if "steer" in c or ("angle" in c and ("road" in c or ("wheel" in c and corner is not None))):
+        if corner in ("rl", "rr") or "rear" in c:
+            return None
+        clear = "road" in c or corner is not None or "front" in c
+        return "delta", 3 if clear else 1
+    if "throttle" in c or {"long", "pedal"} <= c or {"acceleration", "pedal"} <= c:
+        return "throttle", 3
+    if "brake" in c:
+        return "brake", 2
+    if {"engine", "current"} <= c:
+        return "motor_current", 2
+    return None
