@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.case import Case, gather_case
+from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.place import places_of
@@ -154,7 +154,7 @@ def diagnose(
     return replace(stated, inputs=tuple(inputs), settings=described)
 
 
-def _rows(case: Case) -> int:
+def _rows(case: DiagnosisCase) -> int:
     return sum(int(mask.sum()) for mask in case.keep)
 
 
@@ -178,7 +178,7 @@ class _Comparison:
     contradictions: tuple[str, ...]
 
 
-def _compare(case: Case, outcome: SearchOutcome, contradictions: tuple[str, ...]) -> _Comparison:
+def _compare(case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[str, ...]) -> _Comparison:
     """Ask four ways whether there is a difference: a name, a smooth function, a line, or residual autocorrelation.
 
     A sensor that contradicts position or yaw is one, however small the rest.
@@ -208,7 +208,7 @@ def _compare(case: Case, outcome: SearchOutcome, contradictions: tuple[str, ...]
     return _Comparison(outcome, line, p_value, contradictions)
 
 
-def _tell(case: Case, found: _Comparison, policy: Policy) -> Diagnosis:
+def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy) -> Diagnosis:
     """Say where the difference is, what it is, and whether naming it helps."""
     selection, findings, remainder, unexplained = describe(found.outcome, bool(found.contradictions))
     unexplained = unexplained or found.line is not None
@@ -259,13 +259,13 @@ def _tell(case: Case, found: _Comparison, policy: Policy) -> Diagnosis:
     )
 
 
-def _held_out(case: Case, split: HeldOut) -> list[tuple[Evidence, np.ndarray]]:
+def _held_out(case: DiagnosisCase, split: HeldOut) -> list[tuple[Evidence, np.ndarray]]:
     """Return all real recordings and which of their rows are kept out; the terms were fitted on the rest."""
     everything = [np.ones(len(one.series), dtype=bool) for one in case.holdout]
     return [*zip(case.real, split.masks, strict=True), *zip(case.holdout, everything, strict=True)]
 
 
-def _gaps(case: Case):
+def _gaps(case: DiagnosisCase):
     forces = [gap_forces(one, (), case.discrepancy_rates(one)) for one in case.real]
     return tuple(map(gap_series, case.real, case.keep, forces, forces))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.errors import ExportError
 from split_cli.export.c99 import CSource, fill, memory_parts, template
-from split_cli.export.check import Answer, Oracle, PredictionCheck, check_predictions
+from split_cli.export.check import ExportAnswer, Oracle, PredictionCheck, check_predictions
 from split_cli.export.compiler import STRICT_FLAGS, Compiler, Driver, run_program, section_bytes
 from split_cli.export.memory_check import Drives
 from split_cli.export.step_check import (
@@ -123,7 +123,7 @@ def build_driver(
     return Driver(program, source.real)
 
 
-def driver_answer(driver: Driver, dimension: int) -> Answer:
+def driver_answer(driver: Driver, dimension: int) -> ExportAnswer:
     """Return the compiled predictor as something `check_predictions` can ask."""
 
     def predict(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -133,7 +133,7 @@ def driver_answer(driver: Driver, dimension: int) -> Answer:
     def jacobian(z: np.ndarray) -> np.ndarray:
         return driver.answers(5, z, 3 * dimension).reshape(-1, 3, dimension)
 
-    return Answer(predict, jacobian)
+    return ExportAnswer(predict, jacobian)
 
 
 def check_c(

@@ -12,7 +12,7 @@ import scipy.sparse
 from split_cli.errors import ExportError
 from split_cli.export.casadi_linear import linear_response
 from split_cli.export.casadi_memory import memory_step
-from split_cli.export.check import Answer, Oracle, PredictionCheck, check_predictions
+from split_cli.export.check import ExportAnswer, Oracle, PredictionCheck, check_predictions
 from split_cli.export.step_check import StepOracle, Stepper, compare_drives, compare_memory, compare_states
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables, TableData
@@ -217,7 +217,7 @@ def _whole_model(graph: NominalGraph) -> casadi.Function:
     )
 
 
-def casadi_answer(predict: casadi.Function) -> Answer:
+def casadi_answer(predict: casadi.Function) -> ExportAnswer:
     """Return a committee as something `check_predictions` can ask, derivatives included."""
     z = casadi.MX.sym("z", predict.size1_in(0))
     slopes = casadi.Function("slopes", [z], [casadi.densify(casadi.jacobian(predict(z)[0], z))])
@@ -226,7 +226,7 @@ def casadi_answer(predict: casadi.Function) -> Answer:
         rows = [predict(query) for query in queries]
         return tuple(np.array([np.asarray(row[k]).ravel() for row in rows]) for k in (0, 1))
 
-    return Answer(answer, lambda queries: np.array([np.asarray(slopes(query)) for query in queries]))
+    return ExportAnswer(answer, lambda queries: np.array([np.asarray(slopes(query)) for query in queries]))
 
 
 def check_casadi(

@@ -16,7 +16,7 @@ from split_cli.prediction.trusted import TrustedPredictor
 
 __all__ = [
     "TOLERANCE",
-    "Answer",
+    "ExportAnswer",
     "Oracle",
     "PredictionCheck",
     "check_predictions",
@@ -34,7 +34,7 @@ JACOBIAN_QUERIES = 200
 
 
 @dataclass(frozen=True)
-class Answer:
+class ExportAnswer:
     """An exported predictor under test.
 
     Attributes
@@ -186,12 +186,12 @@ def make_oracle(
     return Oracle(z, expected.mean, expected.variance, z[chosen], slopes, error, reference)
 
 
-def check_predictions(answer: Answer, oracle: Oracle, real: str, what: str) -> PredictionCheck:
+def check_predictions(answer: ExportAnswer, oracle: Oracle, real: str, what: str) -> PredictionCheck:
     """Compare an exported predictor with Python.
 
     Parameters
     ----------
-    answer : Answer
+    answer : ExportAnswer
     oracle : Oracle
     real : {"double", "float"}
     what : str
@@ -250,7 +250,7 @@ def _worst(
     return float(error[worst])
 
 
-def _check_not_finite(answer: Answer, oracle: Oracle, what: str) -> None:
+def _check_not_finite(answer: ExportAnswer, oracle: Oracle, what: str) -> None:
     """Not-a-number gives not-a-number, infinity the prior."""
     width = oracle.z.shape[1]
     typical = oracle.reference.training_set.z[:1]

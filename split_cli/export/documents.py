@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import ExportError
-from split_cli.export.check import Answer
+from split_cli.export.check import ExportAnswer
 from split_cli.export.provenance import Provenance
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.table import TablePredictor
@@ -201,11 +201,11 @@ def require_equal(written: Document, found: Document, what: str) -> None:
         raise ExportError(f"{what}: the metadata do not read back as written; nothing was written")
 
 
-def document_answer(document: Document) -> Answer:
+def document_answer(document: Document) -> ExportAnswer:
     """Return predictions from the numbers of a document alone: the reader that docs/export.md prints."""
     a = document.arrays
     if document.metadata["predictor"] == "table":
-        return Answer(lambda z: _table_answer(a, z))
+        return ExportAnswer(lambda z: _table_answer(a, z))
     robust = document.metadata["predictor"] == "rbcm"
     ratio = a["noise_variance"] / a["signal_variance"]
     cells = []
@@ -229,7 +229,7 @@ def document_answer(document: Document) -> Answer:
             precision += q * share
         return _trusted(a, top / precision, a["signal_variance"] / precision)
 
-    return Answer(predict)
+    return ExportAnswer(predict)
 
 
 def _trusted(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.export.c99 import fill, template
-from split_cli.export.check import Answer, Oracle, check_predictions
+from split_cli.export.check import ExportAnswer, Oracle, check_predictions
 from split_cli.export.compiler import Compiler, Driver, section_bytes
 from split_cli.export.step_check import StepOracle, compare_drives, compare_states
 
@@ -74,7 +74,7 @@ def check_generated(
 
     some = slice(None, None, max(1, len(oracle.z) // _QUERIES))
     few = replace(oracle, z=oracle.z[some], mean=oracle.mean[some], variance=oracle.variance[some])
-    check_predictions(Answer(predict, jacobian), few, "double", "CasADi's C")
+    check_predictions(ExportAnswer(predict, jacobian), few, "double", "CasADi's C")
     if with_step and steps is not None:
 
         def step(asked: np.ndarray) -> np.ndarray:

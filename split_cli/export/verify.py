@@ -13,18 +13,18 @@ import numpy as np
 from split_cli.errors import ExportError
 from split_cli.export.c_check import run_selftest
 from split_cli.export.casadi_function import casadi_answer
-from split_cli.export.check import TOLERANCE, Answer
+from split_cli.export.check import TOLERANCE, ExportAnswer
 from split_cli.export.compiler import find_compiler
 from split_cli.export.documents import document_answer, read_json, read_npz
 from split_cli.export.step_check import STEP_TOLERANCE
 from split_cli.export.targets import MANIFEST, MANIFEST_FORMAT
 from split_cli.files import sha256_of_file
 
-__all__ = ["Finding", "read_manifest", "verify_folder"]
+__all__ = ["VerificationFinding", "read_manifest", "verify_folder"]
 
 
 @dataclass(frozen=True)
-class Finding:
+class VerificationFinding:
     """One thing that was checked.
 
     Attributes
@@ -65,7 +65,7 @@ def read_manifest(folder: Path) -> dict:
     return manifest
 
 
-def verify_folder(folder: str | Path) -> tuple[Finding, ...]:
+def verify_folder(folder: str | Path) -> tuple[VerificationFinding, ...]:
     """Check the hash of every file of an export, then ask every target its stored check points.
 
     Returns
@@ -83,7 +83,9 @@ def verify_folder(folder: str | Path) -> tuple[Finding, ...]:
     others = sorted(path.name for path in folder.iterdir() if path.name not in (MANIFEST, *manifest["files"]))
     if others:
         shown = ", ".join(others[:5]) + (f" and {len(others) - 5} more" if len(others) > 5 else "")
-        findings.append(Finding("other files", None, f"not of this export, perhaps of an older one: {shown}"))
+        findings.append(
+            VerificationFinding("other files", None, f"not of this export, perhaps of an older one: {shown}")
+        )
     if any(finding.passed is False for finding in findings):
         # Answers of files that are not those written would prove nothing.
         return tuple(findings)
@@ -93,30 +95,30 @@ def verify_folder(folder: str | Path) -> tuple[Finding, ...]:
         try:
             findings.append(checks[target](folder, manifest["name"]))
         except (ExportError, KeyError) as error:
-            findings.append(Finding(f"{target}: answers", False, str(error)))
+            findings.append(VerificationFinding(f"{target}: answers", False, str(error)))
     return tuple(findings)
 
 
-def _hash(path: Path, expected: str) -> Finding:
+def _hash(path: Path, expected: str) -> VerificationFinding:
     what = f"{path.name}: SHA-256"
     if not path.is_file():
-        return Finding(what, False, "the file is missing")
+        return VerificationFinding(what, False, "the file is missing")
     found = sha256_of_file(path)
-    return Finding(what, found == expected, "as written" if found == expected else f"is {found}")
+    return VerificationFinding(what, found == expected, "as written" if found == expected else f"is {found}")
 
 
-def _verify_c(folder: Path, name: str) -> Finding:
+def _verify_c(folder: Path, name: str) -> VerificationFinding:
     compiler = find_compiler()
     if compiler is None:
-        return Finding("c: self-test", None, "there is no C compiler here")
+        return VerificationFinding("c: self-test", None, "there is no C compiler here")
     with tempfile.TemporaryDirectory(prefix="split-verify-") as scratch:
         for suffix in (".h", ".c", "_selftest.c"):
             (Path(scratch) / f"{name}{suffix}").write_bytes((folder / f"{name}{suffix}").read_bytes())
         said = run_selftest(compiler, Path(scratch), name)
-        return Finding("c: self-test", True, "; ".join(said.splitlines()))
+        return VerificationFinding("c: self-test", True, "; ".join(said.splitlines()))
 
 
-def _verify_casadi(folder: Path, name: str) -> Finding:
+def _verify_casadi(folder: Path, name: str) -> VerificationFinding:
     import casadi
 
     try:
@@ -130,7 +132,7 @@ def _verify_casadi(folder: Path, name: str) -> Finding:
     worst = _drive(casadi.Function.load(str(folder / f"{name}_step.casadi")), stored)
     allowed = 10.0 * STEP_TOLERANCE["double"]
     detail = f"{asked.detail}; {worst:.3g} on stored drives, {allowed:g} is allowed"
-    return Finding(asked.check, bool(worst <= allowed), detail)
+    return VerificationFinding(asked.check, bool(worst <= allowed), detail)
 
 
 def _drive(step: Any, stored: dict[str, Any]) -> float:
@@ -143,21 +145,21 @@ def _drive(step: Any, stored: dict[str, Any]) -> float:
     return float((np.abs(np.stack(path) - expected) / (1.0 + np.abs(expected))).max())
 
 
-def _verify_npz(folder: Path, name: str) -> Finding:
+def _verify_npz(folder: Path, name: str) -> VerificationFinding:
     return _ask(document_answer(read_npz(folder / f"{name}.npz")), folder, name, "npz")
 
 
-def _verify_json(folder: Path, name: str) -> Finding:
+def _verify_json(folder: Path, name: str) -> VerificationFinding:
     return _ask(document_answer(read_json(folder / f"{name}.json")), folder, name, "json")
 
 
-def _verify_ggv(folder: Path, name: str) -> Finding:
+def _verify_ggv(folder: Path, name: str) -> VerificationFinding:
     table = np.loadtxt(folder / f"{name}_ggv.csv", delimiter=",")
     rising = bool((np.diff(table[:, 0]) > 0).all() and (table[:, 1:] > 0).all())
-    return Finding("ggv: limits", rising, f"{len(table)} speeds, ascending, every limit above 0")
+    return VerificationFinding("ggv: limits", rising, f"{len(table)} speeds, ascending, every limit above 0")
 
 
-def _ask(answer: Answer, folder: Path, name: str, target: str) -> Finding:
+def _ask(answer: ExportAnswer, folder: Path, name: str, target: str) -> VerificationFinding:
     """Ask the stored check points; another machine's mathematics library is allowed ten times the tolerance."""
     points = {
         key: np.array(values) for key, values in json.loads((folder / f"{name}_check.json").read_text()).items()
@@ -170,4 +172,4 @@ def _ask(answer: Answer, folder: Path, name: str, target: str) -> Finding:
     )
     allowed = 10.0 * TOLERANCE["double"]
     detail = f"largest error {worst:.3g} on {len(mean)} stored queries, {allowed:g} is allowed"
-    return Finding(f"{target}: answers", bool(worst <= allowed), detail)
+    return VerificationFinding(f"{target}: answers", bool(worst <= allowed), detail)

@@ -14,11 +14,11 @@ from split_cli.logs.consistency import check_consistency
 from split_cli.logs.delay import DelayEstimate, estimate_delays
 from split_cli.logs.derive import DERIVATIONS, Derived, Situation, derivation_named
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source
-from split_cli.logs.gather import Gathered, Series, gather, topic_of
+from split_cli.logs.gather import Gathered, RawSeries, gather, topic_of
 from split_cli.logs.placing import move_to_cg
 from split_cli.logs.quality import QualityReport
-from split_cli.logs.raw import Clock, Recording
-from split_cli.logs.resample import Grid
+from split_cli.logs.raw import Clock, RawRecording
+from split_cli.logs.resample import SampleClock
 from split_cli.logs.signal_map import SignalMap, TimeBase
 from split_cli.logs.synchronize import (
     Channels,
@@ -87,7 +87,7 @@ class Assembled:
 
 
 def assemble_drive(
-    recording: Recording,
+    recording: RawRecording,
     signal_map: SignalMap,
     vehicle: Vehicle | None = None,
     settings: IngestSettings | None = None,
@@ -96,7 +96,7 @@ def assemble_drive(
 
     Parameters
     ----------
-    recording : Recording
+    recording : RawRecording
     signal_map : SignalMap
     vehicle : Vehicle, optional
         Needed for sensor places given by an axle, for derived torque, and for some checks.
@@ -221,7 +221,7 @@ def _check_required(gathered: Gathered, derivations: Sequence[str], signal_map: 
     )
 
 
-def _with_delays(gathered: Gathered, settings: IngestSettings) -> dict[str, tuple[Series, ...]]:
+def _with_delays(gathered: Gathered, settings: IngestSettings) -> dict[str, tuple[RawSeries, ...]]:
     given = dict(settings.delays or {})
     for channel in given:
         if channel not in gathered.series:
@@ -235,7 +235,7 @@ def _with_delays(gathered: Gathered, settings: IngestSettings) -> dict[str, tupl
 def _place_and_derive(
     derivations: Sequence[str],
     columns: dict[str, np.ndarray],
-    grid: Grid,
+    grid: SampleClock,
     slices: list[slice],
     vehicle: Vehicle | None,
     signal_map: SignalMap,
@@ -304,7 +304,7 @@ def _between(
     }
 
 
-def _drive(recording: Recording, grid: Grid, columns: Mapping[str, np.ndarray]) -> Drive:
+def _drive(recording: RawRecording, grid: SampleClock, columns: Mapping[str, np.ndarray]) -> Drive:
     ordered = {"t": (grid.index - grid.index[0]) * grid.period}
     for name in (*CHANNELS, *columns):
         if name in columns and name != "t":

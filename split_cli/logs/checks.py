@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.logs.drive import Drive
-from split_cli.logs.explanations import Finding, Plausible, Relation
+from split_cli.logs.explanations import ConsistencyFinding, Plausible, Relation
 from split_cli.logs.kinematics import Kinematics, Slope, block_interval, fit_slope
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
@@ -63,14 +63,14 @@ class Checks:
     def usable(self, *channels: str) -> bool:
         return all(channel in self.k and channel not in self.derived for channel in channels)
 
-    def constant_channels(self) -> list[Finding]:
+    def constant_channels(self) -> list[ConsistencyFinding]:
         found = []
         for channel in (*REQUIRED_CHANNELS, "ax", "ay", "yaw"):
             if channel in self.k and channel not in self.derived:
                 values = self.k.columns[channel]
                 if np.nanmax(values) == np.nanmin(values):
                     found.append(
-                        Finding(
+                        ConsistencyFinding(
                             "constant",
                             channel,
                             f"{channel} never changes ({values[0]:g}): it is probably not measured. "
@@ -89,10 +89,10 @@ class Checks:
             return False
         return not self.usable("X", "Y") or _agreement(np.abs(vy), self.k.ground_speed()) > 0.8
 
-    def swap_finding(self) -> Finding:
+    def swap_finding(self) -> ConsistencyFinding:
         vx, vy = self.k.columns["vx"], self.k.columns["vy"]
         ratio = float(np.sqrt(np.nanmean(vy**2) / max(np.nanmean(vx**2), 1e-12)))
-        return Finding(
+        return ConsistencyFinding(
             "swapped",
             "vx",
             f"v_y is {ratio:.3g} times as large as v_x: the two look swapped. Exchange their sources in the map. "
@@ -233,7 +233,7 @@ class Checks:
         name = "T against the torque that dv_x/dt takes"
         self.relate(name, torque, sum(parts), {"T": 1, "vx": -1}, 0.5, corrected)
 
-    def straight_line(self) -> list[Finding]:
+    def straight_line(self) -> list[ConsistencyFinding]:
         """Look for v_y and a_y that are not zero where the car goes straight."""
         k = self.k
         if not self.usable("vx", "r"):
@@ -254,7 +254,7 @@ class Checks:
             tilt = np.degrees(np.arcsin(np.clip(bias / 9.80665, -1.0, 1.0)))
             if abs(bias) > 0.25 and abs(bias) > 4.0 * error:
                 found.append(
-                    Finding(
+                    ConsistencyFinding(
                         "bias on straights",
                         "ay",
                         f"a_y reads {bias:+.3f} +- {error:.3f} m/s^2 beyond v_x r on straights "
@@ -267,7 +267,7 @@ class Checks:
                 )
         return found
 
-    def _vy_on_straights(self, straight: np.ndarray, speed: float) -> list[Finding]:
+    def _vy_on_straights(self, straight: np.ndarray, speed: float) -> list[ConsistencyFinding]:
         # A hundredth of a radian of sideslip from rest of turning: v_y of a place at most 2 m from the CG.
         rest = self.k.signal("vy")[straight]
         bias, error = _median_of(rest)
@@ -275,7 +275,7 @@ class Checks:
             return []
         angle = np.degrees(bias / speed)
         return [
-            Finding(
+            ConsistencyFinding(
                 "bias on straights",
                 "vy",
                 f"v_y reads {bias:+.3f} +- {error:.3f} m/s on straights at a median {speed:.1f} m/s: an offset, "
@@ -340,7 +340,7 @@ class Checks:
                     Relation("v_y against the sideslip of the rear axle", {"vy": 1, "r": -1}, slope, _SIGN_ONLY)
                 )
 
-    def sideslip_place(self) -> list[Finding]:
+    def sideslip_place(self) -> list[ConsistencyFinding]:
         """Tell from v_y = p r - q v_x^2 r + b at which distance p ahead of the rear axle v_y is measured.
 
         The rear tyres need the slip m l_f v_x r/(L C_r), so q > 0; at the CG p is l_r.
@@ -356,13 +356,13 @@ class Checks:
             text = (
                 f"{where}, the CG is at {l_r:.2f} m: it is measured at the rear axle. Set `position: rear_axle`."
             )
-            return [Finding("place", "vy", text, float(p), float(p_error))]
+            return [ConsistencyFinding("place", "vy", text, float(p), float(p_error))]
         if q > 0.0 and p - 4.0 * p_error > 1.5 * l_r and abs(p - car.wheelbase) < 0.3 * car.wheelbase:
             text = f"{where}, the CG is at {l_r:.2f} m: it is near the front axle: `position: front_axle`."
-            return [Finding("place", "vy", text, float(p), float(p_error))]
+            return [ConsistencyFinding("place", "vy", text, float(p), float(p_error))]
         return []
 
-    def direction_of_travel(self) -> list[Finding]:
+    def direction_of_travel(self) -> list[ConsistencyFinding]:
         """Compare yaw with the direction in which X, Y moves."""
         if not self.usable("X", "Y", "yaw", "vx", "vy"):
             return []
@@ -385,7 +385,7 @@ class Checks:
             f"X, Y travels {np.degrees(centre):+.1f} deg off yaw (spread {np.degrees(spread):.1f} deg): yaw has "
             f"another zero than the map's X axis. Use `offset: {centre:.4f}` rad for yaw, or set `world:`."
         )
-        return [Finding("direction", "yaw", text, centre, spread)]
+        return [ConsistencyFinding("direction", "yaw", text, centre, spread)]
 
 
 def _scaled_parts(

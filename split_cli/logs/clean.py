@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.gather import Series
+from split_cli.logs.gather import RawSeries
 from split_cli.signals import CHANNELS
 
 __all__ = ["CleanSeries", "Drop", "clean_series", "join_clock_resets", "longest_repeat"]
@@ -59,8 +59,8 @@ class CleanSeries:
 
 
 def join_clock_resets(
-    series: Mapping[str, Sequence[Series]], largest_step_back: float
-) -> tuple[dict[str, tuple[Series, ...]], tuple[str, ...]]:
+    series: Mapping[str, Sequence[RawSeries]], largest_step_back: float
+) -> tuple[dict[str, tuple[RawSeries, ...]], tuple[str, ...]]:
     """Move what follows a backward clock jump behind what was before it, all channels by the same time.
 
     A few samples out of order are no jump: they are sorted later. A jump leaves at least `_RESET_WINDOW` samples
@@ -125,12 +125,12 @@ def _resets(time: np.ndarray, largest_step_back: float) -> list[int]:
         found.append(start)
 
 
-def clean_series(series: Series, *, despike: bool = True, held: bool = False) -> CleanSeries:
+def clean_series(series: RawSeries, *, despike: bool = True, held: bool = False) -> CleanSeries:
     """Drop impossible samples and duplicate times, sort, remove spikes and the repeats of a held sensor.
 
     Parameters
     ----------
-    series : Series
+    series : RawSeries
     despike : bool
         Drop isolated spikes instead of only counting them.
     held : bool

@@ -9,10 +9,10 @@ import numpy as np
 
 from split_cli.logs.checks import ACROSS, Checks, Unjudged
 from split_cli.logs.drive import Drive
-from split_cli.logs.explanations import Finding, Relation, explain
+from split_cli.logs.explanations import ConsistencyFinding, Relation, explain
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Consistency", "Finding", "Unjudged", "check_consistency"]
+__all__ = ["Consistency", "ConsistencyFinding", "Unjudged", "check_consistency"]
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Consistency:
 
     Attributes
     ----------
-    findings : tuple of Finding
+    findings : tuple of ConsistencyFinding
         What does not fit together; empty for a sound drive.
     relations : tuple of Relation
         Every relation measured, also those that hold.
@@ -32,7 +32,7 @@ class Consistency:
         Of the explanation, as a negative logarithm [1]; 0 where all holds.
     """
 
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[ConsistencyFinding, ...] = ()
     relations: tuple[Relation, ...] = ()
     unjudged: tuple[Unjudged, ...] = ()
     factors: Mapping[str, float] = field(default_factory=dict)
@@ -94,7 +94,7 @@ def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str,
     return Consistency(_with_compass(findings), relations, tuple(unjudged), factors, explanation.cost)
 
 
-def _after(finding: Finding, shared: Mapping[str, float]) -> Finding:
+def _after(finding: ConsistencyFinding, shared: Mapping[str, float]) -> ConsistencyFinding:
     """Say in a finding of the second look what was put right before it."""
     return replace(finding, text=f"with {' and '.join(shared)} put right, {finding.text}")
 
@@ -114,7 +114,7 @@ def _corrected(
     return made
 
 
-def _with_compass(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+def _with_compass(findings: Sequence[ConsistencyFinding]) -> tuple[ConsistencyFinding, ...]:
     """Make one finding of a yaw that turns the wrong way and starts at another zero: a compass does both."""
     turned = next((f for f in findings if f.channel == "yaw" and f.check in ("sign", "scale")), None)
     zero = next((f for f in findings if f.check == "direction"), None)

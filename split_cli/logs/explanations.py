@@ -11,7 +11,7 @@ from split_cli.logs.kinematics import Slope
 from split_cli.logs.mistakes import COMMON, Mistake, known_mistakes
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Explanation", "Finding", "Plausible", "Relation", "explain"]
+__all__ = ["ConsistencyFinding", "Explanation", "Plausible", "Relation", "explain"]
 
 _UNKNOWN = 8.0
 """Cost of a factor that no known mistake gives: dearer than one of unit and sign at the edge of the tolerance."""
@@ -32,7 +32,7 @@ _SHARED = ("vx", "r")
 
 
 @dataclass(frozen=True)
-class Finding:
+class ConsistencyFinding:
     """Something that does not fit together.
 
     Attributes
@@ -135,14 +135,14 @@ class Explanation:
 
     Attributes
     ----------
-    findings : tuple of Finding
+    findings : tuple of ConsistencyFinding
     factors : mapping of str to float
         Channel to the factor that is in it; only where one mistake is clearly the best.
     cost : float
         Of the best story, 0 where all relations hold [1].
     """
 
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[ConsistencyFinding, ...] = ()
     factors: Mapping[str, float] = field(default_factory=dict)
     cost: float = 0.0
 
@@ -338,7 +338,7 @@ def _misfit(relation: Relation, ratio: float, low: float, high: float, turned: b
 
 def _told(
     best: _Story, rivals: Sequence[_Story], relations: Sequence[Relation], beyond: Sequence[Plausible]
-) -> list[Finding]:
+) -> list[ConsistencyFinding]:
     """Put the best story into words, with its rivals."""
     broken = [relation for relation in relations if not relation.holds]
     others = [_in_words(story) for story in rivals]
@@ -356,7 +356,7 @@ def _told(
         if magnitude.cost(left_over) > 0.0:
             first = next(iter(magnitude.powers))
             text = f"{words}: check the unit of {' and '.join(magnitude.powers)}.{alternative}"
-            found.append(Finding("range", first, text, magnitude.value))
+            found.append(ConsistencyFinding("range", first, text, magnitude.value))
     return found
 
 
@@ -375,7 +375,7 @@ def _finding(
     alternative: str,
     rivals: Sequence[Mistake],
     reach: Sequence[str] = (),
-) -> Finding:
+) -> ConsistencyFinding:
     shown = [relation for relation in shown if mistake.channel in relation.powers] or list(shown)
     slopes = [
         f"{r.name}: slope {r.slope.slope:.4g} +- {r.slope.error:.1g}, correlation {r.slope.correlation:.3f}"
@@ -390,15 +390,15 @@ def _finding(
         text += f" Or it {'; or it '.join(rival.what for rival in rivals)}: nothing recorded decides."
     measured = shown[0].slope if shown else None
     if measured is None:
-        return Finding(check, channel, text + alternative)
-    return Finding(check, channel, text + alternative, measured.slope, measured.error)
+        return ConsistencyFinding(check, channel, text + alternative)
+    return ConsistencyFinding(check, channel, text + alternative, measured.slope, measured.error)
 
 
-def _unexplained(leaf: _Leaf, alternative: str) -> Finding:
+def _unexplained(leaf: _Leaf, alternative: str) -> ConsistencyFinding:
     relation, slope = leaf.relation, leaf.relation.slope
     moved = abs(leaf.left / slope.slope - 1.0) > 0.02
     corrected = f" ({leaf.left:.4g} with what else was found corrected)" if moved else ""
-    return Finding(
+    return ConsistencyFinding(
         "scale" if leaf.left > 0 else "sign",
         "X" if relation.leaf == "hand" else relation.leaf,
         f"{relation.name}: slope {slope.slope:.4g} +- {slope.error:.1g} where 1 was expected "

@@ -10,11 +10,11 @@ import numpy as np
 
 from split_cli.errors import LogError, MapError, nearest_names
 from split_cli.logs import transform
-from split_cli.logs.raw import Clock, RawSignal, Recording, time_column
-from split_cli.logs.signal_map import EXTRA_UNITS, ChannelMap, SignalMap, Source
+from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column
+from split_cli.logs.signal_map import EXTRA_UNITS, ChannelMap, SignalMap, SignalSource
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
-__all__ = ["Gathered", "Series", "expected_unit", "gather", "row_rate_from_yaw", "topic_of"]
+__all__ = ["Gathered", "RawSeries", "expected_unit", "gather", "row_rate_from_yaw", "topic_of"]
 
 _TIME_ADVICE = "Name the column as `time: {source: ..., unit: ...}`, or give `time: {period: SECONDS}`."
 _SUFFIXES = {
@@ -25,7 +25,7 @@ _SUFFIXES = {
 
 
 @dataclass(frozen=True)
-class Series:
+class RawSeries:
     """One source of one channel in SI, frame and sign converted, on its own clock.
 
     Attributes
@@ -54,7 +54,7 @@ class Gathered:
 
     Attributes
     ----------
-    series : mapping of str to tuple of Series
+    series : mapping of str to tuple of RawSeries
         Channel to its sources; their sum is the channel.
     maps : mapping of str to ChannelMap
         Of the channels found.
@@ -72,7 +72,7 @@ class Gathered:
         Optional channels whose sources do not exist.
     """
 
-    series: Mapping[str, tuple[Series, ...]]
+    series: Mapping[str, tuple[RawSeries, ...]]
     maps: Mapping[str, ChannelMap]
     origin: float
     clock: str
@@ -93,7 +93,7 @@ def expected_unit(channel: str) -> str | None:
 
 
 def gather(
-    recording: Recording,
+    recording: RawRecording,
     signal_map: SignalMap,
     *,
     clock: Clock | None = None,
@@ -104,7 +104,7 @@ def gather(
 
     Parameters
     ----------
-    recording : Recording
+    recording : RawRecording
     signal_map : SignalMap
     clock : str, optional
         ``header``, ``publish`` or ``log``; overrides the map's.
@@ -140,7 +140,7 @@ def gather(
     skipped += absent
     common, origin, words = _common_time(signals, time_column, signal_map, recording, notes)
     converter = _Converter(recording.name, signal_map, wheel_radius, notes)
-    series: dict[str, tuple[Series, ...]] = {}
+    series: dict[str, tuple[RawSeries, ...]] = {}
     maps: dict[str, ChannelMap] = {}
     for channel, names_of_sources in found.items():
         entry = signal_map.channel(channel)
@@ -154,8 +154,8 @@ def gather(
         if column not in clocks and column not in series:
             signal = signals[column]
             time = common if signal.time is None else signal.time
-            maps[column] = ChannelMap(column, (Source((column,), unit=signal.unit),), optional=True)
-            series[column] = (Series(column, column, time, signal.values),)
+            maps[column] = ChannelMap(column, (SignalSource((column,), unit=signal.unit),), optional=True)
+            series[column] = (RawSeries(column, column, time, signal.values),)
     if chosen or recording.clocks:
         words = f"{chosen or recording.clocks[0]} time of the messages"
     return Gathered(
@@ -242,7 +242,7 @@ class _Resolver:
         """Whether a name is listed; a list of a message whose length varies is listed by its first element."""
         return name in self.infos or re.sub(r"\[\d+\]", "[0]", name) in self.infos
 
-    def _expand(self, source: Source) -> list[str]:
+    def _expand(self, source: SignalSource) -> list[str]:
         suffixes = _SUFFIXES.get(source.convert, ())
         if len(source.names) == 1 and suffixes:
             base = source.names[0]
@@ -300,7 +300,7 @@ def _extra_columns(infos: Mapping, found: Mapping, signal_map: SignalMap) -> lis
     return [name for name in infos if name not in mapped and name not in taken]
 
 
-def _time_column(infos: Mapping, signal_map: SignalMap, recording: Recording) -> str | None:
+def _time_column(infos: Mapping, signal_map: SignalMap, recording: RawRecording) -> str | None:
     if recording.clocks and (signal_map.time.source or signal_map.time.period):
         key = "source" if signal_map.time.source else "period"
         raise MapError(
@@ -324,7 +324,7 @@ def _common_time(
     signals: Mapping[str, RawSignal],
     column: str | None,
     signal_map: SignalMap,
-    recording: Recording,
+    recording: RawRecording,
     notes: _Notes,
 ) -> tuple[np.ndarray | None, float, str]:
     """Return the clock that a table's columns share [s], what was subtracted, and the clock in words."""
@@ -410,7 +410,7 @@ class _Converter:
         self.wheel_radius = wheel_radius
         self.notes = notes
 
-    def _bend(self, channel: str, source: Source, name: str, values: np.ndarray) -> np.ndarray:
+    def _bend(self, channel: str, source: SignalSource, name: str, values: np.ndarray) -> np.ndarray:
         """Return values on the map's curve; missing where they lie beyond its ends by over a thousandth of it."""
         if not source.curve:
             return values
@@ -424,7 +424,9 @@ class _Converter:
         self.notes.conversions.append(told)
         return np.where(beyond | ~np.isfinite(values), np.nan, np.interp(values, at, value))
 
-    def convert(self, channel: str, source: Source, signals: list[RawSignal], common: np.ndarray | None) -> Series:
+    def convert(
+        self, channel: str, source: SignalSource, signals: list[RawSignal], common: np.ndarray | None
+    ) -> RawSeries:
         name = source.names[0] if len(source.names) == 1 else "+".join(source.names)
         values, unit = self._combine(channel, source, signals)
         bent = self._bend(channel, source, name, values * source.scale + source.offset)
@@ -440,9 +442,11 @@ class _Converter:
         recorded = signals[0].name
         if source.convert == "yaw_from_quaternion":
             recorded = recorded.rsplit(".", 1)[0]
-        return Series(channel, recorded, time, values, source.delay or 0.0)
+        return RawSeries(channel, recorded, time, values, source.delay or 0.0)
 
-    def _combine(self, channel: str, source: Source, signals: list[RawSignal]) -> tuple[np.ndarray, str | None]:
+    def _combine(
+        self, channel: str, source: SignalSource, signals: list[RawSignal]
+    ) -> tuple[np.ndarray, str | None]:
         columns = [signal.values for signal in signals]
         if source.convert == "yaw_from_quaternion":
             self.notes.conversions.append(f"{channel}: yaw from the quaternion {source.names[0]}")
@@ -462,7 +466,7 @@ class _Converter:
         return columns[0], signals[0].unit
 
     def _to_si(
-        self, channel: str, source: Source, values: np.ndarray, unit: str | None, written: str | None
+        self, channel: str, source: SignalSource, values: np.ndarray, unit: str | None, written: str | None
     ) -> np.ndarray:
         expected = expected_unit(channel)
         scaled = source.scale != 1.0 or bool(source.curve)
@@ -503,7 +507,7 @@ class _Converter:
             self.notes.conversions.append(f"{channel}: {found.symbol} to {found.si}")
         return convert_to_si(values, unit, where=self.where)
 
-    def _to_frame(self, channel: str, source: Source, values: np.ndarray) -> np.ndarray:
+    def _to_frame(self, channel: str, source: SignalSource, values: np.ndarray) -> np.ndarray:
         frame = source.frame or self.map.frame
         world = source.world or self.map.world
         if channel == "yaw" and world == "ned":

@@ -18,9 +18,9 @@ __all__ = [
     "Clock",
     "LazyTableRecording",
     "RawChannelInfo",
+    "RawRecording",
     "RawSignal",
     "ReadNote",
-    "Recording",
     "TableRecording",
     "column_name_and_unit",
     "nearest_column",
@@ -97,7 +97,7 @@ class RawSignal:
     unit: str | None = None
 
 
-class Recording(Protocol):
+class RawRecording(Protocol):
     """An opened log. Opening reads as little as the format allows.
 
     Attributes

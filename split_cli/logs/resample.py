@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 __all__ = [
-    "Grid",
     "Resampled",
+    "SampleClock",
     "is_sampled_and_held",
     "make_grid",
     "resample_continuous",
@@ -33,7 +33,7 @@ _ENOUGH_ROWS = 20000
 
 
 @dataclass(frozen=True)
-class Grid:
+class SampleClock:
     """The clock of a drive: rows at origin + index * period, in segments.
 
     Attributes
@@ -88,7 +88,7 @@ def runs_of(time: np.ndarray, gap: float, fewest: int = 4) -> list[tuple[int, in
 
 def make_grid(
     spans: Sequence[Sequence[tuple[float, float]]], period: float, *, fewest: int = 4
-) -> tuple[Grid, int]:
+) -> tuple[SampleClock, int]:
     """Lay a uniform clock over the times that every required signal covers.
 
     Parameters
@@ -102,7 +102,7 @@ def make_grid(
 
     Returns
     -------
-    grid : Grid
+    grid : SampleClock
         Its origin is the first time that all signals cover.
     left_out : int
         Rows of segments that were too short.
@@ -111,7 +111,7 @@ def make_grid(
     for other in spans[1:]:
         common = _intersect(common, list(other))
     if not common:
-        return Grid(0.0, period, np.empty(0, np.int64), np.empty(0, np.int32)), 0
+        return SampleClock(0.0, period, np.empty(0, np.int64), np.empty(0, np.int32)), 0
     origin = common[0][0]
     tolerance = 1e-6  # [rows]: a stretch that ends on a row keeps it in spite of rounding
     index, segment, left_out = [], [], 0
@@ -124,8 +124,8 @@ def make_grid(
         segment.append(np.full(last - first + 1, len(segment), dtype=np.int32))
         index.append(np.arange(first, last + 1, dtype=np.int64))
     if not index:
-        return Grid(origin, period, np.empty(0, np.int64), np.empty(0, np.int32)), left_out
-    return Grid(origin, period, np.concatenate(index), np.concatenate(segment)), left_out
+        return SampleClock(origin, period, np.empty(0, np.int64), np.empty(0, np.int32)), left_out
+    return SampleClock(origin, period, np.concatenate(index), np.concatenate(segment)), left_out
 
 
 def _intersect(one: list[tuple[float, float]], other: list[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -141,7 +141,7 @@ def _intersect(one: list[tuple[float, float]], other: list[tuple[float, float]])
     return result
 
 
-def resample_continuous(time: np.ndarray, values: np.ndarray, grid: Grid, *, gap: float) -> Resampled:
+def resample_continuous(time: np.ndarray, values: np.ndarray, grid: SampleClock, *, gap: float) -> Resampled:
     """Bring a continuous signal onto the drive's clock with zero phase.
 
     Parameters
@@ -150,7 +150,7 @@ def resample_continuous(time: np.ndarray, values: np.ndarray, grid: Grid, *, gap
         Strictly increasing; the clock may jitter.
     values : ndarray, shape (M,) or (M, C)
         One signal, or several that share the clock.
-    grid : Grid
+    grid : SampleClock
     gap : float
         Nothing is interpolated across a step longer than this [s].
 
@@ -190,7 +190,7 @@ def resample_continuous(time: np.ndarray, values: np.ndarray, grid: Grid, *, gap
     return Resampled(output, gain, autocorrelation, low_passed)
 
 
-def resample_held(time: np.ndarray, values: np.ndarray, grid: Grid, *, longest: float) -> np.ndarray:
+def resample_held(time: np.ndarray, values: np.ndarray, grid: SampleClock, *, longest: float) -> np.ndarray:
     """Return the last value at or before each row, shape (N,); NaN before the first and after `longest` [s]."""
     # Rows and samples of equal clocks differ by rounding: without the slack half of the rows would read the
     # sample before theirs.

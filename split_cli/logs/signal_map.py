@@ -19,7 +19,7 @@ __all__ = [
     "ChannelMap",
     "Position",
     "SignalMap",
-    "Source",
+    "SignalSource",
     "TimeBase",
     "map_from_mapping",
     "read_map",
@@ -69,7 +69,7 @@ class Position:
 
 
 @dataclass(frozen=True)
-class Source:
+class SignalSource:
     """One recorded signal and its way to SI: value = convert(curve(scale * raw + offset), unit).
 
     Attributes
@@ -109,7 +109,7 @@ class ChannelMap:
     Attributes
     ----------
     channel : str
-    sources : tuple of Source
+    sources : tuple of SignalSource
     position : Position or None
         Of the sensor, where it is off the CG.
     kind : str or None
@@ -121,7 +121,7 @@ class ChannelMap:
     """
 
     channel: str
-    sources: tuple[Source, ...]
+    sources: tuple[SignalSource, ...]
     position: Position | None = None
     kind: str | None = None
     resample: str | None = None
@@ -331,7 +331,7 @@ def _channel(name: str, entry: Any, kind: Any, where: str) -> ChannelMap:
     )
 
 
-def _source(entry: Mapping[str, Any], where: str) -> Source:
+def _source(entry: Mapping[str, Any], where: str) -> SignalSource:
     _check_keys(entry, _SOURCE_KEYS, where)
     names = entry.get("source")
     names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()
@@ -347,7 +347,7 @@ def _source(entry: Mapping[str, Any], where: str) -> Source:
     unit = entry.get("unit")
     if unit is not None and find_unit(str(unit)) is None:
         raise MapError(f"unknown unit {unit!r}", where=where, advice=nearest_names(str(unit), _unit_symbols()))
-    return Source(
+    return SignalSource(
         names=names,
         convert=convert,
         scale=_number(entry.get("scale", 1.0), where, "scale"),

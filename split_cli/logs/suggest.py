@@ -14,7 +14,7 @@ from split_cli.logs.draft import UNITS_OF, Draft, Suggestion, quoted, render_dra
 from split_cli.logs.fields import field_candidates
 from split_cli.logs.gather import expected_unit, row_rate_from_yaw
 from split_cli.logs.naming import is_command, meanings, spelled_without_unit, stated_unit
-from split_cli.logs.raw import RawChannelInfo, RawSignal, Recording, seconds_and_nanoseconds, time_column
+from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, seconds_and_nanoseconds, time_column
 from split_cli.logs.steering import read_steering
 from split_cli.logs.trial import Candidate, Trial, names_of
 from split_cli.logs.vocabulary import concepts_of, tokens_of
@@ -28,12 +28,12 @@ _HELPERS = ("latitude", "longitude", "wheel_torque", "course")
 """Meanings that make channels of the drive and are none."""
 
 
-def draft_map(recording: Recording, *, row_rate: float | None = None, vehicle: Vehicle | None = None) -> Draft:
+def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle: Vehicle | None = None) -> Draft:
     """Draft a map for a recording.
 
     Parameters
     ----------
-    recording : Recording
+    recording : RawRecording
     row_rate : float, optional
         Of a table without a column of time [Hz].
     vehicle : Vehicle, optional
@@ -75,7 +75,7 @@ def draft_map(recording: Recording, *, row_rate: float | None = None, vehicle: V
     return Draft(tuple([*suggestions, *dict.fromkeys(opened)]), line, unused, tuple(undefined))
 
 
-def suggest_map(recording: Recording, *, row_rate: float | None = None, vehicle: Vehicle | None = None) -> str:
+def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehicle: Vehicle | None = None) -> str:
     """Return a draft map as YAML text: each channel with its evidence, or commented out with its reason."""
     return render_draft(draft_map(recording, row_rate=row_rate, vehicle=vehicle), recording.name)
 
@@ -87,7 +87,7 @@ def _is_bare_topic(info: RawChannelInfo, infos: Sequence[RawChannelInfo]) -> boo
     )
 
 
-def _candidates(recording: Recording, infos: Sequence[RawChannelInfo]) -> list[Candidate]:
+def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> list[Candidate]:
     """Return what names and units suggest; a unit of another quantity rules a channel out."""
     time = None if recording.clocks else time_column(infos)
     found: list[Candidate] = []
@@ -143,7 +143,7 @@ def _fixes(found: Sequence[Candidate]) -> list[Candidate]:
     return made
 
 
-def _read(recording: Recording, candidates: Sequence[Candidate]) -> dict[str, RawSignal]:
+def _read(recording: RawRecording, candidates: Sequence[Candidate]) -> dict[str, RawSignal]:
     """Read what candidates need and what may be a clock; a signal that cannot be read is left out."""
     names = {name for c in candidates for name in names_of(c)}
     listed = recording.channels()
@@ -163,7 +163,7 @@ def _read(recording: Recording, candidates: Sequence[Candidate]) -> dict[str, Ra
 
 
 def _time(
-    recording: Recording,
+    recording: RawRecording,
     infos: Sequence[RawChannelInfo],
     signals: Mapping[str, RawSignal],
     candidates: Sequence[Candidate],

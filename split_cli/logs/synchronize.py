@@ -10,13 +10,13 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.clean import CleanSeries, clean_series
 from split_cli.logs.drive import NoiseEstimate
-from split_cli.logs.gather import Series
+from split_cli.logs.gather import RawSeries
 from split_cli.logs.noise import estimate_noise, sum_of_noise
 from split_cli.logs.quality import ChannelQuality, source_quality
 from split_cli.logs.resample import (
     HIGHEST_RATE,
-    Grid,
     Resampled,
+    SampleClock,
     is_sampled_and_held,
     make_grid,
     resample_continuous,
@@ -71,7 +71,7 @@ class Channels:
 
 
 def clean_channels(
-    series: Mapping[str, Sequence[Series]],
+    series: Mapping[str, Sequence[RawSeries]],
     maps: Mapping[str, ChannelMap],
     needed: Sequence[str],
     *,
@@ -128,7 +128,7 @@ def _mode(channel: str, entry: ChannelMap, part: CleanSeries) -> str:
     return CHANNELS[channel].kind
 
 
-def lay_grid(channels: Channels, rate: float | None, where: str) -> tuple[Grid, int]:
+def lay_grid(channels: Channels, rate: float | None, where: str) -> tuple[SampleClock, int]:
     """Return the drive's clock over what all needed channels cover, and the rows of stretches too short to keep.
 
     Parameters
@@ -203,7 +203,7 @@ def _coverage(channels: Channels) -> str:
     return "; ".join(f"{p.channel}: {p.time[0]:.2f} to {p.time[-1]:.2f} s, {1.0 / p.period:.3g} Hz" for p in parts)
 
 
-def resample_channels(channels: Channels, grid: Grid) -> dict[tuple[str, int], Resampled]:
+def resample_channels(channels: Channels, grid: SampleClock) -> dict[tuple[str, int], Resampled]:
     """Bring every source onto the drive's clock; sources that share a clock share the work."""
     results: dict[tuple[str, int], Resampled] = {}
     together: list[tuple[CleanSeries, float, list[tuple[str, int]]]] = []
@@ -264,8 +264,8 @@ def judge_sources(
 
 
 def without_missing(
-    grid: Grid, columns: dict[str, np.ndarray], needed: Sequence[str]
-) -> tuple[Grid, dict[str, np.ndarray], int]:
+    grid: SampleClock, columns: dict[str, np.ndarray], needed: Sequence[str]
+) -> tuple[SampleClock, dict[str, np.ndarray], int]:
     """Leave out rows where a required channel is missing, and number segments anew."""
     present = np.all([np.isfinite(columns[channel]) for channel in needed], axis=0)
     if present.all():
@@ -281,7 +281,7 @@ def without_missing(
     broken = np.diff(rows, prepend=rows[0] - 1) != 1
     changed = np.diff(grid.segment[rows], prepend=grid.segment[rows[0]]) != 0
     segment = np.cumsum(broken | changed).astype(np.int32)
-    kept = Grid(grid.origin, grid.period, grid.index[rows], segment)
+    kept = SampleClock(grid.origin, grid.period, grid.index[rows], segment)
     return kept, {name: values[rows] for name, values in columns.items()}, len(present) - len(rows)
 
 

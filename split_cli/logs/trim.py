@@ -8,23 +8,23 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.errors import MapError
-from split_cli.logs.gather import Series
+from split_cli.logs.gather import RawSeries
 
 __all__ = ["trim"]
 
 
 def trim(
-    series: Mapping[str, Sequence[Series]],
+    series: Mapping[str, Sequence[RawSeries]],
     start: float | None,
     end: float | None,
     cuts: Sequence[tuple[float, float]],
     gap: float,
-) -> tuple[dict[str, tuple[Series, ...]], tuple[str, ...]]:
+) -> tuple[dict[str, tuple[RawSeries, ...]], tuple[str, ...]]:
     """Leave out what is before `start`, after `end` and inside `cuts`, of all channels alike.
 
     Parameters
     ----------
-    series : mapping of str to sequence of Series
+    series : mapping of str to sequence of RawSeries
     start, end : float or None
         From the recording's first sample [s].
     cuts : sequence of (float, float)
@@ -34,7 +34,7 @@ def trim(
 
     Returns
     -------
-    series, told : dict of str to tuple of Series, tuple of str
+    series, told : dict of str to tuple of RawSeries, tuple of str
         What was left out, in words.
 
     Raises
@@ -57,7 +57,7 @@ def trim(
             )
     every = [part for parts in series.values() for part in parts]
     zero = min(float(np.nanmin(part.time)) for part in every if np.isfinite(part.time).any())
-    made: dict[str, tuple[Series, ...]] = {}
+    made: dict[str, tuple[RawSeries, ...]] = {}
     for channel, parts in series.items():
         kept = []
         for part in parts:

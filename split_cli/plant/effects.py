@@ -14,7 +14,7 @@ from split_cli.plant.road import Road
 from split_cli.plant.sensors import SensorSpec
 from split_cli.plant.tire import TireParameters
 
-__all__ = ["EFFECTS", "Effect", "EffectKind", "Limits", "Setting", "apply_effects", "parse_effect"]
+__all__ = ["EFFECTS", "Bounds", "Effect", "EffectKind", "Setting", "apply_effects", "parse_effect"]
 
 _PLACES = 512
 
@@ -41,7 +41,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Limits:
+class Bounds:
     """Unit and range of a parameter; `default` is taken when it is left out, None makes it required."""
 
     unit: str
@@ -58,13 +58,13 @@ class EffectKind:
     ----------
     about : str
         What the car, road or sensors then have.
-    parameters : mapping of str to Limits
+    parameters : mapping of str to Bounds
     apply : callable
         (setting, values) -> setting with the effect.
     """
 
     about: str
-    parameters: Mapping[str, Limits]
+    parameters: Mapping[str, Bounds]
     apply: Callable[[Setting, Mapping[str, float]], Setting]
 
 
@@ -241,19 +241,23 @@ def _rolling(tire: TireParameters, car: CarParameters, v: Mapping[str, float], a
     return replace(tire, rolling_resistance=tire.rolling_resistance + v["force"] / (car.mass * GRAVITY))
 
 
-def _scale(lower: float = 0.2, upper: float = 3.0) -> Limits:
-    return Limits("", lower, upper)
+def _scale(lower: float = 0.2, upper: float = 3.0) -> Bounds:
+    return Bounds("", lower, upper)
 
 
-_DELAY = {"delay": Limits("s", 0.0, 0.5)}
+_DELAY = {"delay": Bounds("s", 0.0, 0.5)}
 # The plant's own step is 1 ms; a shorter time constant would make it stiff.
-_LAG = {"tau": Limits("s", 0.002, 1.0)}
-_WAVE = {"amplitude": Limits("rad", -0.3, 0.3), "waves": Limits("", 1, 8, 1.0), "phase": Limits("rad", -7, 7, 0.0)}
-_PLACE = {"s_start": Limits("m", 0.0, 1e5), "s_end": Limits("m", 0.0, 1e5)}
+_LAG = {"tau": Bounds("s", 0.002, 1.0)}
+_WAVE = {
+    "amplitude": Bounds("rad", -0.3, 0.3),
+    "waves": Bounds("", 1, 8, 1.0),
+    "phase": Bounds("rad", -7, 7, 0.0),
+}
+_PLACE = {"s_start": Bounds("m", 0.0, 1e5), "s_end": Bounds("m", 0.0, 1e5)}
 
 EFFECTS: dict[str, EffectKind] = {
     "steer_offset": EffectKind(
-        "the road wheels' zero is off", {"offset": Limits("rad", -0.1, 0.1)},
+        "the road wheels' zero is off", {"offset": Bounds("rad", -0.1, 0.1)},
         _car(steer_offset=lambda car, v: car.steer_offset + v["offset"]),
     ),
     "steer_gain": EffectKind(
@@ -268,12 +272,12 @@ EFFECTS: dict[str, EffectKind] = {
         _car(steer_lag=lambda car, v: v["tau"]),
     ),
     "steer_backlash": EffectKind(
-        "total play of the steering", {"width": Limits("rad", 0.0, 0.2)},
+        "total play of the steering", {"width": Bounds("rad", 0.0, 0.2)},
         _car(steer_backlash=lambda car, v: v["width"]),
     ),
     "drive_gain": EffectKind(
         "driving and braking torque arrive scaled",
-        {"drive_gain": Limits("", 0.1, 2.0, 1.0), "brake_gain": Limits("", 0.1, 2.0, 1.0)},
+        {"drive_gain": Bounds("", 0.1, 2.0, 1.0), "brake_gain": Bounds("", 0.1, 2.0, 1.0)},
         _car(
             drive_gain=lambda car, v: car.drive_gain * v["drive_gain"],
             brake_gain=lambda car, v: car.brake_gain * v["brake_gain"],
@@ -295,47 +299,47 @@ EFFECTS: dict[str, EffectKind] = {
         _car(yaw_inertia=lambda car, v: car.yaw_inertia * v["scale"]),
     ),
     "cg_shift": EffectKind(
-        "the CG lies further forward", {"dx": Limits("m", -1.0, 1.0)},
+        "the CG lies further forward", {"dx": Bounds("m", -1.0, 1.0)},
         _car(
             cg_to_front_axle=lambda car, v: car.cg_to_front_axle - v["dx"],
             cg_to_rear_axle=lambda car, v: car.cg_to_rear_axle + v["dx"],
         ),
     ),
     "load_transfer": EffectKind(
-        "the CG's height, instead of the car's own", {"cg_height": Limits("m", 0.0, 1.5)},
+        "the CG's height, instead of the car's own", {"cg_height": Bounds("m", 0.0, 1.5)},
         _car(cg_height=lambda car, v: v["cg_height"]),
     ),
     "aero_drag": EffectKind(
-        "added drag", {"drag": Limits("N/(m/s)^2", -2.0, 10.0)},
+        "added drag", {"drag": Bounds("N/(m/s)^2", -2.0, 10.0)},
         _car(drag_area=lambda car, v: max(car.drag_area + 2.0 * v["drag"] / car.air_density, 0.0)),
     ),
     "aero_downforce": EffectKind(
         "added load on the axles",
-        {"front": Limits("N/(m/s)^2", -2.0, 10.0), "rear": Limits("N/(m/s)^2", -2.0, 10.0)},
+        {"front": Bounds("N/(m/s)^2", -2.0, 10.0), "rear": Bounds("N/(m/s)^2", -2.0, 10.0)},
         _car(
             downforce_area_front=lambda car, v: car.downforce_area_front + 2.0 * v["front"] / car.air_density,
             downforce_area_rear=lambda car, v: car.downforce_area_rear + 2.0 * v["rear"] / car.air_density,
         ),
     ),
     "yaw_moment_differential": EffectKind(
-        "viscous torque between the rear wheels", {"locking": Limits("N m s/rad", 0.0, 1e5)},
+        "viscous torque between the rear wheels", {"locking": Bounds("N m s/rad", 0.0, 1e5)},
         _car(differential_locking_rear=lambda car, v: v["locking"]),
     ),
     "rolling_resistance": EffectKind(
-        "added rolling resistance", {"force": Limits("N", -1e3, 1e4)}, _tires(_rolling),
+        "added rolling resistance", {"force": Bounds("N", -1e3, 1e4)}, _tires(_rolling),
     ),
     "tire_stiffness": EffectKind(
         "cornering stiffness of the axles",
-        {"front_scale": Limits("", 0.3, 3.0, 1.0), "rear_scale": Limits("", 0.3, 3.0, 1.0)}, _tires(_stiff),
+        {"front_scale": Bounds("", 0.3, 3.0, 1.0), "rear_scale": Bounds("", 0.3, 3.0, 1.0)}, _tires(_stiff),
     ),
     "tire_relaxation": EffectKind(
         "distance over which lateral force builds up, instead of the tyre's own",
-        {"length": Limits("m", 0.002, 5.0)},
+        {"length": Bounds("m", 0.002, 5.0)},
         _tires(lambda tire, car, v, axle: replace(tire, relaxation_lateral=v["length"])),
     ),
     "combined_slip": EffectKind(
         "how much longitudinal and lateral force take from each other, 1 in a sound tyre",
-        {"strength": Limits("", 0.0, 1.0)},
+        {"strength": Bounds("", 0.0, 1.0)},
         _tires(lambda tire, car, v, axle: replace(tire, combined_slip=v["strength"])),
     ),
     "friction_scale": EffectKind("grip of the whole road", {"scale": _scale(0.2, 1.5)}, _grip),
@@ -343,28 +347,28 @@ EFFECTS: dict[str, EffectKind] = {
         "grip between two places of the centreline", {"scale": _scale(0.2, 1.5), **_PLACE}, _patch,
     ),
     "grip_fade": EffectKind(
-        "grip that drifts with time", {"final_loss": Limits("", -0.5, 0.8), "tau": Limits("s", 1.0, 1e4)}, _fade,
+        "grip that drifts with time", {"final_loss": Bounds("", -0.5, 0.8), "tau": Bounds("s", 1.0, 1e4)}, _fade,
     ),
     "road_grade": EffectKind("waves a lap of grade, uphill positive", _WAVE, _incline("grade")),
     "road_bank": EffectKind("waves a lap of bank, left side higher positive", _WAVE, _incline("bank")),
     "wind": EffectKind(
-        "air that moves over the ground", {"wx": Limits("m/s", -40, 40), "wy": Limits("m/s", -40, 40)}, _wind,
+        "air that moves over the ground", {"wx": Bounds("m/s", -40, 40), "wy": Bounds("m/s", -40, 40)}, _wind,
     ),
     "sensor_delay": EffectKind("every measured channel is late", _DELAY, _late),
     "sensor_misalignment": EffectKind(
-        "the velocity sensor is turned counter-clockwise", {"angle": Limits("rad", -0.3, 0.3)}, _turned,
+        "the velocity sensor is turned counter-clockwise", {"angle": Bounds("rad", -0.3, 0.3)}, _turned,
     ),
     "torque_bend": EffectKind(
         "not in the catalogue: driving torque T arrives as T (1 - bend T/T_max)",
-        {"bend": Limits("", 0.0, 0.95)}, _fault(torque_bend=lambda car, v: v["bend"]),
+        {"bend": Bounds("", 0.0, 0.95)}, _fault(torque_bend=lambda car, v: v["bend"]),
     ),
     "torque_steer": EffectKind(
         "not in the catalogue: full driving torque turns the front wheels by this angle",
-        {"angle": Limits("rad", -0.2, 0.2)}, _fault(torque_steer=lambda car, v: v["angle"]),
+        {"angle": Bounds("rad", -0.2, 0.2)}, _fault(torque_steer=lambda car, v: v["angle"]),
     ),
     "brake_fade": EffectKind(
         "not in the catalogue: brakes that lose this share of their torque when hot",
-        {"loss": Limits("", 0.0, 0.95)},
+        {"loss": Bounds("", 0.0, 0.95)},
         _fault(
             brake_fade=lambda car, v: v["loss"],
             # About the energy of one stop from 18 m/s.

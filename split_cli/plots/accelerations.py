@@ -9,7 +9,7 @@ from split_cli.learning.features import flow_along
 from split_cli.learning.labels import Reason
 from split_cli.logs.drive import Drive
 from split_cli.plots.style import PALETTE, new_figure, quiet
-from split_cli.scoring.evaluation import HeldOut
+from split_cli.scoring.evaluation import HeldOutSamples
 from split_cli.scoring.run import EvaluationRun
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -68,7 +68,7 @@ def draw_accelerations(run: EvaluationRun) -> Figure:
     return figure
 
 
-def _at_labels(vehicle: Vehicle, held: HeldOut) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+def _at_labels(vehicle: Vehicle, held: HeldOutSamples) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
     along, across, recorded = specific_forces(vehicle, held.drive)
     rows = held.labels.row
     return across[rows], along[rows], held.labels.reason, recorded

@@ -15,7 +15,7 @@ from split_cli.learning.region import valid_cells
 from split_cli.learning.training_set import TrainingSet
 from split_cli.plots.style import EMPTY, LABEL_UNITS, STATES, new_figure
 from split_cli.prediction.full import FullPredictor
-from split_cli.scoring.evaluation import HeldOut
+from split_cli.scoring.evaluation import HeldOutSamples
 
 __all__ = ["CellMap", "coverage_maps", "draw_coverage", "draw_labels", "label_maps"]
 
@@ -98,7 +98,7 @@ def draw_coverage(trained: TrainingSet) -> Figure:
 
 
 def label_maps(
-    trained: TrainingSet, drives: Sequence[HeldOut], output: int
+    trained: TrainingSet, drives: Sequence[HeldOutSamples], output: int
 ) -> tuple[list[CellMap], list[CellMap]]:
     """Return slices with the mean of the labels in each cell, and with the dense process' mean at its centre.
 
@@ -136,7 +136,7 @@ def label_maps(
     return labels, learned
 
 
-def draw_labels(trained: TrainingSet, drives: Sequence[HeldOut], output: int) -> Figure:
+def draw_labels(trained: TrainingSet, drives: Sequence[HeldOutSamples], output: int) -> Figure:
     """Draw the mean label of each cell above the learned mean, for one state."""
     labels, learned = label_maps(trained, drives, output)
     figure = new_figure(5.9)

@@ -29,11 +29,11 @@ from split_cli.proof.truth import (
     severity,
 )
 from split_cli.proof.windows import window_errors
-from split_cli.proof.world import Trip, World, drive, effect_error
+from split_cli.proof.world import ProofWorld, Trip, drive, effect_error
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Answer", "Case", "Effect", "build_case"]
+__all__ = ["Answer", "Case", "ConcealedEffect", "build_case"]
 
 _LAP_LENGTH = {"road_car": 1050.0, "f1tenth_car": 55.0, "formula_car": 620.0}
 _CARS_OF_A_SEED = 12
@@ -46,7 +46,7 @@ _BARE_ENOUGH = 0.08
 
 
 @dataclass(frozen=True)
-class Effect:
+class ConcealedEffect:
     """One concealed effect.
 
     Attributes
@@ -86,7 +86,7 @@ class Answer:
     ----------
     number : int
     kind, tier : str
-    effects : tuple of Effect
+    effects : tuple of ConcealedEffect
     car, base : str
         The plant's car, and ``bare`` or ``rich``.
     simulation : str
@@ -107,7 +107,7 @@ class Answer:
     number: int
     kind: str
     tier: str
-    effects: tuple[Effect, ...]
+    effects: tuple[ConcealedEffect, ...]
     car: str
     base: str
     simulation: str
@@ -185,7 +185,7 @@ class _Setting:
     source: CarOfProof
     base: str
     simulation: str
-    without: World
+    without: ProofWorld
     concealed: tuple[Concealed, ...]
     trips: tuple[Trip, Trip, Trip]
     base_severity: float
@@ -202,7 +202,7 @@ def _setting(plan: CasePlan, rng: np.random.Generator) -> _Setting:
     length = _LAP_LENGTH[name] * rng.uniform(0.8, 1.3)
     believed = replace(source.car, steer_rate=CARS[name].steer_rate, torque_rate=CARS[name].torque_rate)
     track = random_track(rng, length, length / 2400, 4.0 * source.car.wheelbase / 2.7)
-    without = World(source.car, track, believed)
+    without = ProofWorld(source.car, track, believed)
     concealed = tuple(_draw(plan, term, rng, without) for term in plan.terms)
     for effect in concealed:
         without = effect.neutral(without)
@@ -253,7 +253,7 @@ def _require_named(heldout: ExactDrive, removed: float, source: CarOfProof) -> N
         raise Unreachable(f"the true terms leave a severity of {left:.3g} of {there:.3g}")
 
 
-def _draw(plan: CasePlan, term: str, rng: np.random.Generator, world: World) -> Concealed:
+def _draw(plan: CasePlan, term: str, rng: np.random.Generator, world: ProofWorld) -> Concealed:
     return draw_strange(term, rng, world) if plan.kind == "strange" else draw_effect(term, rng, world)
 
 
@@ -262,7 +262,7 @@ def _trip(rng: np.random.Generator, seconds: float) -> Trip:
     return Trip(style, rng.uniform(0.55, 0.8), seconds, int(rng.integers(2**31)))
 
 
-def _base_severity(without: World, trip: Trip, source: CarOfProof) -> float:
+def _base_severity(without: ProofWorld, trip: Trip, source: CarOfProof) -> float:
     run = drive(without, trip, duration=_SEARCH_SECONDS, sample_period=1e-2)
     nothing = np.zeros((0, 3))
     columns = exact_drive(run, source.alignment, without.sensor, nothing).columns
@@ -270,7 +270,12 @@ def _base_severity(without: World, trip: Trip, source: CarOfProof) -> float:
 
 
 def _sized(
-    effect: Concealed, without: World, trip: Trip, plan: CasePlan, rng: np.random.Generator, source: CarOfProof
+    effect: Concealed,
+    without: ProofWorld,
+    trip: Trip,
+    plan: CasePlan,
+    rng: np.random.Generator,
+    source: CarOfProof,
 ) -> tuple[float, float]:
     """Return the size of an effect with a severity drawn for the plan, and that severity."""
 
@@ -288,18 +293,20 @@ def _sized(
     return float(found.size), found.severity
 
 
-def _beyond(run: Trajectory, world: World, error: np.ndarray, source: CarOfProof):
+def _beyond(run: Trajectory, world: ProofWorld, error: np.ndarray, source: CarOfProof):
     """Return what the two best terms of the catalogue leave of an error, and their names."""
     columns = exact_drive(run, source.alignment, world.sensor, error).columns
     return beyond_catalogue(error, columns, source.vehicle, run.lap_length, source.noise)
 
 
-def _exact(world: World, without: World, trip: Trip, source: CarOfProof) -> ExactDrive:
+def _exact(world: ProofWorld, without: ProofWorld, trip: Trip, source: CarOfProof) -> ExactDrive:
     run = drive(world, trip)
     return exact_drive(run, source.alignment, world.sensor, effect_error(run, world, without))
 
 
-def _told(effects, world, without, trips, source, plan) -> tuple[tuple[Effect, ...], ExactDrive | None, float]:
+def _told(
+    effects, world, without, trips, source, plan
+) -> tuple[tuple[ConcealedEffect, ...], ExactDrive | None, float]:
     """Return the effects as told in the answer, the held-out drive and what the true terms remove of its gap."""
     if not effects:
         return (), None, 0.0
@@ -312,7 +319,7 @@ def _told(effects, world, without, trips, source, plan) -> tuple[tuple[Effect, .
         beyond = severity(left, source.noise)
         ((effect, (size, found)),) = effects
         total = severity(heldout.error, source.noise)
-        return (Effect(effect.term, size, total, beyond=beyond, absorbed_by=names),), heldout, 0.0
+        return (ConcealedEffect(effect.term, size, total, beyond=beyond, absorbed_by=names),), heldout, 0.0
     told, terms = [], []
     for effect, (size, found) in effects:
         alone = heldout
@@ -320,13 +327,13 @@ def _told(effects, world, without, trips, source, plan) -> tuple[tuple[Effect, .
             alone = _exact(effect.apply(without, size), without, replace(trips[2], duration=60.0), source)
         parameters, variant, removed = _parameters(effect, without, size, alone, source)
         scored = tuple(name for name in parameters if name not in effect.shape)
-        told.append(Effect(effect.term, size, found, parameters, scored, variant, removed))
+        told.append(ConcealedEffect(effect.term, size, found, parameters, scored, variant, removed))
         terms.append(CATALOGUE[effect.term](parameters, variant))
     return tuple(told), heldout, removed_share(heldout, source.vehicle, terms, source.noise)
 
 
 def _parameters(
-    effect: Concealed, without: World, size: float, exact: ExactDrive, source: CarOfProof
+    effect: Concealed, without: ProofWorld, size: float, exact: ExactDrive, source: CarOfProof
 ) -> tuple[dict[str, float], str, float]:
     """Return parameters, variant and removed share of the variant that says the effect best."""
     known = {name: float(value) for name, value in effect.known(without, size).items()}

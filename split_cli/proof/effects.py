@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.tire import TireParameters
-from split_cli.proof.world import World, road_of
+from split_cli.proof.world import ProofWorld, road_of
 
 __all__ = ["EFFECTS", "Concealed", "draw_effect"]
 
@@ -43,21 +43,21 @@ class Concealed:
     """
 
     term: str
-    apply: Callable[[World, float], World]
+    apply: Callable[[ProofWorld, float], ProofWorld]
     start: float
     most: float
-    known: Callable[[World, float], Mapping[str, float]] = lambda world, size: {}
-    neutral: Callable[[World], World] = lambda world: world
+    known: Callable[[ProofWorld, float], Mapping[str, float]] = lambda world, size: {}
+    neutral: Callable[[ProofWorld], ProofWorld] = lambda world: world
     shape: Mapping[str, float] = field(default_factory=dict)
     variant: str = ""
     bare_too: bool = True
 
 
-def _car(world: World, **changes: float) -> World:
+def _car(world: ProofWorld, **changes: float) -> ProofWorld:
     return replace(world, car=replace(world.car, **changes))
 
 
-def _tires(world: World, change: Callable[[TireParameters], TireParameters]) -> World:
+def _tires(world: ProofWorld, change: Callable[[TireParameters], TireParameters]) -> ProofWorld:
     return _car(world, front_tire=change(world.car.front_tire), rear_tire=change(world.car.rear_tire))
 
 
@@ -65,7 +65,7 @@ def _pace(car: CarParameters) -> float:
     return float(np.sqrt(car.wheelbase / 2.7))
 
 
-def _along(world: World) -> np.ndarray:
+def _along(world: ProofWorld) -> np.ndarray:
     return np.arange(_PLACES) * world.track.length / _PLACES
 
 
@@ -90,7 +90,7 @@ def _friction_scale(rng, world):
     )  # fmt: skip
 
 
-def _stretch(rng, world: World, least: float, most: float) -> tuple[float, float]:
+def _stretch(rng, world: ProofWorld, least: float, most: float) -> tuple[float, float]:
     """Return start and end of a stretch about one of the track's sharper bends [m]."""
     track = world.track
     bend = np.abs(track.curvature)
@@ -102,7 +102,7 @@ def _stretch(rng, world: World, least: float, most: float) -> tuple[float, float
     return start, start + length
 
 
-def _inside(world: World, start: float, end: float) -> np.ndarray:
+def _inside(world: ProofWorld, start: float, end: float) -> np.ndarray:
     s = _along(world)
     edge = 0.003 * world.track.length
     return np.clip((s - start) / edge, 0.0, 1.0) * np.clip((end - s) / edge, 0.0, 1.0)
@@ -192,7 +192,7 @@ def _aero_drag(rng, world):
     )  # fmt: skip
 
 
-def _profile(rng, world: World) -> tuple[str, np.ndarray, dict[str, float]]:
+def _profile(rng, world: ProofWorld) -> tuple[str, np.ndarray, dict[str, float]]:
     """Return variant, shape (512,) along the lap with greatest value 1, and the parameters that are given."""
     if rng.random() < 0.5:
         waves, phase = int(rng.integers(1, 4)), rng.uniform(0.0, 2.0 * np.pi)
@@ -353,7 +353,7 @@ def _cg_shift(rng, world):
     return Concealed("cg_shift", shift, 0.03 * length, 0.15 * length, known=lambda w, size: {"dx": sign * size})
 
 
-def _sensor(world: World, **changes: float) -> World:
+def _sensor(world: ProofWorld, **changes: float) -> ProofWorld:
     return replace(world, sensor=replace(world.sensor, **changes))
 
 
@@ -379,7 +379,7 @@ def _sensor_delay(rng, world):
     )
 
 
-EFFECTS: dict[str, Callable[[np.random.Generator, World], Concealed]] = {
+EFFECTS: dict[str, Callable[[np.random.Generator, ProofWorld], Concealed]] = {
     "combined_slip": _combined_slip,
     "friction_scale": _friction_scale,
     "friction_patch": _friction_patch,
@@ -412,6 +412,6 @@ EFFECTS: dict[str, Callable[[np.random.Generator, World], Concealed]] = {
 """By id of the catalogue."""
 
 
-def draw_effect(term: str, rng: np.random.Generator, world: World) -> Concealed:
+def draw_effect(term: str, rng: np.random.Generator, world: ProofWorld) -> Concealed:
     """Return the effect of a catalogue id, its shape drawn for a world."""
     return EFFECTS[term](rng, world)

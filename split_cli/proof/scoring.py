@@ -16,7 +16,7 @@ from split_cli.proof.truth import ExactDrive, removed_share
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["CaseScore", "Score", "found_terms_removed", "named_from", "score_case", "summarise", "words_of"]
+__all__ = ["CaseScore", "CaseSetScore", "found_terms_removed", "named_from", "score_case", "summarise", "words_of"]
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def _on_the_centreline(values: dict[str, float], answer: Answer) -> dict[str, fl
 
 
 @dataclass(frozen=True)
-class Score:
+class CaseSetScore:
     """The score of a set of cases.
 
     Attributes
@@ -144,7 +144,7 @@ class Score:
     memory_most: float = 0.0
 
 
-def summarise(scores: Sequence[CaseScore]) -> Score:
+def summarise(scores: Sequence[CaseScore]) -> CaseSetScore:
     """Return rates, targets and confusions of scored cases."""
     names = sorted({score.group for score in scores}, key=_group_order)
     groups = tuple(
@@ -159,7 +159,7 @@ def summarise(scores: Sequence[CaseScore]) -> Score:
     ratios = [score.removed for score in scores if score.removed is not None]
     coverage = rate_of([inside for _, inside in covered])
     median = float(np.median(ratios)) if ratios else None
-    return Score(
+    return CaseSetScore(
         groups=groups,
         targets=_targets(scores, coverage, median),
         confusion=_confusion(scores),

@@ -14,7 +14,7 @@ import numpy as np
 
 from split_cli.logs.drive import Drive, DriveMetadata
 from split_cli.logs.noise import estimate_noise
-from split_cli.proof.cases import Answer, Case, Effect
+from split_cli.proof.cases import Answer, Case, ConcealedEffect
 from split_cli.proof.nominal_terms import NOMINAL_TERMS
 from split_cli.proof.plan import CasePlan
 from split_cli.proof.recordings import RATE
@@ -55,7 +55,7 @@ def build_nominal_set(plan: CasePlan) -> Case:
     if rng.random() < 0.5:
         sim = _recorded(scripted_drive(vehicle, (), seed + 1), "sim", 0.0 * noise, rng)
     effects = tuple(
-        Effect(term.id, found, found, dict(term.parameters), tuple(term.parameters), term.variant, 1.0)
+        ConcealedEffect(term.id, found, found, dict(term.parameters), tuple(term.parameters), term.variant, 1.0)
         for term, found in sizes.values()
     )
     answer = Answer(

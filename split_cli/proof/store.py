@@ -19,7 +19,7 @@ from split_cli import __version__
 from split_cli.errors import SplitError
 from split_cli.files import atomic_directory, atomic_path, atomic_write_text, sha256_of_file
 from split_cli.logs.drive import write_drive
-from split_cli.proof.cases import Answer, Case, Effect
+from split_cli.proof.cases import Answer, Case, ConcealedEffect
 from split_cli.proof.truth import ExactDrive
 from split_cli.vehicle.parameters import write_vehicle
 
@@ -159,7 +159,7 @@ def read_answer(root: Path, name: str) -> Answer:
     """Return the answer of a case."""
     told = json.loads((root / "sealed" / f"{name}.json").read_text())
     effects = tuple(
-        Effect(**{**e, "scored": tuple(e["scored"]), "absorbed_by": tuple(e["absorbed_by"])})
+        ConcealedEffect(**{**e, "scored": tuple(e["scored"]), "absorbed_by": tuple(e["absorbed_by"])})
         for e in told.pop("effects")
     )
     return Answer(effects=effects, **told)

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.proof.effects import Concealed
-from split_cli.proof.world import World
+from split_cli.proof.world import ProofWorld
 
 __all__ = ["STRANGE", "draw_strange"]
 
 
-def _fault(world: World, **changes: float) -> World:
+def _fault(world: ProofWorld, **changes: float) -> ProofWorld:
     return replace(world, faults=replace(world.faults, active=True, **changes))
 
 
@@ -156,7 +156,7 @@ def _speed_gain(rng, world):
     )
 
 
-STRANGE: dict[str, Callable[[np.random.Generator, World], Concealed]] = {
+STRANGE: dict[str, Callable[[np.random.Generator, ProofWorld], Concealed]] = {
     "damaged_tire": _damaged_tire,
     "torque_bend": _torque_bend,
     "ripple": _ripple,
@@ -179,6 +179,6 @@ NAMED_SINCE = {"gyro_late": "channel_delay", "speed_gain": "speed_scale"}
 """Kinds drawn as strangers, so that cases stay what they were, that the catalogue has a name for by now."""
 
 
-def draw_strange(kind: str, rng: np.random.Generator, world: World) -> Concealed:
+def draw_strange(kind: str, rng: np.random.Generator, world: ProofWorld) -> Concealed:
     """Return an effect outside the catalogue, its shape drawn for a world."""
     return STRANGE[kind](rng, world)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from split_cli.proof.outcome import OUTCOMES, Rate
-from split_cli.proof.scoring import Score, words_of
+from split_cli.proof.scoring import CaseSetScore, words_of
 
 __all__ = ["markdown_of", "target_rows"]
 
 
-def target_rows(score: Score) -> list[list[str]]:
+def target_rows(score: CaseSetScore) -> list[list[str]]:
     """Return what is asked for, the goal, what was reached and whether it is met."""
     met_words = {True: "yes", False: "no", None: "-"}
     return [[what, goal, _value(reached), met_words[met]] for what, goal, reached, met in score.targets]
@@ -28,8 +28,8 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def markdown_of(result) -> str:
-    """Return all tables of a `workflows.prove.ProofScore` as Markdown."""
-    score: Score = result.diagnosis
+    """Return all tables of a `workflows.prove.CaseSetScore` as Markdown."""
+    score: CaseSetScore = result.diagnosis
     lines = [
         f"Seal of the answers: `{result.seal.sha256}` (seed {result.seal.seed}, {result.seal.cases} cases, "
         f"version {result.seal.version}); identified: {result.identified}.",

@@ -16,13 +16,13 @@ from split_cli.plant.tracks import Track
 from split_cli.proof.recordings import SensorFault, exact_motion
 from split_cli.proof.windows import FIRST, HORIZON
 
-__all__ = ["Trip", "World", "drive", "effect_error", "road_of"]
+__all__ = ["ProofWorld", "Trip", "drive", "effect_error", "road_of"]
 
 SAMPLE = 2e-3
 
 
 @dataclass(frozen=True)
-class World:
+class ProofWorld:
     """A car, the car its driver believes to sit in, its faults, its sensors, the track and what surrounds it."""
 
     car: CarParameters
@@ -43,7 +43,9 @@ class Trip:
     seed: int
 
 
-def drive(world: World, trip: Trip, *, duration: float | None = None, sample_period: float = SAMPLE) -> Trajectory:
+def drive(
+    world: ProofWorld, trip: Trip, *, duration: float | None = None, sample_period: float = SAMPLE
+) -> Trajectory:
     """Drive a trip.
 
     Raises
@@ -65,7 +67,7 @@ def drive(world: World, trip: Trip, *, duration: float | None = None, sample_per
     )
 
 
-def effect_error(run: Trajectory, world: World, without: World) -> np.ndarray:
+def effect_error(run: Trajectory, world: ProofWorld, without: ProofWorld) -> np.ndarray:
     """Return what the world without the effect gets wrong over 0.05 s along a run of the world with it.
 
     Returns

@@ -29,9 +29,9 @@ __all__ = [
     "LABEL_PERSISTENCE",
     "NOMINAL",
     "VELOCITY_PERSISTENCE",
-    "HeldOut",
+    "HeldOutSamples",
     "Score",
-    "Tally",
+    "ScoreTally",
     "baseline_tallies",
     "pooled_noise_floor",
     "predictor_tally",
@@ -46,7 +46,7 @@ LABEL_PERSISTENCE = "last label held"
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutSamples:
     """One drive's test samples.
 
     Attributes
@@ -74,7 +74,7 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
-class Tally:
+class ScoreTally:
     """Sums of one contestant over test samples: all of them, and those inside the valid region."""
 
     everywhere: ErrorSums
@@ -82,14 +82,14 @@ class Tally:
     probability: ProbabilitySums | None = None
 
     @classmethod
-    def of(cls, errors: np.ndarray, valid: np.ndarray, variance: np.ndarray | None = None) -> Tally:
+    def of(cls, errors: np.ndarray, valid: np.ndarray, variance: np.ndarray | None = None) -> ScoreTally:
         """Sum errors (N, 3) with the mask of the valid region (N,) and the labels' predicted variance."""
         probability = None if variance is None else ProbabilitySums.of(errors, variance)
         return cls(ErrorSums.of(errors), ErrorSums.of(errors[valid]), probability)
 
-    def __add__(self, other: Tally) -> Tally:
+    def __add__(self, other: ScoreTally) -> ScoreTally:
         both = self.probability is not None and other.probability is not None
-        return Tally(
+        return ScoreTally(
             self.everywhere + other.everywhere,
             self.valid + other.valid,
             self.probability + other.probability if both else None,
@@ -143,12 +143,12 @@ class Score:
     uses_recorded_future: bool = False
 
 
-def baseline_tallies(held: HeldOut, model: SingleTrack, variance: np.ndarray | None) -> dict[str, Tally]:
+def baseline_tallies(held: HeldOutSamples, model: SingleTrack, variance: np.ndarray | None) -> dict[str, ScoreTally]:
     """Return the tallies of the nominal model and both persistences on a drive's test samples.
 
     Parameters
     ----------
-    held : HeldOut
+    held : HeldOutSamples
     model : SingleTrack
     variance : ndarray, shape (3,), or None
         Of the Gaussian that the nominal model's density is scored with.
@@ -161,20 +161,20 @@ def baseline_tallies(held: HeldOut, model: SingleTrack, variance: np.ndarray | N
         LABEL_PERSISTENCE: label_persistence_errors(held.labels)[index],
     }
     return {
-        name: Tally.of(values, tested.accepted, variance if name == NOMINAL else None)
+        name: ScoreTally.of(values, tested.accepted, variance if name == NOMINAL else None)
         for name, values in errors.items()
     }
 
 
-def predictor_tally(held: HeldOut, predictor: Predictor) -> tuple[Tally, Prediction]:
+def predictor_tally(held: HeldOutSamples, predictor: Predictor) -> tuple[ScoreTally, Prediction]:
     """Return a predictor's tally on a drive's test samples, and its predictions in their order."""
     tested = held.labels.take(held.tested)
     prediction = predict_rows(predictor, held.drive, held.z, tested.row)
     noise = predictor.training_set.kernel.noise_variance
-    return Tally.of(tested.y - prediction.mean, tested.accepted, prediction.variance + noise), prediction
+    return ScoreTally.of(tested.y - prediction.mean, tested.accepted, prediction.variance + noise), prediction
 
 
-def score(name: str, tally: Tally, baselines: dict[str, Tally], **known: object) -> Score:
+def score(name: str, tally: ScoreTally, baselines: dict[str, ScoreTally], **known: object) -> Score:
     """Turn sums into figures of merit; `known` fills the other fields of `Score`."""
     errors, valid, probability = tally.everywhere, tally.valid, tally.probability
     return Score(
@@ -193,7 +193,7 @@ def score(name: str, tally: Tally, baselines: dict[str, Tally], **known: object)
     )
 
 
-def pooled_noise_floor(model: SingleTrack, drives: Sequence[HeldOut]) -> NoiseFloor:
+def pooled_noise_floor(model: SingleTrack, drives: Sequence[HeldOutSamples]) -> NoiseFloor:
     """Return the floor over the test samples of all drives, pooled by squares."""
     squares, count, notes = np.zeros(3), 0, []
     for held in drives:
@@ -211,7 +211,10 @@ def pooled_noise_floor(model: SingleTrack, drives: Sequence[HeldOut]) -> NoiseFl
 
 
 def rollout_sums(
-    held: HeldOut, model: SingleTrack, predictors: dict[tuple[str, str], tuple[HeldOut, Predictor]], steps: int
+    held: HeldOutSamples,
+    model: SingleTrack,
+    predictors: dict[tuple[str, str], tuple[HeldOutSamples, Predictor]],
+    steps: int,
 ) -> dict[tuple[str, str], RolloutSums]:
     """Roll out every contestant from the same start points of a drive's test blocks, and sum the squared errors.
 
@@ -222,13 +225,16 @@ def rollout_sums(
 
 
 def rollout_trajectories(
-    held: HeldOut, model: SingleTrack, predictors: dict[tuple[str, str], tuple[HeldOut, Predictor]], steps: int
+    held: HeldOutSamples,
+    model: SingleTrack,
+    predictors: dict[tuple[str, str], tuple[HeldOutSamples, Predictor]],
+    steps: int,
 ) -> tuple[np.ndarray, dict[tuple[str, str], np.ndarray]]:
     """Return start rows in a drive's test blocks, and every contestant's rollout from them as `roll_out` does.
 
     Parameters
     ----------
-    held : HeldOut
+    held : HeldOutSamples
         Says which rows test.
     model : SingleTrack
     predictors : dict

@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.learning.labels import Labels
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction import Prediction
-from split_cli.scoring.evaluation import HeldOut, Tally
+from split_cli.scoring.evaluation import HeldOutSamples, ScoreTally
 from split_cli.scoring.report import Evaluation
 from split_cli.scoring.rollouts import RolloutSums
 
@@ -24,7 +24,7 @@ class Trace:
     Attributes
     ----------
     name, features : str
-    held : HeldOut
+    held : HeldOutSamples
     tested : Labels
         In the order of the predictions.
     prediction : Prediction
@@ -34,7 +34,7 @@ class Trace:
 
     name: str
     features: str
-    held: HeldOut
+    held: HeldOutSamples
     tested: Labels
     prediction: Prediction
     noise_variance: np.ndarray
@@ -49,10 +49,10 @@ class EvaluationRun:
     report : Evaluation
     sets : tuple of TrainingSet
         One a feature set.
-    held : tuple of tuple of HeldOut
+    held : tuple of tuple of HeldOutSamples
         One a feature set, in each one a drive.
     traces : tuple of Trace
-    tallies : mapping of (str, str) to Tally
+    tallies : mapping of (str, str) to ScoreTally
         Pooled, by name and features.
     rollouts : mapping of (str, str) to RolloutSums
         Pooled, by name and features.
@@ -60,7 +60,7 @@ class EvaluationRun:
 
     report: Evaluation
     sets: tuple[TrainingSet, ...]
-    held: tuple[tuple[HeldOut, ...], ...]
+    held: tuple[tuple[HeldOutSamples, ...], ...]
     traces: tuple[Trace, ...]
-    tallies: Mapping[tuple[str, str], Tally]
+    tallies: Mapping[tuple[str, str], ScoreTally]
     rollouts: Mapping[tuple[str, str], RolloutSums]

@@ -26,8 +26,8 @@ from split_cli.vehicle.single_track import SingleTrack
 __all__ = [
     "HORIZONS",
     "MOST_ROWS",
-    "Evidence",
     "TrainingDrive",
+    "TrustEvidence",
     "estimate_trust",
     "held_out_evidence",
     "trust_from",
@@ -67,7 +67,7 @@ class TrainingDrive:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class TrustEvidence:
     """Errors of held-out predictions of one state at one horizon.
 
     Attributes
@@ -139,7 +139,7 @@ def held_out_evidence(
     empty: TrainingSet,
     predictor: str = "bcm",
     say: Callable[[str], None] = lambda text: None,
-) -> tuple[tuple[Evidence, ...], int]:
+) -> tuple[tuple[TrustEvidence, ...], int]:
     """Return errors of held-out predictions by state and horizon, and the number of blocks they are from."""
     drives = _spread(drives)
     numbered = _number_blocks(drives)
@@ -149,7 +149,7 @@ def held_out_evidence(
     model = SingleTrack(empty.vehicle)
     features = [empty.features.compute(model, part.drive) for part in drives]
     conditions = [_conditions(part.drive, number, model) for number, part in enumerate(drives)]
-    parts: list[Evidence] = []
+    parts: list[TrustEvidence] = []
     for fold in range(_FOLDS):
         say(f"judging the correction on held-out blocks, fold {fold + 1} of {_FOLDS}")
         tests = [(block >= 0) & (block % _FOLDS == fold) for block in numbered]
@@ -237,7 +237,7 @@ def _one_step(
     at: np.ndarray,
     learned: Predictor,
     model: SingleTrack,
-) -> list[Evidence]:
+) -> list[TrustEvidence]:
     labels = part.labels.within(test)
     labels = labels.take(np.isfinite(labels.y).all(axis=1))
     if not len(labels):
@@ -251,7 +251,7 @@ def _one_step(
         change[:, state] = told.mean[:, state]
         error, moved = labels.y[:, state], movement[:, state]
         rest = (block[labels.row], situation, told.variance[:, state])
-        found.append(Evidence(state, 0.0, error, change, moved, *rest))
+        found.append(TrustEvidence(state, 0.0, error, change, moved, *rest))
     return found
 
 
@@ -263,11 +263,11 @@ def _rolled_out(
     at: np.ndarray,
     learned: Predictor,
     model: SingleTrack,
-) -> list[Evidence]:
+) -> list[TrustEvidence]:
     """Return errors of rollouts that stay inside one held-out block, as long as blocks allow."""
     drive, labels = part.drive, part.labels
     window, speed = labels.window, labels.region.minimum_speed
-    found: list[Evidence] = []
+    found: list[TrustEvidence] = []
     for horizon in HORIZONS[::-1]:
         if any(part.horizon >= horizon for part in found):
             continue  # read off the longer rollouts
@@ -290,7 +290,7 @@ def _rolled_out(
             good = np.isfinite(error).all(axis=1) & np.isfinite(change[:, step]).all(axis=(1, 2))
             situation = _means(at, starts, (step + 1) * window)
             found += [
-                Evidence(
+                TrustEvidence(
                     s,
                     asked,
                     error[good, s],
@@ -322,7 +322,7 @@ def _with_each_output(
     return rolled.reshape(4, len(starts), steps, 3)
 
 
-def _joined(parts: Sequence[Evidence]) -> list[Evidence]:
+def _joined(parts: Sequence[TrustEvidence]) -> list[TrustEvidence]:
     keys = dict.fromkeys((part.state, part.horizon) for part in parts)
     joined = []
     for key in keys:
@@ -330,11 +330,11 @@ def _joined(parts: Sequence[Evidence]) -> list[Evidence]:
         columns = (np.concatenate([getattr(p, name) for p in same]) for name in
                    ("error", "change", "movement", "block", "conditions"))  # fmt: skip
         variance = [p.variance for p in same if p.variance is not None]
-        joined.append(Evidence(*key, *columns, np.concatenate(variance) if variance else None))
+        joined.append(TrustEvidence(*key, *columns, np.concatenate(variance) if variance else None))
     return joined
 
 
-def trust_from(evidence: Sequence[Evidence]) -> np.ndarray:
+def trust_from(evidence: Sequence[TrustEvidence]) -> np.ndarray:
     """Return the trust of each output that the evidence supports, shape (3,).
 
     Notes
@@ -368,12 +368,12 @@ def trust_from(evidence: Sequence[Evidence]) -> np.ndarray:
     return shares[int(np.argmax(gain))]
 
 
-def doubt_from(evidence: Sequence[Evidence], share: np.ndarray, noise_variance: np.ndarray) -> np.ndarray:
+def doubt_from(evidence: Sequence[TrustEvidence], share: np.ndarray, noise_variance: np.ndarray) -> np.ndarray:
     """Return the variance of what remains wrong beyond the process's and the label noise, shape (3,).
 
     Parameters
     ----------
-    evidence : sequence of Evidence
+    evidence : sequence of TrustEvidence
     share : ndarray, shape (3,)
         Trust of each output.
     noise_variance : ndarray, shape (3,)
@@ -402,13 +402,13 @@ def doubt_from(evidence: Sequence[Evidence], share: np.ndarray, noise_variance: 
     return doubt
 
 
-def _sizes(part: Evidence, inside: np.ndarray) -> tuple[float, float]:
+def _sizes(part: TrustEvidence, inside: np.ndarray) -> tuple[float, float]:
     """Return the nominal sum of squared errors, and the sum of squares that nobody would notice."""
     moved = _NEGLIGIBLE_MOVEMENT * part.movement[inside]
     return float(np.square(part.error[inside]).sum()), float(np.square(moved).sum())
 
 
-def _increase(part: Evidence, inside: np.ndarray, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _increase(part: TrustEvidence, inside: np.ndarray, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return how the sum of squares changes for every trust, and the standard error of that over blocks."""
     terms = np.concatenate([-2.0 * shares, *(shares[:, i, None] * shares for i in range(3))], axis=1)
     numbers, member = np.unique(part.block[inside], return_inverse=True)

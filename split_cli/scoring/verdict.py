@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, HeldOut
+from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, HeldOutSamples
 from split_cli.scoring.persistence import velocity_persistence_errors
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -223,12 +223,12 @@ def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     return tuple(told)
 
 
-def one_step_errors(held: HeldOut, model: SingleTrack, mean: np.ndarray, block: np.ndarray) -> BlockErrors:
+def one_step_errors(held: HeldOutSamples, model: SingleTrack, mean: np.ndarray, block: np.ndarray) -> BlockErrors:
     """Return the errors over one step on a drive's test samples, in label units.
 
     Parameters
     ----------
-    held : HeldOut
+    held : HeldOutSamples
     model : SingleTrack
     mean : ndarray, shape (N, 3)
         Predicted residual of the test samples, in their order.
@@ -240,7 +240,7 @@ def one_step_errors(held: HeldOut, model: SingleTrack, mean: np.ndarray, block: 
 
 
 def rollout_errors(
-    held: HeldOut,
+    held: HeldOutSamples,
     starts: np.ndarray,
     trajectories: Mapping[tuple[str, str], np.ndarray],
     key: tuple[str, str],

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from split_cli.vehicle.operations import Operations
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["AxleFlow", "Flow", "Stage"]
+__all__ = ["AxleFlow", "Flow", "FlowTerm"]
 
 
 @dataclass
@@ -83,7 +83,7 @@ class Flow:
     pulled: dict[str, Any] = field(default_factory=dict)
 
 
-class Stage(Protocol):
+class FlowTerm(Protocol):
     """A named term: it overrides the stages at which its physics acts; each alters the flow in place."""
 
     order: int

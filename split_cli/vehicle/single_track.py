@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.vehicle.effects import build_terms
-from split_cli.vehicle.flow import AxleFlow, Flow, Stage
+from split_cli.vehicle.flow import AxleFlow, Flow, FlowTerm
 from split_cli.vehicle.operations import NUMPY, Operations
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import lateral_force, lateral_force_slope
@@ -43,16 +43,16 @@ class SingleTrack:
     Parameters
     ----------
     vehicle : Vehicle
-    terms : sequence of Stage, optional
+    terms : sequence of FlowTerm, optional
         Terms to include, in order; by default those of ``vehicle.effects``.
     """
 
-    def __init__(self, vehicle: Vehicle, terms: Sequence[Stage] | None = None) -> None:
+    def __init__(self, vehicle: Vehicle, terms: Sequence[FlowTerm] | None = None) -> None:
         self.vehicle = vehicle
         if terms is None and vehicle.effects:
             terms = build_terms(vehicle)
         # Sorting is stable: terms of one order act as listed.
-        self.terms: tuple[Stage, ...] = tuple(sorted(terms or (), key=lambda term: getattr(term, "order", 5)))
+        self.terms: tuple[FlowTerm, ...] = tuple(sorted(terms or (), key=lambda term: getattr(term, "order", 5)))
         self.state_names: tuple[str, ...] = tuple(
             name for term in self.terms for name in getattr(term, "state_names", ())
         )

@@ -20,9 +20,9 @@ from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.prediction import PREDICTORS, Predictor, make_predictor
 from split_cli.scoring.application import time_per_query
 from split_cli.scoring.evaluation import (
-    HeldOut,
+    HeldOutSamples,
     Score,
-    Tally,
+    ScoreTally,
     baseline_tallies,
     pooled_noise_floor,
     predictor_tally,
@@ -57,7 +57,7 @@ __all__ = ["PLAIN", "evaluate", "evaluate_files", "train_in_memory"]
 #: Marks a predictor that believes all it has learned, beside one that is trusted in part.
 PLAIN = ", all believed"
 #: A drive with the start rows of its rollouts and every contestant's trajectories.
-Rolled = tuple[HeldOut, np.ndarray, dict[tuple[str, str], np.ndarray]]
+Rolled = tuple[HeldOutSamples, np.ndarray, dict[tuple[str, str], np.ndarray]]
 
 
 def evaluate_files(
@@ -160,7 +160,7 @@ def evaluate(
     return EvaluationRun(report, sets, drawn_from, tuple(traces), tallies, rollouts)
 
 
-def _train(held: Sequence[HeldOut], vehicle: Vehicle, settings: EvaluationSettings) -> TrainingSet:
+def _train(held: Sequence[HeldOutSamples], vehicle: Vehicle, settings: EvaluationSettings) -> TrainingSet:
     """Return a set trained on the training blocks, trusted as far as those blocks show."""
     labels = [_training(h) for h in held]
     trained = train_in_memory(labels, vehicle)
@@ -218,7 +218,7 @@ def _hold_out(
     features: FeatureSet,
     settings: EvaluationSettings,
     trained: TrainingSet | None,
-) -> list[HeldOut]:
+) -> list[HeldOutSamples]:
     model = SingleTrack(vehicle)
     region = trained.region if trained else Region.of(vehicle)
     held = []
@@ -233,16 +233,16 @@ def _hold_out(
         )
         plain = trained.plain if trained else False
         labels = compute_labels(drive, vehicle, features, region, horizon=settings.horizon, plain=plain)
-        held.append(HeldOut(drive, split, labels, features.compute(model, drive)))
+        held.append(HeldOutSamples(drive, split, labels, features.compute(model, drive)))
     return held
 
 
-def _training(held: HeldOut) -> Labels:
+def _training(held: HeldOutSamples) -> Labels:
     """Return the labels that train: of the training blocks, or all where the drive is scored in sample."""
     return held.labels.within(held.split.train if held.split.train.any() else held.split.test)
 
 
-def _require_samples(held: Sequence[HeldOut]) -> None:
+def _require_samples(held: Sequence[HeldOutSamples]) -> None:
     if not any(len(h.tested) for h in held):
         raise DriveError(
             "no test sample can be scored: all are in gaps, too slow or not finite",
@@ -251,8 +251,8 @@ def _require_samples(held: Sequence[HeldOut]) -> None:
 
 
 def _score_predictors(
-    contestants: list[tuple[str, list[HeldOut], TrainingSet]],
-    baselines: list[dict[str, Tally]],
+    contestants: list[tuple[str, list[HeldOutSamples], TrainingSet]],
+    baselines: list[dict[str, ScoreTally]],
     settings: EvaluationSettings,
     say: Callable[[str], None],
 ) -> tuple[list[Score], list[Trace], dict, dict]:
@@ -305,9 +305,9 @@ def _sum(parts: Sequence) -> object:
 
 
 def _rollouts(
-    drives: list[HeldOut],
+    drives: list[HeldOutSamples],
     model: SingleTrack,
-    predictors: dict[tuple[str, str], tuple[list[HeldOut], Predictor]],
+    predictors: dict[tuple[str, str], tuple[list[HeldOutSamples], Predictor]],
     settings: EvaluationSettings,
 ) -> tuple[dict[tuple[str, str], RolloutSums], list[RolloutScore], list[Rolled]]:
     if not settings.rollout or settings.protocol == "paper":
@@ -365,15 +365,15 @@ def _comparisons(
     return tuple(comparisons), tuple(verdicts)
 
 
-def _same_interval(held: HeldOut, first: HeldOut) -> bool:
+def _same_interval(held: HeldOutSamples, first: HeldOutSamples) -> bool:
     """Tell whether a drive's label interval is the first drive's, so that rollouts of both have the same steps."""
     return abs(held.labels.horizon - first.labels.horizon) < 1e-9
 
 
 def _sizes(
-    contestants: list[tuple[str, list[HeldOut], TrainingSet]],
+    contestants: list[tuple[str, list[HeldOutSamples], TrainingSet]],
     vehicle: Vehicle,
-    baselines: list[dict[str, Tally]],
+    baselines: list[dict[str, ScoreTally]],
     settings: EvaluationSettings,
     say: Callable[[str], None],
 ) -> list[SizeScore]:
@@ -397,7 +397,7 @@ def _concatenate(parts: Sequence[Labels]) -> Labels:
     return replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
-def _facts(held: HeldOut, model: SingleTrack, trained: TrainingSet | None) -> DriveFacts:
+def _facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet | None) -> DriveFacts:
     drive, tested = held.drive, held.labels.take(held.tested)
     in_sample = bool(trained and drive.sha256 and any(s.sha256 == drive.sha256 for s in trained.sources))
     notes = list(drive_notes(drive))
@@ -420,7 +420,7 @@ def _facts(held: HeldOut, model: SingleTrack, trained: TrainingSet | None) -> Dr
 
 
 def _notes(
-    facts: Sequence[DriveFacts], drives: Sequence[HeldOut], settings: EvaluationSettings, rollouts: Sequence
+    facts: Sequence[DriveFacts], drives: Sequence[HeldOutSamples], settings: EvaluationSettings, rollouts: Sequence
 ) -> list[str]:
     notes = [*untold_inputs([held.drive for held in drives]), *(note for fact in facts for note in fact.notes)]
     for fact in facts:

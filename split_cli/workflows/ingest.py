@@ -15,7 +15,7 @@ from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
 from split_cli.logs.gather import topic_of
 from split_cli.logs.presets import preset_abouts
 from split_cli.logs.quality import QualityReport, render_quality
-from split_cli.logs.raw import RawChannelInfo, Recording
+from split_cli.logs.raw import RawChannelInfo, RawRecording
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
 from split_cli.logs.signal_map import SignalMap, read_map
@@ -313,7 +313,7 @@ def _ingest_together(
     return _result(Path(recording.name), output, made)
 
 
-def open_logs(log: str | Path | Sequence[str | Path], message_paths: Sequence[str | Path] = ()) -> Recording:
+def open_logs(log: str | Path | Sequence[str | Path], message_paths: Sequence[str | Path] = ()) -> RawRecording:
     """Open a recording, or several files that are one."""
     if isinstance(log, str | Path):
         return open_recording(log, message_paths=message_paths)
@@ -362,7 +362,7 @@ def _assemble(
         raise _told_of(error, recording) from error
 
 
-def _told_of(error: SplitError, recording: Recording) -> SplitError:
+def _told_of(error: SplitError, recording: RawRecording) -> SplitError:
     """Return the error with the recording's name, and with what reading it had to leave out."""
     where, advice = error.where or "", error.advice or ""
     if recording.name not in str(error):
@@ -374,7 +374,7 @@ def _told_of(error: SplitError, recording: Recording) -> SplitError:
 
 
 def _assemble_recording(
-    recording: Recording,
+    recording: RawRecording,
     path: Path,
     signal_map: SignalMap | None,
     vehicle: Vehicle | None,

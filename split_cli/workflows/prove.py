@@ -21,7 +21,7 @@ from split_cli.logs.drive import read_drive
 from split_cli.proof.baselines import build_regression, greedy_bic, stlsq
 from split_cli.proof.generate import generate_cases
 from split_cli.proof.outcome import Statement
-from split_cli.proof.scoring import CaseScore, Score, named_from, score_case, summarise
+from split_cli.proof.scoring import CaseScore, CaseSetScore, named_from, score_case, summarise
 from split_cli.proof.store import Seal, ShownCase, check_seal, read_answer, read_heldout, shown_cases
 from split_cli.vehicle.parameters import read_vehicle
 
@@ -41,8 +41,8 @@ class ProofScore:
     ----------
     seal : Seal
     identified, cases : int
-    diagnosis : Score
-    baselines : tuple of (str, Score)
+    diagnosis : CaseSetScore
+    baselines : tuple of (str, CaseSetScore)
     scores : tuple of CaseScore
     failed : tuple of (str, str)
         Cases the diagnosis gave an error for; they count as undecided.
@@ -51,8 +51,8 @@ class ProofScore:
     seal: Seal
     identified: int
     cases: int
-    diagnosis: Score
-    baselines: tuple[tuple[str, Score], ...]
+    diagnosis: CaseSetScore
+    baselines: tuple[tuple[str, CaseSetScore], ...]
     scores: tuple[CaseScore, ...]
     failed: tuple[tuple[str, str], ...]
 

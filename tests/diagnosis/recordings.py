@@ -11,7 +11,7 @@ from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, rolling
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, build_objective
 from split_cli.diagnosis.innovations.whitening import build_whitener
-from split_cli.diagnosis.recording.kinematics import Kinematics
+from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.logs.drive import Drive
@@ -136,7 +136,7 @@ def light_evidence(series: Series, disturbance: float = 1e-8) -> Evidence:
     return replace(evidence, plain=evidence.rows(()))
 
 
-def bare_objective(*evidence: Evidence, kinematics: Sequence[Kinematics] = ()) -> MarginalLikelihood:
+def bare_objective(*evidence: Evidence, kinematics: Sequence[KinematicResiduals] = ()) -> MarginalLikelihood:
     """Return an objective on all rows, the nominal model being the simulation."""
     keep = [np.ones(len(one.at), dtype=bool) for one in evidence]
     discrepancy = build_shared_discrepancy(evidence[0].vehicle, evidence[0].series)

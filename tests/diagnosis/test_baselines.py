@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import split_cli.diagnosis.search.baselines as search_module
-from split_cli.diagnosis.innovations.case import Case, gather_case
+from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.objective import build_objective
 from split_cli.diagnosis.policy import STANDARD, Policy
@@ -29,7 +29,7 @@ def term(name: str, **values: float) -> Term:
     return kind({**{key: kind.neutral[key] for key in kind.units}, **values}, "")
 
 
-def case_of(reality: Drive, simulation: Drive) -> Case:
+def case_of(reality: Drive, simulation: Drive) -> DiagnosisCase:
     drives = [reality, simulation]
     places, _ = places_of(drives, road_car().wheelbase)
     series = [
@@ -49,13 +49,13 @@ def searched(reality: Drive, simulation: Drive, policy: Policy = STANDARD) -> Se
 
 
 @pytest.fixture(scope="module")
-def restless() -> Case:
+def restless() -> DiagnosisCase:
     """Two recordings of one restless car, the second with a steering of three quarters."""
     reality = recorded(commanded(drive(2), 0.75), 2, restless=0.1)
     return case_of(reality, recorded(drive(1), 1, restless=0.1))
 
 
-def fixed_objective(case: Case):
+def fixed_objective(case: DiagnosisCase):
     objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics)
     return objective.with_fixed_baseline()
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.recording.kinematics import Kinematics, build_kinematics
+from split_cli.diagnosis.recording.kinematics import KinematicResiduals, build_kinematics
 from split_cli.diagnosis.recording.scales import out_of_scale, scale_of
 from split_cli.diagnosis.statement.document import diagnosis_to_mapping, read_schema
 from split_cli.logs.drive import Drive
@@ -24,7 +24,7 @@ def recording(seed: int, *terms, **scales: float) -> Drive:
     return replace(drive, columns={**drive.columns, **columns}, sha256="")
 
 
-def kinematics_of(seed: int, *terms, **scales: float) -> Kinematics:
+def kinematics_of(seed: int, *terms, **scales: float) -> KinematicResiduals:
     return build_kinematics(prepared(recording(seed, *terms, **scales)))
 
 

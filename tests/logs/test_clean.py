@@ -7,11 +7,11 @@ import pytest
 
 from split_cli.errors import LogError
 from split_cli.logs.clean import clean_series, join_clock_resets, longest_repeat
-from split_cli.logs.gather import Series
+from split_cli.logs.gather import RawSeries
 
 
-def series(time, values, channel="vx", delay=0.0) -> Series:
-    return Series(channel, channel, np.asarray(time, float), np.asarray(values, float), delay)
+def series(time, values, channel="vx", delay=0.0) -> RawSeries:
+    return RawSeries(channel, channel, np.asarray(time, float), np.asarray(values, float), delay)
 
 
 def drops(clean) -> dict[str, int]:

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from split_cli.logs.consistency import Finding, check_consistency
+from split_cli.logs.consistency import ConsistencyFinding, check_consistency
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.ingest import ingest_logs
@@ -50,11 +50,11 @@ def with_mistakes(drive: Drive, *names: str) -> Drive:
     return replace(drive, columns=columns)
 
 
-def told(drive: Drive, vehicle: Vehicle) -> tuple[Finding, ...]:
+def told(drive: Drive, vehicle: Vehicle) -> tuple[ConsistencyFinding, ...]:
     return check_consistency(drive, vehicle, drive.metadata.kinds).findings
 
 
-def assert_all_named(findings: tuple[Finding, ...], names: tuple[str, ...]) -> None:
+def assert_all_named(findings: tuple[ConsistencyFinding, ...], names: tuple[str, ...]) -> None:
     for name in names:
         _, channel, words = MISTAKES[name]
         assert any(f.channel == channel and words in f.text for f in findings), (name, findings)

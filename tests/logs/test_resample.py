@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.logs.resample import (
-    Grid,
+    SampleClock,
     is_sampled_and_held,
     make_grid,
     resample_continuous,
@@ -20,7 +20,7 @@ def jittered(rng, seconds: float, step: float, jitter: float = 0.5) -> np.ndarra
     return time + jitter * step * rng.uniform(-0.5, 0.5, len(time))
 
 
-def grid_over(time: np.ndarray, period: float) -> Grid:
+def grid_over(time: np.ndarray, period: float) -> SampleClock:
     return make_grid([[(float(time[0]), float(time[-1]))]], period)[0]
 
 
@@ -90,7 +90,7 @@ def test_nothing_is_interpolated_across_a_gap_and_a_new_segment_starts_there():
     grid, _ = make_grid(spans, 0.01)
     assert grid.segment.max() == 1
     assert not np.any((grid.time > 0.995) & (grid.time < 1.495))
-    everywhere = Grid(0.0, 0.01, np.arange(300), np.zeros(300, np.int32))
+    everywhere = SampleClock(0.0, 0.01, np.arange(300), np.zeros(300, np.int32))
     values = resample_continuous(time, time, everywhere, gap=0.1).values
     assert np.isnan(values[(everywhere.time > 1.0) & (everywhere.time < 1.49)]).all()
 
@@ -109,7 +109,7 @@ def test_all_segments_share_one_clock():
 
 def test_a_held_signal_takes_the_last_value_and_goes_stale():
     time, values = np.array([0.0, 0.5, 1.0]), np.array([1.0, 2.0, 3.0])
-    grid = Grid(-0.1, 0.1, np.arange(20), np.zeros(20, np.int32))
+    grid = SampleClock(-0.1, 0.1, np.arange(20), np.zeros(20, np.int32))
     held = resample_held(time, values, grid, longest=0.55)
     expected = np.select(
         [grid.time < -1e-9, grid.time < 0.5 - 1e-9, grid.time < 1.0 - 1e-9], [np.nan, 1.0, 2.0], 3.0

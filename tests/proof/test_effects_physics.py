@@ -24,7 +24,7 @@ from split_cli.proof.effects import EFFECTS, draw_effect
 from split_cli.proof.recordings import exact_motion
 from split_cli.proof.strange import STRANGE, draw_strange
 from split_cli.proof.tracks import random_track
-from split_cli.proof.world import Trip, World, drive
+from split_cli.proof.world import ProofWorld, Trip, drive
 
 WINDOW = 0.01
 SENSORS = ("sensor_lever_arm", "sensor_misalignment", "sensor_delay", "gyro_curve", "gyro_late", "speed_gain")
@@ -32,16 +32,16 @@ G = 9.80665
 
 
 @pytest.fixture(scope="module")
-def world() -> World:
+def world() -> ProofWorld:
     car = replace(bare(ROAD_CAR), command_ramp=1.0)
     track = random_track(np.random.default_rng(11), 900.0, 0.4, 6.0)
-    return World(car, track, replace(car, steer_rate=0.9))
+    return ProofWorld(car, track, replace(car, steer_rate=0.9))
 
 
 class Seen:
     """A run at the windows' middles, and the accelerations that the car without the effect lacks there."""
 
-    def __init__(self, run, without: World) -> None:
+    def __init__(self, run, without: ProofWorld) -> None:
         steps = int(round(WINDOW / 2e-3))
         predicted = predict(run, without.car, without.road, horizon=WINDOW)
         count = len(predicted)
@@ -89,7 +89,7 @@ def along(force):
     return force, None, None
 
 
-def expected(term: str, seen: Seen, with_: World, without: World, size: float, known: dict):
+def expected(term: str, seen: Seen, with_: ProofWorld, without: ProofWorld, size: float, known: dict):
     """The hand formulas: accelerations of v_x, v_y, r that the effect adds; None where nothing is claimed."""
     old, new = without.car, with_.car
     pull = 1.0 / (old.wheel_radius * old.mass)
@@ -259,7 +259,7 @@ def test_sensor_effects_report_what_their_geometry_says(world):
     np.testing.assert_allclose(np.abs(shown[:, 3] / vx - 1.0), 0.02, atol=1e-12)
 
 
-def strange_expected(kind: str, seen: Seen, with_: World, size: float):
+def strange_expected(kind: str, seen: Seen, with_: ProofWorld, size: float):
     """The hand formulas of effects outside the catalogue."""
     old, f = with_.car, with_.faults
     pull = 1.0 / (old.wheel_radius * old.mass)

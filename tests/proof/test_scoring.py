@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from split_cli.proof.cases import Answer, Effect
+from split_cli.proof.cases import Answer, ConcealedEffect
 from split_cli.proof.outcome import Named, Statement, judge, rate_of, wilson
 from split_cli.proof.scoring import CaseScore, score_case, summarise
 
@@ -65,7 +65,7 @@ def test_outside_the_catalogue_only_abstaining_is_right(statement, outcome):
 
 
 def answer(kind="single", tier="realistic", *terms, number=0):
-    effects = tuple(Effect(term, 0.1, 0.5, {"scale": 1.1}, ("scale",)) for term in terms)
+    effects = tuple(ConcealedEffect(term, 0.1, 0.5, {"scale": 1.1}, ("scale",)) for term in terms)
     return Answer(number, kind, tier, effects, "road_car", "bare", "plant", 0.01, 0.5, 1.0)
 
 

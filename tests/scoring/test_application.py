@@ -10,7 +10,7 @@ from split_cli.learning.features import Z1, Z2, FeatureSet
 from split_cli.learning.labels import compute_labels
 from split_cli.prediction import make_predictor
 from split_cli.scoring.application import correction_from, features_at, future_rows, predict_rows
-from split_cli.scoring.evaluation import HeldOut, baseline_tallies, predictor_tally, score
+from split_cli.scoring.evaluation import HeldOutSamples, baseline_tallies, predictor_tally, score
 from split_cli.scoring.metrics import ErrorSums
 from split_cli.scoring.splits import hold_out_blocks
 from split_cli.vehicle.effects import CATALOGUE
@@ -74,7 +74,7 @@ def test_scores_are_those_of_the_errors_themselves():
     drive = make_drive(4, segments=30, vehicle=CAR, terms=[MissingForce({"front_grip_loss": 0.15})])
     labels = compute_labels(drive, CAR, Z2)
     model = SingleTrack(CAR)
-    held = HeldOut(drive, hold_out_blocks(drive, 10, 0.3, 0.5), labels, Z2.compute(model, drive))
+    held = HeldOutSamples(drive, hold_out_blocks(drive, 10, 0.3, 0.5), labels, Z2.compute(model, drive))
     predictor = make_predictor("bcm", make_training_set(points=500))
     tally, prediction = predictor_tally(held, predictor)
     tested = labels.take(held.tested)

@@ -10,7 +10,7 @@ import pytest
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate
-from split_cli.scoring.evaluation import HeldOut, pooled_noise_floor
+from split_cli.scoring.evaluation import HeldOutSamples, pooled_noise_floor
 from split_cli.scoring.noise import NoiseFloor, fast_motion, noise_floor
 from split_cli.scoring.splits import whole_drive
 from split_cli.vehicle.single_track import SingleTrack
@@ -106,11 +106,11 @@ def test_what_cannot_be_told_is_null_or_a_lower_bound_with_the_reason(clean):
 def test_floors_of_drives_are_pooled_by_squares_and_samples(clean):
     model = SingleTrack(CAR)
 
-    def held(drive: Drive, sigma: float) -> HeldOut:
+    def held(drive: Drive, sigma: float) -> HeldOutSamples:
         noise = tuple(NoiseEstimate(name, sigma * value, None) for name, value in SIGMA.items())
         drive = replace(drive, metadata=DriveMetadata(noise=noise))
         labels = compute_labels(drive, CAR, Z2)
-        return HeldOut(drive, whole_drive(drive), labels, labels.z)
+        return HeldOutSamples(drive, whole_drive(drive), labels, labels.z)
 
     parts = [held(clean, 1.0), held(clean.select(slice(0, 6000)), 3.0)]
     alone = [pooled_noise_floor(model, [part]) for part in parts]

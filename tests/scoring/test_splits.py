@@ -9,7 +9,7 @@ from split_cli.errors import DriveError
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive
-from split_cli.scoring.evaluation import HeldOut
+from split_cli.scoring.evaluation import HeldOutSamples
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
 from tests.factories import make_drive, road_car
 
@@ -59,7 +59,7 @@ def test_no_window_of_a_test_label_touches_a_training_row_nor_the_other_way():
     drive = make_drive(3, segments=20, seconds=6.0, vehicle=car)
     split = hold_out_blocks(drive, 10, 0.3, 0.5)
     labels = compute_labels(drive, car, Z2, stride=1)
-    held = HeldOut(drive, split, labels, labels.z)
+    held = HeldOutSamples(drive, split, labels, labels.z)
     span = np.arange(labels.window + 1)
     tested = labels.row[held.tested][:, None] + span
     trained = labels.within(split.train)

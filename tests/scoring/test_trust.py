@@ -9,7 +9,7 @@ from split_cli.learning.features import Z2
 from split_cli.learning.hyperparameters import default_kernel, scatter_variance
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import z2_grid
-from split_cli.scoring.trust import Evidence, TrainingDrive, doubt_from, estimate_trust, trust_from
+from split_cli.scoring.trust import TrainingDrive, TrustEvidence, doubt_from, estimate_trust, trust_from
 from tests.factories import MissingForce, make_drive, road_car
 
 BLOCKS, EACH = 20, 100
@@ -28,7 +28,7 @@ def evidence(truth, harm=0.0, seed=0, noise=1.0):
         change = np.zeros((len(block), 3))
         change[:, state] = learned
         error = believed * learned + noise * rng.normal(size=len(block))
-        parts.append(Evidence(state, 0.0, error, change, np.zeros(len(block)), block, conditions))
+        parts.append(TrustEvidence(state, 0.0, error, change, np.zeros(len(block)), block, conditions))
     return parts
 
 
@@ -61,7 +61,7 @@ def test_the_doubt_is_the_variance_that_the_process_and_the_noise_do_not_explain
         spread = np.sqrt(share[state] ** 2 * variance + noise[state] + doubt[state])
         error = share[state] * change[:, state] + spread * rng.normal(size=count)
         rest = (np.zeros(count), block, np.zeros((count, 7)), variance)
-        parts.append(Evidence(state, 0.0, error, change, *rest))
+        parts.append(TrustEvidence(state, 0.0, error, change, *rest))
     # A variance from 20,000 normal samples is known to 1 %; the tried ones are 14 % apart.
     np.testing.assert_allclose(doubt_from(parts, share, noise), doubt, atol=0.05)
 

@@ -12,17 +12,17 @@ from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, graded_as
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, learn_discrepancy
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.kinematics import Kinematics
+from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Case", "gather_case"]
+__all__ = ["DiagnosisCase", "gather_case"]
 
 
 @dataclass(frozen=True)
-class Case:
+class DiagnosisCase:
     """Recordings and knowledge.
 
     Attributes
@@ -34,7 +34,7 @@ class Case:
         None where the nominal model is the simulation.
     keep, keep_holdout : tuple of ndarray of bool, shape (G,)
         Rows of each real and held-out recording that are compared.
-    kinematics, simulated_kinematics : tuple of Kinematics or Witness
+    kinematics, simulated_kinematics : tuple of KinematicResiduals or Witness
         What the real and the simulated recordings know twice: position and yaw, accelerations.
     graded : tuple of Evidence
         The simulated recordings as if they had the noise and disturbance of the real ones.
@@ -46,13 +46,13 @@ class Case:
     discrepancy: SharedDiscrepancy
     posterior: DiscrepancyPosterior | None
     keep: tuple[np.ndarray, ...]
-    kinematics: tuple[Kinematics | Witness, ...]
-    simulated_kinematics: tuple[Kinematics | Witness, ...] = ()
+    kinematics: tuple[KinematicResiduals | Witness, ...]
+    simulated_kinematics: tuple[KinematicResiduals | Witness, ...] = ()
     simulated: tuple[Evidence, ...] = ()
     keep_holdout: tuple[np.ndarray, ...] = ()
     graded: tuple[Evidence, ...] = ()
 
-    def compared(self, reach: float, policy: Policy = STANDARD) -> Case:
+    def compared(self, reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
         """Return the case with those real rows compared that are within `reach` of a simulated one."""
         keep, kept_out = (
             tuple(comparable(one, self.simulated, self.discrepancy, reach, policy) for one in several)
@@ -67,7 +67,7 @@ class Case:
         return self.discrepancy.rates(evidence.series, self.posterior.weights)
 
 
-def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STANDARD) -> Case:
+def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STANDARD) -> DiagnosisCase:
     """Whiten every recording and learn the shared discrepancy.
 
     Parameters
@@ -93,7 +93,7 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     if by_role["sim"]:
         # Where the simulation's recordings lack an instrument, nobody knows its habits.
         kinematics = [one for one in kinematics if one.kind in habits]
-    case = Case(
+    case = DiagnosisCase(
         vehicle, tuple(real), tuple(holdout), discrepancy, posterior, (), tuple(kinematics), tuple(theirs),
         tuple(simulated), graded=tuple(graded),
     )  # fmt: skip

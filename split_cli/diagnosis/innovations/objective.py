@@ -18,7 +18,7 @@ from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovaria
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.projection import damped
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
-from split_cli.diagnosis.recording.kinematics import Kinematics
+from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.vehicle.effects import Term
 
 _LEAST_INFORMED = 2e-3
@@ -116,7 +116,7 @@ class MarginalLikelihood:
         Root of each entry's robust weight.
     root : ndarray, shape (C,)
         M, diagonal in the directions of V, with (I - V M V^T)^2 = I - V V^T.
-    kinematics : tuple of Kinematics or Witness
+    kinematics : tuple of KinematicResiduals or Witness
         Recordings against themselves; their rows come last in every stack, and nothing but sensors moves them.
     unnamed_floor : float
         Cost that a flexible fit may save without a difference: what simulation shows against itself, see
@@ -142,7 +142,7 @@ class MarginalLikelihood:
     block: np.ndarray
     weight: np.ndarray
     root: np.ndarray
-    kinematics: tuple[Kinematics, ...] = ()
+    kinematics: tuple[KinematicResiduals, ...] = ()
     unnamed_floor: float = 0.0
     term_floors: Mapping[str, float] = field(default_factory=dict)
     form_error_inflation: float = 1.0
@@ -176,7 +176,7 @@ class MarginalLikelihood:
             first -= len(one.begin)
         return rows
 
-    def _kinematic_rows(self, one: Kinematics, terms: Sequence[Term]) -> np.ndarray:
+    def _kinematic_rows(self, one: KinematicResiduals, terms: Sequence[Term]) -> np.ndarray:
         if any(not term.exported for term in terms):
             return one.rows(terms)
         key = ("kinematics", id(one))
@@ -263,7 +263,7 @@ def build_objective(
     posterior: DiscrepancyPosterior | None,
     discrepancy: SharedDiscrepancy,
     keep: Sequence[np.ndarray],
-    kinematics: Sequence[Kinematics] = (),
+    kinematics: Sequence[KinematicResiduals] = (),
     block_seconds: float = 2.0,
     policy: Policy = STANDARD,
 ) -> MarginalLikelihood:

@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Kinematics", "build_kinematics", "common_habit", "integral", "quiet"]
+__all__ = ["KinematicResiduals", "build_kinematics", "common_habit", "integral", "quiet"]
 
 _WINDOW_SECONDS = 0.5
 _EDGE_SECONDS = 0.1
@@ -25,7 +25,7 @@ _LEAST_WINDOWS = 12
 
 
 @dataclass(frozen=True)
-class Kinematics:
+class KinematicResiduals:
     """Lateral displacements of one recording.
 
     Attributes
@@ -84,7 +84,7 @@ class Kinematics:
         _, velocity = self.series.corrected(())
         return np.stack([self._integral(velocity[:, 2]), self._integral(velocity[:, 0])], axis=1)
 
-    def select(self, windows: np.ndarray) -> Kinematics:
+    def select(self, windows: np.ndarray) -> KinematicResiduals:
         """Return these windows alone."""
         chosen = {name: getattr(self, name)[windows] for name in ("begin", "end", "across", "along")}
         return replace(self, **chosen)
@@ -103,7 +103,7 @@ class Kinematics:
         return integral(rate, self.begin, self.end, self.series.period, still=still)
 
 
-def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinematics | None:
+def build_kinematics(series: Series, habit: np.ndarray | None = None) -> KinematicResiduals | None:
     """Return the windows of a recording, or None without position and yaw, or with too few windows."""
     drive = series.drive
     if not drive.has_position:
@@ -122,7 +122,9 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
     x, y, angle = (quiet(values, series.period) for values in (drive["X"], drive["Y"], series.yaw))
     middle = angle[(begin + end) // 2]
     along, across = _into(middle, x[end] - x[begin], y[end] - y[begin])
-    plain = Kinematics(series, begin, end, across, along, angle, 1.0, np.zeros(2) if habit is None else habit)
+    plain = KinematicResiduals(
+        series, begin, end, across, along, angle, 1.0, np.zeros(2) if habit is None else habit
+    )
     left, causes = plain.left(()), plain.causes()
     left = left - causes @ np.linalg.lstsq(causes, left, rcond=None)[0]
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-9

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from split_cli.diagnosis.policy import STANDARD, Screening
-from split_cli.diagnosis.recording.kinematics import Kinematics
+from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.vehicle.effects import Term
 
 __all__ = ["in_sentences", "out_of_scale", "scale_of"]
@@ -25,8 +25,8 @@ _ADVICE = "; mend that sensor's scale and diagnose again, physics is not named b
 
 
 def out_of_scale(
-    real: Sequence[Kinematics],
-    simulated: Sequence[Kinematics],
+    real: Sequence[KinematicResiduals],
+    simulated: Sequence[KinematicResiduals],
     terms: Sequence[Term] = (),
     rules: Screening = STANDARD.screening,
 ) -> tuple[str, ...]:
@@ -34,7 +34,7 @@ def out_of_scale(
 
     Parameters
     ----------
-    real, simulated : sequence of Kinematics
+    real, simulated : sequence of KinematicResiduals
         Without any simulated, scales are held against 1.
     terms : sequence of Term
         Found; the real sensors are corrected by them.
@@ -59,7 +59,9 @@ def in_sentences(contradictions: Sequence[str]) -> list[str]:
     return [f"The recording contradicts itself: {one}." for one in contradictions]
 
 
-def scale_of(name: str, several: Sequence[Kinematics], terms: Sequence[Term] = ()) -> tuple[float, float] | None:
+def scale_of(
+    name: str, several: Sequence[KinematicResiduals], terms: Sequence[Term] = ()
+) -> tuple[float, float] | None:
     """Return what a channel makes over what position or yaw does, and its standard error; None if nothing moves.
 
     Notes

@@ -12,7 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.diagnosis.recording.kinematics import Kinematics, build_kinematics, common_habit, integral, quiet
+from split_cli.diagnosis.recording.kinematics import (
+    KinematicResiduals,
+    build_kinematics,
+    common_habit,
+    integral,
+    quiet,
+)
 from split_cli.diagnosis.recording.screening import measures
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
@@ -38,7 +44,7 @@ class Witness:
     series : Series
     begin, end : ndarray of int64, shape (W,)
         First and last row of every window.
-    position : Kinematics or None
+    position : KinematicResiduals or None
         With the ways of the windows, for ``way`` and ``turn``.
     scale : float
         Spread of what the velocities leave.
@@ -50,7 +56,7 @@ class Witness:
     series: Series
     begin: np.ndarray
     end: np.ndarray
-    position: Kinematics | None
+    position: KinematicResiduals | None
     scale: float
     habit: np.ndarray
 
@@ -96,7 +102,9 @@ class Witness:
         return integral(rate, self.begin, self.end, self.series.period, still=True)
 
 
-def build_witnesses(series: Series, habits: Mapping[str, np.ndarray] | None = None) -> list[Kinematics | Witness]:
+def build_witnesses(
+    series: Series, habits: Mapping[str, np.ndarray] | None = None
+) -> list[KinematicResiduals | Witness]:
     """Return all that a recording can be held against; habits by kind, of the simulation's recordings."""
     habits, found = habits or {}, []
     measured_position = measures(series.drive, "X", "Y", "yaw")
@@ -120,20 +128,20 @@ def build_witnesses(series: Series, habits: Mapping[str, np.ndarray] | None = No
     return found
 
 
-def habits_of(witnesses: Iterable[Kinematics | Witness]) -> dict[str, np.ndarray]:
+def habits_of(witnesses: Iterable[KinematicResiduals | Witness]) -> dict[str, np.ndarray]:
     """Return what recordings leave of each kind of witness: by kind, shape (2,) or (3,)."""
-    by_kind: dict[str, list[Kinematics | Witness]] = {}
+    by_kind: dict[str, list[KinematicResiduals | Witness]] = {}
     for one in witnesses:
         by_kind.setdefault(one.kind, []).append(one)
     return {kind: common_habit(several) for kind, several in by_kind.items()}
 
 
-def is_witness_of_position(one: Kinematics | Witness) -> bool:
+def is_witness_of_position(one: KinematicResiduals | Witness) -> bool:
     """Return whether a witness is the way across the car between positions."""
-    return isinstance(one, Kinematics)
+    return isinstance(one, KinematicResiduals)
 
 
-def _witness(kind: str, series: Series, position: Kinematics | None) -> Witness | None:
+def _witness(kind: str, series: Series, position: KinematicResiduals | None) -> Witness | None:
     if kind in ("turn", "way"):
         if position is None:
             return None

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from split_cli.diagnosis.innovations.case import Case
+from split_cli.diagnosis.innovations.case import DiagnosisCase
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs, build_objective
 from split_cli.diagnosis.policy import STANDARD, Policy, SelectionRules
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
@@ -59,7 +59,7 @@ class SearchOutcome:
 
 
 def search(
-    case: Case,
+    case: DiagnosisCase,
     candidates: Sequence[Candidate],
     *,
     reach: float,
@@ -72,7 +72,7 @@ def search(
 
     Parameters
     ----------
-    case : Case
+    case : DiagnosisCase
     candidates : sequence of Candidate
     reach : float
         See `ComparisonRules`.
@@ -137,7 +137,12 @@ def _without_names(selection: Selection) -> Selection:
 
 
 def _known(
-    case: Case, candidates: Sequence[Candidate], reach: float, policy: Policy, *, fixed_baseline: bool = False
+    case: DiagnosisCase,
+    candidates: Sequence[Candidate],
+    reach: float,
+    policy: Policy,
+    *,
+    fixed_baseline: bool = False,
 ) -> SelfTest:
     if not case.graded:
         return SelfTest()

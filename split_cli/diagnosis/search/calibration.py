@@ -23,7 +23,7 @@ from split_cli.diagnosis.innovations.objective import (
     learn_discrepancy,
 )
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.kinematics import Kinematics
+from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
 from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
@@ -95,7 +95,7 @@ def self_test(
     graded: Sequence[Evidence],
     discrepancy: SharedDiscrepancy,
     candidates: Sequence[Candidate],
-    kinematics: Sequence[Kinematics | Witness] = (),
+    kinematics: Sequence[KinematicResiduals | Witness] = (),
     *,
     variance_inflation: float,
     reach: float,
@@ -111,7 +111,7 @@ def self_test(
     discrepancy : SharedDiscrepancy
     candidates : sequence of Candidate
         Terms that reality will be searched for.
-    kinematics : sequence of Kinematics or Witness
+    kinematics : sequence of KinematicResiduals or Witness
         Of the real recordings; nothing but their noise is taken.
     variance_inflation, reach : float
         As for reality.
@@ -206,7 +206,7 @@ class _Sides:
     """A simulation with the noise of reality, half of it to teach and half to be judged."""
 
     graded: tuple[Evidence, ...]
-    positions: tuple[tuple[int, Kinematics | Witness], ...]
+    positions: tuple[tuple[int, KinematicResiduals | Witness], ...]
     rows: tuple[FlexibleRows, ...]
     discrepancy: SharedDiscrepancy
     variance_inflation: float
@@ -214,7 +214,7 @@ class _Sides:
     fixed_baseline: bool = False
     policy: Policy = STANDARD
 
-    def windows(self, teaching: Sequence[np.ndarray]) -> tuple[list[Kinematics | Witness], np.ndarray]:
+    def windows(self, teaching: Sequence[np.ndarray]) -> tuple[list[KinematicResiduals | Witness], np.ndarray]:
         """Return kinematic windows outside the teaching half, with its habits, and which of all they are."""
         pairs = []
         for k, one in self.positions:

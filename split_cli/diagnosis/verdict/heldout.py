@@ -11,7 +11,7 @@ from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood, build_objective
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.kinematics import Kinematics
+from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 
 __all__ = ["HeldOut", "explained_shares", "hold_out"]
@@ -42,7 +42,7 @@ def hold_out(
     keep_others: Sequence[np.ndarray],
     posterior: DiscrepancyPosterior | None,
     discrepancy: SharedDiscrepancy,
-    kinematics: Sequence[Kinematics],
+    kinematics: Sequence[KinematicResiduals],
     policy: Policy = STANDARD,
     *,
     fixed_baseline: bool = False,

@@ -21,7 +21,7 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.budget import most_bytes_out
-from split_cli.logs.readers.messages import Batch, Stream
+from split_cli.logs.readers.messages import MessageBatch, Stream
 
 __all__ = ["BAG1_MAGIC", "Bag1Container"]
 
@@ -77,12 +77,12 @@ class Bag1Container:
             raise LogError(f"holds no readable message{detail}", where=path.name, advice="Record it again.")
         self.origin = self._first_time
 
-    def batches(self, keys: frozenset[int]) -> Iterator[Batch]:
+    def batches(self, keys: frozenset[int]) -> Iterator[MessageBatch]:
         """Yield the messages of the streams `keys`; see `Container.batches`."""
         for chunk in self._chunks:
             if keys.isdisjoint(chunk.counts):
                 continue
-            found = {key: Batch(key, [], [], []) for key in keys}
+            found = {key: MessageBatch(key, [], [], []) for key in keys}
             for key, time, payload in self._messages(chunk):
                 if key in found:
                     batch = found[key]

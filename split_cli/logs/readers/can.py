@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import Clock, RawChannelInfo, RawSignal, ReadNote, Recording, nearest_column
+from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, nearest_column
 
 __all__ = ["DATABASE_SUFFIXES", "is_can_log", "open_can", "read_databases"]
 
@@ -72,11 +72,11 @@ class _CanRecording:
         return self._infos
 
     def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
-        """Return the named signals; see `split_cli.logs.raw.Recording`."""
+        """Return the named signals; see `split_cli.logs.raw.RawRecording`."""
         return {name: nearest_column(self._signals, name, self.name) for name in names}
 
 
-def open_can(path: Path, databases: Sequence[Path]) -> Recording:
+def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
     """Open a log of CAN frames; its signals are addressed as ``/Message/Signal`` and carry the database's units.
 
     Frames of ids that no database defines, and frames that do not fit their definition, are counted in the notes.
@@ -151,7 +151,7 @@ def _recording(
     times: dict[str, list[float]],
     decoded: dict[str, list[float]],
     notes: list[ReadNote],
-) -> Recording:
+) -> RawRecording:
     units = {f"/{m.name}/{s.name}": s.unit for m in database.messages for s in m.signals}
     origin = min(stamps[0] for stamps in times.values())
     signals = {

@@ -15,9 +15,9 @@ from split_cli.errors import LogError
 from split_cli.logs.raw import (
     LazyTableRecording,
     RawChannelInfo,
+    RawRecording,
     RawSignal,
     ReadNote,
-    Recording,
     column_name_and_unit,
     note_once,
 )
@@ -31,7 +31,7 @@ _TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 _BLOCK_BYTES = 4 << 20
 
 
-def open_delimited(path: Path) -> Recording:
+def open_delimited(path: Path) -> RawRecording:
     """Open delimited text; separator, encoding, decimal mark, header and units are found from its beginning.
 
     Cells that are no numbers read as NaN, rows with another number of cells than the header are left out, and

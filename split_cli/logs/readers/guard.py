@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from split_cli.errors import LogError, SplitError, printable
-from split_cli.logs.raw import Clock, RawChannelInfo, RawSignal, ReadNote, Recording
+from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote
 
 __all__ = ["GuardedRecording", "guarded"]
 
@@ -46,12 +46,12 @@ def guarded(path: Path, step: Callable[[], _T]) -> _T:
 
 
 class GuardedRecording:
-    """A recording whose names can be printed and whose reader fails with `LogError` only; see `Recording`.
+    """A recording whose names can be printed and whose reader fails with `LogError` only; see `RawRecording`.
 
     Control characters in the names of topics and columns are shown, and addressed, by their codes.
     """
 
-    def __init__(self, inner: Recording) -> None:
+    def __init__(self, inner: RawRecording) -> None:
         self._inner = inner
         self._real: dict[str, str] = {}
         self.name = printable(inner.name)

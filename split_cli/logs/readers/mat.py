@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import RawSignal, ReadNote, Recording, TableRecording, column_name_and_unit, note_once
+from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, column_name_and_unit, note_once
 from split_cli.logs.readers.budget import refuse_unpacked_size
 from split_cli.logs.readers.mat5_structure import check_mat5
 
@@ -21,7 +21,7 @@ _TIME_NAMES = ("time", "Time", "t", "tout")
 _VALUE_NAMES = ("signals.values", "values", "data", "Data")
 
 
-def open_mat(path: Path) -> Recording:
+def open_mat(path: Path) -> RawRecording:
     """Open a MAT file of version 4, 5 or 7.
 
     Vectors become channels; a struct's fields are addressed as ``struct.field``, the columns of a matrix as
@@ -45,7 +45,7 @@ def open_mat(path: Path) -> Recording:
     return _recording(path, leaves)
 
 
-def open_mat_hdf5(path: Path) -> Recording:
+def open_mat_hdf5(path: Path) -> RawRecording:
     """Open a MAT file of version 7.3, or an HDF5 file of vectors; see `open_mat`.
 
     Raises
@@ -101,7 +101,7 @@ def _collect_hdf5(group: Any, prefix: str, leaves: list[tuple[str, np.ndarray]],
                 leaves.append((name, np.atleast_2d(np.asarray(item[()])).T))
 
 
-def _recording(path: Path, leaves: list[tuple[str, np.ndarray]]) -> Recording:
+def _recording(path: Path, leaves: list[tuple[str, np.ndarray]]) -> RawRecording:
     arrays = {name: values for name, values in leaves if values.size > 1 and values.ndim <= 2}
     notes: list[ReadNote] = []
     clocks = _own_clocks(arrays)

@@ -26,7 +26,7 @@ from mcap.opcode import Opcode
 from split_cli.errors import LogError
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.budget import most_bytes_out
-from split_cli.logs.readers.messages import Batch, Stream
+from split_cli.logs.readers.messages import MessageBatch, Stream
 
 __all__ = ["MCAP_MAGIC", "McapContainer"]
 
@@ -126,13 +126,13 @@ class McapContainer:
             count=contents.counts[channel.id],
         )
 
-    def batches(self, keys: frozenset[int]) -> Iterator[Batch]:
+    def batches(self, keys: frozenset[int]) -> Iterator[MessageBatch]:
         """Yield the messages of the streams `keys`; see `Container.batches`."""
         for segment in self._segments:
             if segment.channels is not None and keys.isdisjoint(segment.channels):
                 continue
             content = self._content(segment)
-            found: dict[int, Batch] = {key: Batch(key, [], [], []) for key in keys}
+            found: dict[int, MessageBatch] = {key: MessageBatch(key, [], [], []) for key in keys}
             for key, log_time, publish_time, start, stop in self._messages(content, segment):
                 batch = found.get(key)
                 if batch is not None:

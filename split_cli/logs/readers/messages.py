@@ -17,7 +17,7 @@ from split_cli.logs.readers.objects import JsonDecoder, ProtobufDecoder
 from split_cli.logs.readers.payloads import PayloadDecoder
 from split_cli.logs.readers.serialized import SerializedDecoder
 
-__all__ = ["Batch", "Container", "MessageRecording", "Stream"]
+__all__ = ["Container", "MessageBatch", "MessageRecording", "Stream"]
 
 _FLUSH_BYTES = 32 << 20
 _SCHEMAS_OF_ENCODING = {"cdr": ("ros2msg", "ros2idl", "omgidl"), "ros1": ("ros1msg",)}
@@ -52,7 +52,7 @@ class Stream:
 
 
 @dataclass(frozen=True)
-class Batch:
+class MessageBatch:
     """Consecutive messages of one stream, with their log and publish times [ns]."""
 
     key: int
@@ -78,13 +78,13 @@ class Container(Protocol):
     has_publish_times: bool
     notes: list[ReadNote]
 
-    def batches(self, keys: frozenset[int]) -> Iterator[Batch]:
+    def batches(self, keys: frozenset[int]) -> Iterator[MessageBatch]:
         """Yield the messages of the streams `keys`, in the order of the file."""
         ...
 
 
 class MessageRecording:
-    """A `Recording` over a container; see `split_cli.logs.raw.Recording`."""
+    """A `RawRecording` over a container; see `split_cli.logs.raw.RawRecording`."""
 
     def __init__(self, path: Path, container: Container, definitions: Definitions) -> None:
         self.name = path.name
@@ -174,7 +174,7 @@ class MessageRecording:
     def _decode(self, wanted: dict[str, tuple[str, ...]]) -> dict[str, list[_Part]]:
         by_key = {stream.key: stream for topic in wanted for stream in self._topics[topic]}
         parts: dict[str, list[_Part]] = {topic: [] for topic in wanted}
-        pending: dict[int, list[Batch]] = defaultdict(list)
+        pending: dict[int, list[MessageBatch]] = defaultdict(list)
         waiting = 0
         for batch in self._container.batches(frozenset(by_key)):
             pending[batch.key].append(batch)
@@ -187,7 +187,7 @@ class MessageRecording:
 
     def _flush(
         self,
-        pending: dict[int, list[Batch]],
+        pending: dict[int, list[MessageBatch]],
         by_key: dict[int, Stream],
         wanted: dict[str, tuple[str, ...]],
         parts: dict[str, list[_Part]],

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawSignal, ReadNote, Recording, note_once
+from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, ReadNote, note_once
 from split_cli.logs.readers.probe import probe
 from split_cli.signals import find_unit
 
@@ -35,7 +35,7 @@ def list_samples(path: Path) -> None:
                 continue
 
 
-def open_mf4(path: Path, databases: Sequence[Path] = ()) -> Recording:
+def open_mf4(path: Path, databases: Sequence[Path] = ()) -> RawRecording:
     """Open an MDF file. Every channel has the clock of its group, from the start of the measurement.
 
     A name that occurs in several groups is addressed as ``group.name``, with the group's name or number. Frames

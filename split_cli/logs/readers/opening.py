@@ -7,7 +7,7 @@ from pathlib import Path
 
 from split_cli.errors import LogError
 from split_cli.files import refuse_no_regular_file
-from split_cli.logs.raw import Recording
+from split_cli.logs.raw import RawRecording
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.guard import GuardedRecording, guarded
@@ -31,7 +31,7 @@ _BINARY_SUFFIXES = {
 }  # fmt: skip
 
 
-def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()) -> Recording:
+def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()) -> RawRecording:
     """Open a recording of any supported format.
 
     Parameters
@@ -44,8 +44,8 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
 
     Returns
     -------
-    Recording
-        Channels are listed without decoding; see `split_cli.logs.raw.Recording`.
+    RawRecording
+        Channels are listed without decoding; see `split_cli.logs.raw.RawRecording`.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     return GuardedRecording(guarded(path, lambda: _open(path, message_paths)))
 
 
-def _open(path: Path, message_paths: Sequence[str | Path]) -> Recording:
+def _open(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
     if path.is_dir() or path.name == "metadata.yaml":
         return _open_folder(path if path.is_dir() else path.parent, message_paths)
     if not path.exists():
@@ -65,7 +65,7 @@ def _open(path: Path, message_paths: Sequence[str | Path]) -> Recording:
     return _open_file(path, message_paths)
 
 
-def _open_file(path: Path, message_paths: Sequence[str | Path]) -> Recording:
+def _open_file(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
     with path.open("rb") as stream:
         head = stream.read(_HEAD_BYTES)
     if not head:
@@ -92,7 +92,7 @@ def _open_file(path: Path, message_paths: Sequence[str | Path]) -> Recording:
     return open_delimited(path)
 
 
-def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path]) -> Recording | None:
+def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path]) -> RawRecording | None:
     if head.startswith(b"\x89MCAP0\r\n"):
         from split_cli.logs.readers.mcap import McapContainer
 
@@ -138,13 +138,13 @@ def _is_hdf5(head: bytes) -> bool:
     return any(head[start : start + 8] == b"\x89HDF\r\n\x1a\n" for start in (0, 512))
 
 
-def _open_folder(path: Path, message_paths: Sequence[str | Path]) -> Recording:
+def _open_folder(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
     from split_cli.logs.readers.rosbag2 import open_rosbag2_folder
 
     return _messages(path, open_rosbag2_folder(path), message_paths)
 
 
-def _messages(path: Path, container: Container, message_paths: Sequence[str | Path]) -> Recording:
+def _messages(path: Path, container: Container, message_paths: Sequence[str | Path]) -> RawRecording:
     folders = [p for p in message_paths if Path(p).suffix.lower() not in DATABASE_SUFFIXES]
     return MessageRecording(path, container, Definitions(folders))
 

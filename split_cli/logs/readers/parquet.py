@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawSignal, Recording, column_name_and_unit
+from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, column_name_and_unit
 
 __all__ = ["column_values", "open_arrow", "open_parquet"]
 
 
-def open_parquet(path: Path) -> Recording:
+def open_parquet(path: Path) -> RawRecording:
     """Open a Parquet file; columns are read when asked for.
 
     Raises
@@ -36,7 +36,7 @@ def open_parquet(path: Path) -> Recording:
     return _recording(path, "Parquet", file.schema_arrow, file.metadata.num_rows, read)
 
 
-def open_arrow(path: Path) -> Recording:
+def open_arrow(path: Path) -> RawRecording:
     """Open an Arrow IPC or Feather (version 2) file, which is mapped rather than read.
 
     Raises

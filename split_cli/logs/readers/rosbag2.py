@@ -21,7 +21,7 @@ from split_cli.files import read_text
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.budget import most_bytes_out
 from split_cli.logs.readers.mcap import McapContainer
-from split_cli.logs.readers.messages import Batch, Container, Stream
+from split_cli.logs.readers.messages import Container, MessageBatch, Stream
 from split_cli.yaml_file import parse_yaml
 
 __all__ = ["ConcatenatedContainer", "SqliteContainer", "open_rosbag2_folder"]
@@ -97,7 +97,7 @@ class SqliteContainer:
             if counts.get(key)
         ]
 
-    def batches(self, keys: frozenset[int]) -> Iterator[Batch]:
+    def batches(self, keys: frozenset[int]) -> Iterator[MessageBatch]:
         """Yield the messages of the streams `keys`; see `Container.batches`."""
         chosen = ",".join(str(int(key)) for key in keys)
         try:
@@ -111,8 +111,8 @@ class SqliteContainer:
         except sqlite3.Error as error:
             note_once(self.notes, ReadNote(f"the database is damaged ({error}): read up to there", self.path.name))
 
-    def _sorted(self, rows: list[tuple[Any, Any, Any]]) -> Iterator[Batch]:
-        found: dict[int, Batch] = defaultdict(lambda: Batch(0, [], [], []))
+    def _sorted(self, rows: list[tuple[Any, Any, Any]]) -> Iterator[MessageBatch]:
+        found: dict[int, MessageBatch] = defaultdict(lambda: MessageBatch(0, [], [], []))
         odd = 0
         for key, time, payload in rows:
             if not isinstance(time, int) or time < 0 or not isinstance(payload, bytes):
@@ -161,7 +161,7 @@ class ConcatenatedContainer:
             self.streams += [replace(stream, key=self._keys[-1][stream.key]) for stream in part.streams]
             self.notes += part.notes
 
-    def batches(self, keys: frozenset[int]) -> Iterator[Batch]:
+    def batches(self, keys: frozenset[int]) -> Iterator[MessageBatch]:
         """Yield the messages of the streams `keys`; see `Container.batches`."""
         for part, own_keys in zip(self._parts, self._keys, strict=True):
             chosen = frozenset(own for own, key in own_keys.items() if key in keys)

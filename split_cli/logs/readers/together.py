@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import Clock, RawChannelInfo, RawSignal, ReadNote, Recording, time_column
+from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, time_column
 from split_cli.signals import convert_to_si, find_unit
 
 __all__ = ["JointRecording", "open_together"]
@@ -27,14 +27,14 @@ class JointRecording:
     clocks: tuple[Clock, ...] = ()
     origin = 0.0
 
-    def __init__(self, parts: Sequence[Recording]) -> None:
+    def __init__(self, parts: Sequence[RawRecording]) -> None:
         self.parts = tuple(parts)
         self.paths = tuple(part.path for part in parts)
         self.path = self.paths[0]
         self.name = "+".join(part.name for part in parts)
         self._own_notes: list[ReadNote] = []
         self._time: dict[int, RawChannelInfo] = {}
-        self._places: dict[str, tuple[Recording, RawChannelInfo]] = {}
+        self._places: dict[str, tuple[RawRecording, RawChannelInfo]] = {}
         for part in parts:
             infos = part.channels()
             time = time_column(infos)
@@ -86,7 +86,7 @@ class JointRecording:
                 read[name] = RawSignal(name, signal.time if stamps is None else stamps, signal.values, signal.unit)
         return {name: read[name] for name in names}
 
-    def _seconds(self, part: Recording, signal: RawSignal) -> np.ndarray:
+    def _seconds(self, part: RawRecording, signal: RawSignal) -> np.ndarray:
         unit = signal.unit
         if unit is None or getattr(find_unit(unit), "si", "") != "s":
             note = ReadNote(f"column {signal.name!r} taken as time in s", part.name)
@@ -96,7 +96,7 @@ class JointRecording:
         return convert_to_si(signal.values, unit, where=part.name)
 
 
-def open_together(parts: Sequence[Recording]) -> Recording:
+def open_together(parts: Sequence[RawRecording]) -> RawRecording:
     """Join recordings whose clocks count from one instant.
 
     Raises

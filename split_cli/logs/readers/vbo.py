@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import RawSignal, ReadNote, Recording, TableRecording
+from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording
 from split_cli.signals import find_unit
 
 __all__ = ["open_vbo"]
@@ -21,7 +21,7 @@ _SPELLINGS = {"newtonmet": "N m", "kmh": "km/h", "km/h": "km/h", "degrees/s": "d
 _STRAY_STEPS = 10.0
 
 
-def open_vbo(path: Path) -> Recording:
+def open_vbo(path: Path) -> RawRecording:
     """Open a .vbo file.
 
     Time is seconds since midnight UTC; ``lat`` and ``long`` are degrees, north and east positive (the file has arc

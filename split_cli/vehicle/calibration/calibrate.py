@@ -11,7 +11,12 @@ from split_cli.errors import VehicleError, nearest_names
 from split_cli.vehicle.calibration.curve import ForceCurve, fit_force_curve
 from split_cli.vehicle.calibration.resistance import Resistance, fit_resistance
 from split_cli.vehicle.calibration.samples import MotionRun, MotionSamples, axle_lateral_forces, motion_samples
-from split_cli.vehicle.calibration.turning import Estimate, estimate_splits, estimate_yaw_inertia, with_estimates
+from split_cli.vehicle.calibration.turning import (
+    IntervalEstimate,
+    estimate_splits,
+    estimate_yaw_inertia,
+    with_estimates,
+)
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import MagicFormula, lateral_force
 
@@ -72,7 +77,7 @@ class Calibration:
     curves : tuple of ForceCurve
         Front and rear; empty when tyres were not fitted.
     resistance : Resistance or None
-    estimates : tuple of Estimate
+    estimates : tuple of IntervalEstimate
         Yaw inertia and splits, where asked for.
     samples, blocks : int
         Smoothed samples above the minimum speed, and blocks of time.
@@ -83,7 +88,7 @@ class Calibration:
     vehicle: Vehicle
     curves: tuple[ForceCurve, ...]
     resistance: Resistance | None
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[IntervalEstimate, ...]
     samples: int
     blocks: int
     slip_front: np.ndarray
@@ -128,7 +133,7 @@ def calibrate_vehicle(
     vehicle = start
     gentle = _gentle(samples, settings)
     curves: tuple[ForceCurve, ...] = ()
-    estimates: tuple[Estimate, ...] = ()
+    estimates: tuple[IntervalEstimate, ...] = ()
     # What turning shows changes the forces that the curves are fitted to, and the other way round: three rounds.
     asked = [part for part in ("splits", "inertia") if part in settings.parts]
     rounds = 3 if asked else 1
@@ -268,7 +273,7 @@ def _marked(
     vehicle: Vehicle,
     curves: tuple[ForceCurve, ...],
     resistance: Resistance | None,
-    estimates: tuple[Estimate, ...],
+    estimates: tuple[IntervalEstimate, ...],
 ) -> Vehicle:
     """Mark what was calibrated, and what was given in its place, with a note of how well it is known."""
     origins, notes = dict(vehicle.origins), dict(vehicle.notes)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.errors import VehicleError
-from split_cli.vehicle.calibration.least_squares import Fit, block_weights, solve
+from split_cli.vehicle.calibration.least_squares import LeastSquaresFit, block_weights, solve
 from split_cli.vehicle.tire import MagicFormula, lateral_force, lateral_force_slope
 
 __all__ = ["ForceCurve", "HeldOutError", "fit_force_curve"]
@@ -133,7 +133,7 @@ class _Problem:
         root = np.sqrt(stretch)
         return error / root, jacobian / root[:, None]
 
-    def fit(self, start: np.ndarray, free=None, weight=None, scale=None) -> Fit:
+    def fit(self, start: np.ndarray, free=None, weight=None, scale=None) -> LeastSquaresFit:
         free = self.free if free is None else np.asarray(free)
         return solve(self.residual, start, self.lower, self.upper, free=free, weight=weight, scale=scale)
 
@@ -267,7 +267,7 @@ def _curve(p: np.ndarray, grid: np.ndarray) -> np.ndarray:
     return lateral_force(tire.B, tire.C, tire.D, grid)
 
 
-def _best_fit(problem: _Problem, start: MagicFormula, given_peak: float) -> Fit:
+def _best_fit(problem: _Problem, start: MagicFormula, given_peak: float) -> LeastSquaresFit:
     """Fit from several peaks, since a flat valley can hold an iteration where it started."""
     begin = _start(start)
     begins = [begin, *(np.array([begin[0], np.log(given_peak * f), 1.4, 0.0]) for f in (0.6, 1.0, 1.6))]
@@ -275,7 +275,7 @@ def _best_fit(problem: _Problem, start: MagicFormula, given_peak: float) -> Fit:
     return min((problem.fit(p, scale=scale) for p in begins), key=lambda fit: fit.cost)
 
 
-def _noise_ratio(problem: _Problem, fit: Fit, slip_noise: np.ndarray) -> np.ndarray:
+def _noise_ratio(problem: _Problem, fit: LeastSquaresFit, slip_noise: np.ndarray) -> np.ndarray:
     """Return slip noise over force noise, the latter what the scatter holds beside the former."""
     tire = _tire(fit.parameters)
     slope = lateral_force_slope(tire.B, tire.C, tire.D, problem.slip + fit.parameters[3])
@@ -294,7 +294,7 @@ class _Profile:
     threshold: float
 
 
-def _profile(problem: _Problem, best: Fit) -> _Profile:
+def _profile(problem: _Problem, best: LeastSquaresFit) -> _Profile:
     others = problem.free[problem.free != 1]
     threshold = best.cost + _HALF_CHI2 * best.scale**2 * best.design_effect(problem.block)
     alike = [best.parameters]
@@ -330,8 +330,8 @@ def _with_peak(p: np.ndarray, log_peak: float) -> np.ndarray:
 
 
 def _settle(
-    problem: _Problem, best: Fit, profile: _Profile, start: MagicFormula, given_peak: float, axle: str
-) -> tuple[Fit, tuple[str, ...], list[str]]:
+    problem: _Problem, best: LeastSquaresFit, profile: _Profile, start: MagicFormula, given_peak: float, axle: str
+) -> tuple[LeastSquaresFit, tuple[str, ...], list[str]]:
     """Choose how many coefficients the data may set."""
     low, high = profile.interval
     estimate = float(np.exp(best.parameters[1]))
@@ -367,7 +367,7 @@ def _settle(
 
 
 def _resampled_band(
-    problem: _Problem, best: Fit, grid: np.ndarray, draws: int, seed: int
+    problem: _Problem, best: LeastSquaresFit, grid: np.ndarray, draws: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the pointwise 95 % band of the curves that resampled blocks give [N]."""
     curves = [_curve(best.parameters, grid)]
@@ -381,7 +381,7 @@ def _resampled_band(
     return curves[0] + widen * (low - curves[0]), curves[0] + widen * (high - curves[0])
 
 
-def _held_out(problem: _Problem, chosen: Fit, start: MagicFormula) -> HeldOutError:
+def _held_out(problem: _Problem, chosen: LeastSquaresFit, start: MagicFormula) -> HeldOutError:
     """Refit without each fifth of the blocks and predict it."""
     _, index = np.unique(problem.block, return_inverse=True)
     squares = np.zeros(len(problem.slip))
@@ -397,7 +397,7 @@ def _held_out(problem: _Problem, chosen: Fit, start: MagicFormula) -> HeldOutErr
     )
 
 
-def _offset_remark(problem: _Problem, chosen: Fit, axle: str, fitted: bool) -> list[str]:
+def _offset_remark(problem: _Problem, chosen: LeastSquaresFit, axle: str, fitted: bool) -> list[str]:
     if fitted:
         return []
     with_offset = problem.fit(chosen.parameters, free=np.append(chosen.free, 3), scale=chosen.scale)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Fit", "block_weights", "robust_scale", "solve"]
+__all__ = ["LeastSquaresFit", "block_weights", "robust_scale", "solve"]
 
 Residual = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """parameters (P,) to residuals (M,) and their Jacobian (M, P)."""
@@ -16,7 +16,7 @@ _HUBER = 1.5
 
 
 @dataclass(frozen=True)
-class Fit:
+class LeastSquaresFit:
     """A solution of robust least squares.
 
     Attributes
@@ -81,7 +81,7 @@ def solve(
     weight: np.ndarray | None = None,
     scale: float | None = None,
     iterations: int = 60,
-) -> Fit:
+) -> LeastSquaresFit:
     """Minimise the Huber loss of the residuals by a Levenberg-Marquardt iteration inside bounds.
 
     Parameters
@@ -110,7 +110,7 @@ def solve(
     reduced = jacobian[:, free]
     curvature = (reduced * influence[:, None]).T @ reduced
     scores = reduced * (influence * value)[:, None]
-    return Fit(parameters, _loss(value, width, weight), width, curvature, scores, free)
+    return LeastSquaresFit(parameters, _loss(value, width, weight), width, curvature, scores, free)
 
 
 def _descend(residual, parameters, lower, upper, free, weight, width, iterations) -> np.ndarray:

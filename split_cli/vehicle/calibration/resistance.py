@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.errors import VehicleError
 from split_cli.vehicle.calibration.curve import HeldOutError
-from split_cli.vehicle.calibration.least_squares import Fit, solve
+from split_cli.vehicle.calibration.least_squares import LeastSquaresFit, solve
 from split_cli.vehicle.calibration.samples import MotionSamples, front_longitudinal_force
 from split_cli.vehicle.parameters import Vehicle
 
@@ -143,7 +143,7 @@ def fit_resistance(
     )
 
 
-def _fit(design: np.ndarray, target: np.ndarray, start: np.ndarray, free: list[int]) -> Fit:
+def _fit(design: np.ndarray, target: np.ndarray, start: np.ndarray, free: list[int]) -> LeastSquaresFit:
     def residual(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return design @ p - target, design
 

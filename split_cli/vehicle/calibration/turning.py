@@ -11,11 +11,11 @@ from split_cli.vehicle.calibration.samples import MotionSamples, axle_lateral_fo
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import lateral_force, lateral_force_slope
 
-__all__ = ["Estimate", "estimate_splits", "estimate_yaw_inertia", "with_estimates"]
+__all__ = ["IntervalEstimate", "estimate_splits", "estimate_yaw_inertia", "with_estimates"]
 
 
 @dataclass(frozen=True)
-class Estimate:
+class IntervalEstimate:
     """One number with its 95 % interval.
 
     Attributes
@@ -41,7 +41,7 @@ def _tire_columns(slip: np.ndarray, tire) -> np.ndarray:
     return np.column_stack([along, force - along])
 
 
-def estimate_yaw_inertia(samples: MotionSamples, vehicle: Vehicle) -> Estimate:
+def estimate_yaw_inertia(samples: MotionSamples, vehicle: Vehicle) -> IntervalEstimate:
     """Estimate I_z with both axles' curves free to give way, linearised about `vehicle`.
 
     Notes
@@ -69,15 +69,15 @@ def estimate_yaw_inertia(samples: MotionSamples, vehicle: Vehicle) -> Estimate:
     noise = float(np.mean(samples.yaw_acceleration_noise**2)) / vehicle.wheelbase**2
     share = noise / max(float(np.mean(alone**2)), 1e-300)
     if share > 0.5:
-        return Estimate("yaw_inertia", vehicle.yaw_inertia, float("inf"), False)
+        return IntervalEstimate("yaw_inertia", vehicle.yaw_inertia, float("inf"), False)
     seen = vehicle.yaw_inertia + change
     value = seen / (1.0 - share)
     # The noise level itself is known to about half.
     error = float(np.hypot(half_width, 0.5 * (value - seen)))
-    return Estimate("yaw_inertia", value, error, value > 0 and error < 0.1 * value)
+    return IntervalEstimate("yaw_inertia", value, error, value > 0 and error < 0.1 * value)
 
 
-def estimate_splits(samples: MotionSamples, vehicle: Vehicle) -> tuple[Estimate, ...]:
+def estimate_splits(samples: MotionSamples, vehicle: Vehicle) -> tuple[IntervalEstimate, ...]:
     """Estimate the front share of driving and of braking torque from what it adds across the car in turns.
 
     Notes
@@ -94,12 +94,12 @@ def estimate_splits(samples: MotionSamples, vehicle: Vehicle) -> tuple[Estimate,
     for name, rows in (("drive_split_front", samples.T >= 0.0), ("brake_split_front", samples.T < 0.0)):
         start = getattr(vehicle, name)
         if np.count_nonzero(rows) < 60 or len(np.unique(samples.block[rows])) < 6:
-            estimates.append(Estimate(name, start, float("inf"), False))
+            estimates.append(IntervalEstimate(name, start, float("inf"), False))
             continue
         jacobian = np.column_stack([_tire_columns(samples.slip_front, tire), np.where(rows, lever, 0.0)])
         change, half_width = _linear(jacobian, error, samples.block)
         value = float(np.clip(start + change, 0.0, 1.0))
-        estimates.append(Estimate(name, value, half_width, half_width < 0.1))
+        estimates.append(IntervalEstimate(name, value, half_width, half_width < 0.1))
     return tuple(estimates)
 
 
@@ -118,6 +118,6 @@ def _linear(jacobian: np.ndarray, error: np.ndarray, block: np.ndarray) -> tuple
     return float(fit.parameters[-1] / size[-1]), 1.96 * float(np.sqrt(fit.covariance(block)[-1, -1]) / size[-1])
 
 
-def with_estimates(vehicle: Vehicle, estimates: tuple[Estimate, ...]) -> Vehicle:
+def with_estimates(vehicle: Vehicle, estimates: tuple[IntervalEstimate, ...]) -> Vehicle:
     """Return the vehicle with the settled estimates in it."""
     return replace(vehicle, **{e.name: e.value for e in estimates if e.settled})
