@@ -16,7 +16,7 @@ from split_cli.logs.gather import expected_unit, row_rate_from_yaw
 from split_cli.logs.naming import is_command, meanings, spelled_without_unit, stated_unit
 from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, seconds_and_nanoseconds, time_column
 from split_cli.logs.steering import read_steering
-from split_cli.logs.trial import Candidate, Trial, names_of
+from split_cli.logs.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
@@ -52,7 +52,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     trial = Trial(signals, time, vehicle, known)
     trial.wheel_torques = [c for c in candidates if c.channel == "wheel_torque"]
     opened: list[Suggestion] = []
-    usable: dict[str, list[Candidate]] = {}
+    usable: dict[str, list[TrialCandidate]] = {}
     for candidate in candidates:
         reason = trial.unusable(candidate)
         if reason:
@@ -87,15 +87,15 @@ def _is_bare_topic(info: RawChannelInfo, infos: Sequence[RawChannelInfo]) -> boo
     )
 
 
-def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> list[Candidate]:
+def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> list[TrialCandidate]:
     """Return what names and units suggest; a unit of another quantity rules a channel out."""
     time = None if recording.clocks else time_column(infos)
-    found: list[Candidate] = []
+    found: list[TrialCandidate] = []
     for channel, sources, convert in field_candidates(infos):
         # Messages of ROS are in SI by its conventions (REP 103), positions of a fix in degrees.
         unit = "deg" if channel in ("latitude", "longitude") else expected_unit(channel)
         told = next((stated_unit(i) for i in infos if i.name == sources[0]), None)
-        found.append(Candidate(channel, sources, 3, told or unit, convert))
+        found.append(TrialCandidate(channel, sources, 3, told or unit, convert))
     by_field = {name for candidate in found for name in (*candidate.sources, *names_of(candidate))}
     for info in infos:
         if info == time or info.type_name == "text" or info.name in by_field:
@@ -110,40 +110,40 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
             turning = channel.startswith("wheel_speed") and si == "rad/s"
             if si is not None and expected is not None and si != expected and not turning:
                 continue
-            found.append(Candidate(channel, (info.name,), meaning.weight - info.name.startswith("_"), unit))
+            found.append(TrialCandidate(channel, (info.name,), meaning.weight - info.name.startswith("_"), unit))
     bare = {spelled_without_unit(info): info for info in infos if info.type_name != "text"}
     for u, v in (("u", "v"), ("U", "V")):
         if u in bare and v in bare:
             # Beside a u, v is the lateral velocity of the textbooks.
             found = [c for c in found if c.sources != (bare[v].name,)]
-            found.append(Candidate("vy", (bare[v].name,), 2, stated_unit(bare[v])))
+            found.append(TrialCandidate("vy", (bare[v].name,), 2, stated_unit(bare[v])))
     return [*found, *_fixes(found)]
 
 
-def _fixes(found: Sequence[Candidate]) -> list[Candidate]:
+def _fixes(found: Sequence[TrialCandidate]) -> list[TrialCandidate]:
     """Return X and Y from latitude and longitude, sums of wheel torques and brake pressures."""
     first = {c.channel: c for c in reversed(found) if c.channel in ("latitude", "longitude")}
     made = []
     if len(first) == 2:
         pair = (first["latitude"].sources[0], first["longitude"].sources[0])
-        made += [Candidate("X", pair, 2, "m", "local_x"), Candidate("Y", pair, 2, "m", "local_y")]
+        made += [TrialCandidate("X", pair, 2, "m", "local_x"), TrialCandidate("Y", pair, 2, "m", "local_y")]
     wheels = [c for c in found if c.channel == "wheel_torque"]
     if len(wheels) in (2, 4):
-        made.append(Candidate("T", tuple(c.sources[0] for c in wheels), 4, wheels[0].unit, "sum"))
+        made.append(TrialCandidate("T", tuple(c.sources[0] for c in wheels), 4, wheels[0].unit, "sum"))
     sides = {side: c for c in found if c.channel == "delta" for side in ("fl", "fr", "left", "right")
              if side in concepts_of(tokens_of(c.sources[0]))[0] and not is_command(c.sources[0])}  # fmt: skip
     for left, right in (("fl", "fr"), ("left", "right")):
         if left in sides and right in sides and sides[left].unit == sides[right].unit:
             both = (sides[left].sources[0], sides[right].sources[0])
-            made.append(Candidate("delta", both, 4, sides[left].unit, "pair_mean"))
+            made.append(TrialCandidate("delta", both, 4, sides[left].unit, "pair_mean"))
     pressures = [c for c in found if c.channel == "brake_pressure"]
     if len(pressures) == 2:
         both = tuple(c.sources[0] for c in pressures)
-        made.append(Candidate("brake_pressure", both, 4, pressures[0].unit, "sum"))
+        made.append(TrialCandidate("brake_pressure", both, 4, pressures[0].unit, "sum"))
     return made
 
 
-def _read(recording: RawRecording, candidates: Sequence[Candidate]) -> dict[str, RawSignal]:
+def _read(recording: RawRecording, candidates: Sequence[TrialCandidate]) -> dict[str, RawSignal]:
     """Read what candidates need and what may be a clock; a signal that cannot be read is left out."""
     names = {name for c in candidates for name in names_of(c)}
     listed = recording.channels()
@@ -166,7 +166,7 @@ def _time(
     recording: RawRecording,
     infos: Sequence[RawChannelInfo],
     signals: Mapping[str, RawSignal],
-    candidates: Sequence[Candidate],
+    candidates: Sequence[TrialCandidate],
     row_rate: float | None,
 ) -> tuple[np.ndarray | None, str, bool]:
     """Return the clock of a table's rows [s], the map's line for it, and whether it is known."""
@@ -221,7 +221,7 @@ def _unit_of_time(values: np.ndarray) -> str:
                  and step * size < 1.5), "s")  # fmt: skip
 
 
-def _rate_told_by_yaw(candidates: Sequence[Candidate], signals: Mapping[str, RawSignal]) -> float | None:
+def _rate_told_by_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
     for yaw in (c for c in candidates if c.channel == "yaw" and c.sources[0] in signals):
         for rate in (c for c in candidates if c.channel == "r" and c.sources[0] in signals):
             units = [find_unit(c.unit).factor if c.unit else 1.0 for c in (yaw, rate)]
@@ -232,7 +232,7 @@ def _rate_told_by_yaw(candidates: Sequence[Candidate], signals: Mapping[str, Raw
     return None
 
 
-def _first_guess(candidate: Candidate, trial: Trial) -> Suggestion:
+def _first_guess(candidate: TrialCandidate, trial: Trial) -> Suggestion:
     unit = candidate.unit
     if unit is None and candidate.channel in ("yaw", "sideslip") and candidate.convert == "":
         values = trial.signals[candidate.sources[0]].values
@@ -244,7 +244,7 @@ def _first_guess(candidate: Candidate, trial: Trial) -> Suggestion:
                       command=all(is_command(name) for name in candidate.sources))  # fmt: skip
 
 
-def _choose(usable: Mapping[str, list[Candidate]], trial: Trial) -> dict[str, Suggestion]:
+def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[str, Suggestion]:
     """Take the clearest candidate of each channel; among rivals the one that contradicts the others least."""
     ranked = {
         channel: sorted(options, key=lambda c: (-c.weight, c.unit is None, len(c.sources)))[:_MOST_RIVALS]

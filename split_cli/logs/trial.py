@@ -16,14 +16,14 @@ from split_cli.logs.transform import local_tangent_plane, yaw_from_quaternion
 from split_cli.signals import REQUIRED_CHANNELS, find_unit
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Candidate", "Trial", "names_of"]
+__all__ = ["Trial", "TrialCandidate", "names_of"]
 
 _JUDGED = ("vx", "vy", "r", "yaw", "X", "Y", "ax", "ay", "delta")
 _GRID_RATE = 50.0
 
 
 @dataclass(frozen=True)
-class Candidate:
+class TrialCandidate:
     """One reading of one or several recorded names.
 
     Attributes
@@ -44,7 +44,7 @@ class Candidate:
     convert: str = ""
 
 
-def names_of(candidate: Candidate) -> tuple[str, ...]:
+def names_of(candidate: TrialCandidate) -> tuple[str, ...]:
     """Return the recorded names that a candidate reads."""
     if candidate.convert == "yaw_from_quaternion" and len(candidate.sources) == 1:
         base = candidate.sources[0]
@@ -64,7 +64,7 @@ class Trial:
         time_is_known: bool,
     ) -> None:
         self.signals, self.time, self.vehicle, self.time_is_known = signals, time, vehicle, time_is_known
-        self.wheel_torques: list[Candidate] = []
+        self.wheel_torques: list[TrialCandidate] = []
         stamps = [time if s.time is None else s.time for s in signals.values()]
         stamps = [t for t in stamps if t is not None and np.isfinite(t).sum() > 20]
         low = max((float(np.nanquantile(t, 0.0)) for t in stamps if _is_long(t, stamps)), default=0.0)
@@ -72,7 +72,7 @@ class Trial:
         count = int(min(max((high - low) * _GRID_RATE, 0), 60_000))
         self.grid = low + np.arange(count) / _GRID_RATE
 
-    def unusable(self, candidate: Candidate) -> str:
+    def unusable(self, candidate: TrialCandidate) -> str:
         """Return why a candidate cannot be used, empty when it can."""
         missing = [name for name in names_of(candidate) if name not in self.signals]
         if missing:
@@ -96,7 +96,7 @@ class Trial:
 
     def column(self, s: Suggestion) -> np.ndarray | None:
         """Return a suggestion's samples on the grid, SI, shape (N,); None where too few."""
-        names = names_of(Candidate(s.channel, s.sources, 0, s.unit, s.convert))
+        names = names_of(TrialCandidate(s.channel, s.sources, 0, s.unit, s.convert))
         if any(name not in self.signals for name in names):
             return None
         raw = [self.signals[name] for name in names]
@@ -118,7 +118,7 @@ class Trial:
             return np.interp(self.grid, stamps[order], values)
         return np.interp(self.grid, stamps[order], values[order])
 
-    def _combined(self, s: Suggestion | Candidate, values: list[np.ndarray]) -> np.ndarray:
+    def _combined(self, s: Suggestion | TrialCandidate, values: list[np.ndarray]) -> np.ndarray:
         if s.convert == "yaw_from_quaternion":
             return yaw_from_quaternion(*values)
         if s.convert in ("local_x", "local_y"):
