@@ -15,10 +15,12 @@ __all__ = ["command"]
 @vehicle_option()
 @click.option("--limit-vehicle", type=existing_file, metavar="FILE", help="Calibrated from tests near the limit.")
 @click.option("--physics-vehicle", type=existing_file, metavar="FILE", help="Corrected by split diagnose.")
+@click.option("--lags-vehicle", type=existing_file, metavar="FILE", help="The given one with lags."
+              )
 @click.option("--only", multiple=True, metavar="NAME", help="Run those whose names begin so; repeatable.")
 @click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Fill this page's tables.")
 @output_option("Folder of results.")
-def command(vehicle_path, limit_vehicle, physics_vehicle, only, page, output) -> None:
+def command(vehicle_path, limit_vehicle, physics_vehicle, lags_vehicle, only, page, output) -> None:
     """Run the closed-loop experiments of docs/experiments.md, and fill its tables.
 
     Every race and every sweep of a manoeuvre is kept in DIR; what is there is not run again. The whole plan takes
@@ -33,7 +35,8 @@ def command(vehicle_path, limit_vehicle, physics_vehicle, only, page, output) ->
     from split_cli.workflows.experiments import run_experiments, stored
     from split_cli.workflows.experiments_page import fill_page
 
-    given = {"gentle": vehicle_path, "limit": limit_vehicle, "physics": physics_vehicle}
+    given = {"gentle": vehicle_path, "limit": limit_vehicle, "physics": physics_vehicle,
+             "lags": lags_vehicle}  # fmt: skip
     vehicles = {name: path for name, path in given.items() if path is not None}
     ran = run_experiments(
         output, vehicles, only=only, progress=lambda text: click.echo(f"experiments: {text}", err=True)

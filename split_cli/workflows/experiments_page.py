@@ -65,6 +65,9 @@ def tables(results: dict[str, dict]) -> dict[str, str]:
         for name, group in groups.items()
         if "laps" in group[0]["result"] and "small" in groups
     }
+    made |= {
+        f"errors-{name}": _error_table(group) for name, group in groups.items() if "laps" in group[0]["result"]
+    }
     sweeps = [result for result in results.values() if "runs" in result["result"]]
     made["maneuvers"] = _sweep_table(sweeps)
     made["timing"] = _timing_table([r for r in results.values() if "laps" in r["result"]])
@@ -92,6 +95,31 @@ def _lap_table(group: list[dict]) -> str:
                 f"{lap['mean_speed']:.2f}", f"{lap['max_lateral']:.2f}", str(lap["updates"]), str(lap["size"]),
                 str(lap["cells"]), ", ".join(f"{v:.3f}" for v in after), share, str(lap["failures"]),
             ])  # fmt: skip
+    return _markdown(header, rows)
+
+
+def _error_table(group: list[dict]) -> str:
+    """Return what is left of the error of the exact motion in each race's last finished lap.
+
+    The drop is told against the gentle nominal file on the last lap that ``split`` drove with the same seed, since
+    errors grow with the pace of driving.
+    """
+    last = {}
+    for race in group:
+        laps = [lap for lap in race["result"]["laps"] if lap["time"] is not None and any(lap["motion_before"])]
+        if laps:
+            last[race["model"], race["settings"]["seed"]] = laps[-1]
+    rows = []
+    for (model, seed), lap in last.items():
+        before, after = np.array(lap["motion_before"]), np.array(lap["motion_after"])
+        reference = last.get(("split", seed))
+        drop = "-"
+        if reference is not None:
+            share = 1.0 - after / np.array(reference["motion_before"])
+            drop = " / ".join(f"{100.0 * value:.0f}" for value in share)
+        rows.append([model, str(seed), str(lap["number"]), ", ".join(f"{v:.3f}" for v in before),
+                     ", ".join(f"{v:.3f}" for v in after), drop])  # fmt: skip
+    header = ["model", "seed", "lap", "its vehicle file", "with what it learned", "less than the gentle file %"]
     return _markdown(header, rows)
 
 

@@ -16,6 +16,7 @@ def lap(number: int, time: float | None, outside: float = 0.0) -> dict:
     return {
         "number": number, "time": time, "outside": outside, "mean_speed": 16.0, "max_lateral": 0.85, "updates": 4,
         "size": 3, "cells": 2, "error_before": [0.4, 0.5, 0.3], "error_after": [0.4, 0.25, 0.1], "failures": 0,
+        "motion_before": [0.4, 0.5, 0.3], "motion_after": [0.2, 0.1, 0.03],
         "solver_ms": [5.0, 9.0, 10.0], "step_ms": [8.0, 12.0, 15.0], "update_ms": [1.0, 2.0, 3.0],
     }  # fmt: skip
 
@@ -55,6 +56,8 @@ def test_a_lap_off_the_track_does_not_count_and_the_page_is_filled(tmp_path, sam
     assert "| split | 0 | 36.00 | 10.0 | 2 of 2 |" in made["gain-small"]
     assert "0.50 | 16.00" in made["laps-small"] and "not finished" in made["laps-small"]
     assert "1.00 / 0.50 / 0.33" in made["laps-small"]
+    # The motion's error fell from 0.4, 0.5, 0.3 to 0.2, 0.1, 0.03.
+    assert "| split | 0 | 1 | 0.400, 0.500, 0.300 | 0.200, 0.100, 0.030 | 50 / 80 / 90 |" in made["errors-small"]
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- table: gain-small -->\nold\n<!-- end -->\nafter\n")
     figures = fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))

@@ -32,6 +32,10 @@ __all__ = ["Race"]
 RUN_UP_SHARE, LONGEST_RUN_UP = 0.3, 200.0
 """Of a lap [1] and at most [m]: the way before the line, so that lap 0 starts flying as others do."""
 
+MOTION_EVERY = 4
+"""Of the intervals, the error of the exact motion is computed in every fourth [1]: a label of a vehicle with terms
+takes milliseconds, and a lap has hundreds of intervals."""
+
 LEFT_BEHIND = 1.0
 """A car whose whole width and this much more [m] is beyond the border has left the track, and its lap ends."""
 
@@ -211,8 +215,11 @@ class Race:
             # Lags and delays of the vehicle file settle over what was driven before the interval.
             begin = first - self.learner.run_up_rows(first - record.first, world.period)
             name = f"lap {record.number}"
-            seen, exact = (world.recording(begin, name=name, exact=exact) for exact in (False, True))
-            record.learned.append(self.learner.learn(seen, begin - record.first, exact))
+            told = len(record.learned) % MOTION_EVERY == 0
+            exact = world.recording(begin, name=name, exact=True) if told else None
+            record.learned.append(
+                self.learner.learn(world.recording(begin, name=name), begin - record.first, exact)
+            )
         return info
 
     def write(self, output: FilePath) -> None:
