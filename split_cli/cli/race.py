@@ -31,9 +31,12 @@ __all__ = ["command"]
 @click.option("--laps", type=int, default=3, show_default=True, help="After the nominal lap 0.")
 @click.option(
     "--learner",
-    default="split",
-    show_default=True,
-    help="none; iol (one dictionary, Kabzan et al. 2019); or split (a set a cell, this project's).",
+    "learners",
+    multiple=True,
+    default=("split",),
+    show_default="split",
+    help="none; iol (one dictionary, Kabzan et al. 2019); or split (a set a cell, this project's). Repeat it to "
+    "race several and compare them in one report.",
 )
 @click.option(
     "--start-set",
@@ -78,8 +81,8 @@ __all__ = ["command"]
 @output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
 def command(
-    vehicle_path, output, set_output, report, p_ellipse, p_unknown, margin, p_long, no_delay, iol_update, as_json,
-    **options,
+    vehicle_path, output, set_output, report, p_ellipse, p_unknown, margin, p_long, no_delay, iol_update, learners,
+    as_json, **options,
 ) -> None:  # fmt: skip
     """Race the double-track plant with a contouring controller that learns while it drives.
 
@@ -90,6 +93,7 @@ def command(
     \b
     Example:
       split race --vehicle road_car.yaml --track small --max-speed 15 --laps 3 -o race.parquet --set race.split
+      split race --vehicle road_car.yaml --learner none --learner iol --learner split --laps 1 --report laps.html
       split race --vehicle road_car.yaml --track monza.csv --learner none --json
     """
     from split_cli.control.limits import Limits
@@ -97,23 +101,39 @@ def command(
     from split_cli.workflows.race import run_race
     from split_cli.workflows.racing.settings import RaceSettings
 
+    if len(learners) > 1 and (output or set_output):
+        raise click.UsageError("-o and --set take the drive and the set of one learner; name one.")
     limits = Limits(p_long=p_long, p_ellipse=p_ellipse, p_unknown=p_unknown)
-    mpcc = MpccSettings(limits=limits, margin=margin)
-    settings = RaceSettings(delay=not no_delay, printed_iol=iol_update == "printed", settings=mpcc, **options)
-    result = run_race(
-        settings, vehicle_path, output=output, set_output=set_output,
-        progress=lambda text: click.echo(f"race: {text}", err=True),
-    )  # fmt: skip
+    results = []
+    for learner in learners:
+        settings = RaceSettings(
+            learner=learner, delay=not no_delay, printed_iol=iol_update == "printed",
+            settings=MpccSettings(limits=limits, margin=margin), **options,
+        )  # fmt: skip
+        say = f"race, {learner}" if len(learners) > 1 else "race"
+        results.append(
+            run_race(settings, vehicle_path, output=output, set_output=set_output,
+                     progress=lambda text, say=say: click.echo(f"{say}: {text}", err=True))
+        )  # fmt: skip
     if report is not None:
         from split_cli.files import atomic_write_text
         from split_cli.workflows.race_report.page import race_page
 
-        atomic_write_text(report, race_page([result], result.path))
-    for note in result.notes:
-        click.echo(f"note: {note}", err=True)
+        atomic_write_text(report, race_page(results, results[0].path))
     if as_json:
-        print_json(result.summary())
-        return
+        print_json(results[0].summary() if len(results) == 1 else [result.summary() for result in results])
+    for result in results:
+        for note in result.notes:
+            click.echo(f"note: {note}", err=True)
+        if not as_json:
+            _tell(result)
+    written = [str(path) for path in (results[0].output, results[0].set_path, report) if path]
+    if written and not as_json:
+        click.echo(f"written: {', '.join(written)}")
+
+
+def _tell(result) -> None:
+    """Print the laps of one race."""
     click.echo(f"{result.track}, {result.length:.0f} m a lap; {result.car}, learner {result.learner}")
     header = [
         "lap", "time s", "speed m/s", "|ay| g", "updates", "set", "cells", "error vx", "vy", "r", "of nominal",
@@ -134,6 +154,3 @@ def command(
     for lap in result.laps:
         if lap.ended:
             click.echo(f"lap {lap.number} was not finished: {lap.ended}")
-    written = [str(path) for path in (result.output, result.set_path, report) if path]
-    if written:
-        click.echo(f"written: {', '.join(written)}")

@@ -8,16 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.control.learner import LabellingLearner
+from split_cli.control.policy import DICTIONARY
 from split_cli.control.residual import Residual, ResidualValues
 from split_cli.learning.iol import Dictionary, empty_dictionary, extend_dictionary
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels
 from split_cli.learning.training_set import TrainingSet
 
-__all__ = ["DICTIONARY", "DictionaryResidual", "IolLearner", "printed_update_cost"]
-
-#: Points the dictionary may keep [1]: more than the 361 that the SPLIT paper's rival held after ten laps.
-DICTIONARY = 400
+__all__ = ["DictionaryResidual", "IolLearner", "printed_update_cost"]
 
 
 def printed_update_cost(points: int) -> float:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from split_cli.control.policy import OPEN_ELLIPSE, SETTLED, WIDER
 from split_cli.control.residual import NoResidual, OnlineResidual, PredictorResidual, Residual
 from split_cli.learning.labels import Labels, compute_labels, window_samples
 from split_cli.learning.online import OnlineSet
@@ -21,7 +22,6 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
-    "WIDER",
     "LabellingLearner",
     "Learned",
     "Learner",
@@ -31,15 +31,6 @@ __all__ = [
     "settling_time",
 ]
 
-#: How much wider the learned region is than the controller's own limits, in slip angles and in the ellipse [1]. A
-#: fast lap runs along the limits, and its samples scatter to both sides of them.
-WIDER = 1.35
-
-
-#: Time constants after which a lag has forgotten where it began [1]: e^-8 is 3e-4 of the first difference, far
-#: below what sensors tell of it.
-SETTLED = 8.0
-
 
 def learning_region(vehicle, alpha_max: float, dalpha_max: float, p_long: float) -> Region:
     """Return the region in which a race is learned: slip angles by `WIDER` beyond the controller's bounds.
@@ -47,7 +38,7 @@ def learning_region(vehicle, alpha_max: float, dalpha_max: float, p_long: float)
     The ellipse is left open beyond the peak: where the nominal axle saturates, its force no longer tells how far.
     """
     return Region.of(
-        vehicle, p_long=p_long, p_ellipse=1.1, alpha_max=round(WIDER * alpha_max, 3),
+        vehicle, p_long=p_long, p_ellipse=OPEN_ELLIPSE, alpha_max=round(WIDER * alpha_max, 3),
         dalpha_max=round(WIDER * dalpha_max, 3),
     )  # fmt: skip
 

@@ -7,15 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.control.model import Linearization
+from split_cli.control.policy import ALPHA_MAX, DALPHA_MAX, LEAST_SIDE, P_ELLIPSE, P_LONG, SATURATED
 from split_cli.control.residual import ResidualValues
 
 __all__ = ["SLIP_ROWS", "Limits", "slip_limit", "slip_rows"]
 
 SLIP_ROWS = 5
-
-LEAST_SIDE = 0.1
-"""Share of its side force that an axle keeps when it brakes with all it has [1], so that a slope is left."""
-
 
 @dataclass(frozen=True)
 class Limits:
@@ -31,10 +28,10 @@ class Limits:
         Ellipse where the residual knows nothing [1]; as `p_ellipse` when it is None.
     """
 
-    p_long: float = 0.9
-    p_ellipse: float = 0.95
-    alpha_max: float = 0.18
-    dalpha_max: float = 0.10
+    p_long: float = P_LONG
+    p_ellipse: float = P_ELLIPSE
+    alpha_max: float = ALPHA_MAX
+    dalpha_max: float = DALPHA_MAX
     p_unknown: float | None = None
 
     def ellipse(self, residual: ResidualValues) -> np.ndarray:
@@ -68,7 +65,7 @@ def slip_limit(limits: Limits, found: Linearization) -> tuple[np.ndarray, np.nda
     left = np.sqrt(np.maximum(ellipse**2 - used**2, (LEAST_SIDE * ellipse) ** 2))
     angle = np.arcsin(left) / C
     alpha = np.tan(angle) / B
-    inside = (used**2 < 0.99 * ellipse**2) & (alpha < limits.alpha_max)
+    inside = (used**2 < SATURATED * ellipse**2) & (alpha < limits.alpha_max)
     by_force = -used * limits.p_long / D / left / np.sqrt(1.0 - left**2) / C / np.cos(angle) ** 2 / B
     slope = np.where(inside, by_force, 0.0)[:, :, None] * found.force_slope
     return np.minimum(alpha, limits.alpha_max), slope

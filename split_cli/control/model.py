@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.control._compiled import discretize
 from split_cli.control.generated import Batch, compiled
+from split_cli.control.policy import SLOWEST
 from split_cli.control.residual import Residual, ResidualValues
 from split_cli.errors import VehicleError
 from split_cli.export.memory import exported_model
@@ -18,10 +19,6 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = ["ControlModel", "Linearization"]
-
-SLOWEST = 1.0
-"""Speed below which a linearisation is taken at this speed: slip angles have no meaning at a standstill [m/s]."""
-
 
 @dataclass(frozen=True)
 class Linearization:

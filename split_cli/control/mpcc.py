@@ -9,6 +9,7 @@ import numpy as np
 from split_cli.control.limits import Limits
 from split_cli.control.model import ControlModel, Linearization
 from split_cli.control.path import Path, PathPoint
+from split_cli.control.policy import PROGRESS_ACCELERATION
 from split_cli.control.receding import Actuators, Plan, RecedingController, Weights, _stages
 
 __all__ = ["Mpcc", "MpccSettings"]
@@ -131,7 +132,7 @@ class Mpcc(RecedingController):
         """Return the commands' bounds with those of the progress."""
         x_lower, x_upper, u_lower, u_upper = super().bounds()
         x_lower[:, -1], x_upper[:, -1] = 0.0, max(self.settings.max_speed, self.plan.x[0, -1])
-        u_lower[:, -1], u_upper[:, -1] = -30.0, 30.0
+        u_lower[:, -1], u_upper[:, -1] = -PROGRESS_ACCELERATION, PROGRESS_ACCELERATION
         return x_lower, x_upper, u_lower, u_upper
 
     def _one_more(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:

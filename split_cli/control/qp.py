@@ -13,13 +13,10 @@ from dataclasses import dataclass, replace
 import casadi
 import numpy as np
 
+from split_cli.control.policy import FEASIBLE, FREE, MAXIMUM_ITERATIONS, MODES
+
 __all__ = ["QPData", "QPSolution", "StageQP"]
 
-# HPIPM treats an infinite bound as a constraint 1e8 away, which spoils its scaling: whatever is free gets this.
-FREE = 1e4
-MAXIMUM_ITERATIONS = 40
-MODES = ("speed", "robust")
-_FEASIBLE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -253,4 +250,4 @@ class StageQP:
             (d.x_lower - x).max(initial=0.0), (x - d.x_upper).max(initial=0.0),
             (d.u_lower - u).max(initial=0.0), (u - d.u_upper).max(initial=0.0),
         )  # fmt: skip
-        return bool(beyond < _FEASIBLE * max(1.0, float(np.abs(whole).max())))
+        return bool(beyond < FEASIBLE * max(1.0, float(np.abs(whole).max())))

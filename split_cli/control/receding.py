@@ -11,7 +11,20 @@ import numpy as np
 from split_cli.control.limits import SLIP_ROWS, Limits, slip_rows
 from split_cli.control.model import ControlModel, Linearization
 from split_cli.control.path import Path, PathPoint, contour_and_lag
-from split_cli.control.qp import FREE, QPData, StageQP
+from split_cli.control.policy import (
+    ELLIPSE_SLACK,
+    FAR,
+    FREE,
+    MAX_STEER,
+    PATIENCE,
+    PROXIMAL,
+    ROOM_SHARE,
+    SLIP_DIFFERENCE_SLACK,
+    STEER_RATE,
+    TORQUE_RATE,
+    TRACK_SLACK,
+)
+from split_cli.control.qp import QPData, StageQP
 from split_cli.errors import SplitError
 
 __all__ = ["Actuators", "ControllerLost", "Plan", "RecedingController", "StepInfo", "Weights"]
@@ -39,9 +52,9 @@ class Actuators:
 
     max_torque: float
     max_brake_torque: float
-    max_steer: float = 0.5
-    torque_rate: float = 20000.0
-    steer_rate: float = 0.6
+    max_steer: float = MAX_STEER
+    torque_rate: float = TORQUE_RATE
+    steer_rate: float = STEER_RATE
 
 
 @dataclass(frozen=True)
@@ -65,10 +78,10 @@ class Weights:
     lag: float
     torque_rate: float
     steer_rate: float
-    track: float = 300.0
-    ellipse: float = 4e4
-    slip_difference: float = 4e4
-    proximal: float = 0.02
+    track: float = TRACK_SLACK
+    ellipse: float = ELLIPSE_SLACK
+    slip_difference: float = SLIP_DIFFERENCE_SLACK
+    proximal: float = PROXIMAL
 
 
 @dataclass
@@ -122,7 +135,6 @@ class RecedingController(ABC):
     a failure; after `PATIENCE` failures in a row `ControllerLost` is raised.
     """
 
-    PATIENCE = 10
     EXTRA_STATES = 0
     EXTRA_INPUTS = 0
 
@@ -214,7 +226,7 @@ class RecedingController(ABC):
             self.failures_in_a_row = 0
         else:
             self.failures_in_a_row += 1
-            if self.failures_in_a_row >= self.PATIENCE:
+            if self.failures_in_a_row >= PATIENCE:
                 raise ControllerLost(f"{self.failures_in_a_row} quadratic programmes in a row had no solution")
             self._follow_own_inputs()
         info = StepInfo(solved, solver_seconds, time.thread_time() - start, residual_seconds)
@@ -326,14 +338,14 @@ class RecedingController(ABC):
             spread[[3, 4, 5], [3, 4, 5]] += step**2 * found.residual.variance[k]
             across = np.array([np.sin(point.direction[k]), -np.cos(point.direction[k])])
             deviation[k] = np.sqrt(max(across @ spread[:2, :2] @ across, 0.0))
-        room = 0.5 * np.maximum(np.minimum(point.left, point.right) - self.half_width, 0.0)
+        room = ROOM_SHARE * np.maximum(np.minimum(point.left, point.right) - self.half_width, 0.0)
         return inside + np.minimum(self.tightening * deviation, room)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return bounds of x, shape (N, n), and u, shape (N, m), in SI units; only commands have some."""
         a, N = self.actuators, self.horizon
         # So far from the plan that it is no bound, and near enough for the solver's scaling.
-        far = 1e3 * self.x_scale
+        far = FAR * self.x_scale
         x_lower, x_upper = self.plan.x[1:] - far, self.plan.x[1:] + far
         now = self.plan.x[0]
         x_lower[:, 6], x_upper[:, 6] = min(-a.max_brake_torque, now[6]), max(a.max_torque, now[6])

@@ -111,3 +111,19 @@ def test_a_set_of_another_vehicle_is_refused(tmp_path):
         refused = invoke(*command, "--vehicle", CAR, "--start-set", str(trained))
         with pytest.raises(SplitError, match="another vehicle"):
             raise refused.exception
+
+
+def test_learners_are_compared_in_one_report(tmp_path):
+    report = tmp_path / "laps.html"
+    done = invoke(
+        "race", "--vehicle", CAR, "--track", str(ring(tmp_path)), "--laps", "0", "--max-speed", "10",
+        "--learner", "none", "--learner", "split", "--report", str(report), "--json",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    (first,), (second,) = (result["laps"] for result in json.loads(done.stdout))
+    # Nothing is known in lap 0, so both drive the same one.
+    assert first["time"] == pytest.approx(second["time"], abs=1e-9)
+    page = report.read_text()
+    assert "none, lap 0" in page and "split, lap 0" in page
+    both = invoke("race", "--vehicle", CAR, "--learner", "none", "--learner", "split", "-o", "x.parquet")
+    assert both.exit_code == 2 and "name one" in both.output

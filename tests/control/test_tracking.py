@@ -13,6 +13,7 @@ from split_cli.control.model import ControlModel
 from split_cli.control.mpc import Mpc, MpcSettings
 from split_cli.control.mpcc import Mpcc, MpccSettings
 from split_cli.control.path import contour_and_lag, resampled
+from split_cli.control.policy import PATIENCE
 from split_cli.control.receding import Actuators, ControllerLost
 from split_cli.control.residual import NoResidual, ResidualValues
 from split_cli.vehicle.parameters import read_vehicle
@@ -123,5 +124,5 @@ def test_a_controller_that_fails_goes_on_with_its_plan_and_then_gives_up(monkeyp
         assert not info.solved
         assert u == pytest.approx(planned[k])
     with pytest.raises(ControllerLost, match="in a row"):
-        for _ in range(controller.PATIENCE):
+        for _ in range(PATIENCE):
             controller.step(x)

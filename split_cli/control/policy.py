@@ -1,0 +1,119 @@
+"""Every number that decides in the controllers, with its unit, what it means and where it comes from.
+
+What a user sets stands in the settings (`MpccSettings`, `MpcSettings`, `Limits`, `Actuators`), whose defaults come
+from here. Inputs are weighed in units of the largest torque a second and of 1 rad/s. Imports nothing.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "ALPHA_MAX",
+    "DALPHA_MAX",
+    "DICTIONARY",
+    "ELLIPSE_SLACK",
+    "FAR",
+    "FEASIBLE",
+    "FREE",
+    "LEAST_SIDE",
+    "MAXIMUM_ITERATIONS",
+    "MAX_STEER",
+    "MODES",
+    "OPEN_ELLIPSE",
+    "PATIENCE",
+    "PROGRESS_ACCELERATION",
+    "PROXIMAL",
+    "P_ELLIPSE",
+    "P_LONG",
+    "ROOM_SHARE",
+    "SATURATED",
+    "SETTLED",
+    "SLIP_DIFFERENCE_SLACK",
+    "SLOWEST",
+    "STEER_RATE",
+    "TORQUE_RATE",
+    "TRACK_SLACK",
+    "WIDER",
+]
+
+# What may be asked of the tyres and of the actuators.
+
+P_LONG, P_ELLIPSE = 0.9, 0.95
+"""Shape of the force ellipse [1]: design.md, section 3; the SPLIT paper leaves them open."""
+
+ALPHA_MAX, DALPHA_MAX = 0.18, 0.10
+"""Slip angle and difference of slip angles [rad]: the SPLIT paper's section on the controller."""
+
+LEAST_SIDE = 0.1
+"""Share of its side force that an axle keeps when it brakes with all it has [1], so that the limit has a
+slope."""
+
+SATURATED = 0.99
+"""Share of the squared ellipse beyond which the slip limit no longer moves with the force [1]: its slope grows
+without bound there."""
+
+MAX_STEER, STEER_RATE, TORQUE_RATE = 0.5, 0.6, 20000.0
+"""What commands may be: [rad], [rad/s], [N m/s]. A driver's quick hands at a steering ratio of 15 (9 rad/s),
+and the rate of the plant's road car."""
+
+SLOWEST = 1.0
+"""Speed below which a linearisation is taken at this speed [m/s]: slip angles have no meaning at a
+standstill."""
+
+# How far the programmes go.
+
+TRACK_SLACK, ELLIPSE_SLACK, SLIP_DIFFERENCE_SLACK = 300.0, 4e4, 4e4
+"""Weights of squared slacks: contour beyond the border [1/m^2], slip angles beyond their limits [1/rad^2]. In
+one stage a border broken by 0.1 m costs 3, a limit broken by 0.01 rad costs 4, and driving at 20 m/s earns 20.
+From a prototype on the same plant."""
+
+PROXIMAL = 0.02
+"""Of squared steps of the scaled states from one plan to the next [1]: keeps a plan where its linearisation
+holds."""
+
+PATIENCE = 10
+"""Programmes in a row without a solution after which a controller gives up [1]: half a second at 50 ms, what a
+plan of 4 s outlives."""
+
+PROGRESS_ACCELERATION = 30.0
+"""Bound of the rate of the progress speed [m/s^2]: three times what tyres give, so that it never decides."""
+
+ROOM_SHARE = 0.5
+"""Most of the room between car and border that tightening may take [1]: the track must stay passable."""
+
+# The solver.
+
+FREE = 1e4
+"""What stands for no bound, in scaled variables [1]. HPIPM treats an infinite one as 1e8, which spoils its
+scaling."""
+
+FAR = 1e3
+"""So far from the plan that a state's bound is none, in scaled variables [1]."""
+
+MAXIMUM_ITERATIONS = 40
+"""Of the interior point method [1]: the SPLIT paper's."""
+
+MODES = ("speed", "robust")
+"""HPIPM's modes in the order in which they are tried. On 160 programmes of races ``speed`` took 5.4 instead of
+8.0 ms (8 states) and 7.9 instead of 11.8 ms (12 states), solved all, and its scaled inputs differed by at most
+2e-4."""
+
+FEASIBLE = 1e-5
+"""By how much an accepted answer may break equations and bounds, of the largest scaled variable [1]."""
+
+# What is learned while driving.
+
+WIDER = 1.35
+"""How much wider the learned region is than the controller's limits of slip angles [1]. A fast lap runs along
+the limits, and its samples scatter to both sides of them."""
+
+OPEN_ELLIPSE = 1.1
+"""Ellipse of the learned region [1]: open beyond the peak, since the force of a saturated nominal axle no
+longer tells how far it slips."""
+
+SETTLED = 8.0
+"""Time constants after which a lag has forgotten where it began [1]: e^-8 is 3e-4 of the first difference, far
+below what sensors tell of it."""
+
+DICTIONARY = 400
+"""Points that the dictionary of the rival may keep [1]: more than the 361 that the SPLIT paper's held after ten
+laps."""
