@@ -10,7 +10,6 @@ import numpy as np
 from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale
 from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
 from split_cli.diagnosis.recording.series import build_series
@@ -34,6 +33,7 @@ from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.diagnosis.verdict.power import hidden_effect
 from split_cli.logs.drive import Drive
+from split_cli.logs.track_position import places_of
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["diagnose"]

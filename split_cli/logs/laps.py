@@ -6,16 +6,9 @@ import numpy as np
 
 from split_cli.errors import DriveError
 from split_cli.logs.drive import Drive
+from split_cli.logs.track_position import AWAY, CLOSE_ANGLE, closing_distance
 
 __all__ = ["lap_numbers"]
-
-_CLOSE_DISTANCE = 5.0
-"""How far beside its start a car of 2.7 m wheelbase may come back [m]; judgement: half a race track's width."""
-_CLOSE_ANGLE = 0.35
-"""How far its direction of travel may differ there [rad]; judgement, as for the track position of a diagnosis."""
-_FULL_SIZE_WHEELBASE = 2.7
-_AWAY = 4.0
-"""Times the distance a car must have been away before it can come back [1]; judgement."""
 
 
 def lap_numbers(drive: Drive, wheelbase: float) -> np.ndarray:
@@ -43,18 +36,18 @@ def lap_numbers(drive: Drive, wheelbase: float) -> np.ndarray:
     if not {"X", "Y"} <= set(drive.columns):
         raise DriveError("has no position and no lap channel, so it has no laps", where=drive.name)
     x, y = drive["X"] - drive["X"][0], drive["Y"] - drive["Y"][0]
-    limit = _CLOSE_DISTANCE * wheelbase / _FULL_SIZE_WHEELBASE
+    limit = closing_distance(wheelbase)
     distance = np.hypot(x, y)
     left = np.flatnonzero(distance > limit)
     heading = np.arctan2(y[left[0]], x[left[0]]) if len(left) else 0.0
     along = x * np.cos(heading) + y * np.sin(heading)
     direction = np.arctan2(np.gradient(y), np.gradient(x))
-    same_way = np.abs(np.angle(np.exp(1j * (direction - heading)))) < _CLOSE_ANGLE
+    same_way = np.abs(np.angle(np.exp(1j * (direction - heading)))) < CLOSE_ANGLE
     crossed = (along[:-1] < 0.0) & (along[1:] >= 0.0) & (distance[1:] < limit) & same_way[1:]
     ends, away = [], False
     crossing = set((np.flatnonzero(crossed) + 1).tolist())
     for row in range(len(x)):
-        away = away or distance[row] > _AWAY * limit
+        away = away or distance[row] > AWAY * limit
         if away and row in crossing:
             ends.append(row)
             away = False

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from split_cli.diagnosis.recording.place import TrackReference, build_reference, track_position
 from split_cli.errors import DriveError
 from split_cli.learning.features import recording_of
 from split_cli.logs.drive import Drive
+from split_cli.logs.track_position import TrackReference, build_reference, track_position
 from split_cli.scoring.belonging import belonging
 from split_cli.vehicle.effects import build_terms
 from split_cli.vehicle.parameters import Vehicle

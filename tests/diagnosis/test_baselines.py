@@ -13,12 +13,12 @@ from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.objective import build_objective
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.search.baselines import SearchOutcome, _brings_back, search
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.logs.drive import Drive
+from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.test_calibration import drive, recorded
 from tests.factories import road_car

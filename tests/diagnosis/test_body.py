@@ -11,10 +11,10 @@ import split_cli.diagnosis.innovations.objective as objective_module
 from split_cli.diagnosis.baseline.body import at_another_body
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.objective import build_objective
-from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import EffectSpec
 from tests.diagnosis.test_calibration import drive, recorded

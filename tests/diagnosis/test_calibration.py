@@ -10,12 +10,12 @@ import pytest
 
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.innovations.case import gather_case
-from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.remainder.structure import FlexibleFit
 from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.logs.drive import Drive
+from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import make_drive, road_car
 

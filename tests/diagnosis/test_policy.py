@@ -62,7 +62,6 @@ BESIDE_THEIR_ALGORITHM = {
     "innovations/effect_to_noise.py": {"_HORIZON"},
     "recording/kinematics.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS"},
     "recording/witnesses.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS", "_LEAST_SPREAD"},
-    "recording/place.py": {"_CLOSE_DISTANCE", "_CLOSE_ANGLE", "_FULL_SIZE_WHEELBASE"},
     "recording/scales.py": {"_BLOCKS"},
     "recording/series.py": {"_SLACK", "_WORTHLESS"},
     "remainder/flexible.py": {"_HARMONICS", "_KNOTS"},

@@ -13,11 +13,11 @@ from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.objective import learn_discrepancy
 from split_cli.diagnosis.innovations.rollouts import HORIZONS, SharedRates, _that_returns, shared_rates
-from split_cli.diagnosis.recording.place import places_of
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.simulation_part import SimulationPart, believed_parts, part_of
 from split_cli.logs.drive import read_drive
+from split_cli.logs.track_position import places_of
 from split_cli.proof.injection import split_in_blocks
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import read_vehicle, vehicle_file

@@ -9,11 +9,27 @@ import numpy as np
 
 from split_cli.logs.drive import Drive
 
-__all__ = ["TrackReference", "build_reference", "track_position"]
+__all__ = [
+    "AWAY",
+    "CLOSE_ANGLE",
+    "TrackReference",
+    "build_reference",
+    "closing_distance",
+    "places_of",
+    "track_position",
+]
 
+#: How far the direction of travel may differ where a path closes [rad]; judgement.
+CLOSE_ANGLE = 0.35
+#: Times the closing distance that a car must have been away before it can come back [1]; judgement.
+AWAY = 4.0
 _CLOSE_DISTANCE = 5.0
-_CLOSE_ANGLE = 0.35
 _FULL_SIZE_WHEELBASE = 2.7
+
+
+def closing_distance(wheelbase: float) -> float:
+    """Return how far beside its start a car may come back [m]: half a race track's width, scaled with the car."""
+    return _CLOSE_DISTANCE * wheelbase / _FULL_SIZE_WHEELBASE
 
 
 @dataclass(frozen=True)
@@ -42,17 +58,16 @@ def build_reference(drive: Drive, wheelbase: float) -> TrackReference | None:
     """
     if "X" not in drive or "Y" not in drive:
         return None
-    size = wheelbase / _FULL_SIZE_WHEELBASE
     x, y = _quiet_path(drive)
     s = _arc_length(drive)
     distance = np.hypot(x - x[0], y - y[0])
-    limit = _CLOSE_DISTANCE * size
-    away = np.flatnonzero(distance > 4.0 * limit)
+    limit = closing_distance(wheelbase)
+    away = np.flatnonzero(distance > AWAY * limit)
     if not len(away):
         return TrackReference(x, y, s, None)
     direction = np.unwrap(np.arctan2(np.gradient(y), np.gradient(x)))
     turned = np.abs(np.angle(np.exp(1j * (direction - direction[:5].mean()))))
-    back = np.flatnonzero((np.arange(len(x)) > away[0]) & (distance < limit) & (turned < _CLOSE_ANGLE))
+    back = np.flatnonzero((np.arange(len(x)) > away[0]) & (distance < limit) & (turned < CLOSE_ANGLE))
     if not len(back):
         return TrackReference(x, y, s, None)
     run = back[: int(np.argmax(np.diff(back, append=back[-1] + 10) > 1)) + 1]

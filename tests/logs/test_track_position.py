@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from split_cli.diagnosis.recording.place import build_reference, places_of
 from split_cli.logs.drive import Drive
+from split_cli.logs.track_position import build_reference, places_of
 
 
 def circle(radius: float, speed: float, laps: float, seed: int, start: float = 0.0) -> Drive:
