@@ -102,8 +102,12 @@ def roll_out(
     steps: int,
     window: int,
     correction: Correction | None = None,
+    *,
+    recorded_speed: bool = False,
 ) -> np.ndarray:
     """Predict `steps` steps of h = `window` samples over the recorded inputs.
+
+    With `recorded_speed`, v_x is set to the recording's after every step.
 
     Returns
     -------
@@ -124,6 +128,8 @@ def roll_out(
         for step in range(steps):
             rows = starts + step * window
             state = _one_step(model, drive, inputs, rows, state, window, correction)
+            if recorded_speed:
+                state[:, -3] = drive["vx"][rows + window]
             trajectory[:, step] = state
     return trajectory
 

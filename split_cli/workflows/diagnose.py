@@ -19,6 +19,7 @@ from split_cli.learning.label_file import label_columns
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_file, write_vehicle
+from split_cli.workflows.pictures import diagnosis_charts
 from split_cli.workflows.recordings import RecordingCorrection
 from split_cli.workflows.report.page import report_page
 
@@ -66,7 +67,7 @@ def diagnose_files(
         real, vehicle_path, simulated=simulated, holdout=holdout, held=held, progress=progress, note=note
     )
     progress("writing")
-    write_diagnosis(diagnosis, vehicle, output, drives)
+    write_diagnosis(diagnosis, vehicle, output, drives, [read_drive(path, held) for path in simulated])
     return diagnosis
 
 
@@ -109,12 +110,17 @@ def corrected_vehicle(diagnosis: Diagnosis, vehicle: Vehicle) -> Vehicle:
 
 
 def write_diagnosis(
-    diagnosis: Diagnosis, vehicle: Vehicle, output: str | Path, drives: Sequence[Drive] = ()
+    diagnosis: Diagnosis,
+    vehicle: Vehicle,
+    output: str | Path,
+    drives: Sequence[Drive] = (),
+    simulated: Sequence[Drive] = (),
 ) -> None:
     """Write a diagnosis into a folder, all files or none; figures of an earlier one there are taken away."""
     from split_cli.plots.diagnosis import diagnosis_figures
     from split_cli.plots.style import save
 
+    charts = diagnosis_charts(diagnosis, vehicle, drives, simulated)
     comment = diagnosis.summary or "No terms were added."
     produced = set()
     with atomic_directory(output) as folder:
@@ -124,7 +130,7 @@ def write_diagnosis(
             corrected_vehicle(diagnosis, vehicle), folder / judged, comment=f"{_judged(diagnosis)}{comment}"
         )
         _write_gap(diagnosis, drives, vehicle, folder / "gap.parquet")
-        (folder / "report.html").write_text(report_page(diagnosis), encoding="utf-8")
+        (folder / "report.html").write_text(report_page(diagnosis, charts), encoding="utf-8")
         (folder / "figures").mkdir()
         for name, figure in diagnosis_figures(diagnosis):
             save(figure, folder / "figures" / f"{name}.png")

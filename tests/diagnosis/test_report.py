@@ -213,6 +213,7 @@ class TestPage:
         (numbers, program) = page.scripts
         digest = base64.b64encode(hashlib.sha256(program[1].encode()).digest()).decode()
         assert f"script-src 'sha256-{digest}'" in policy and policy.startswith("default-src 'none'")
+        assert "unsafe" not in policy
         assert json.loads(numbers[1])["verdict"] == diagnosis.verdict
 
 
@@ -304,7 +305,8 @@ def ticks_across(browser, chart: str) -> list[float]:
 class TestInABrowser:
     def test_verdict_channel_and_names(self, browser, tmp_path):
         opened(browser, report_page(mismatch(HOSTILE)), tmp_path)
-        assert one(browser, "#verdict").text == "Simulation and reality differ."
+        assert one(browser, "#verdict").text == "Steering 4.9 % less than commanded; something without a name."
+        assert one(browser, ".verdict .kicker").text == "Simulation and reality differ."
         assert browser.execute_script("return window.taken") is None
         assert "<img src=x" in one(browser, "header").text
         # The gap is in front lateral force, so that is what the charts begin with.
@@ -463,7 +465,8 @@ def test_a_diagnosis_leaves_a_report_that_says_what_its_json_says(written):
     said = json.loads((written / "diagnosis.json").read_text(encoding="utf-8"))
     page = (written / "report.html").read_text(encoding="utf-8")
     # At nine tenths of the sensors' noise in every step, this is no borderline case.
-    assert said["verdict"] == "mismatch" and '<h1 id="verdict">Simulation and reality differ.</h1>' in page
+    assert said["verdict"] == "mismatch" and '<p class="kicker">Simulation and reality differ.</p>' in page
+    assert 'id="chart-strip-vx"' in page and 'id="chart-tire-front"' in page
     for finding in said["findings"]:
         assert f"<code>{finding['term']}" in page
     for file in said["inputs"]:
@@ -472,7 +475,10 @@ def test_a_diagnosis_leaves_a_report_that_says_what_its_json_says(written):
 
 def test_that_report_opens(written, browser, tmp_path):
     opened(browser, written / "report.html", tmp_path)
-    assert one(browser, "#verdict").text == "Simulation and reality differ."
+    assert one(browser, ".kicker").text == "Simulation and reality differ."
+    # The first words are the part of the car: its torque arrives by a fifth too small.
+    assert one(browser, "#verdict").text.startswith(("Drive torque", "Brakes"))
+    assert len(browser.find_elements("css selector", "#chart-strip-vx svg path")) >= 3
     assert len(browser.find_elements("css selector", "#plot-map svg g rect")) > 20
     assert "longitudinal" in label_of(browser, "track")
 

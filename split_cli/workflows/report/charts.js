@@ -54,6 +54,30 @@ const Charts = (() => {
 
   const between = (value, low, high) => Math.min(Math.max(value, low), high);
 
+  /* Hand a file to the reader; nothing leaves the page but by this click. */
+  function save(name, blob) {
+    const link = element("a", { href: URL.createObjectURL(blob), download: name });
+    document.body.append(link);
+    link.click();
+    link.remove();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+  }
+
+  /* Rows as CSV: a field with a comma, a quote or a line's end is quoted. */
+  function csv(rows) {
+    const field = (value) => (/[",\n]/.test(String(value)) ? `"${String(value).replace(/"/g, '""')}"` : Number.isNaN(value) ? "" : String(value));
+    return `${rows.map((row) => row.map(field).join(",")).join("\n")}\n`;
+  }
+
+  /* Whole numbers and the step they count, a power of ten; null where there is no number. */
+  function unpack({ origin, exponent, values }) {
+    const factor = 10 ** -exponent; // a whole number divided by one gives the shortest decimals
+    return Float64Array.from(values, (v) => (v === null ? NaN : origin + (exponent < 0 ? v / factor : v * 10 ** exponent)));
+  }
+
+  /* The colours between which maps run, in the scheme that is shown: blue over the ground to red. */
+  const scheme = matchMedia("(prefers-color-scheme: dark)");
+
   class Plot {
     /* host: element to fill. options:
        label(): text for readers of screens; height(width): px; x, y: axis titles; zoom: "x" or "xy";
@@ -79,6 +103,10 @@ const Charts = (() => {
 
     buttons() {
       const act = { "+": ["Zoom in", () => this.scale(0.6)], "\u2212": ["Zoom out", () => this.scale(1 / 0.6)], "\u21ba": ["Show all", () => this.show(null)] };
+      if (this.options.csv) {
+        act.CSV = ["Save the numbers as CSV", () => save(`${this.fileName()}.csv`, new Blob([this.options.csv()], { type: "text/csv" }))];
+        act.PNG = ["Save the picture as PNG", () => this.savePicture()];
+      }
       const bar = element("div", { class: "zoom" });
       for (const [sign, [label, run]] of Object.entries(act)) {
         const button = element("button", { type: "button", "aria-label": label, title: label }, sign);
@@ -86,6 +114,44 @@ const Charts = (() => {
         bar.append(button);
       }
       return bar;
+    }
+
+    fileName() { return (this.options.name || "chart").replace(/[^\w-]+/g, "-"); }
+
+    /* The drawing as a file of its own: colours and fonts spelled out, a title above, the names of series below. */
+    picture() {
+      const { width, height } = this.svg.viewBox.baseVal;
+      const copy = this.svg.cloneNode(true);
+      const style = getComputedStyle(document.documentElement);
+      const keys = this.options.keys ? this.options.keys() : [];
+      const title = (this.host.closest("figure").querySelector("figcaption b") || {}).textContent || "";
+      const total = height + 30 + 16 * keys.length + (keys.length ? 8 : 0);
+      copy.setAttribute("xmlns", SPACE);
+      copy.setAttribute("viewBox", `0 -30 ${width} ${total}`);
+      copy.setAttribute("width", 2 * width);
+      copy.setAttribute("height", 2 * total);
+      copy.prepend(shape("rect", { x: 0, y: -30, width, height: total, fill: "var(--ground)" }));
+      copy.append(shape("text", { class: "axis-title title", x: 8, y: -10 }, title));
+      keys.forEach(({ color, text }, k) => copy.append(
+        shape("line", { x1: 10, x2: 34, y1: height + 12 + 16 * k, y2: height + 12 + 16 * k, stroke: color, "stroke-width": 3 }),
+        shape("text", { x: 42, y: height + 16 + 16 * k }, text)));
+      for (const text of copy.querySelectorAll("text")) {
+        text.setAttribute("font-family", "system-ui, sans-serif");
+        text.setAttribute("font-size", text.classList.contains("title") ? 14 : 11.5);
+        text.setAttribute("fill", text.classList.contains("axis-title") ? "var(--ink)" : "var(--soft)");
+      }
+      const spelled = new XMLSerializer().serializeToString(copy).replace(/var\((--[\w-]+)\)/g, (_, name) => style.getPropertyValue(name).trim());
+      return { text: spelled, width: 2 * width, height: 2 * total };
+    }
+
+    async savePicture() {
+      const { text, width, height } = this.picture();
+      const image = new Image();
+      image.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(text)}`;
+      await image.decode();
+      const canvas = element("canvas", { width, height });
+      canvas.getContext("2d").drawImage(image, 0, 0);
+      canvas.toBlob((blob) => save(`${this.fileName()}.png`, blob), "image/png");
     }
 
     sx(value) { return this.left + ((value - this.x[0]) / (this.x[1] - this.x[0])) * this.inner; }
@@ -104,7 +170,10 @@ const Charts = (() => {
       this.tall = height - this.top - 40;
       const count = Math.max(2, Math.round(this.tall / 46));
       const longest = (list) => Math.max(2, ...list.map((tick) => tick.text.length));
-      const names = options.rows && options.rows.map((text, k) => ({ value: options.rows.length - 1 - k, text }));
+      // A long name is cut; hovering tells it whole.
+      const room = Math.max(6, Math.floor((0.36 * width) / TEXT));
+      const cut = (text) => (text.length > room ? `${text.slice(0, room - 1)}\u2026` : text);
+      const names = options.rows && options.rows.map((text, k) => ({ value: options.rows.length - 1 - k, text: cut(text) }));
       this.left = (names ? longest(names) : longest(ticks(...this.y, count))) * TEXT + (options.y ? 30 : 10);
       this.inner = width - this.left - 12;
       if (options.equal) this.equalise();
@@ -113,12 +182,12 @@ const Charts = (() => {
       const frame = shape("g");
       for (const { value, text } of xTicks) {
         const at = this.sx(value);
-        frame.append(shape("line", { x1: at, x2: at, y1: this.top, y2: this.top + this.tall, stroke: "#eceef1" }));
+        frame.append(shape("line", { x1: at, x2: at, y1: this.top, y2: this.top + this.tall, stroke: "var(--grid)" }));
         frame.append(shape("text", { x: at, y: this.top + this.tall + 15, "text-anchor": "middle" }, text));
       }
       for (const { value, text } of yTicks) {
         const at = this.sy(value);
-        frame.append(shape("line", { x1: this.left, x2: this.left + this.inner, y1: at, y2: at, stroke: "#eceef1" }));
+        frame.append(shape("line", { x1: this.left, x2: this.left + this.inner, y1: at, y2: at, stroke: "var(--grid)" }));
         frame.append(shape("text", { x: this.left - 6, y: at + 4, "text-anchor": "end" }, text));
       }
       frame.append(shape("text", { class: "axis-title", x: this.left + this.inner / 2, y: height - 6, "text-anchor": "middle" }, options.x()));
@@ -134,7 +203,7 @@ const Charts = (() => {
       this.svg.setAttribute("aria-label", options.label());
       this.svg.replaceChildren(
         shape("defs", {}, shape("clipPath", { id: clip }, shape("rect", box))),
-        shape("rect", { ...box, fill: "#fff" }), frame, layer, shape("rect", { ...box, fill: "none", stroke: "#c3c8d0" }), this.over);
+        shape("rect", { ...box, fill: "var(--ground)" }), frame, layer, shape("rect", { ...box, fill: "none", stroke: "var(--frame)" }), this.over);
       options.draw(layer, this);
     }
 
@@ -164,7 +233,7 @@ const Charts = (() => {
       if (!this.drag) return this.point([px, py]);
       this.drag.to = [px, py];
       const [x1, x2, y1, y2] = this.dragged();
-      this.over.replaceChildren(shape("rect", { x: x1, y: y1, width: x2 - x1, height: y2 - y1, fill: "#1b1f27", "fill-opacity": 0.08, stroke: "#1b1f27" }));
+      this.over.replaceChildren(shape("rect", { x: x1, y: y1, width: x2 - x1, height: y2 - y1, fill: "var(--ink)", "fill-opacity": 0.08, stroke: "var(--ink)" }));
     }
 
     dragged() {
@@ -248,8 +317,8 @@ const Charts = (() => {
       if (x === null || !Number.isFinite(x)) return this.over.replaceChildren();
       const at = this.sx(x);
       this.over.replaceChildren(y === null
-        ? shape("line", { x1: at, x2: at, y1: this.top, y2: this.top + this.tall, stroke: "#1b1f27", "stroke-dasharray": "3 3" })
-        : shape("circle", { cx: at, cy: this.sy(y), r: 6, fill: "none", stroke: "#1b1f27", "stroke-width": 2 }));
+        ? shape("line", { x1: at, x2: at, y1: this.top, y2: this.top + this.tall, stroke: "var(--ink)", "stroke-dasharray": "3 3" })
+        : shape("circle", { cx: at, cy: this.sy(y), r: 6, fill: "none", stroke: "var(--ink)", "stroke-width": 2 }));
     }
   }
 
@@ -266,8 +335,11 @@ const Charts = (() => {
   }
 
   /* Blue over pale to red, told apart by all kinds of colour vision; share from -1 to 1. */
-  const STOPS = [[33, 102, 172], [103, 169, 207], [224, 226, 230], [239, 138, 98], [178, 24, 43]];
+  const BRIGHT = [[33, 102, 172], [103, 169, 207], [224, 226, 230], [239, 138, 98], [178, 24, 43]];
+  const DIM = [[120, 190, 255], [62, 118, 168], [52, 56, 66], [176, 84, 52], [255, 128, 108]];
+  let printing = false;
   function diverging(share) {
+    const STOPS = scheme.matches && !printing ? DIM : BRIGHT;
     const place = (between(share, -1, 1) + 1) * 2;
     const k = Math.min(3, Math.floor(place));
     const mixed = STOPS[k].map((low, c) => Math.round(low + (STOPS[k + 1][c] - low) * (place - k)));
@@ -277,8 +349,9 @@ const Charts = (() => {
   function redrawAll() { all.forEach((plot) => plot.redraw()); }
   let waiting = 0;
   window.addEventListener("resize", () => { cancelAnimationFrame(waiting); waiting = requestAnimationFrame(redrawAll); });
-  window.addEventListener("beforeprint", () => { paperWidth = 690; redrawAll(); });
-  window.addEventListener("afterprint", () => { paperWidth = null; redrawAll(); });
+  window.addEventListener("beforeprint", () => { paperWidth = 690; printing = true; redrawAll(); });
+  window.addEventListener("afterprint", () => { paperWidth = null; printing = false; redrawAll(); });
+  scheme.addEventListener("change", redrawAll);
 
-  return { Plot, shape, element, path, diverging, fixed, short, between };
+  return { Plot, shape, element, path, diverging, fixed, short, between, unpack, csv };
 })();

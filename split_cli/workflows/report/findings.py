@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate, RemainderTest, RivalSummary
-from split_cli.workflows.report.markup import bar_row, section, table
+from split_cli.workflows.report.headline import finding_headline
+from split_cli.workflows.report.markup import bar, bar_row, section, table
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, term_title
 
 __all__ = ["what_section"]
+
+#: Powers of ten of a chance that fill a bar.
+_MOST_POWERS = 9.0
 
 
 def what_section(diagnosis: Diagnosis) -> str:
@@ -19,7 +23,9 @@ def what_section(diagnosis: Diagnosis) -> str:
     if diagnosis.leads:
         items = "".join(f"<li>{escape(one.sentence)}</li>" for one in diagnosis.leads)
         cards += f'<div class="note" id="leads"><p>Leads, no findings:</p><ul>{items}</ul></div>'
-    remainder = "" if diagnosis.remainder is None else _remainder(diagnosis.remainder, diagnosis.unexplained)
+    remainder = ""
+    if diagnosis.remainder is not None:
+        remainder = _remainder(diagnosis.remainder, diagnosis.unexplained, _level(diagnosis))
     steps = "".join(f"<li>{escape(step)}</li>" for step in diagnosis.history)
     history = f"<details><summary>Steps of the selection</summary><ol>{steps}</ol></details>" if steps else ""
     return section("what", "What was left out", f"{cards}{remainder}{history}")
@@ -36,7 +42,7 @@ def _finding(order: int, finding: Finding) -> str:
     explained = bar_row("Of the gap, when taken out last", finding.gap_explained, percent(finding.gap_explained))
     return (
         f'<article class="card" id="finding-{order}" aria-labelledby="finding-{order}-title">'
-        f'<h3 id="finding-{order}-title">{escape(term_title(finding.term))} <code>{escape(name)}</code></h3>'
+        f'<h3 id="finding-{order}-title">{escape(finding_headline(finding))} <code>{escape(name)}</code></h3>'
         f"<p>{escape(finding.sentence)}</p>"
         f'<div class="columns"><div>{table(("Parameter", "Value", "95 % interval", "Unit"), rows)}</div>'
         f'<div><div class="bars">{explained}</div>'
@@ -68,46 +74,51 @@ def _rivals(finding: Finding) -> str:
         best.setdefault(rival.term, rival)
     if not best:
         return ""
-    longest = max(_length(rival) for rival in best.values())
     own = escape(term_title(finding.term, finding.variant))
     rows = [f'<tr class="own"><th scope=row>{own}</th><td></td><td>0</td><td></td><td>chosen</td></tr>']
-    rows += [_rival(finding, rival, longest) for rival in best.values()]
-    heads = ("Term", "Left over beyond the chosen one <i>(log scale)</i>", "χ²", "Std errors", "")
+    most = max(max(rival.excess, 0.0) for rival in best.values())
+    rows += [_rival(finding, rival, most) for rival in best.values()]
+    heads = ("Term", "Left over beyond the chosen one", "χ²", "Std errors", "")
     return f"<h4>Other terms in its place</h4>{table(heads, rows, 'rivals')}"
 
 
-def _length(rival: RivalSummary) -> float:
-    return math.log10(1.0 + max(rival.excess, 0.0))
-
-
-def _rival(finding: Finding, rival: RivalSummary, longest: float) -> str:
+def _rival(finding: Finding, rival: RivalSummary, most: float) -> str:
     placebo = finding.placebo
     same = finding.is_as_good(rival)
     is_placebo = placebo is not None and (rival.term, rival.variant) == (placebo.term, placebo.variant)
     mark = "as good here" if same else "placebo: best wrong term" if is_placebo else "worse"
-    width = 100.0 * _length(rival) / max(longest, 1e-9)
-    bar = f'<span class="track"><span class="{"same" if same else ""}" style="width:{width:.1f}%"></span></span>'
+    shown = bar(max(rival.excess, 0.0) / max(most, 1e-9), kind="same" if same else "")
     return (
-        f"<tr><th scope=row>{escape(term_title(rival.term, rival.variant))}</th><td>{bar}</td>"
+        f"<tr><th scope=row>{escape(term_title(rival.term, rival.variant))}</th><td>{shown}</td>"
         f"<td>{number(rival.excess)}</td><td>{number(rival.z, 2)}</td><td>{mark}</td></tr>"
     )
 
 
-def _remainder(remainder: RemainderTest, unexplained: bool) -> str:
+def _remainder(remainder: RemainderTest, unexplained: bool, level: float) -> str:
     title = "What remains has structure" if unexplained else "What remains"
     words = (
         f"{percent(remainder.share)} of the gap has no name: {number(remainder.effect_to_noise, 2)} times "
         f"sensor noise in a prediction over 0.05 s, {chance(remainder.p_value)} for noise alone."
     )
-    most = max((saved for _, saved in remainder.by_group), default=0.0)
+    total = sum(max(saved, 0.0) for _, saved in remainder.by_group)
     bars = "".join(
-        bar_row(escape(name), saved / most, number(saved)) for name, saved in remainder.by_group if most
+        bar_row(escape(name), saved / total, percent(saved / total)) for name, saved in remainder.by_group if total
     )
-    groups = (
-        f'<h4>What a flexible fit still finds, by kind [χ²]</h4><div class="bars">{bars}</div>' if bars else ""
-    )
+    # One scale for the test: powers of ten of the chance, with the level from which on it counts.
+    strength = -math.log10(max(remainder.p_value, 10.0**-_MOST_POWERS)) / _MOST_POWERS
+    test = bar_row("Against noise (dashed: the level that counts)", strength, chance(remainder.p_value),
+                   -math.log10(level) / _MOST_POWERS)  # fmt: skip
+    groups = f'<h4>Is it more than noise</h4><div class="bars">{test}</div>'
+    if bars:
+        groups += f'<h4>What a flexible fit still finds goes with</h4><div class="bars">{bars}</div>'
     lead = f"<h4>A lead</h4><p><code>{escape(remainder.formula)}</code></p>" if remainder.formula else ""
     return (
         f'<article class="card{" open" if unexplained else ""}" id="remainder"><h3>{title}</h3><p>{words}</p>'
         f"{groups}{lead}</article>"
     )
+
+
+def _level(diagnosis: Diagnosis) -> float:
+    """Return the level of the test, as the settings say it."""
+    level = diagnosis.settings.get("level", 0.001)
+    return float(level) if isinstance(level, int | float) and 0.0 < level < 1.0 else 0.001

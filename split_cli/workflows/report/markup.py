@@ -1,10 +1,13 @@
-"""Pieces of HTML that several sections are made of."""
+"""Pieces of HTML that several pages are made of; no element has a style or a handler of its own."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-__all__ = ["bar_row", "section", "table"]
+from split_cli.plots.chart import Chart
+from split_cli.workflows.report.words import escape
+
+__all__ = ["bar", "bar_row", "charts_block", "figure", "plain_table", "section", "table"]
 
 
 def section(name: str, title: str, body: str) -> str:
@@ -14,13 +17,25 @@ def section(name: str, title: str, body: str) -> str:
     )
 
 
-def bar_row(label: str, share: float, value: str) -> str:
-    """Return one bar of a bar chart; `label` is HTML already, `share` of the full width [1]."""
+def bar(share: float, *, kind: str = "", border: float | None = None) -> str:
+    """Return a bar that fills a share [1] of its trough, with a border line at another share.
+
+    A drawing, not a styled box: a strict content policy admits no style attribute.
+    """
     width = min(max(share, 0.0), 1.0) * 100.0
+    line = ""
+    if border is not None:
+        at = min(max(border, 0.0), 1.0) * 100.0
+        line = f'<line class="border" x1="{at:.1f}" x2="{at:.1f}" y1="0" y2="9"/>'
     return (
-        f'<div class="bar"><span>{label}</span>'
-        f'<span class="track"><span style="width:{width:.1f}%"></span></span><b>{value}</b></div>'
+        '<svg class="track" viewBox="0 0 100 9" preserveAspectRatio="none" aria-hidden="true">'
+        f'<rect class="{kind}" width="{width:.1f}" height="9"/>{line}</svg>'
     )
+
+
+def bar_row(label: str, share: float, value: str, border: float | None = None) -> str:
+    """Return one bar of a bar chart; `label` is HTML already, `share` of the full width [1]."""
+    return f'<div class="bar"><span>{label}</span>{bar(share, border=border)}<b>{value}</b></div>'
 
 
 def table(heads: Sequence[str], rows: Iterable[str], kind: str = "") -> str:
@@ -30,3 +45,62 @@ def table(heads: Sequence[str], rows: Iterable[str], kind: str = "") -> str:
         f'<div class="scroll" tabindex="0"><table class="{kind}"><thead><tr>{columns}</tr></thead>'
         f"<tbody>{''.join(rows)}</tbody></table></div>"
     )
+
+
+def plain_table(heads: Sequence[str], rows: Sequence[Sequence[str]], name: str = "", best: Sequence = ()) -> str:
+    """Return a table of texts, escaped here; the first column names, the others are numbers.
+
+    Parameters
+    ----------
+    heads : sequence of str
+    rows : sequence of sequence of str
+    name : str
+        Of the table, for links and tests.
+    best : sequence of (int, int)
+        Row and column of cells to mark.
+    """
+    marked = set(best)
+    lines = []
+    for k, row in enumerate(rows):
+        cells = [f"<th scope=row>{escape(row[0])}</th>"] if row else []
+        cells += [
+            f'<td class="number{" win" if (k, c) in marked else ""}">{escape(text)}</td>'
+            for c, text in enumerate(row[1:], 1)
+        ]
+        lines.append(f"<tr>{''.join(cells)}</tr>")
+    columns = "".join(
+        f'<th scope=col class="{"number" if c else ""}">{escape(head)}</th>' for c, head in enumerate(heads)
+    )
+    label = f' id="{name}"' if name else ""
+    return (
+        f'<div class="scroll" tabindex="0"><table class="plain"{label}><thead><tr>{columns}</tr></thead>'
+        f"<tbody>{''.join(lines)}</tbody></table></div>"
+    )
+
+
+def figure(chart: Chart) -> str:
+    """Return the place a chart is drawn in, with its title and what a reader must know."""
+    note = f'<p class="note-line">{escape(chart.note)}</p>' if chart.note else ""
+    return (
+        f'<figure class="plot{" wide" if chart.wide else ""}" id="chart-{escape(chart.name)}">'
+        f"<figcaption><b>{escape(chart.title)}</b></figcaption>"
+        f'<div class="canvas"></div><div class="legend"></div>{note}</figure>'
+    )
+
+
+def charts_block(charts: Sequence[Chart], *, thirds: bool = False) -> str:
+    """Return figures side by side; strips get a switch between time and distance."""
+    if not charts:
+        return ""
+    choice = ""
+    if any(chart.other_x for chart in charts):
+        first, other = ("", " checked") if any(chart.other_first for chart in charts) else (" checked", "")
+        choice = (
+            '<form class="controls" id="along" aria-label="What strips are drawn over"><fieldset>'
+            '<legend>Over</legend><span class="pick">'
+            f'<label><input type="radio" name="along-x" value="t"{first}><span>time</span></label>'
+            f'<label><input type="radio" name="along-x" value="s"{other}><span>distance</span></label>'
+            "</span></fieldset></form>"
+        )
+    kind = "figures thirds" if thirds else "figures"
+    return f'{choice}<div class="{kind}">{"".join(figure(chart) for chart in charts)}</div>'

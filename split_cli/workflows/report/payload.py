@@ -11,7 +11,7 @@ import numpy as np
 from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, HorizonErrors, Improvement, Location
 from split_cli.workflows.report.words import CHANNELS, FORCE_IDS, FORCES, readable
 
-__all__ = ["chart_numbers", "embedded_json"]
+__all__ = ["chart_numbers", "embedded_json", "packed"]
 
 _MOST_ROWS = 12_000
 _LEVELS = 5_000
@@ -59,18 +59,18 @@ def _drive(gap: GapSeries, every: int) -> dict[str, Any]:
     middle = begin + count // 2
 
     def averaged(forces: np.ndarray) -> list[dict[str, Any]]:
-        return [_packed(np.add.reduceat(column, begin) / count) for column in forces.T]
+        return [packed(np.add.reduceat(column, begin) / count) for column in forces.T]
 
     names = ("alpha_f", "alpha_r", "torque", "speed")
-    points = {name: _packed(column[middle]) for name, column in zip(names, gap.operating_point.T, strict=True)}
+    points = {name: packed(column[middle]) for name, column in zip(names, gap.operating_point.T, strict=True)}
     return {
         "name": readable(gap.drive),
         "step": step * every,
         "run": np.flatnonzero(np.diff(run[middle], prepend=-1)).tolist(),
-        "t": _packed(gap.t[middle]),
-        "s": _packed(gap.s[middle]),
-        "x": _packed(gap.x[middle]),
-        "y": _packed(gap.y[middle]),
+        "t": packed(gap.t[middle]),
+        "s": packed(gap.s[middle]),
+        "x": packed(gap.x[middle]),
+        "y": packed(gap.y[middle]),
         **points,
         "compared": [int(flag) for flag in gap.compared[middle]],
         "before": averaged(gap.forces),
@@ -78,8 +78,9 @@ def _drive(gap: GapSeries, every: int) -> dict[str, Any]:
     }
 
 
-def _packed(values: np.ndarray) -> dict[str, Any]:
+def packed(values: np.ndarray) -> dict[str, Any]:
     """Return whole numbers and the step they count, a power of ten; null where there is no number."""
+    values = np.asarray(values, dtype=float)
     finite = np.isfinite(values)
     spread = float(np.ptp(values[finite])) if finite.any() else 0.0
     exponent = math.floor(math.log10(spread / _LEVELS)) if spread > 0.0 else -3

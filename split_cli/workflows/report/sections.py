@@ -7,8 +7,11 @@ from collections.abc import Iterable, Sequence
 from split_cli.diagnosis.statement.document import vehicle_name
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, HorizonErrors, Improvement, Location
 from split_cli.diagnosis.statement.sentences import not_accepted
+from split_cli.plots.chart import Chart
 from split_cli.workflows.report.findings import what_section
+from split_cli.workflows.report.headline import finding_headline, findings_headline
 from split_cli.workflows.report.markup import bar_row, section, table
+from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.words import (
     CHANNELS,
     FORCE_IDS,
@@ -20,6 +23,7 @@ from split_cli.workflows.report.words import (
     quantity,
     span,
     term_title,
+    typeset,
     variable,
 )
 
@@ -40,13 +44,16 @@ _STAGES = (
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """Return the verdict in one plain sentence."""
-    return _HEADLINES[diagnosis.verdict][1]
+    """Return the verdict in plain words: what was found by its part of the car, else whether they differ."""
+    found = findings_headline(diagnosis.findings, diagnosis.unexplained) if diagnosis.findings else ""
+    return found or _HEADLINES[diagnosis.verdict][1]
 
 
-def all_sections(diagnosis: Diagnosis) -> str:
+def all_sections(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
     """Return the body of the page; a verdict without a gap has no sections about one."""
     parts = [_verdict(diagnosis)]
+    if diagnosis.verdict != "undecided":
+        parts += picture_sections(charts)
     if diagnosis.verdict == "undecided":
         parts.append(_not_judged(diagnosis))
     if any(len(gap.t) for gap in diagnosis.gaps):
@@ -64,6 +71,7 @@ def all_sections(diagnosis: Diagnosis) -> str:
 
 def _verdict(diagnosis: Diagnosis) -> str:
     sign, sentence = _HEADLINES[diagnosis.verdict]
+    kicker = f'<p class="kicker">{sentence}</p>' if diagnosis.findings else ""
     facts = "".join(
         f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
         for what, value, note in _facts(diagnosis)
@@ -71,7 +79,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
     return (
         f'<section class="verdict {diagnosis.verdict}" aria-labelledby="verdict">'
         f'<span class="sign" aria-hidden="true">{sign}</span>'
-        f'<h1 id="verdict">{sentence}</h1>{_chips(diagnosis)}'
+        f"{kicker}"
+        f'<h1 id="verdict">{escape(headline(diagnosis))}</h1>{_chips(diagnosis)}'
         f'<p class="lead">{escape(_lead(diagnosis))}</p>'
         f'<dl class="facts">{facts}</dl></section>'
     )
@@ -79,7 +88,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
 
 def _chips(diagnosis: Diagnosis) -> str:
     chips = [
-        f'<a class="chip" href="#finding-{k}">{escape(term_title(finding.term))}</a>'
+        f'<a class="chip" href="#finding-{k}">{escape(finding_headline(finding))}</a>'
         for k, finding in enumerate(diagnosis.findings, 1)
     ]
     if diagnosis.unexplained:
@@ -94,7 +103,7 @@ def _lead(diagnosis: Diagnosis) -> str:
         return "Within noise, wherever both have been."
     if diagnosis.verdict == "undecided" and diagnosis.not_judged:
         return "Nothing is claimed about this pair of recordings."
-    return diagnosis.summary.removeprefix(headline(diagnosis)).strip()
+    return typeset(diagnosis.summary.removeprefix(_HEADLINES[diagnosis.verdict][1]).strip())
 
 
 def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
@@ -136,7 +145,8 @@ def _where(diagnosis: Diagnosis) -> str:
         else "<p>Colour tells how often both have been at an operating point; outlined cells were driven in "
         "reality only and could not be compared. Agreement is claimed for coloured cells.</p>"
     )
-    figures = [_figure("map", "Over operating points", "Drag, or Ctrl and the wheel, to zoom.")]
+    hint = "Negative torque brakes; it may exceed the largest drive torque."
+    figures = [_figure("map", "Over operating points", hint)]
     figures.append(_figure("track", "Along the track", "Hovering marks the moment in every chart."))
     if mismatch:
         figures.append(_figure("strip", "Over the drive", "A zoom here restricts the maps above.", wide=True))
@@ -144,8 +154,7 @@ def _where(diagnosis: Diagnosis) -> str:
         "where",
         "Where" if mismatch else "Where they were compared",
         f'{intro}<form class="controls" id="controls" aria-label="What the charts show"></form>'
-        f'<div class="figures">{"".join(figures)}</div>'
-        "<noscript><p>These charts need scripts, which are part of this file.</p></noscript>",
+        f'<div class="figures">{"".join(figures)}</div>',
     )
 
 
@@ -210,6 +219,17 @@ def _help(diagnosis: Diagnosis, improvement: Improvement) -> str:
     stages = [one for one in _STAGES if diagnosis.findings or one[0] not in ("physics", "after")]
     if not improvement.tells:
         how += " That time shows too little of the gap to tell: give a drive that does with --holdout."
+    below = [
+        symbol
+        for k, (symbol, _, _) in enumerate(CHANNELS)
+        if improvement.noise_floor is not None and improvement.before[k] < improvement.noise_floor[k]
+    ]
+    if below:
+        how += (
+            f" The error of {' and '.join(below)} lies below the noise floor before anything is added: the "
+            "floor is estimated from the noise of the whole recording, this stretch is quieter, and there is "
+            "nothing left to improve."
+        )
     tables = _error_table(improvement, stages), _rollouts(improvement, stages), _corrected(diagnosis)
     return section(
         "help",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+import re
 import unicodedata
 from collections.abc import Sequence
 
@@ -22,6 +23,7 @@ __all__ = [
     "readable",
     "span",
     "term_title",
+    "typeset",
     "variable",
 ]
 
@@ -108,6 +110,11 @@ def chance(p_value: float | None) -> str:
     if p_value > 0.995:
         return "p = 1"
     return f"p = {number(p_value, 2)}"
+
+
+def typeset(text: str) -> str:
+    """Return a sentence with the signs of print: ``-1.8 m/s^2`` is ``−1.8 m/s²``."""
+    return re.sub(r"(?<![\w.])-(?=\d)", "−", text).replace("^2", "²")
 
 
 def quantity(value: float, unit: str) -> str:

@@ -1,9 +1,9 @@
-/* The charts of a diagnosis: what is drawn, from the numbers beside, and the controls that change it. */
+/* Where a gap is: over operating points, along the track and over the drive, with the controls that change it. */
 (() => {
-  const { Plot, shape, element, path, diverging, fixed, short, between } = Charts;
+  const { Plot, shape, element, path, diverging, fixed, short, between, unpack, csv } = Charts;
   const numbers = JSON.parse(document.getElementById("numbers").textContent);
-  const BEFORE = "#0072b2";
-  const AFTER = "#d55e00";
+  const BEFORE = "var(--simulated)";
+  const AFTER = "var(--corrected)";
   const AXES = [
     ["alpha_f", "alpha_r", "front \u00d7 rear slip angle"],
     ["alpha_f", "torque", "front slip angle \u00d7 torque"],
@@ -11,16 +11,11 @@
     ["speed", "torque", "speed \u00d7 torque"],
   ];
   const TITLES = {
-    alpha_f: "front slip angle [rad]", alpha_r: "rear slip angle [rad]", torque: "torque / largest torque", speed: "speed [m/s]",
+    alpha_f: "front slip angle [rad]", alpha_r: "rear slip angle [rad]", torque: "torque / largest drive torque", speed: "speed [m/s]",
     t: "time [s]", s: "track position s [m]",
   };
   const SHADES = 15;
   const SAME_SAYING = 5; // neighbouring samples share an average over 0.2 s: so many count as one
-
-  function unpack({ origin, exponent, values }) {
-    const factor = 10 ** -exponent; // a whole number divided by one gives the shortest decimals
-    return Float64Array.from(values, (v) => (v === null ? NaN : origin + (exponent < 0 ? v / factor : v * 10 ** exponent)));
-  }
 
   const drives = numbers.drives.map((drive) => {
     const out = { ...drive, before: drive.before.map(unpack), after: drive.after.map(unpack), smooth: {} };
@@ -126,6 +121,9 @@
   const map = {
     host: "map",
     options: {
+      name: "operating-points",
+      csv: () => csv([[TITLES[AXES[state.axes][0]], TITLES[AXES[state.axes][1]], "mean gap force [N]", "after the physics [N]", "compared", "samples"],
+        ...cells.map((cell) => [cell.x, cell.y, cell.mean[0], cell.mean[1], cell.compared, cell.all])]),
       zoom: "xy",
       height: (width) => between(0.78 * width, 240, 430),
       x: () => TITLES[AXES[state.axes][0]],
@@ -145,21 +143,21 @@
           const [px, py] = [plot.sx(cell.x - cell.w / 2), plot.sy(cell.y + cell.h / 2)];
           const size = { width: plot.sx(cell.x + cell.w / 2) - px, height: plot.sy(cell.y - cell.h / 2) - py };
           if (cell.compared < 3 && !(state.stage === "compared" && cell.compared)) {
-            layer.append(shape("rect", { x: px + 2, y: py + 2, width: size.width - 4, height: size.height - 4, fill: "none", stroke: "#b4bac4" }));
+            layer.append(shape("rect", { x: px + 2, y: py + 2, width: size.width - 4, height: size.height - 4, fill: "none", stroke: "var(--faint)" }));
           } else if (state.stage === "compared") {
             const depth = Math.log1p(cell.compared) / Math.log1p(most);
-            layer.append(shape("rect", { x: px, y: py, ...size, fill: "#0072b2", "fill-opacity": (0.12 + 0.83 * depth).toFixed(2), stroke: "#fff", "stroke-width": 0.5 }));
+            layer.append(shape("rect", { x: px, y: py, ...size, fill: "var(--simulated)", "fill-opacity": (0.12 + 0.83 * depth).toFixed(2), stroke: "var(--ground)", "stroke-width": 0.5 }));
           } else {
             // What could as well be noise is drawn small.
             const inset = Math.abs(cell.mean[stage]) > 2 * cell.error[stage] ? 0 : 0.29;
             layer.append(shape("rect", {
               x: px + inset * size.width, y: py + inset * size.height, width: (1 - 2 * inset) * size.width, height: (1 - 2 * inset) * size.height,
-              fill: diverging(cell.mean[stage] / limit), stroke: "#fff", "stroke-width": 0.5,
+              fill: diverging(cell.mean[stage] / limit), stroke: "var(--ground)", "stroke-width": 0.5,
             }));
           }
         }
         legend("map", ...(state.stage === "compared"
-          ? [key("#0072b2", `compared, up to ${most} samples a cell`), key("#b4bac4", "only real")]
+          ? [key("var(--simulated)", `compared, up to ${most} samples a cell`), key("var(--faint)", "only real")]
           : scaleLegend(limit, "mean of a cell; small: within 2 standard errors of none; outlined: too little to compare")));
       },
       hover(x, y, plot) {
@@ -187,6 +185,9 @@
   const track = {
     host: "track",
     options: {
+      name: "gap-along-the-track",
+      csv: () => csv([["drive", "t [s]", "s [m]", "X [m]", "Y [m]", "gap force [N]", "after the physics [N]", "compared"],
+        ...chosenDrives().flatMap((drive) => Array.from(drive.t, (t, i) => [drive.name, t, drive.s[i], drive.x[i], drive.y[i], smoothed(drive, "before")[i], smoothed(drive, "after")[i], drive.compared[i]]))]),
       zoom: "xy",
       equal: placed,
       height: (width) => between(0.78 * width, 240, 430),
@@ -211,13 +212,13 @@
           }
         }
         const stroke = (points, color, width) => layer.append(shape("path", { d: path(points), fill: "none", stroke: color, "stroke-width": width, "stroke-linecap": "round" }));
-        if (halo.length) stroke(halo, "#ffd84d", 13);
-        stroke(shades[SHADES], "#b4bac4", 1.2);
+        if (halo.length) stroke(halo, "var(--halo)", 13);
+        stroke(shades[SHADES], "var(--faint)", 1.2);
         // The pale middle first, so that what stands out lies on top.
         const order = Array.from({ length: SHADES }, (_, k) => k).sort((a, b) => Math.abs(a - (SHADES - 1) / 2) - Math.abs(b - (SHADES - 1) / 2));
         for (const k of order) if (shades[k].length) stroke(shades[k], state.stage === "compared" ? BEFORE : diverging((2 * k) / (SHADES - 1) - 1), 4.5);
-        const marks = located.place ? [key("#ffd84d", "where the gap stands out")] : [];
-        const thin = chosenDrives().some((drive) => drive.compared.includes(0)) ? [key("#b4bac4", "not compared")] : [];
+        const marks = located.place ? [key("var(--halo)", "where the gap stands out")] : [];
+        const thin = chosenDrives().some((drive) => drive.compared.includes(0)) ? [key("var(--faint)", "not compared")] : [];
         legend("track", ...(state.stage === "compared" ? [key(BEFORE, "compared")] : scaleLegend(limit, averaged())), ...thin, ...marks);
       },
       hover(x, y, plot) {
@@ -234,6 +235,9 @@
   const strip = {
     host: "strip",
     options: {
+      name: "gap-over-the-drive",
+      csv: () => csv([["drive", "t [s]", "s [m]", "X [m]", "Y [m]", "gap force [N]", "after the physics [N]", "compared"],
+        ...chosenDrives().flatMap((drive) => Array.from(drive.t, (t, i) => [drive.name, t, drive.s[i], drive.x[i], drive.y[i], smoothed(drive, "before")[i], smoothed(drive, "after")[i], drive.compared[i]]))]),
       zoom: "x",
       height: (width) => between(0.3 * width, 210, 320),
       x: () => TITLES[state.along],
@@ -255,13 +259,13 @@
         const band = (from, to, color) => layer.append(shape("rect", {
           x: plot.sx(from), y: plot.top, width: Math.max(plot.sx(to) - plot.sx(from), 1), height: plot.tall, fill: color,
         }));
-        if (state.along === "t" && located.time) band(...located.time, "#fff0b8");
+        if (state.along === "t" && located.time) band(...located.time, "var(--mark)");
         if (state.along === "s" && located.place) {
           const [from, to] = located.place;
-          if (from <= to) band(from, to, "#fff0b8");
-          else { band(plot.x[0], to, "#fff0b8"); band(from, plot.x[1], "#fff0b8"); }
+          if (from <= to) band(from, to, "var(--mark)");
+          else { band(plot.x[0], to, "var(--mark)"); band(from, plot.x[1], "var(--mark)"); }
         }
-        layer.append(shape("line", { x1: plot.left, x2: plot.left + plot.inner, y1: plot.sy(0), y2: plot.sy(0), stroke: "#8b929e" }));
+        layer.append(shape("line", { x1: plot.left, x2: plot.left + plot.inner, y1: plot.sy(0), y2: plot.sy(0), stroke: "var(--soft)" }));
         const stages = numbers.named ? [["before", BEFORE], ["after", AFTER]] : [["before", BEFORE]];
         for (const drive of chosenDrives()) {
           const x = drive[state.along];
@@ -276,13 +280,13 @@
               lines[compared].push(point);
               lines[!compared].push(null);
             }
-            layer.append(shape("path", { d: path(lines.false), fill: "none", stroke: "#b4bac4" }));
+            layer.append(shape("path", { d: path(lines.false), fill: "none", stroke: "var(--faint)" }));
             layer.append(shape("path", { d: path(lines.true), fill: "none", stroke: color, "stroke-width": stage === "after" ? 1.3 : 1.6, "stroke-linejoin": "round" }));
           }
         }
         const keys = [key(BEFORE, "gap: reality less simulation")];
         if (numbers.named) keys.push(key(AFTER, "left after the named physics"));
-        if (chosenDrives().some((drive) => drive.compared.includes(0))) keys.push(key("#b4bac4", "not compared"));
+        if (chosenDrives().some((drive) => drive.compared.includes(0))) keys.push(key("var(--faint)", "not compared"));
         legend("strip", ...keys, element("span", {}, averaged()));
       },
       hover(x, y, plot) {
@@ -388,113 +392,5 @@
       if (place) charts[host] = new Plot(place, options);
     }
     redraw("map", "track", "strip");
-  }
-
-  /* ---- does it help ---- */
-  const ROWS = [
-    ["before", "before", BEFORE], ["physics", "physics", AFTER], ["split_only", "SPLIT only", "#5a6271"], ["after", "both", "#007a59"], ["persistence", "persistence", "#8b929e"],
-  ].filter(([stage]) => numbers.named || !["physics", "after"].includes(stage)); // without a name there is nothing to add
-
-  const LINES = ROWS.map(([stage, text, color]) => [stage, { physics: "with the named physics", after: "with physics and SPLIT" }[stage] || text, color]);
-
-  function figure(host, title) {
-    const canvas = element("div", { class: "canvas" });
-    host.append(element("figure", { class: "plot" }, element("figcaption", {}, element("b", {}, title)), canvas));
-    return canvas;
-  }
-
-  function errorChart(host, help, channel) {
-    const { symbol, name, unit: label } = help.channels[channel];
-    const bars = ROWS.map(([stage, text, color]) => {
-      const { rms: values, interval } = help.errors[stage];
-      return { text, color, stage, value: values[channel], interval: interval ? interval[channel] : [values[channel], values[channel]] };
-    });
-    const floor = help.floor && help.floor[channel];
-    const near = bars.filter((bar) => bar.stage !== "persistence").flatMap((bar) => bar.interval).concat(floor ? [floor] : []);
-    const [low, high] = [Math.min(...near), Math.max(...near)];
-    const plot = new Plot(figure(host, `${name} (${symbol})`), {
-      zoom: "x",
-      rows: ROWS.map(([, text]) => text),
-      height: () => 66 + 26 * ROWS.length,
-      x: () => `rms error [${label}]`,
-      label: () => `${name} error: ${bars.map((bar) => `${bar.text} ${short(bar.value)}`).join(", ")} ${label}.`,
-      domain: (view) => ({ x: view ? view.x : [low - 0.12 * (high - low), high + 0.16 * (high - low)], y: [-0.6, ROWS.length - 0.4] }),
-      draw(layer) {
-        const at = (v) => plot.sx(v);
-        if (floor) layer.append(shape("rect", { x: plot.left, y: plot.top, width: Math.max(at(floor) - plot.left, 0), height: plot.tall, fill: "#e3e5ea" }));
-        bars.forEach((bar, k) => {
-          const y = plot.sy(ROWS.length - 1 - k);
-          const beyond = bar.value > plot.x[1];
-          if (beyond) {
-            const end = plot.left + plot.inner - 4;
-            layer.append(shape("text", { x: end, y: y + 4, "text-anchor": "end" }, `${short(bar.value)} \u2192`));
-            return;
-          }
-          layer.append(shape("line", { x1: at(bar.interval[0]), x2: at(bar.interval[1]), y1: y, y2: y, stroke: bar.color, "stroke-width": 2.5 }));
-          layer.append(shape("circle", { cx: at(bar.value), cy: y, r: 5, fill: bar.color, stroke: "#fff" }));
-        });
-      },
-      hover(x, y) {
-        const bar = bars[ROWS.length - 1 - Math.round(y)];
-        if (!bar) return null;
-        const lines = [`${bar.text}: ${short(bar.value)} ${label}`, `95 %: ${short(bar.interval[0])} to ${short(bar.interval[1])}`];
-        if (floor) lines.push(`noise floor: ${short(floor)}`);
-        return { x: between(bar.value, plot.x[0], plot.x[1]), y: Math.round(y), lines };
-      },
-    });
-    plot.redraw();
-  }
-
-  function rolloutChart(host, help, channel) {
-    const { symbol, name } = help.channels[channel];
-    const label = channel === 2 ? "rad/s" : "m/s";
-    const value = (one, stage) => one.errors[stage].rms[channel];
-    const interval = (one, stage) => (one.errors[stage].interval || [])[channel];
-    const ends = help.rollouts.map((one) => one.horizon);
-    const near = LINES.filter(([stage]) => stage !== "persistence").flatMap(([stage]) => help.rollouts.map((one) => (interval(one, stage) || [0, value(one, stage)])[1]));
-    const top = Math.max(...near);
-    const plot = new Plot(figure(host, `${name} (${symbol})`), {
-      zoom: "xy",
-      height: () => 230,
-      x: () => "horizon [s]",
-      y: () => `rms error [${label}]`,
-      label: () => `${name} rollout error over the horizon: ${LINES.map(([stage, text]) => `${text} ${short(value(help.rollouts[help.rollouts.length - 1], stage))}`).join(", ")} ${label} at the end.`,
-      domain: (view) => view || { x: [0, Math.max(...ends) * 1.06], y: [0, top * 1.1] },
-      draw(layer) {
-        const floor = help.rollouts.map((one) => [plot.sx(one.horizon), plot.sy(one.floor[channel])]);
-        const ground = plot.top + plot.tall;
-        layer.append(shape("path", { d: `${path([[plot.left, floor[0][1]], ...floor, [plot.left + plot.inner, floor[floor.length - 1][1]], [plot.left + plot.inner, ground], [plot.left, ground]])}Z`, fill: "#e3e5ea" }));
-        LINES.forEach(([stage, , color], k) => {
-          const shift = (k - (LINES.length - 2) / 2) * 3; // so that intervals at one horizon stand side by side
-          const points = help.rollouts.map((one) => [plot.sx(one.horizon) + (stage === "persistence" ? 0 : shift), plot.sy(value(one, stage))]);
-          layer.append(shape("path", { d: path(points), fill: "none", stroke: color, "stroke-width": 1.8, "stroke-dasharray": stage === "persistence" ? "4 3" : "none" }));
-          help.rollouts.forEach((one, i) => {
-            const ends = interval(one, stage);
-            if (stage !== "persistence" && ends) layer.append(shape("line", { x1: points[i][0], x2: points[i][0], y1: plot.sy(ends[0]), y2: plot.sy(ends[1]), stroke: color, "stroke-width": 1.4 }));
-            layer.append(shape("circle", { cx: points[i][0], cy: points[i][1], r: 3.6, fill: color, stroke: "#fff" }));
-          });
-        });
-      },
-      hover(x) {
-        const one = help.rollouts.reduce((best, other) => (Math.abs(other.horizon - x) < Math.abs(best.horizon - x) ? other : best));
-        const told = LINES.map(([stage, text]) => {
-          const ends = interval(one, stage);
-          return `${text}: ${short(value(one, stage))} ${label}${ends ? ` (${short(ends[0])} to ${short(ends[1])})` : ""}`;
-        });
-        return { x: one.horizon, y: between(value(one, "before"), ...plot.y), lines: [`${short(one.horizon)} s ahead`, ...told, `noise floor: ${short(one.floor[channel])} ${label}`] };
-      },
-    });
-    plot.redraw();
-  }
-
-  if (numbers.help) {
-    const errors = document.getElementById("errors");
-    const rollouts = document.getElementById("rollouts");
-    numbers.help.channels.forEach((_, channel) => errorChart(errors, numbers.help, channel));
-    if (rollouts) {
-      const names = [...LINES.map(([stage, text, color]) => key(color, text, stage === "persistence")), element("span", {}, "grey: what sensor noise makes; bars: 95 % intervals; zoom out for persistence")];
-      document.getElementById("rollout-legend").replaceChildren(...names);
-      numbers.help.channels.forEach((_, channel) => rolloutChart(rollouts, numbers.help, channel));
-    }
   }
 })();

@@ -1,0 +1,131 @@
+"""A recording beside the motion of models: over time and distance, in the plane of accelerations, on the map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from split_cli.logs.drive import Drive
+from split_cli.plots.chart import Chart, Series, thinned
+from split_cli.scoring.handling.motion import free_run, measured_motion
+from split_cli.scoring.handling.steering_response import WINDOW
+from split_cli.scoring.rollouts import Correction
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["FREE_SECONDS", "Subject", "drive_charts", "track_chart"]
+
+#: A model runs freely for so long before it is set back to the recording [s].
+FREE_SECONDS = 2.0
+_CHANNELS = (
+    ("vx", "Longitudinal velocity v_x", "v_x [m/s]"),
+    ("vy", "Lateral velocity v_y", "v_y [m/s]"),
+    ("r", "Yaw rate r", "r [rad/s]"),
+    ("ay", "Lateral acceleration a_y", "a_y [m/s²]"),
+)
+_MOST_DOTS = 1500
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is drawn beside a measured drive: another recording, or a model over the recorded inputs.
+
+    Attributes
+    ----------
+    name : str
+    role : str
+        Of the palette.
+    drive : Drive
+        The recording itself, or what the model runs over.
+    vehicle : Vehicle or None
+        The model; None where the drive itself is the subject.
+    correction : Correction or None
+        A learned residual on top of the model.
+    shown : bool
+    """
+
+    name: str
+    role: str
+    drive: Drive
+    vehicle: Vehicle | None = None
+    correction: Correction | None = None
+    shown: bool = True
+
+    @cached_property
+    def motion(self) -> Drive | None:
+        """What it does over time: the recording, or free runs of 2 s."""
+        if self.vehicle is None:
+            return measured_motion(self.drive)
+        return free_run(SingleTrack(self.vehicle), self.drive, FREE_SECONDS, correction=self.correction)
+
+    @cached_property
+    def lateral_motion(self) -> Drive | None:
+        """What it does laterally at the recorded speed, in free runs of 8 s."""
+        if self.vehicle is None:
+            return measured_motion(self.drive)
+        model = SingleTrack(self.vehicle)
+        return free_run(model, self.drive, WINDOW, correction=self.correction, recorded_speed=True)
+
+
+def drive_charts(subjects: Sequence[Subject], vehicle: Vehicle | None = None) -> tuple[Chart, ...]:
+    """Return v_x, v_y, r and a_y of all subjects over time and distance, and their accelerations."""
+    moving = [(one, one.motion) for one in subjects if one.motion is not None and len(one.motion) > 1]
+    if not moving:
+        return ()
+    modelled = any(one.vehicle is not None for one in subjects)
+    note = f"Models run freely over the recorded inputs and are set back every {FREE_SECONDS:g} s." * modelled
+    recordings = sum(one.vehicle is None for one in subjects)
+    charts = []
+    for channel, title, axis in _CHANNELS:
+        series = tuple(_over_time(one, motion, channel) for one, motion in moving)
+        charts.append(
+            Chart(f"strip-{channel}", title, "time [s]", axis, series, note * (channel == "vx"),
+                  other_x="distance s [m]", other_first=recordings > 1, wide=True, group="strips")
+        )  # fmt: skip
+    return (*charts, _accelerations(moving, vehicle))
+
+
+def _over_time(one: Subject, motion: Drive, channel: str) -> Series:
+    """Return a channel with a NaN between segments, so that no line spans a gap."""
+    part = thinned(len(motion))
+    at = np.flatnonzero(np.diff(motion.segment[part])) + 1
+    columns = [motion["t"][part], motion[channel][part], motion["s"][part] if "s" in motion else motion["t"][part]]
+    t, y, s = (np.insert(column.astype(float), at, np.nan) for column in columns)
+    return Series(one.name, t, y, one.role, along=s, shown=one.shown)
+
+
+def _accelerations(moving: Sequence[tuple[Subject, Drive]], vehicle: Vehicle | None) -> Chart:
+    series = []
+    for one, motion in moving:
+        if one.vehicle is not None and len(moving) > 2 and one.role == "nominal":
+            continue
+        part = thinned(len(motion), _MOST_DOTS)
+        x, y = motion["ay"][part], motion["ax"][part]
+        series.append(Series(one.name, x, y, one.role, "points", shown=one.shown))
+    note = ""
+    if vehicle is not None:
+        angle = np.linspace(0.0, 2.0 * np.pi, 121)
+        most = (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
+        x, y = most * np.cos(angle), most * np.sin(angle)
+        series.append(Series("friction ellipse of the vehicle file", x, y, "other"))
+        note = "The ellipse is (D_f + D_r)/m: what both axles give at once."
+    return Chart("gg", "Accelerations (GG)", "a_y, left positive [m/s²]", "a_x [m/s²]", tuple(series), note,
+                 equal=True)  # fmt: skip
+
+
+def track_chart(drives: Sequence[tuple[str, str, Drive]]) -> Chart | None:
+    """Return the paths of drives (name, role, drive), None where none has a position."""
+    series = []
+    for name, role, drive in drives:
+        if not drive.has_position:
+            continue
+        part = thinned(len(drive))
+        at = np.flatnonzero(np.diff(drive.segment[part])) + 1
+        x, y = (np.insert(drive[axis][part].astype(float), at, np.nan) for axis in ("X", "Y"))
+        series.append(Series(name, x, y, role))
+    if not series:
+        return None
+    return Chart("path", "Track map", "X [m]", "Y [m]", tuple(series), equal=True)

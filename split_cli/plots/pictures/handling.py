@@ -1,0 +1,68 @@
+"""Understeer gradient and steering frequency response of real and simulated car."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from split_cli.plots.chart import Chart, Series, thinned
+from split_cli.plots.pictures.drive import Subject
+from split_cli.scoring.handling.steering_response import steering_response
+from split_cli.scoring.handling.understeer import DEG_PER_G, Understeer, understeer_of
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["handling_charts", "understeer_words"]
+
+_MOST_DOTS = 700
+
+
+def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Chart, ...]:
+    """Return the understeer chart and gain and phase of the steering response; none where nothing shows them."""
+    charts = []
+    moving = [(one, one.drive if one.vehicle is None else one.motion) for one in subjects]
+    found = [(one, motion and understeer_of(motion, vehicle)) for one, motion in moving]
+    shown = [(one, gradient) for one, gradient in found if gradient]
+    if shown:
+        charts.append(_understeer(shown))
+    responses = [
+        (one, one.lateral_motion and steering_response(one.lateral_motion, vehicle.minimum_speed))
+        for one in subjects
+    ]
+    told = [(one, response) for one, response in responses if response]
+    if told:
+        gain = tuple(
+            Series(one.name, r.frequency, r.gain, one.role, low=r.gain_low, high=r.gain_high, shown=one.shown)
+            for one, r in told
+        )
+        phase = tuple(Series(one.name, r.frequency, r.phase, one.role, shown=one.shown) for one, r in told)
+        count = told[0][1].windows
+        note = f"{count} stretches of 8 s; only where steering and yaw rate are coherent; bands are 95 %."
+        charts.append(Chart("response-gain", "Steering response: gain", "frequency [Hz]", "r/delta [1/s]", gain,
+                            note, group="response"))  # fmt: skip
+        charts.append(Chart("response-phase", "Steering response: phase", "frequency [Hz]", "phase [deg]", phase,
+                            group="response"))  # fmt: skip
+    return tuple(charts)
+
+
+def understeer_words(name: str, found: Understeer) -> str:
+    """Return a gradient as handling engineers quote it."""
+    low, high = (DEG_PER_G * value for value in found.interval)
+    return f"{name} {DEG_PER_G * found.gradient:.2f} deg/g (95 %: {low:.2f} to {high:.2f})"
+
+
+def _understeer(shown: Sequence[tuple[Subject, Understeer]]) -> Chart:
+    series = []
+    for one, found in shown:
+        if one.vehicle is None:
+            part = thinned(len(found.lateral), _MOST_DOTS)
+            x, y = found.lateral[part], found.slip_difference[part]
+            series.append(Series(f"{one.name}, moments", x, y, one.role, "points", shown=one.shown))
+        reach = np.array([-1.0, 1.0]) * float(np.quantile(np.abs(found.lateral), 0.995))
+        line = found.offset + found.gradient * reach
+        series.append(Series(one.name, reach, line, one.role, shown=one.shown))
+    words = "; ".join(understeer_words(one.name, found) for one, found in shown)
+    note = f"The slope is the understeer gradient, below {shown[0][1].limit:.1f} m/s²: {words}."
+    return Chart("understeer", "Understeer gradient", "a_y [m/s²]", "alpha_f − alpha_r [rad]", tuple(series), note)
+
+

@@ -1,0 +1,127 @@
+"""Axle force against slip angle, and longitudinal force against torque: measured, nominal, corrected, learned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.learning.features import Z2
+from split_cli.learning.labels import compute_labels
+from split_cli.logs.drive import Drive
+from split_cli.plots.chart import Chart, Series, thinned
+from split_cli.prediction import Prediction
+from split_cli.scoring.handling.axles import AxleForces, axle_forces, binned, force_deviation, forces_of_rates
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.tire import lateral_force
+
+__all__ = ["LearnedForces", "tire_charts"]
+
+_MOST_DOTS = 1500
+_BINS = 28
+_TWO_SIDED_95 = 1.959964
+
+
+@dataclass(frozen=True)
+class LearnedForces:
+    """A learned residual at the labels of the nominal model it was learned on.
+
+    Attributes
+    ----------
+    name : str
+    rows : ndarray of int, shape (K,)
+        Rows of the drive that it was asked at.
+    prediction : Prediction
+        Of K queries.
+    """
+
+    name: str
+    rows: np.ndarray
+    prediction: Prediction
+
+
+def tire_charts(
+    drive: Drive,
+    vehicle: Vehicle,
+    corrected: tuple[Drive, Vehicle] | None = None,
+    learned: LearnedForces | None = None,
+) -> tuple[Chart, ...]:
+    """Return the force charts of both axles and of the longitudinal direction.
+
+    Parameters
+    ----------
+    drive : Drive
+    vehicle : Vehicle
+        The nominal model.
+    corrected : (Drive, Vehicle), optional
+        The vehicle with what was found, and the drive with the faults of its sensors taken off.
+    learned : LearnedForces, optional
+        On top of the corrected vehicle where there is one, else of the nominal one.
+
+    Notes
+    -----
+    Lines other than the nominal curves are means over bins of what a model gives at the recorded moments. Effects
+    that are no tyre's (mass, wind) show as the axle force they look like.
+    """
+    forces = axle_forces(drive, vehicle)
+    if len(forces.slip) < 20:
+        return ()
+    with_found = None if corrected is None else forces.measured - _left(forces, *corrected, vehicle)
+    places = (
+        ("tire-front", "Front axle", "front slip angle [rad]", "lateral force [N]", forces.slip[:, 0], 1),
+        ("tire-rear", "Rear axle", "rear slip angle [rad]", "lateral force [N]", forces.slip[:, 1], 2),
+        ("force-x", "Drive and brakes", "torque at the wheels [N m]", "longitudinal force [N]", forces.torque, 0),
+    )
+    charts = []
+    for name, title, x_title, y_title, x, column in places:
+        width = max(float(np.ptp(np.quantile(x, [0.002, 0.998]))) / _BINS, 1e-9)
+        series = [_cloud(x, forces.measured[:, column]), _nominal(vehicle, column, x, forces)]
+        if with_found is not None:
+            centre, mean, _ = binned(x, with_found[:, column], width)
+            series.append(Series("with what was found", centre, mean, "corrected"))
+        if learned is not None:
+            base = forces.nominal if with_found is None else with_found
+            series.append(_learned(learned, forces, base, vehicle, x, column, width, with_found is not None))
+        charts.append(Chart(name, title, x_title, y_title, tuple(series)))
+    return tuple(charts)
+
+
+def _cloud(x: np.ndarray, force: np.ndarray) -> Series:
+    part = thinned(len(x), _MOST_DOTS)
+    return Series("measured", x[part], force[part], "measured", "points")
+
+
+def _nominal(vehicle: Vehicle, column: int, x: np.ndarray, forces: AxleForces) -> Series:
+    low, high = (float(v) for v in np.quantile(x, [0.001, 0.999]))
+    across = np.linspace(low, high, 121)
+    if column == 0:
+        friction = vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear
+        y = across / vehicle.wheel_radius - friction
+    else:
+        tire = vehicle.front_tire if column == 1 else vehicle.rear_tire
+        y = lateral_force(tire.B, tire.C, tire.D, across)
+    return Series("vehicle file", across, y, "simulated")
+
+
+def _left(forces: AxleForces, drive: Drive, corrected: Vehicle, nominal: Vehicle) -> np.ndarray:
+    """Return what the corrected vehicle still leaves at the same moments, as forces [N]; NaN where it has none."""
+    labels = compute_labels(drive, corrected, Z2, horizon=forces.labels.horizon)
+    left = np.full_like(forces.measured, np.nan)
+    _, mine, theirs = np.intersect1d(forces.labels.row, labels.row, return_indices=True)
+    left[mine] = forces_of_rates(nominal, labels.y[theirs])
+    return np.where(np.isfinite(left), left, 0.0)
+
+
+def _learned(
+    learned: LearnedForces, forces: AxleForces, base: np.ndarray, vehicle: Vehicle, x: np.ndarray, column: int,
+    width: float, found: bool,
+) -> Series:  # fmt: skip
+    _, mine, theirs = np.intersect1d(forces.labels.row, learned.rows, return_indices=True)
+    mean = base[mine, column] + forces_of_rates(vehicle, learned.prediction.mean)[theirs, column]
+    deviation = force_deviation(vehicle, learned.prediction)[theirs, column]
+    centre, middle, _ = binned(x[mine], mean, width)
+    _, half, _ = binned(x[mine], _TWO_SIDED_95 * deviation, width)
+    name = f"{'with what was found' if found else 'vehicle file'} and {learned.name}"
+    return Series(name, centre, middle, "learned", low=middle - half, high=middle + half)
+
+

@@ -1,0 +1,119 @@
+"""The charts of a report, from what a command has in hand; what cannot be drawn is left out and said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from split_cli.diagnosis.statement.result import Diagnosis
+from split_cli.errors import SplitError
+from split_cli.learning.features import Z2
+from split_cli.learning.hyperparameters import FEWEST_TO_FIT
+from split_cli.learning.labels import compute_labels
+from split_cli.logs.drive import Drive
+from split_cli.plots.chart import Chart, thinned
+from split_cli.plots.pictures import (
+    Subject,
+    drive_charts,
+    handling_charts,
+    tire_charts,
+    track_chart,
+    whiteness_chart,
+)
+from split_cli.plots.pictures.tires import LearnedForces
+from split_cli.prediction import make_predictor
+from split_cli.vehicle.parameters import EffectSpec, Vehicle
+from split_cli.workflows.evaluate import train_in_memory
+from split_cli.workflows.recordings import RecordingCorrection
+
+__all__ = ["diagnosis_charts", "recording_charts"]
+
+#: A picture needs no more labels than this to show what is learned.
+_MOST_LEARNED = 1500
+
+
+def recording_charts(drive: Drive, vehicle: Vehicle | None) -> tuple[Chart, ...]:
+    """Return the charts of one recording beside the model of its vehicle file, where there is one."""
+    subjects = [Subject("measured", "measured", drive)]
+    if vehicle is not None:
+        subjects.append(Subject("vehicle file", "simulated", drive, vehicle))
+    makers: list[Callable[[], Iterable[Chart | None]]] = [
+        lambda: drive_charts(subjects, vehicle),
+        lambda: [track_chart([("measured", "measured", drive)])],
+    ]
+    if vehicle is not None:
+        makers += [
+            lambda: tire_charts(drive, vehicle),
+            lambda: handling_charts(subjects, vehicle),
+            lambda: _whiteness([("vehicle file", "simulated", drive, vehicle)]),
+        ]
+    return _gathered(makers)
+
+
+def diagnosis_charts(
+    diagnosis: Diagnosis, vehicle: Vehicle, drives: Sequence[Drive], simulated: Sequence[Drive] = ()
+) -> tuple[Chart, ...]:
+    """Return the charts of the longest real drive beside its simulation and the vehicle with what was found."""
+    if not drives:
+        return ()
+    drive = max(drives, key=len)
+    nominal_drive = RecordingCorrection(vehicle)(drive)
+    effects = [EffectSpec(f.term, {name: p.value for name, p in f.parameters.items()}, f.variant)
+               for f in diagnosis.findings]  # fmt: skip
+    subjects = [Subject("measured", "measured", drive)]
+    if simulated:
+        twin = max(simulated, key=len)
+        subjects.append(Subject("simulation given", "nominal", twin))
+    subjects.append(Subject("vehicle file", "simulated", nominal_drive, vehicle))
+    corrected = None
+    residuals = [("vehicle file", "simulated", nominal_drive, vehicle)]
+    if effects:
+        found = vehicle.with_effects(*effects)
+        corrected = RecordingCorrection(found)(drive), found
+        subjects.append(Subject("with what was found", "corrected", *corrected))
+        residuals.append(("with what was found", "corrected", *corrected))
+    learned = _learned(*(corrected or (nominal_drive, vehicle)))
+    paths = [("measured", "measured", drive)] + [("simulation given", "nominal", one) for one in simulated[:1]]
+    return _gathered([
+        lambda: drive_charts(subjects, vehicle),
+        lambda: tire_charts(nominal_drive, vehicle, corrected, learned()),
+        lambda: handling_charts(subjects, vehicle),
+        lambda: [track_chart(paths)],
+        lambda: _whiteness(residuals),
+    ])  # fmt: skip
+
+
+def _learned(drive: Drive, vehicle: Vehicle) -> Callable[[], LearnedForces | None]:
+    """Return what learns the rest that a vehicle leaves on a drive, for a picture; None where it is too little."""
+
+    def learn() -> LearnedForces | None:
+        labels = compute_labels(drive, vehicle, Z2)
+        labels = labels.take(labels.accepted)
+        if len(labels) < FEWEST_TO_FIT:
+            return None
+        labels = labels.take(thinned(len(labels), _MOST_LEARNED))
+        trained = train_in_memory([labels], vehicle)
+        return LearnedForces("SPLIT", labels.row, make_predictor("rbcm", trained).predict(labels.z))
+
+    return learn
+
+
+def _whiteness(parts: Sequence[tuple[str, str, Drive, Vehicle]]) -> tuple[Chart, ...]:
+    found = []
+    for name, role, drive, vehicle in parts:
+        labels = compute_labels(drive, vehicle, Z2)
+        found.append((name, role, labels, labels.y))
+    return whiteness_chart(found)
+
+
+def _gathered(makers: Sequence[Callable[[], Iterable[Chart | None]]]) -> tuple[Chart, ...]:
+    """Return the charts of all makers; one that the recording cannot give is left out, the others are drawn."""
+    charts: list[Chart] = []
+    for maker in makers:
+        try:
+            with np.errstate(all="ignore"):
+                charts += [chart for chart in maker() if chart is not None]
+        except SplitError:
+            continue
+    return tuple(charts)

@@ -1,0 +1,183 @@
+/* Charts told by numbers alone: lines, points, bars and bands, series that can be switched off, two kinds of x. */
+(() => {
+  const { Plot, shape, element, path, short, between, unpack, csv } = Charts;
+  const told = JSON.parse(document.getElementById("numbers").textContent).charts || [];
+  const DASHES = { nominal: "6 3", corrected: "10 3", other: "2 3" };
+  const plots = {};
+  const choice = document.getElementById("along");
+  let along = Boolean(choice && choice.querySelector("[value=s]").checked); // whether charts with two kinds of x show the other one
+
+  const finite = (values) => Array.from(values).filter(Number.isFinite);
+
+  function spread(lists, margin = 0.04) {
+    let [low, high] = [Infinity, -Infinity];
+    for (const list of lists) for (const v of list) if (Number.isFinite(v)) { if (v < low) low = v; if (v > high) high = v; }
+    if (!(high >= low)) return [0, 1];
+    const more = high > low ? margin * (high - low) : Math.abs(high) * 0.1 || 0.5;
+    return [low - more, high + more];
+  }
+
+  function chart(told) {
+    const host = document.querySelector(`#chart-${told.name} .canvas`);
+    if (!host) return;
+    const series = told.series.map((one) => ({
+      ...one, x: unpack(one.x), y: unpack(one.y), low: one.low && unpack(one.low), high: one.high && unpack(one.high), along: one.along && unpack(one.along), color: `var(--${one.role})`,
+    }));
+    const visible = () => series.filter((one) => one.shown);
+    const across = (one) => (along && one.along ? one.along : one.x);
+    const rows = told.rows.length ? told.rows : null;
+    const strips = Boolean(told.other_x);
+
+    function reach(view) {
+      const lists = visible();
+      if (rows) {
+        const ends = lists.flatMap((one) => [one.x, one.low || [], one.high || []]);
+        const zero = lists.some((one) => one.kind === "bars") ? [[0]] : [];
+        return { x: view ? view.x : spread([...ends, ...zero]), y: [-0.6, rows.length - 0.4] };
+      }
+      if (view && !strips) return view;
+      const x = view ? view.x : spread(lists.map(across), strips ? 0 : 0.04);
+      const inside = lists.flatMap((one) => {
+        const at = across(one);
+        const kept = (values) => values.filter((_, i) => at[i] >= x[0] && at[i] <= x[1]);
+        return [kept(one.y), ...(one.low ? [kept(one.low), kept(one.high)] : [])];
+      });
+      const bands = told.bands.map((band) => [band.low, band.high]);
+      return { x, y: spread([...inside, ...bands], 0.06) };
+    }
+
+    function drawRows(layer, plot) {
+      const shown = visible();
+      const thick = Math.min(16, (plot.tall / rows.length / Math.max(shown.length, 1)) * 0.62);
+      const step = (plot.tall / rows.length) * 0.78 / Math.max(shown.length, 1);
+      shown.forEach((one, k) => one.y.forEach((row, i) => {
+        if (!Number.isFinite(one.x[i])) return;
+        const y = plot.sy(rows.length - 1 - row) + (k - (shown.length - 1) / 2) * step;
+        const [from, to] = [plot.sx(0), plot.sx(one.x[i])];
+        if (one.kind === "bars") layer.append(shape("rect", { x: Math.min(from, to), y: y - thick / 2, width: Math.max(Math.abs(to - from), 1), height: thick, fill: one.color, "fill-opacity": one.emphasis[i] ? 1 : 0.45 }));
+        else layer.append(shape("circle", { cx: to, cy: y, r: one.emphasis[i] ? 6 : 4.5, fill: one.color, stroke: "var(--ground)" }));
+        if (one.low && Number.isFinite(one.low[i])) {
+          const [a, b] = [plot.sx(one.low[i]), plot.sx(one.high[i])];
+          layer.append(shape("path", { d: `M${a} ${y}H${b}M${a} ${y - 4}V${y + 4}M${b} ${y - 4}V${y + 4}`, stroke: "var(--ink)", "stroke-width": 1.3, fill: "none" }));
+        }
+        if (one.emphasis[i]) layer.append(shape("text", { class: "best", x: Math.max(to, one.high ? plot.sx(one.high[i]) || to : to) + 6, y: y + 4 }, "best"));
+      }));
+    }
+
+    function draw(layer, plot) {
+      for (const band of told.bands) {
+        const [top, low] = [plot.sy(band.high), plot.sy(band.low)];
+        layer.append(shape("rect", { x: plot.left, y: top, width: plot.inner, height: Math.max(low - top, 1), fill: "var(--noise)" }));
+      }
+      if (rows) return drawRows(layer, plot);
+      if (plot.y[0] < 0 && plot.y[1] > 0) layer.append(shape("line", { x1: plot.left, x2: plot.left + plot.inner, y1: plot.sy(0), y2: plot.sy(0), stroke: "var(--frame)" }));
+      const point = (x, y) => (Number.isFinite(x) && Number.isFinite(y) ? [plot.sx(x), plot.sy(y)] : null);
+      const order = [...visible()].sort((a, b) => (a.kind === "points" ? 0 : 1) - (b.kind === "points" ? 0 : 1));
+      for (const one of order) {
+        const x = across(one);
+        if (one.kind === "points") {
+          let dots = "";
+          one.y.forEach((y, i) => { const at = point(x[i], y); if (at) dots += `M${at[0].toFixed(1)} ${at[1].toFixed(1)}h0`; });
+          layer.append(shape("path", { d: dots, fill: "none", stroke: one.color, "stroke-opacity": 0.5, "stroke-width": 3.2, "stroke-linecap": "round" }));
+          continue;
+        }
+        if (one.low) {
+          const kept = Array.from(one.y.keys()).filter((i) => point(x[i], one.low[i]) && point(x[i], one.high[i]));
+          const edge = [...kept.map((i) => point(x[i], one.high[i])), ...kept.reverse().map((i) => point(x[i], one.low[i]))];
+          if (edge.length) layer.append(shape("path", { d: `${path(edge)}Z`, fill: one.color, "fill-opacity": 0.2 }));
+        }
+        const points = Array.from(one.y, (y, i) => point(x[i], y));
+        layer.append(shape("path", { d: path(points), fill: "none", stroke: one.color, "stroke-width": one.role === "measured" ? 1.7 : 1.9, "stroke-linejoin": "round", "stroke-dasharray": DASHES[one.role] || "none" }));
+        if (points.length <= 40) for (const at of points) if (at) layer.append(shape("circle", { cx: at[0], cy: at[1], r: 2.6, fill: one.color }));
+      }
+    }
+
+    function hover(x, y, plot) {
+      if (rows) {
+        const row = rows.length - 1 - Math.round(y);
+        const lines = visible().flatMap((one) => Array.from(one.y.keys()).filter((i) => one.y[i] === row && Number.isFinite(one.x[i])).map((i) => {
+          const ends = one.low && Number.isFinite(one.low[i]) ? ` (95 %: ${short(one.low[i])} to ${short(one.high[i])})` : "";
+          return `${one.name}: ${short(one.x[i])}${ends}`;
+        }));
+        return lines.length ? { x: between(x, ...plot.x), y: Math.round(y), lines: [rows[row], ...lines] } : null;
+      }
+      const lines = [];
+      let mark = null;
+      let best = Infinity;
+      for (const one of visible()) {
+        const at = across(one);
+        let [near, far] = [-1, Infinity];
+        for (let i = 0; i < at.length; i++) {
+          const dx = (plot.sx(at[i]) - plot.sx(x)) / plot.inner;
+          const dy = one.kind === "points" || told.equal ? (plot.sy(one.y[i]) - plot.sy(y)) / plot.tall : 0;
+          const off = dx * dx + dy * dy;
+          if (off < far) [near, far] = [i, off];
+        }
+        if (near < 0 || far > 0.003) continue;
+        const ends = one.low ? ` (95 %: ${short(one.low[near])} to ${short(one.high[near])})` : "";
+        lines.push(`${one.name}: ${short(one.y[near])}${ends}`);
+        const off = Math.abs(plot.sy(one.y[near]) - plot.sy(y));
+        if (off < best) [best, mark] = [off, { x: at[near], y: one.y[near] }];
+      }
+      if (!mark || !Number.isFinite(mark.y)) return null;
+      return { x: mark.x, y: between(mark.y, ...plot.y), lines: [`${along && strips ? told.other_x : told.x}: ${short(mark.x)}`, ...lines] };
+    }
+
+    const plot = new Plot(host, {
+      name: told.name,
+      zoom: strips || rows ? "x" : "xy",
+      equal: told.equal,
+      rows,
+      height: (width) => (rows ? 62 + Math.max(26, 20 * visible().length) * rows.length : told.wide ? between(0.24 * width, 170, 250) : between(0.74 * width, 220, told.equal ? 430 : 330)),
+      x: () => (along && strips ? told.other_x : told.x),
+      y: () => told.y,
+      label: () => `${told.title}: ${visible().map((one) => one.name).join(", ")}.`,
+      domain: reach,
+      limit: () => (rows ? null : { x: reach(null).x }),
+      draw, hover,
+      keys: () => visible().map(({ color, name }) => ({ color, text: name })),
+      csv: () => csv([["series", told.x, told.other_x || "-", told.y || "row", "low", "high"], ...series.flatMap((one) => Array.from(one.x, (x, i) => [
+        one.name, x, one.along ? one.along[i] : "", rows ? rows[one.y[i]] : one.y[i], one.low ? one.low[i] : "", one.high ? one.high[i] : ""]))]),
+      zoomed(view) {
+        if (!told.group) return;
+        for (const other of Object.values(plots)) {
+          if (other === plot || other.group !== told.group) continue;
+          other.view = view && { x: view.x, y: other.y };
+          if (other.group !== "strips" && view) other.view.y = other.options.domain(null).y;
+          other.redraw();
+        }
+      },
+    });
+    plot.group = told.group;
+    plots[told.name] = plot;
+    legend(host.parentElement.querySelector(".legend"), series, told, plot);
+    plot.redraw();
+  }
+
+  /* One switch a series; a chart with one series has a name, not a switch. */
+  function legend(place, series, told, plot) {
+    if (!place) return;
+    const parts = series.map((one) => {
+      const mark = one.kind === "points"
+        ? shape("circle", { cx: 11, cy: 6, r: 4, fill: one.color })
+        : shape("line", { x1: 0, x2: 22, y1: 6, y2: 6, stroke: one.color, "stroke-width": one.kind === "bars" ? 8 : 3, "stroke-dasharray": DASHES[one.role] || "none" });
+      const inside = [shape("svg", { width: 22, height: 12, "aria-hidden": "true" }, mark), one.name];
+      if (series.length < 2) return element("span", { class: "key" }, ...inside);
+      const button = element("button", { type: "button", class: "key switch", "aria-pressed": String(one.shown) }, ...inside);
+      button.addEventListener("click", () => {
+        one.shown = !one.shown;
+        button.setAttribute("aria-pressed", String(one.shown));
+        plot.redraw();
+      });
+      return button;
+    });
+    const bands = told.bands.map((band) => element("span", { class: "key" }, shape("svg", { width: 22, height: 12, "aria-hidden": "true" }, shape("rect", { width: 22, height: 12, fill: "var(--noise)" })), band.name));
+    place.replaceChildren(...parts, ...bands);
+  }
+
+  told.forEach(chart);
+  if (choice) choice.addEventListener("change", (event) => {
+    along = event.target.value === "s";
+    for (const plot of Object.values(plots)) if (plot.group === "strips") { plot.view = null; plot.redraw(); }
+  });
+})();

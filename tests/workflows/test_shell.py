@@ -1,0 +1,191 @@
+"""The one page behind every report: its policy, its charts, what a reader does with them, names that stay text."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import hashlib
+import json
+import re
+import time
+
+import numpy as np
+import pytest
+
+from split_cli.plots.chart import Band, Chart, Series, chart_csv
+from split_cli.workflows.report.markup import bar, charts_block, plain_table
+from split_cli.workflows.report.shell import page
+from tests.browsers import headless
+
+HOSTILE = "</script><script>window.taken = 1</script><img src=x onerror='window.taken = 2'>\u202e"
+T = np.linspace(0.0, 10.0, 101)
+
+
+def charts() -> tuple[Chart, ...]:
+    """Return strips of two series, one of them with a hostile name, bars with intervals, and dots in a plane."""
+    strip = tuple(
+        Chart(f"strip-{name}", f"{name} {HOSTILE}", "time [s]", f"{name} [m/s]", (
+            Series("measured", T, np.sin(T), along=5.0 * T),
+            Series(HOSTILE, T, 1.1 * np.sin(T), "simulated", along=5.0 * T),
+        ), bands=(Band(-0.1, 0.1, "noise"),), other_x="distance [m]", wide=True, group="strips")
+        for name in ("vx", "vy")
+    )  # fmt: skip
+    rows = Series("runs", np.array([1.0, 2.0]), np.array([0, 1]), "learned", "bars", np.array([0.8, 1.7]),
+                  np.array([1.2, 2.3]), emphasis=(True, False))  # fmt: skip
+    dots = Series("dots", np.cos(T), np.sin(T), "corrected", "points")
+    return (
+        *strip,
+        Chart("ranked", "Error", "rms [m/s]", "", (rows,), rows=("first", HOSTILE)),
+        Chart("gg", "Plane", "a_y", "a_x", (dots,), equal=True),
+    )
+
+
+def made() -> str:
+    """Return a page with all kinds of charts."""
+    body = f'<h1 id="verdict">Brakes weak.</h1>{charts_block(charts())}{bar(0.3, border=0.5)}'
+    return page("race", HOSTILE, HOSTILE, body, charts())
+
+
+def test_the_policy_admits_this_script_and_this_style_and_nothing_else():
+    text = made()
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text).group(1)
+    for tag, kind in (("script", "script"), ("style", "style")):
+        content = re.findall(rf"<{tag}>(.*?)</{tag}>", text, flags=re.S)
+        digest = base64.b64encode(hashlib.sha256(content[0].encode()).digest()).decode()
+        assert len(content) == 1 and f"{kind}-src 'sha256-{digest}'" in policy
+    assert "unsafe" not in policy
+    markup = re.sub(r"<(script|style).*?</\1>", "", text, flags=re.S)
+    assert not re.search(r"<[^>]*\s(style|on\w+)\s*=", markup)
+    assert not re.search(r"""(src|href)=["']?(?!data:|#)[a-z]+:""", markup)
+    assert "<img" not in markup and "\u202e" not in text
+
+
+def test_the_csv_of_a_chart_holds_its_numbers():
+    rows = list(csv.reader(chart_csv(charts()[0]).splitlines()))
+    assert rows[0] == ["series", "time [s]", "distance [m]", "vx [m/s]", "low", "high"]
+    assert len(rows) == 1 + 2 * len(T)
+    assert float(rows[11][1]) == pytest.approx(T[10]) and float(rows[11][3]) == pytest.approx(np.sin(T[10]))
+
+
+def test_a_table_marks_its_best_and_escapes_its_names():
+    text = plain_table(("run", "error"), [(HOSTILE, "1.0"), ("b", "2.0")], "t", best=[(0, 1)])
+    assert '<td class="number win">1.0</td>' in text and text.count("number win") == 1 and "<script" not in text
+
+
+@pytest.fixture(scope="module")
+def downloads(tmp_path_factory):
+    return tmp_path_factory.mktemp("downloads")
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory, downloads):
+    yield from headless(tmp_path_factory.mktemp("profile"), downloads)
+
+
+@pytest.fixture
+def opened(browser, tmp_path):
+    file = tmp_path / "page.html"
+    file.write_text(made(), encoding="utf-8")
+
+    def open_page(width: int = 1180, scheme: str = "light"):
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        wanted = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", wanted)
+        browser.get(file.as_uri())
+        # A style or a script that the policy refuses would be told in the console.
+        assert browser.get_log("browser") == []
+        assert browser.execute_script("return window.taken") is None
+        return browser
+
+    return open_page
+
+
+def paths(browser, chart: str) -> int:
+    return len(browser.find_elements("css selector", f"#chart-{chart} .canvas > svg path"))
+
+
+def fetched(downloads, name: str, seconds: float = 10.0) -> bytes:
+    """Return a saved file once the browser has written it."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        file = downloads / name
+        if file.exists() and file.stat().st_size:
+            content = file.read_bytes()
+            file.unlink()
+            return content
+        time.sleep(0.05)
+    raise AssertionError(f"{name} was not saved: {list(downloads.iterdir())}")
+
+
+def test_series_are_switched_off_and_on(opened):
+    browser = opened()
+    before = paths(browser, "strip-vx")
+    switches = browser.find_elements("css selector", "#chart-strip-vx .switch")
+    assert [one.get_attribute("aria-pressed") for one in switches] == ["true", "true"]
+    switches[1].click()
+    assert paths(browser, "strip-vx") == before - 1
+    assert switches[1].get_attribute("aria-pressed") == "false"
+    switches[1].click()
+    assert paths(browser, "strip-vx") == before
+
+
+def test_strips_change_to_distance_and_zoom_together(opened):
+    browser = opened()
+
+    def title(name: str) -> str:
+        return browser.find_element("css selector", f"#chart-{name} .axis-title").text
+
+    assert title("strip-vx") == "time [s]"
+    browser.find_element("css selector", "input[value=s]").find_element("xpath", "..").click()
+    assert title("strip-vx") == title("strip-vy") == "distance [m]"
+    before = browser.find_element("css selector", "#chart-strip-vy .canvas > svg").get_attribute("innerHTML")
+    browser.find_element("css selector", "#chart-strip-vx button[aria-label='Zoom in']").click()
+    after = browser.find_element("css selector", "#chart-strip-vy .canvas > svg").get_attribute("innerHTML")
+    assert before != after
+
+
+def test_every_chart_is_saved_as_numbers_and_as_a_picture(opened, downloads):
+    browser = opened()
+    browser.find_element("css selector", "#chart-strip-vx button[aria-label$='CSV']").click()
+    rows = list(csv.reader(fetched(downloads, "strip-vx.csv").decode().splitlines()))
+    assert float(rows[11][3]) == pytest.approx(np.sin(T[10]), abs=1e-3)
+    browser.find_element("css selector", "#chart-gg button[aria-label$='PNG']").click()
+    content = fetched(downloads, "gg.png")
+    assert content.startswith(b"\x89PNG")
+    wide, high = (int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
+    assert wide > 600 and high > 400
+    for figure in browser.find_elements("css selector", "figure"):
+        assert {"CSV", "PNG"} <= {button.text for button in figure.find_elements("css selector", ".zoom button")}
+
+
+def test_a_picture_has_its_colours_spelled_out(opened):
+    """A file outside the page knows none of its variables."""
+    browser = opened()
+    marks = "const s = document.querySelector('#chart-gg .canvas svg'); return s.innerHTML.includes('var(--')"
+    assert browser.execute_script(marks)
+    # In the page they follow the scheme.
+    ink = "return getComputedStyle(document.documentElement).getPropertyValue('--measured').trim()"
+    light = browser.execute_script(ink)
+    assert opened(scheme="dark").execute_script(ink) != light
+
+
+@pytest.mark.parametrize("width", [420, 360])
+def test_a_narrow_window_needs_no_sideways_scrolling(opened, width):
+    browser = opened(width)
+    wide, window = browser.execute_script("return [document.documentElement.scrollWidth, window.innerWidth]")
+    assert wide <= window
+    # Legible: text of axes is drawn at its own size, not shrunk with the picture.
+    script = (
+        "const s = document.querySelector('#chart-strip-vx .canvas > svg');"
+        "return s.getBoundingClientRect().width / s.viewBox.baseVal.width"
+    )
+    assert browser.execute_script(script) == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_best_is_named_and_rows_keep_their_names(opened):
+    browser = opened()
+    texts = [t.text for t in browser.find_elements("css selector", "#chart-ranked svg text")]
+    assert "best" in texts and "first" in texts
+    numbers = json.loads(browser.find_element("css selector", "#numbers").get_attribute("textContent"))
+    assert numbers["charts"][2]["rows"][1].startswith("</script>")
