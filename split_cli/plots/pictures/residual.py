@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.learning.labels import Labels
 from split_cli.plots.chart import Band, Chart, Series
-from split_cli.scoring.evaluation import Tally
+from split_cli.scoring.evaluation import ScoreTally
 from split_cli.scoring.handling.whiteness import autocorrelation
 
 __all__ = ["coverage_charts", "whiteness_chart"]
@@ -48,7 +48,7 @@ def whiteness_chart(residuals: Sequence[tuple[str, str, Labels, np.ndarray]]) ->
     return tuple(charts)
 
 
-def coverage_charts(tallies: Mapping[tuple[str, str], Tally]) -> tuple[Chart, ...]:
+def coverage_charts(tallies: Mapping[tuple[str, str], ScoreTally]) -> tuple[Chart, ...]:
     """Return promised against observed coverage, a chart a state, each naming its own coverage at 95 %."""
     scored = {key: tally for key, tally in tallies.items() if tally.probability is not None}
     roles = ("learned", "simulated", "corrected", "nominal", "other")
