@@ -14,10 +14,12 @@ from split_cli.learning.region import Grid
 
 __all__ = [
     "FEWEST_TO_FIT",
+    "LONGEST_SCALE",
     "KernelFit",
     "block_likelihood",
     "default_kernel",
     "fit_kernel",
+    "longest_scale",
     "neighbour_blocks",
     "scatter_variance",
 ]
@@ -25,6 +27,9 @@ __all__ = [
 LENGTH_SCALE_EDGES = 2.0
 # Bounds of the fit: length scales in cell edges, variances in the label's mean square.
 LENGTH_BOUNDS = (0.5, 100.0)
+#: Longest scale over the cells of z2, in edges: beyond its data the correction is then gone two cells further on.
+#: docs/decisions/0032 has what longer ones did to drives that go where training did not.
+LONGEST_SCALE = 1.0
 SIGNAL_BOUNDS = (1e-3, 1e3)
 NOISE_BOUNDS = (1e-5, 1e1)
 BLOCK_POINTS = 60
@@ -47,7 +52,8 @@ class KernelFit:
         What the likelihood was summed over.
     evaluations : int
     at_bound : tuple of str
-        Hyperparameters that ended on a bound: the labels ask for more, or do not determine them.
+        Hyperparameters that ended on a bound: the labels ask for more, or do not determine them. Not length
+        scales at a `longest` that was asked for.
     """
 
     kernel: Kernel
@@ -97,6 +103,7 @@ def fit_kernel(
     grid: Grid,
     start: Kernel,
     *,
+    longest: float = LENGTH_BOUNDS[1],
     block_points: int = BLOCK_POINTS,
     maximum_blocks: int = MAXIMUM_BLOCKS,
 ) -> KernelFit:
@@ -109,6 +116,8 @@ def fit_kernel(
     grid : Grid
     start : Kernel
         Where the search begins; its length scales and four times them are tried.
+    longest : float
+        Upper bound of the length scales, in cell edges; `longest_scale` has the one that sets are trained with.
     block_points : int
         Most points a block.
     maximum_blocks : int
@@ -152,7 +161,7 @@ def fit_kernel(
     offsets = np.concatenate([[0], np.cumsum([len(block) for block in blocks])])
     z_blocks, y_blocks, points = z[rows], y[rows], len(rows)
     mean_square = np.maximum(np.mean(np.square(y), axis=0), 1e-12)
-    low, high = _bounds(grid, mean_square)
+    low, high = _bounds(grid, mean_square, longest)
 
     def objective(theta: np.ndarray) -> tuple[float, np.ndarray]:
         value, gradient = blocks_likelihood(z_blocks, y_blocks, offsets, *_split(theta))
@@ -177,6 +186,8 @@ def fit_kernel(
     names = [f"length scale {i + 1}" for i in range(z.shape[1])]
     names += [f"{what} of {output}" for what in ("signal", "noise") for output in OUTPUTS]
     on_bound = np.isclose(best.x, low, atol=1e-6) | np.isclose(best.x, high, atol=1e-6)
+    if longest < LENGTH_BOUNDS[1]:  # asked for: neither the labels nor the search are at fault
+        on_bound[: z.shape[1]] = np.isclose(best.x, low, atol=1e-6)[: z.shape[1]]
     return KernelFit(
         kernel=Kernel(*_split(best.x), origin="fitted"),
         negative_log_likelihood=float(best.fun) / len(OUTPUTS),
@@ -187,10 +198,19 @@ def fit_kernel(
     )
 
 
-def _bounds(grid: Grid, mean_square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def longest_scale(grid: Grid) -> float:
+    """Return the upper bound of length scales for sets that other driving will use, in cell edges.
+
+    One edge over z2, whose cells are of a size that is known; none in effect over features whose edges are cut
+    from the range of the data, where five dimensions would leave nearly every query without a neighbour.
+    """
+    return LONGEST_SCALE if np.isfinite(grid.lower).all() else LENGTH_BOUNDS[1]
+
+
+def _bounds(grid: Grid, mean_square: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
     edges = np.log(grid.edges)
     scale = np.log(mean_square)
-    spans = (LENGTH_BOUNDS, SIGNAL_BOUNDS, NOISE_BOUNDS)
+    spans = ((LENGTH_BOUNDS[0], longest), SIGNAL_BOUNDS, NOISE_BOUNDS)
     return tuple(
         np.concatenate(
             [base + np.log(span[side]) for base, span in zip((edges, scale, scale), spans, strict=True)]

@@ -23,7 +23,7 @@ class Trust:
         Of v_x', v_y' and r'; 1 applies the whole correction, 0 leaves the nominal model as it is.
     origin : {"full", "given", "held-out", "unjudged"}
         ``held-out``: found on held-out blocks of the training drives. ``unjudged``: the drives are too short for
-        that, and the whole correction is applied.
+        that, and no correction is applied.
     blocks : int
         Held-out blocks of time that the share was found on.
     doubt : tuple of float or None
@@ -99,6 +99,6 @@ class Trust:
             "full": "the plain method, not judged on held-out driving",
             "given": "as given",
             "held-out": f"found on {self.blocks} held-out blocks of time",
-            "unjudged": "the drives are too short to judge it on held-out blocks",
+            "unjudged": "the drives are too short to judge it on held-out blocks, so none is applied",
         }
         return f"{shares} ({how[self.origin]})"

@@ -1,113 +1,38 @@
-"""Trust found on held-out driving: whole blocks of time that a set learned on the other blocks has not seen.
-
-Every held-out block is predicted over one step and rolled out; the errors are linear in the trust of the three
-outputs, so what any trust would have done is known from four rollouts.
-"""
+"""Trust from evidence: how much of each correction held-out driving speaks for, and what stays in doubt."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm, t
 
-from split_cli.learning.cells import extend
-from split_cli.learning.labels import Labels
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
-from split_cli.logs.drive import Drive
-from split_cli.prediction import Predictor, make_predictor
-from split_cli.scoring.application import correction_from, predict_rows
-from split_cli.scoring.persistence import velocity_persistence_errors
-from split_cli.scoring.rollouts import Correction, roll_out, rollout_starts
-from split_cli.vehicle.single_track import SingleTrack
+from split_cli.scoring.evidence import FEWEST_BLOCKS, TrainingDrive, TrustEvidence, held_out_evidence
 
-__all__ = [
-    "HORIZONS",
-    "MOST_ROWS",
-    "TrainingDrive",
-    "TrustEvidence",
-    "estimate_trust",
-    "held_out_evidence",
-    "trust_from",
-]
+__all__ = ["doubt_from", "estimate_trust", "own_shares", "trust_from"]
 
-#: Horizons beyond one step at which trust is judged [s].
-HORIZONS = (0.5, 1.0, 2.0)
-_STATES = ("vx", "vy", "r")
-#: A block shorter than this holds no two-second rollout with room to start from different places [s].
-_SHORTEST_BLOCK = 4.0
-_MOST_BLOCKS = 24
-_FEWEST_BLOCKS = 5
-_FOLDS = 5
-_GUARD = 1.0
-_STARTS_A_BLOCK = 10
 #: One-sided level of 95 %: a gain within chance is not believed. Of Student's t with many blocks; with few blocks
 #: the quantile of their own degrees of freedom is taken.
 _LEVEL = 0.95
 #: Increase of a mean squared error that counts as none: 1 % of its root over all driving, 5 % in a third of it.
-#: docs/decisions/0030 shows how little hangs on them.
+#: docs/decisions/0032 shows how little hangs on them.
 _NEGLIGIBLE = 0.02
 _NEGLIGIBLE_IN_A_THIRD = 0.10
 #: Errors below this share of how far the state moves count as none: 1 cm/s where the speed changes by 1 m/s.
 _NEGLIGIBLE_MOVEMENT = 0.01
-#: Rows of recordings that trust is found on at most; of more, drives are taken evenly.
-MOST_ROWS = 400_000
+#: Trust must do no harm in any third even if the correction were this many times as strong: the next drive's gain
+#: differs from this one's. docs/decisions/0032 has what other factors gave.
+_MARGIN = 1.5
 _LEVELS_OF_INTERVALS = (0.5, 0.9, 0.95)
 _GRID = np.linspace(0.0, 1.0, 21)
-
-
-@dataclass(frozen=True)
-class TrainingDrive:
-    """A drive that trains: the recording, and its labels that may be learned."""
-
-    drive: Drive
-    labels: Labels
-
-
-@dataclass(frozen=True)
-class TrustEvidence:
-    """Errors of held-out predictions of one state at one horizon.
-
-    Attributes
-    ----------
-    state : int
-        0, 1, 2: v_x, v_y, r.
-    horizon : float
-        [s]; 0 stands for one step, in label units.
-    error : ndarray, shape (N,)
-        Recorded less nominal.
-    change : ndarray, shape (N, 3)
-        What the correction of each output alone adds to the nominal prediction.
-    movement : ndarray, shape (N,)
-        By how much the recorded state changes within the horizon, in the unit of `error`.
-    block : ndarray of int, shape (N,)
-    conditions : ndarray, shape (N, C)
-        What the car was doing: see `_CONDITIONS`.
-    variance : ndarray, shape (N,), or None
-        The process's latent variance; for one step.
-    """
-
-    state: int
-    horizon: float
-    error: np.ndarray
-    change: np.ndarray
-    movement: np.ndarray
-    block: np.ndarray
-    conditions: np.ndarray
-    variance: np.ndarray | None = None
-
-
-#: Conditions no state may be made worse in: features need not tell them, so a correction can be right on average
-#: and wrong in a part of the driving. Means over the interval predicted.
-_CONDITIONS = ("torque rate", "steer rate", "speed", "lateral acceleration", "torque", "time", "drive")
 
 
 def estimate_trust(
     drives: Sequence[TrainingDrive],
     empty: TrainingSet,
-    predictor: str = "bcm",
+    predictor: str = "rbcm",
     say: Callable[[str], None] = lambda text: None,
 ) -> Trust:
     """Return the trust of each output, found on held-out blocks of the drives.
@@ -124,215 +49,15 @@ def estimate_trust(
     Returns
     -------
     Trust
-        ``unjudged`` and full when the drives are too short for five blocks.
+        ``unjudged`` and 0 when the drives are too short for five blocks: what no held-out driving speaks for is
+        not applied.
     """
     evidence, blocks = held_out_evidence(drives, empty, predictor, say)
-    if blocks < _FEWEST_BLOCKS:
-        return Trust((1.0, 1.0, 1.0), "unjudged", blocks)
+    if blocks < FEWEST_BLOCKS:
+        return Trust((0.0, 0.0, 0.0), "unjudged", blocks)
     share = trust_from(evidence)
     doubt = doubt_from(evidence, share, empty.kernel.noise_variance)
     return Trust(tuple(share.tolist()), "held-out", blocks, tuple(doubt.tolist()))
-
-
-def held_out_evidence(
-    drives: Sequence[TrainingDrive],
-    empty: TrainingSet,
-    predictor: str = "bcm",
-    say: Callable[[str], None] = lambda text: None,
-) -> tuple[tuple[TrustEvidence, ...], int]:
-    """Return errors of held-out predictions by state and horizon, and the number of blocks they are from."""
-    drives = _spread(drives)
-    numbered = _number_blocks(drives)
-    total = 1 + max((int(block.max(initial=-1)) for block in numbered), default=-1)
-    if total < _FEWEST_BLOCKS:
-        return (), total
-    model = SingleTrack(empty.vehicle)
-    features = [empty.features.compute(model, part.drive) for part in drives]
-    conditions = [_conditions(part.drive, number, model) for number, part in enumerate(drives)]
-    parts: list[TrustEvidence] = []
-    for fold in range(_FOLDS):
-        say(f"judging the correction on held-out blocks, fold {fold + 1} of {_FOLDS}")
-        tests = [(block >= 0) & (block % _FOLDS == fold) for block in numbered]
-        kept = [p.labels.within(~_widen(test, p.drive)) for p, test in zip(drives, tests, strict=True)]
-        if not sum(int(labels.accepted.sum()) for labels in kept):
-            continue
-        learned = make_predictor(predictor, extend(empty, [labels for labels in kept if len(labels)]))
-        for part, test, block, z, at in zip(drives, tests, numbered, features, conditions, strict=True):
-            if test.any():
-                parts += _one_step(part, test, block, z, at, learned, model)
-                parts += _rolled_out(part, test, block, z, at, learned, model)
-    seen = {int(b) for part in parts for b in np.unique(part.block)}
-    return tuple(_joined(parts)), len(seen)
-
-
-def _spread(drives: Sequence[TrainingDrive]) -> list[TrainingDrive]:
-    """Return drives of at most `MOST_ROWS` rows together, taken evenly; of a longer one its middle."""
-    rows = sum(len(part.drive) for part in drives)
-    chosen = list(drives)[:: max(1, -(-rows // MOST_ROWS))] if rows > MOST_ROWS else list(drives)
-    cut = []
-    for part in chosen:
-        length, most = len(part.drive), MOST_ROWS // len(chosen)
-        middle = np.zeros(length, dtype=bool)
-        first = max(0, (length - most) // 2)
-        middle[first : first + most] = True
-        cut.append(part if length <= MOST_ROWS else TrainingDrive(part.drive, part.labels.within(middle)))
-    return cut
-
-
-def _number_blocks(drives: Sequence[TrainingDrive]) -> list[np.ndarray]:
-    """Return the block of every row that may be learned, -1 elsewhere; equally long over all drives."""
-    spans = []
-    for part in drives:
-        usable = np.zeros(len(part.drive), dtype=bool)
-        usable[part.labels.row] = True
-        first, last = (part.labels.row[0], part.labels.row[-1]) if len(part.labels) else (0, -1)
-        spans.append((int(first), int(last) + 1))
-    seconds = [(last - first) * part.drive.period for (first, last), part in zip(spans, drives, strict=True)]
-    length = max(_SHORTEST_BLOCK, sum(seconds) / _MOST_BLOCKS)
-    numbered, number = [], 0
-    for (first, last), span, part in zip(spans, seconds, drives, strict=True):
-        count = int(span / length + 0.5) if span >= 0.5 * length else 0
-        block = np.full(len(part.drive), -1)
-        if count:
-            block[first:last] = number + np.arange(last - first) * count // (last - first)
-        numbered.append(block)
-        number += count
-    return numbered
-
-
-def _widen(test: np.ndarray, drive: Drive) -> np.ndarray:
-    """Return the rows of held-out blocks and of the guards beside them."""
-    margin = int(np.ceil(_GUARD / drive.period))
-    edges = np.concatenate([[0], np.cumsum(test)])
-    rows = np.arange(len(test))
-    return edges[np.minimum(rows + margin + 1, len(test))] > edges[np.maximum(rows - margin, 0)]
-
-
-def _conditions(drive: Drive, number: int, model: SingleTrack) -> np.ndarray:
-    """Return the conditions of every row, shape (rows, C); means over an interval are taken by the caller."""
-
-    def rate(name: str) -> np.ndarray:
-        change = np.abs(np.diff(drive[name], append=drive[name][-1])) / drive.period
-        change[np.append(np.diff(drive.segment) != 0, True)] = 0.0
-        return change
-
-    columns = [
-        rate("T"), rate("delta"), drive["vx"], np.abs(drive["vx"] * drive["r"]), drive["T"], drive["t"],
-        np.full(len(drive), float(number)),
-    ]  # fmt: skip
-    return np.nan_to_num(np.stack(columns, axis=1))
-
-
-def _means(values: np.ndarray, first: np.ndarray, length: int) -> np.ndarray:
-    """Return the means of columns over `length` rows from each of `first`, shape (N, C)."""
-    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    return (sums[first + length] - sums[first]) / length
-
-
-def _one_step(
-    part: TrainingDrive,
-    test: np.ndarray,
-    block: np.ndarray,
-    z: np.ndarray,
-    at: np.ndarray,
-    learned: Predictor,
-    model: SingleTrack,
-) -> list[TrustEvidence]:
-    labels = part.labels.within(test)
-    labels = labels.take(np.isfinite(labels.y).all(axis=1))
-    if not len(labels):
-        return []
-    told = predict_rows(learned, part.drive, z, labels.row)
-    movement = velocity_persistence_errors(model, part.drive, labels)
-    situation = _means(at, labels.row, labels.window)
-    found = []
-    for state in range(3):
-        change = np.zeros((len(labels), 3))
-        change[:, state] = told.mean[:, state]
-        error, moved = labels.y[:, state], movement[:, state]
-        rest = (block[labels.row], situation, told.variance[:, state])
-        found.append(TrustEvidence(state, 0.0, error, change, moved, *rest))
-    return found
-
-
-def _rolled_out(
-    part: TrainingDrive,
-    test: np.ndarray,
-    block: np.ndarray,
-    z: np.ndarray,
-    at: np.ndarray,
-    learned: Predictor,
-    model: SingleTrack,
-) -> list[TrustEvidence]:
-    """Return errors of rollouts that stay inside one held-out block, as long as blocks allow."""
-    drive, labels = part.drive, part.labels
-    window, speed = labels.window, labels.region.minimum_speed
-    found: list[TrustEvidence] = []
-    for horizon in HORIZONS[::-1]:
-        if any(part.horizon >= horizon for part in found):
-            continue  # read off the longer rollouts
-        steps = max(1, round(horizon / labels.horizon))
-        most = _STARTS_A_BLOCK * max(1, len(np.unique(block[test])))
-        # Neighbouring blocks of one fold never touch, so a run of test rows is one block.
-        starts = rollout_starts(drive, test, steps * window, speed, most)
-        if len(starts) < _FEWEST_BLOCKS:
-            continue
-        rolled = _with_each_output(model, drive, starts, steps, labels, z, learned)
-        nominal = rolled[0]
-        change = np.stack([corrected - nominal for corrected in rolled[1:]], axis=-1)
-        for asked in [h for h in HORIZONS if h <= horizon]:
-            step = max(1, round(asked / labels.horizon)) - 1
-            rows = starts + (step + 1) * window
-            begin, end = (
-                np.stack([drive[name][at_rows] for name in _STATES], axis=1) for at_rows in (starts, rows)
-            )
-            error = end - nominal[:, step]
-            good = np.isfinite(error).all(axis=1) & np.isfinite(change[:, step]).all(axis=(1, 2))
-            situation = _means(at, starts, (step + 1) * window)
-            found += [
-                TrustEvidence(
-                    s,
-                    asked,
-                    error[good, s],
-                    change[good, step, s],
-                    (end - begin)[good, s],
-                    block[starts[good]],
-                    situation[good],
-                )
-                for s in range(3)
-            ]
-    return found
-
-
-def _with_each_output(
-    model: SingleTrack,
-    drive: Drive,
-    starts: np.ndarray,
-    steps: int,
-    labels: Labels,
-    z: np.ndarray,
-    learned: Predictor,
-) -> np.ndarray:
-    """Return rollouts of the nominal model and of it with each output's correction alone, (4, N, steps, 3)."""
-    applied = np.repeat(np.concatenate([np.zeros((1, 3)), np.eye(3)]), len(starts), axis=0)
-    every = np.tile(starts, 4)
-    residual = correction_from(learned, drive, z, every)
-    correction = Correction(labels.features, z, lambda q: applied * residual(q))
-    rolled = roll_out(model, drive, every, steps, labels.window, correction)[..., -3:]
-    return rolled.reshape(4, len(starts), steps, 3)
-
-
-def _joined(parts: Sequence[TrustEvidence]) -> list[TrustEvidence]:
-    keys = dict.fromkeys((part.state, part.horizon) for part in parts)
-    joined = []
-    for key in keys:
-        same = [part for part in parts if (part.state, part.horizon) == key]
-        columns = (np.concatenate([getattr(p, name) for p in same]) for name in
-                   ("error", "change", "movement", "block", "conditions"))  # fmt: skip
-        variance = [p.variance for p in same if p.variance is not None]
-        joined.append(TrustEvidence(*key, *columns, np.concatenate(variance) if variance else None))
-    return joined
-
 
 def trust_from(evidence: Sequence[TrustEvidence]) -> np.ndarray:
     """Return the trust of each output that the evidence supports, shape (3,).
@@ -346,8 +71,13 @@ def trust_from(evidence: Sequence[TrustEvidence]) -> np.ndarray:
     the one is taken whose gain, as a share of the nominal error and less the uncertainty of its mean over blocks
     (95 %, one-sided), is largest in sum over states and horizons. No trust gains nothing: where the data show no
     gain beyond chance it is taken.
+
+    Two cautions are for the next drive, which is driven otherwise. No third may be made worse even by 1.5 times
+    the correction. And no output is trusted beyond its `own_shares`: what a late torque or the speed explains as
+    well goes with slip and torque in one style of driving only.
     """
     shares = np.stack(np.meshgrid(_GRID, _GRID, _GRID, indexing="ij"), axis=-1).reshape(-1, 3)
+    shares = shares[(shares <= own_shares(evidence) + 1e-9).all(axis=1)]
     gain = np.zeros(len(shares))
     for part in evidence:
         everything = np.ones(len(part.error), dtype=bool)
@@ -362,10 +92,33 @@ def trust_from(evidence: Sequence[TrustEvidence]) -> np.ndarray:
     for part in evidence:
         for inside in _thirds(part.conditions):
             base, unnoticed = _sizes(part, inside)
-            worse, error = _increase(part, inside, shares)
+            worse, error = _increase(part, inside, _MARGIN * shares)
             allowed = worse <= _NEGLIGIBLE_IN_A_THIRD * base + unnoticed + error
             shares, gain = shares[allowed], gain[allowed]
     return shares[int(np.argmax(gain))]
+
+
+def own_shares(evidence: Sequence[TrustEvidence]) -> np.ndarray:
+    """Return the share of each correction that the rivals do not explain as well, from 0 to 1, shape (3,).
+
+    Notes
+    -----
+    The coefficient of the correction in the least-squares regression of the held-out label on the correction, the
+    rivals less their means: by Frisch, Waugh and Lovell, both label and correction are freed of what the rivals
+    say of them, and one is regressed on the other. A constant correction stays the correction's own. 1 without
+    rivals, and where the correction is theirs entirely 0.
+    """
+    own = np.ones(3)
+    for part in evidence:
+        if part.horizon or part.rivals is None or len(part.error) <= part.rivals.shape[1] + 2:
+            continue
+        spread = part.rivals.std(axis=0)
+        rivals = (part.rivals - part.rivals.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+        both = np.column_stack([part.change[:, part.state], part.error])
+        change, error = (both - rivals @ np.linalg.lstsq(rivals, both, rcond=None)[0]).T
+        power = float(change @ change)
+        own[part.state] = np.clip(change @ error / power, 0.0, 1.0) if power > 0.0 else 0.0
+    return own
 
 
 def doubt_from(evidence: Sequence[TrustEvidence], share: np.ndarray, noise_variance: np.ndarray) -> np.ndarray:

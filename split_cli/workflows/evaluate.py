@@ -11,7 +11,13 @@ import numpy as np
 from split_cli.errors import DriveError, SetError, SplitError
 from split_cli.learning.cells import learn, without_points
 from split_cli.learning.features import Z1, Z2, FeatureSet, parse_features
-from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fit_kernel, scatter_variance
+from split_cli.learning.hyperparameters import (
+    FEWEST_TO_FIT,
+    default_kernel,
+    fit_kernel,
+    longest_scale,
+    scatter_variance,
+)
 from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.region import Region, build_grid
 from split_cli.learning.training_set import TrainingSet, read_set
@@ -29,6 +35,7 @@ from split_cli.scoring.evaluation import (
     rollout_trajectories,
     score,
 )
+from split_cli.scoring.evidence import TrainingDrive
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, first_lap, informative_sets
 from split_cli.scoring.hints import late_inputs
 from split_cli.scoring.noise import fast_motion
@@ -36,7 +43,7 @@ from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings,
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
-from split_cli.scoring.trust import TrainingDrive, estimate_trust
+from split_cli.scoring.trust import estimate_trust
 from split_cli.scoring.verdict import (
     BlockErrors,
     Comparison,
@@ -186,7 +193,7 @@ def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
     grid = build_grid(labels[0].features, vehicle, labels[0].region, accepted)
     kernel = default_kernel(grid, y, scatter_variance(labels[0]))
     if len(accepted) >= FEWEST_TO_FIT:
-        kernel = fit_kernel(accepted, y, grid, kernel).kernel
+        kernel = fit_kernel(accepted, y, grid, kernel, longest=longest_scale(grid)).kernel
     return learn(labels, vehicle=vehicle, grid=grid, kernel=kernel)
 
 

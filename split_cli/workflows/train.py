@@ -19,6 +19,7 @@ from split_cli.learning.hyperparameters import (
     KernelFit,
     default_kernel,
     fit_kernel,
+    longest_scale,
     scatter_variance,
 )
 from split_cli.learning.iol import DEFAULT_DICTIONARY, LEARNER, empty_dictionary, extend_dictionary
@@ -29,8 +30,9 @@ from split_cli.learning.region import Grid, Region, build_grid
 from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, read_drive, untold_inputs
+from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.hints import late_inputs
-from split_cli.scoring.trust import MOST_ROWS, TrainingDrive, estimate_trust
+from split_cli.scoring.trust import estimate_trust
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.label import drive_notes
 from split_cli.workflows.laps import LapRow, lap_rows
@@ -369,7 +371,7 @@ class _Run:
             )
             return None
         self.say(f"fitting hyperparameters to {len(z)} labels")
-        fit = fit_kernel(z, y, grid, start)
+        fit = fit_kernel(z, y, grid, start, longest=longest_scale(grid))
         scales = {f"length scale {i + 1}": f"length scale of {name}" for i, name in enumerate(self.features.names)}
         self.notes += [f"the {scales.get(name, name)} ended on a bound of the fit" for name in fit.at_bound]
         return fit
@@ -442,7 +444,10 @@ def parse_trust(text: str) -> Trust:
 def trust_notes(trust: Trust) -> list[str]:
     """Return what the reader of a training must know of its trust."""
     if trust.origin == "unjudged":
-        return ["the drives are too short to judge the correction on held-out blocks; all of it is applied"]
+        return [
+            "the drives are too short to judge the correction on held-out blocks, so none of it is applied; "
+            "record more driving, or say --trust full"
+        ]
     left_out = [n for n, share in zip(("v_x", "v_y", "r"), trust.share, strict=True) if share == 0.0]
     if not left_out:
         return []

@@ -12,6 +12,7 @@ from split_cli.learning.hyperparameters import (
     block_likelihood,
     default_kernel,
     fit_kernel,
+    longest_scale,
     neighbour_blocks,
     scatter_variance,
 )
@@ -83,6 +84,18 @@ def test_a_feature_that_does_nothing_ends_on_its_bound_and_is_named():
     fit = fit_kernel(z, y, grid, default_kernel(grid, y))
     assert fit.at_bound == ("length scale 2",)
     assert fit.kernel.length_scales[1] == pytest.approx(10.0)  # a hundred edges
+
+
+def test_length_scales_that_are_limited_end_there_without_complaint():
+    """Over z2 a set's length scales are at most an edge: the same labels ask for 2.5, 1.5 and 2.5."""
+    car = road_car()
+    z = valid_features(car, Region.of(car), 1500, seed=3, spread=0.15)
+    truth = Kernel([0.05, 0.03, 0.25], [0.4, 0.9, 0.1], [0.01, 0.04, 0.02])
+    grid = z2_grid(car, Region.of(car))
+    assert longest_scale(grid) == 1.0 and longest_scale(GRID) == 100.0  # without bounds: cut from the data
+    fit = fit_kernel(z, draw(truth, z, seed=4), grid, truth, longest=longest_scale(grid))
+    np.testing.assert_allclose(fit.kernel.length_scales, grid.edges, rtol=1e-6)
+    assert fit.at_bound == ()
 
 
 def test_blocks_hold_whole_neighbouring_cells():

@@ -9,14 +9,15 @@ from split_cli.learning.features import Z2
 from split_cli.learning.hyperparameters import default_kernel, scatter_variance
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import z2_grid
-from split_cli.scoring.trust import TrainingDrive, TrustEvidence, doubt_from, estimate_trust, trust_from
+from split_cli.scoring.evidence import TrainingDrive, TrustEvidence
+from split_cli.scoring.trust import doubt_from, estimate_trust, own_shares, trust_from
 from tests.factories import MissingForce, make_drive, road_car
 
 BLOCKS, EACH = 20, 100
 
 
 def evidence(truth, harm=0.0, seed=0, noise=1.0):
-    """Evidence of three states whose corrections d explain `truth` d; at a third of the speeds -`harm` d."""
+    """TrustEvidence of three states whose corrections d explain `truth` d; at a third of the speeds -`harm` d."""
     rng, parts = np.random.default_rng(seed), []
     block = np.repeat(np.arange(BLOCKS), EACH)
     conditions = rng.random((len(block), 7))
@@ -89,7 +90,23 @@ def test_on_a_drive_a_missing_force_is_trusted_and_noise_is_not():
     assert max(trust_of(plain).share) <= 0.1
 
 
-def test_too_little_driving_is_not_judged_and_says_so():
-    short = make_drive(3, segments=2)
-    found = trust_of(short)
-    assert found.origin == "unjudged" and found.is_full and "too short" in found.words()
+def test_what_a_rival_explains_as_well_is_not_credited_to_the_correction():
+    """A correction that goes with a late torque: the regression on both gives each its own coefficient."""
+    rng, count = np.random.default_rng(5), 4000
+    block, rival = np.arange(count) % BLOCKS, rng.normal(size=count)
+    change = np.zeros((count, 3))
+    change[:, 0] = rival + rng.normal(size=count)  # half of its variance stands in for the rival
+    error = 0.3 * change[:, 0] + 0.7 * rival + 0.2 * rng.normal(size=count)
+    rest = (np.zeros(count), block, np.zeros((count, 7)), None)
+    alone = TrustEvidence(0, 0.0, error, change, *rest)
+    beside = TrustEvidence(0, 0.0, error, change, *rest, rival[:, None])
+    # Alone the coefficient is 0.3 + 0.7/2 in the limit; the error of 0.3 is 0.2/sqrt(4000) = 0.003.
+    np.testing.assert_allclose(own_shares([beside]), (0.3, 1.0, 1.0), atol=0.02)
+    assert trust_from([alone])[0] >= 0.6 and trust_from([beside])[0] <= 0.3 + 1e-9
+
+
+def test_drives_of_a_few_seconds_are_judged_on_shorter_blocks_and_shorter_ones_not_at_all():
+    """Five blocks of a second at least; what no held-out driving speaks for is not applied."""
+    found = trust_of(make_drive(3, segments=1))
+    assert found.origin == "unjudged" and found.share == (0.0, 0.0, 0.0) and "none is applied" in found.words()
+    assert trust_of(make_drive(3, segments=8)).blocks >= 5

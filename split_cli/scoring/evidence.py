@@ -1,0 +1,309 @@
+"""Evidence on a correction: errors on held-out blocks of time that a set learned on the other blocks has not seen.
+
+Every held-out block is predicted over one step and rolled out; the errors are linear in the trust of the three
+outputs, so what any trust would have done is known from four rollouts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from split_cli.learning.cells import extend
+from split_cli.learning.labels import Labels
+from split_cli.learning.training_set import TrainingSet
+from split_cli.logs.drive import Drive
+from split_cli.prediction import Predictor, make_predictor
+from split_cli.scoring.application import correction_from, predict_rows
+from split_cli.scoring.persistence import velocity_persistence_errors
+from split_cli.scoring.rollouts import Correction, roll_out, rollout_starts
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["FEWEST_BLOCKS", "HORIZONS", "MOST_ROWS", "TrainingDrive", "TrustEvidence", "held_out_evidence"]
+
+#: Horizons beyond one step at which trust is judged [s].
+HORIZONS = (0.5, 1.0, 2.0)
+_STATES = ("vx", "vy", "r")
+#: A block shorter than this holds no two-second rollout with room to start from different places [s].
+_SHORTEST_BLOCK = 4.0
+#: Drives too short for five such blocks are cut into five shorter ones, down to this length [s]: 20 labels each.
+_SHORTEST_OF_ALL = 1.0
+_MOST_BLOCKS = 24
+#: Fewer blocks tell nothing of other driving.
+FEWEST_BLOCKS = 5
+_FOLDS = 5
+_GUARD = 1.0
+_STARTS_A_BLOCK = 10
+#: Rows of recordings that trust is found on at most; of more, drives are taken evenly.
+MOST_ROWS = 400_000
+
+
+@dataclass(frozen=True)
+class TrainingDrive:
+    """A drive that trains: the recording, and its labels that may be learned."""
+
+    drive: Drive
+    labels: Labels
+
+
+@dataclass(frozen=True)
+class TrustEvidence:
+    """Errors of held-out predictions of one state at one horizon.
+
+    Attributes
+    ----------
+    state : int
+        0, 1, 2: v_x, v_y, r.
+    horizon : float
+        [s]; 0 stands for one step, in label units.
+    error : ndarray, shape (N,)
+        Recorded less nominal.
+    change : ndarray, shape (N, 3)
+        What the correction of each output alone adds to the nominal prediction.
+    movement : ndarray, shape (N,)
+        By how much the recorded state changes within the horizon, in the unit of `error`.
+    block : ndarray of int, shape (N,)
+    conditions : ndarray, shape (N, C)
+        What the car was doing: see `_CONDITIONS`.
+    variance : ndarray, shape (N,), or None
+        The process's latent variance; for one step.
+    rivals : ndarray, shape (N, K), or None
+        Signals outside the features that may be what the correction stands in for: see `_rivals`; for one step.
+    """
+
+    state: int
+    horizon: float
+    error: np.ndarray
+    change: np.ndarray
+    movement: np.ndarray
+    block: np.ndarray
+    conditions: np.ndarray
+    variance: np.ndarray | None = None
+    rivals: np.ndarray | None = None
+
+
+#: Conditions no state may be made worse in: features need not tell them, so a correction can be right on average
+#: and wrong in a part of the driving. Means over the interval predicted.
+_CONDITIONS = ("torque rate", "steer rate", "speed", "lateral acceleration", "torque", "time", "drive")
+
+def held_out_evidence(
+    drives: Sequence[TrainingDrive],
+    empty: TrainingSet,
+    predictor: str = "rbcm",
+    say: Callable[[str], None] = lambda text: None,
+) -> tuple[tuple[TrustEvidence, ...], int]:
+    """Return errors of held-out predictions by state and horizon, and the number of blocks they are from."""
+    drives = _spread(drives)
+    numbered = _number_blocks(drives)
+    total = 1 + max((int(block.max(initial=-1)) for block in numbered), default=-1)
+    if total < FEWEST_BLOCKS:
+        return (), total
+    model = SingleTrack(empty.vehicle)
+    features = [empty.features.compute(model, part.drive) for part in drives]
+    conditions = [_conditions(part.drive, number, model) for number, part in enumerate(drives)]
+    parts: list[TrustEvidence] = []
+    for fold in range(_FOLDS):
+        say(f"judging the correction on held-out blocks, fold {fold + 1} of {_FOLDS}")
+        tests = [(block >= 0) & (block % _FOLDS == fold) for block in numbered]
+        kept = [p.labels.within(~_widen(test, p.drive)) for p, test in zip(drives, tests, strict=True)]
+        if not sum(int(labels.accepted.sum()) for labels in kept):
+            continue
+        learned = make_predictor(predictor, extend(empty, [labels for labels in kept if len(labels)]))
+        for part, test, block, z, at in zip(drives, tests, numbered, features, conditions, strict=True):
+            if test.any():
+                parts += _one_step(part, test, block, z, at, learned, model)
+                parts += _rolled_out(part, test, block, z, at, learned, model)
+    seen = {int(b) for part in parts for b in np.unique(part.block)}
+    return tuple(_joined(parts)), len(seen)
+
+
+def _spread(drives: Sequence[TrainingDrive]) -> list[TrainingDrive]:
+    """Return drives of at most `MOST_ROWS` rows together, taken evenly; of a longer one its middle."""
+    rows = sum(len(part.drive) for part in drives)
+    chosen = list(drives)[:: max(1, -(-rows // MOST_ROWS))] if rows > MOST_ROWS else list(drives)
+    cut = []
+    for part in chosen:
+        length, most = len(part.drive), MOST_ROWS // len(chosen)
+        middle = np.zeros(length, dtype=bool)
+        first = max(0, (length - most) // 2)
+        middle[first : first + most] = True
+        cut.append(part if length <= MOST_ROWS else TrainingDrive(part.drive, part.labels.within(middle)))
+    return cut
+
+
+def _number_blocks(drives: Sequence[TrainingDrive]) -> list[np.ndarray]:
+    """Return the block of every row that may be learned, -1 elsewhere; equally long over all drives."""
+    spans = []
+    for part in drives:
+        usable = np.zeros(len(part.drive), dtype=bool)
+        usable[part.labels.row] = True
+        first, last = (part.labels.row[0], part.labels.row[-1]) if len(part.labels) else (0, -1)
+        spans.append((int(first), int(last) + 1))
+    seconds = [(last - first) * part.drive.period for (first, last), part in zip(spans, drives, strict=True)]
+    length = max(_SHORTEST_BLOCK, sum(seconds) / _MOST_BLOCKS)
+    if sum(seconds) < FEWEST_BLOCKS * length:
+        length = max(_SHORTEST_OF_ALL, sum(seconds) / FEWEST_BLOCKS)
+    numbered, number = [], 0
+    for (first, last), span, part in zip(spans, seconds, drives, strict=True):
+        count = int(span / length + 0.5) if span >= 0.5 * length else 0
+        block = np.full(len(part.drive), -1)
+        if count:
+            block[first:last] = number + np.arange(last - first) * count // (last - first)
+        numbered.append(block)
+        number += count
+    return numbered
+
+
+def _widen(test: np.ndarray, drive: Drive) -> np.ndarray:
+    """Return the rows of held-out blocks and of the guards beside them."""
+    margin = int(np.ceil(_GUARD / drive.period))
+    edges = np.concatenate([[0], np.cumsum(test)])
+    rows = np.arange(len(test))
+    return edges[np.minimum(rows + margin + 1, len(test))] > edges[np.maximum(rows - margin, 0)]
+
+
+def _conditions(drive: Drive, number: int, model: SingleTrack) -> np.ndarray:
+    """Return the conditions of every row, shape (rows, C); means over an interval are taken by the caller."""
+
+    def rate(name: str) -> np.ndarray:
+        change = np.abs(np.diff(drive[name], append=drive[name][-1])) / drive.period
+        change[np.append(np.diff(drive.segment) != 0, True)] = 0.0
+        return change
+
+    columns = [
+        rate("T"), rate("delta"), drive["vx"], np.abs(drive["vx"] * drive["r"]), drive["T"], drive["t"],
+        np.full(len(drive), float(number)),
+    ]  # fmt: skip
+    return np.nan_to_num(np.stack(columns, axis=1))
+
+
+def _means(values: np.ndarray, first: np.ndarray, length: int) -> np.ndarray:
+    """Return the means of columns over `length` rows from each of `first`, shape (N, C)."""
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return (sums[first + length] - sums[first]) / length
+
+
+def _one_step(
+    part: TrainingDrive,
+    test: np.ndarray,
+    block: np.ndarray,
+    z: np.ndarray,
+    at: np.ndarray,
+    learned: Predictor,
+    model: SingleTrack,
+) -> list[TrustEvidence]:
+    labels = part.labels.within(test)
+    labels = labels.take(np.isfinite(labels.y).all(axis=1))
+    if not len(labels):
+        return []
+    told = predict_rows(learned, part.drive, z, labels.row)
+    movement = velocity_persistence_errors(model, part.drive, labels)
+    situation, rivals = _means(at, labels.row, labels.window), _rivals(part.drive, labels)
+    found = []
+    for state in range(3):
+        change = np.zeros((len(labels), 3))
+        change[:, state] = told.mean[:, state]
+        error, moved = labels.y[:, state], movement[:, state]
+        rest = (block[labels.row], situation, told.variance[:, state], rivals)
+        found.append(TrustEvidence(state, 0.0, error, change, moved, *rest))
+    return found
+
+
+def _rivals(drive: Drive, labels: Labels) -> np.ndarray:
+    """Return signals that no slip and no torque hold, shape (N, 8).
+
+    Changes of T and delta over the label's interval and over the two before it, within the segment: what a late
+    actuator, a lag or a relaxation makes of them. Then v_x and v_x^2: what is wrong in drag or in speed.
+    """
+    window, change = labels.window, np.flatnonzero(np.diff(drive.segment)) + 1
+    first = np.concatenate([[0], change])[np.searchsorted(change, labels.row, side="right")]
+    edges = [np.maximum(labels.row - back * window, first) for back in (-1, 0, 1, 2)]
+    edges[0] = np.minimum(labels.row + window, len(drive) - 1)
+    columns = [drive[name][late] - drive[name][early]
+               for name in ("T", "delta") for late, early in pairwise(edges)]  # fmt: skip
+    speed = drive["vx"][labels.row]
+    return np.nan_to_num(np.stack([*columns, speed, speed**2], axis=1))
+
+
+def _rolled_out(
+    part: TrainingDrive,
+    test: np.ndarray,
+    block: np.ndarray,
+    z: np.ndarray,
+    at: np.ndarray,
+    learned: Predictor,
+    model: SingleTrack,
+) -> list[TrustEvidence]:
+    """Return errors of rollouts that stay inside one held-out block, as long as blocks allow."""
+    drive, labels = part.drive, part.labels
+    window, speed = labels.window, labels.region.minimum_speed
+    found: list[TrustEvidence] = []
+    for horizon in HORIZONS[::-1]:
+        if any(part.horizon >= horizon for part in found):
+            continue  # read off the longer rollouts
+        steps = max(1, round(horizon / labels.horizon))
+        most = _STARTS_A_BLOCK * max(1, len(np.unique(block[test])))
+        # Neighbouring blocks of one fold never touch, so a run of test rows is one block.
+        starts = rollout_starts(drive, test, steps * window, speed, most)
+        if len(starts) < FEWEST_BLOCKS:
+            continue
+        rolled = _with_each_output(model, drive, starts, steps, labels, z, learned)
+        nominal = rolled[0]
+        change = np.stack([corrected - nominal for corrected in rolled[1:]], axis=-1)
+        for asked in [h for h in HORIZONS if h <= horizon]:
+            step = max(1, round(asked / labels.horizon)) - 1
+            rows = starts + (step + 1) * window
+            begin, end = (
+                np.stack([drive[name][at_rows] for name in _STATES], axis=1) for at_rows in (starts, rows)
+            )
+            error = end - nominal[:, step]
+            good = np.isfinite(error).all(axis=1) & np.isfinite(change[:, step]).all(axis=(1, 2))
+            situation = _means(at, starts, (step + 1) * window)
+            found += [
+                TrustEvidence(
+                    s,
+                    asked,
+                    error[good, s],
+                    change[good, step, s],
+                    (end - begin)[good, s],
+                    block[starts[good]],
+                    situation[good],
+                )
+                for s in range(3)
+            ]
+    return found
+
+
+def _with_each_output(
+    model: SingleTrack,
+    drive: Drive,
+    starts: np.ndarray,
+    steps: int,
+    labels: Labels,
+    z: np.ndarray,
+    learned: Predictor,
+) -> np.ndarray:
+    """Return rollouts of the nominal model and of it with each output's correction alone, (4, N, steps, 3)."""
+    applied = np.repeat(np.concatenate([np.zeros((1, 3)), np.eye(3)]), len(starts), axis=0)
+    every = np.tile(starts, 4)
+    residual = correction_from(learned, drive, z, every)
+    correction = Correction(labels.features, z, lambda q: applied * residual(q))
+    rolled = roll_out(model, drive, every, steps, labels.window, correction)[..., -3:]
+    return rolled.reshape(4, len(starts), steps, 3)
+
+
+def _joined(parts: Sequence[TrustEvidence]) -> list[TrustEvidence]:
+    keys = dict.fromkeys((part.state, part.horizon) for part in parts)
+    joined = []
+    for key in keys:
+        same = [part for part in parts if (part.state, part.horizon) == key]
+        columns = (np.concatenate([getattr(p, name) for p in same]) for name in
+                   ("error", "change", "movement", "block", "conditions"))  # fmt: skip
+        one_step = (
+            [getattr(p, name) for p in same if getattr(p, name) is not None] for name in ("variance", "rivals")
+        )
+        joined.append(TrustEvidence(*key, *columns, *(np.concatenate(v) if v else None for v in one_step)))
+    return joined
