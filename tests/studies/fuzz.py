@@ -229,7 +229,8 @@ def fuzz(
                     if keep:
                         keep.mkdir(parents=True, exist_ok=True)
                         name = f"{kind.replace(' ', '_')}-{seed}-{at}{path.suffix}.gz"
-                        (keep / name).write_bytes(gzip.compress(target.read_bytes()))
+                        rng = random.Random(f"{seed} {kind} {at}")
+                        (keep / name).write_bytes(gzip.compress(mutate(content, rng.choice(others), rng)))
                 # What a reader that was killed left in the folder for temporary files.
                 shutil.rmtree(scratch, ignore_errors=True)
             tell(kind, tally)
