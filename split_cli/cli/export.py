@@ -49,8 +49,9 @@ __all__ = ["command"]
     metavar="S",
     help="Controller's interval, used where effects delay commands [default: label interval].",
 )
+@click.option("--insist", is_flag=True, help="Export although drives are faulty or too few.")
 @json_option
-def command(set_path, targets, output, predictor, name, real, queries, step, as_json) -> None:
+def command(set_path, targets, output, predictor, name, real, queries, step, insist, as_json) -> None:
     """Write a trained set as C, CasADi, npz or json.
 
     Every target is compared with Python on random and border queries first; if one differs, nothing is written.
@@ -71,8 +72,11 @@ def command(set_path, targets, output, predictor, name, real, queries, step, as_
         real=real,
         queries=queries,
         step=step,
+        insist=insist,
         say=lambda line: click.echo(f"{line} ...", err=True),
     )
+    for doubt in result.doubts:
+        click.echo(f"WARNING: {doubt}", err=True)
     if as_json:
         print_json(result)
         return

@@ -48,6 +48,8 @@ class SetSource:
         Label interval of this drive [s]: the set's, rounded to whole samples.
     start_time, duration : float
         First time stamp and length of the drive [s]; with forgetting, ages run over the drives one after another.
+    faults : tuple of str
+        What ingest found wrong with channels that the labels are made of.
     """
 
     name: str
@@ -62,6 +64,7 @@ class SetSource:
     horizon: float = 0.0
     start_time: float = 0.0
     duration: float = 0.0
+    faults: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -362,8 +365,17 @@ def _describe(training_set: TrainingSet) -> dict:
         "forgetting": s.forgetting,
         **({} if s.learner == "split" else {"learner": s.learner}),
         "counts": {"points": s.size, "cells": s.cell_count},
-        "sources": [{**asdict(source), "rejected": dict(source.rejected)} for source in s.sources],
+        "sources": [_described_source(source) for source in s.sources],
     }
+
+
+def _described_source(source: SetSource) -> dict:
+    told = {**asdict(source), "rejected": dict(source.rejected), "faults": list(source.faults)}
+    return told if source.faults else {name: value for name, value in told.items() if name != "faults"}
+
+
+def _source_from(told: Mapping) -> SetSource:
+    return SetSource(**{**told, "faults": tuple(map(str, told.get("faults", ())))})
 
 
 def _finite(value: float) -> float | None:
@@ -395,7 +407,7 @@ def _header_from(described: Mapping) -> TrainingSet:
         t=np.empty(0),
         source=np.empty(0, dtype=np.int16),
         row=np.empty(0, dtype=np.int64),
-        sources=tuple(SetSource(**source) for source in described["sources"]),
+        sources=tuple(_source_from(source) for source in described["sources"]),
         trust=Trust(**described["trust"]) if described["format"] == SET_FORMAT else Trust.full(),
     )
 

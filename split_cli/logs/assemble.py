@@ -13,7 +13,7 @@ from split_cli.logs.clean import join_clock_resets
 from split_cli.logs.consistency import check_consistency
 from split_cli.logs.delay import DelayEstimate, estimate_delays
 from split_cli.logs.derive import DERIVATIONS, Derived, Situation, derivation_named
-from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source
+from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
 from split_cli.logs.gather import Gathered, RawSeries, gather, topic_of
 from split_cli.logs.placing import move_to_cg
 from split_cli.logs.quality import QualityReport
@@ -142,7 +142,8 @@ def assemble_drive(
     slices = slices_of(grid.segment)
     conversions = [*gathered.conversions, *joined, *trimmed]
     made = _place_and_derive(derivations, columns, grid, slices, vehicle, signal_map, gathered, noise, conversions)
-    kinds, warnings = _kinds(gathered, made, columns)
+    before = metadata_of_drive(recording.path)
+    kinds, warnings = _kinds(gathered, made, columns, before)
     if too_short or dropped:
         warnings.append(f"{too_short + dropped} rows of stretches too short to use were left out")
     drive = _drive(recording, grid, columns)
@@ -155,7 +156,7 @@ def assemble_drive(
         clock=gathered.clock,
         consistency=check_consistency(drive, vehicle, kinds),
         delays=estimates,
-        assumed=gathered.assumed,
+        assumed=(*_assumed_before(before), *gathered.assumed),
         contradictions=gathered.contradictions,
         skipped=gathered.skipped,
         warnings=(*warnings, *unusable, *(f"{n.where}: {n.count} x {n.what}" for n in recording.notes)),
@@ -169,12 +170,17 @@ def assemble_drive(
         vehicle=vehicle.name if vehicle else "",
         kinds=kinds,
         signal_map={"map": signal_map.name, **signal_map.content},
-        conversions=tuple(dict.fromkeys(conversions)),
+        conversions=tuple(dict.fromkeys([*(before.conversions if before is not None else ()), *conversions])),
         noise=tuple(noise[channel] for channel in columns if channel in noise),
         quality=quality.to_mapping(),
         between=_between(channels, made, columns),
     )
     return Assembled(replace(drive, metadata=metadata), quality)
+
+
+def _assumed_before(before: DriveMetadata | None) -> tuple[str, ...]:
+    told = before.quality.get("assumed", ()) if before is not None else ()
+    return tuple(f"{text} (when it was first ingested)" for text in map(str, told))
 
 
 def _ordered(names: Sequence[str]) -> list[str]:
@@ -251,10 +257,12 @@ def _place_and_derive(
         if missing:
             raise MapError(f"--derive {name} needs {', '.join(missing)}", advice="Map or derive it too.")
         settings = signal_map.derivations.get(name.replace("-", "_"), {})
-        derived = DERIVATIONS[name].run(Situation(columns, grid.period, slices, vehicle, settings))
+        time = (grid.index - grid.index[0]) * grid.period
+        derived = DERIVATIONS[name].run(Situation(columns, grid.period, slices, vehicle, settings, time))
         columns.update(derived.columns)
         for channel in derived.columns:
-            noise[channel] = NoiseEstimate(channel, None, None, reason=f"derived ({name})")
+            if not derived.keeps_noise:
+                noise[channel] = NoiseEstimate(channel, None, None, reason=f"derived ({name})")
         made.append((name, derived))
 
     rest = list(derivations)
@@ -271,15 +279,22 @@ def _place_and_derive(
 
 
 def _kinds(
-    gathered: Gathered, made: Sequence[tuple[str, Derived]], columns: Mapping[str, np.ndarray]
+    gathered: Gathered,
+    made: Sequence[tuple[str, Derived]],
+    columns: Mapping[str, np.ndarray],
+    before: DriveMetadata | None,
 ) -> tuple[dict[str, str], list[str]]:
+    """Return what each channel is; of a drive that is ingested again what it was, unless the map says more."""
     kinds: dict[str, str] = {}
+    known = before.kinds if before is not None else {}
     warnings: list[str] = []
     for channel in columns:
         if channel in CHANNELS:
             entry = gathered.maps.get(channel)
-            kinds[channel] = (entry.kind if entry else None) or "measured"
-            if channel in ("T", "delta") and entry is not None and entry.kind is None:
+            same = entry is not None and [s.names for s in entry.sources] == [(channel,)]
+            old = known.get(channel) if same else None
+            kinds[channel] = (entry.kind if entry else None) or old or "measured"
+            if channel in ("T", "delta") and entry is not None and entry.kind is None and old is None:
                 warnings.append(f"{channel} was taken as measured (the map says neither command nor measured)")
     for _, derived in made:
         for channel in derived.columns:

@@ -10,6 +10,7 @@ import numpy as np
 from split_cli.logs.drive import Drive
 from split_cli.logs.explanations import ConsistencyFinding, Plausible, Relation
 from split_cli.logs.kinematics import Kinematics, Slope, block_interval, fit_slope
+from split_cli.logs.straights import course_of, straight_rows, straight_stretches
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
@@ -18,11 +19,14 @@ __all__ = ["ACROSS", "NO_CAR_EXCEEDS", "Checks", "Unjudged"]
 LEAST_CORRELATION = 0.8
 """Below it two signals that should be equal say nothing about a factor."""
 
-_STRAIGHT_LATERAL = 0.3  # [m/s^2] of v_x r
 _STRAIGHT_SECONDS = 3.0
 _STEER_TOLERANCE = 0.7
 """Of the logarithm of steer angle over the steady one: a factor of two, see `Checks._steer_angle`."""
 ACROSS = "v_y/v_x against the path across yaw"
+_GRAVITY = 9.80665
+_GRIP_MARGIN = 1.1
+"""Over the sum of both D: banking of 5 degrees or a cresting road gives as much [1]."""
+_GRIP_SECONDS = 1.0
 _SIGN_ONLY = 5.0
 """Tolerance of a relation whose size says nothing."""
 NO_CAR_EXCEEDS = {
@@ -238,9 +242,8 @@ class Checks:
         k = self.k
         if not self.usable("vx", "r"):
             return []
-        vx, r = k.signal("vx"), k.signal("r")
-        straight = k.moving & (np.abs(vx * r) < _STRAIGHT_LATERAL) & (np.abs(k.rate("r")) < 0.1)
-        straight &= np.abs(r) < max(0.02, 0.05 * float(np.nanquantile(np.abs(r), 0.95)))
+        vx = k.signal("vx")
+        straight = straight_rows(k)
         if np.count_nonzero(straight) * k.period < _STRAIGHT_SECONDS:
             self.unjudged.append(Unjudged("v_y and a_y on straights", "hardly any straight driving"))
             return []
@@ -271,19 +274,53 @@ class Checks:
         # A hundredth of a radian of sideslip from rest of turning: v_y of a place at most 2 m from the CG.
         rest = self.k.signal("vy")[straight]
         bias, error = _median_of(rest)
-        if abs(bias) <= max(0.03, 0.004 * abs(speed)) or abs(bias) <= 4.0 * error:
+        k = self.k
+        course = course_of(
+            straight_stretches(k.times(), k.signal("vx"), k.signal("vy"), straight, k.period, k.segments)
+        )
+        is_biased = abs(bias) > max(0.03, 0.004 * abs(speed)) and abs(bias) > 4.0 * error
+        moves = course is not None and course.kind != "constant" and float(np.ptp(course.angle)) > 0.004
+        if not is_biased and not moves:
             return []
+        told = f" As a direction: {course.words()}." if course is not None else ""
         angle = np.degrees(bias / speed)
+        what = "its direction is not steady"
+        if is_biased:
+            what = f"an offset, or a sensor turned by {-angle:+.2f} deg"
+        how = "`--derive lateral-velocity-from-straights` takes it off" + (
+            "." if moves else f", or `offset: {-bias:.3f}` for vy."
+        )
         return [
             ConsistencyFinding(
                 "bias on straights",
                 "vy",
-                f"v_y reads {bias:+.3f} +- {error:.3f} m/s on straights at a median {speed:.1f} m/s: an offset, "
-                f"or a sensor turned by {-angle:+.2f} deg. Subtract it with `offset: {-bias:.3f}` for vy.",
+                f"v_y reads {bias:+.3f} +- {error:.3f} m/s on straights at a median {speed:.1f} m/s: {what}."
+                f"{told} {how}",
                 bias,
                 error,
             )
         ]
+
+    def grip(self) -> list[Finding]:
+        """Compare the horizontal acceleration that is reached with what the vehicle file's tyres can carry."""
+        k, car = self.k, self.vehicle
+        if car is None or not self.usable("vx", "vy", "r"):
+            return []
+        # Of the path, whatever a_y's sensor adds; a car that slides turns faster than its path.
+        lateral = np.abs(k.of("vx r", lambda: k.columns["vx"] * k.columns["r"]) + k.rate("vy"))
+        carried = (car.front_tire.D + car.rear_tire.D) / car.mass
+        rows = k.moving & (lateral > _GRIP_MARGIN * carried)
+        seconds = float(np.count_nonzero(rows)) * k.period
+        if seconds < _GRIP_SECONDS:
+            return []
+        reached = float(np.nanmedian(lateral[rows]))
+        text = (
+            f"the car corners at {reached:.2f} m/s^2 (v_x r + dv_y/dt) for {seconds:.1f} s, the tyres of the "
+            f"vehicle file carry {carried:.2f}: the recording shows a friction of at least "
+            f"{reached / _GRAVITY:.2f}, the file has {carried / _GRAVITY:.2f}. "
+            f"Scale D of both tyres by {reached / carried:.2f} or more, or check the mass."
+        )
+        return [Finding("grip", "r", text, reached, None)]
 
     def _sideslip_fit(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Return p, q of v_y = p r - q v_x^2 r + b and their errors; None with the reason told."""

@@ -125,7 +125,9 @@ def _resets(time: np.ndarray, largest_step_back: float) -> list[int]:
         found.append(start)
 
 
-def clean_series(series: RawSeries, *, despike: bool = True, held: bool = False) -> CleanSeries:
+def clean_series(
+    series: RawSeries, *, despike: bool = True, held: bool = False, steps: bool | None = None
+) -> CleanSeries:
     """Drop impossible samples and duplicate times, sort, remove spikes and the repeats of a held sensor.
 
     Parameters
@@ -134,7 +136,9 @@ def clean_series(series: RawSeries, *, despike: bool = True, held: bool = False)
     despike : bool
         Drop isolated spikes instead of only counting them.
     held : bool
-        The channel is a command: its steps are no spikes and its repeats no sign of a slow sensor.
+        The channel is a command: its repeats are no sign of a slow sensor.
+    steps : bool, optional
+        Whether its steps are its nature, so that no sample is a spike; as `held` by default.
 
     Raises
     ------
@@ -165,7 +169,11 @@ def clean_series(series: RawSeries, *, despike: bool = True, held: bool = False)
         step = np.diff(time)
         typical = float(np.median(step[step > 0])) if np.any(step > 0) else 0.0
         keep(np.concatenate([[True], step > _DUPLICATE_SHARE * typical]), "duplicate time")
-    spikes = np.zeros(len(values), dtype=bool) if held else _spikes(values)
+    steps = held if steps is None else steps
+    if steps:
+        spikes = np.zeros(len(values), dtype=bool)
+    else:
+        spikes = _spikes_between_updates(values) if held else _spikes(values)
     if despike:
         keep(~spikes, "spike")
     repeats = 1 if held else longest_repeat(values)
@@ -206,6 +214,12 @@ def _spikes(values: np.ndarray) -> np.ndarray:
         if end - start > _LONGEST_SPIKE:
             flagged[start:end] = False
     return flagged
+
+
+def _spikes_between_updates(values: np.ndarray) -> np.ndarray:
+    """Flag spikes of a signal that may keep its value over several samples: judged by its updates."""
+    new = np.concatenate([[True], np.diff(values) != 0.0])
+    return _spikes(values[new])[np.cumsum(new) - 1]
 
 
 def longest_repeat(values: np.ndarray) -> int:

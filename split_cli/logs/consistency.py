@@ -85,7 +85,7 @@ def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str,
             # Whether v_y has the unit of v_x is open: a place that only one of the two gives is none.
             as_it_is = {**finer.k.columns, "vy": drive.columns["vy"]}
             placed = Checks(as_it_is, drive, vehicle, kinds).sideslip_place() and placed
-        findings += [*finer.straight_line(), *placed]
+        findings += [*finer.straight_line(), *placed, *finer.grip()]
     if not {"X", "Y", "yaw"} & wrong:
         findings += finer.direction_of_travel()
     unjudged = dict.fromkeys([*checks.unjudged, *finer.unjudged])

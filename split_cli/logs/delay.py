@@ -323,6 +323,9 @@ def _refused(fits, groups, done: set[str], vehicle, columns) -> list[DelayEstima
         tried = [(edge, fit) for edge, fit in fits if groups[channel] in (groups[edge.late],)]
         if tried:
             text = "; ".join(f"{edge.name}: {fit.refusal}" for edge, fit in tried if fit.refusal)
+            found = next((fit.beyond for _, fit in tried if fit.beyond is not None), None)
+            if found is not None:
+                text += f". If the recording shows it too, pass --delay {channel}={found:.2f}"
             refused.append(DelayEstimate(channel, 0.0, np.inf, _REFERENCE, refusal=text or "not tied to v_x"))
         elif channel == "delta" and vehicle is None:
             refused.append(DelayEstimate(channel, 0.0, np.inf, _REFERENCE, refusal="that takes the vehicle"))

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import MapError, nearest_names
+from split_cli.logs.kinematics import Kinematics
+from split_cli.logs.straights import course_of, straight_rows, straight_stretches
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
 from split_cli.vehicle.tire import lateral_force
@@ -38,11 +40,14 @@ class Derived:
         For the drive's metadata, after ``derived: ``.
     warning : str
         What the reader must know before using it.
+    keeps_noise : bool
+        Whether its noise is that of the channel it replaces.
     """
 
     columns: Mapping[str, np.ndarray]
     how: str
     warning: str = ""
+    keeps_noise: bool = False
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,8 @@ class Situation:
     vehicle : Vehicle or None
     settings : mapping
         The map's `derivations` entry.
+    time : ndarray, shape (N,), or None
+        Of every row [s]; None counts rows.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -66,6 +73,7 @@ class Situation:
     segments: list[slice]
     vehicle: Vehicle | None
     settings: Mapping[str, Any]
+    time: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -381,6 +389,27 @@ def _run_lateral_velocity_from_sideslip(situation: Situation) -> Derived:
     return Derived({"vy": c["vx"] * np.tan(c["sideslip"])}, "v_x times the tangent of the measured sideslip angle")
 
 
+def _run_lateral_velocity_from_straights(situation: Situation) -> Derived:
+    columns = situation.columns if situation.time is None else {**situation.columns, "t": situation.time}
+    k = Kinematics(columns, situation.period, situation.segments)
+    stretches = straight_stretches(
+        k.times(), k.signal("vx"), k.signal("vy"), straight_rows(k), situation.period, situation.segments
+    )
+    course = course_of(stretches)
+    if course is None:
+        raise MapError(
+            "--derive lateral-velocity-from-straights needs straights, and the car hardly goes straight",
+            advice="Give an `offset` for vy in the map instead.",
+        )
+    vx, vy = situation.columns["vx"], situation.columns["vy"]
+    return Derived(
+        {"vy": vy - vx * np.tan(course.at(k.times()))},
+        f"v_y less its direction on straights ({course.words()}; {1e3 * course.scatter:.1f} mrad are left)",
+        "" if course.count >= 6 else f"v_y was corrected on {course.count} straights: a course over time takes 6",
+        keeps_noise=True,
+    )
+
+
 def _run_acceleration_from_velocity(situation: Situation) -> Derived:
     c = situation.columns
     made = {"ax": np.empty(len(c["vx"])), "ay": np.empty(len(c["vx"]))}
@@ -405,6 +434,13 @@ DERIVATIONS: dict[str, Derivation] = {
             ("vx", "sideslip"),
             (),
             _run_lateral_velocity_from_sideslip,
+        ),
+        Derivation(
+            "lateral-velocity-from-straights",
+            ("vy",),
+            ("vx", "vy", "r"),
+            (),
+            _run_lateral_velocity_from_straights,
         ),
         Derivation(
             "acceleration-from-velocity", ("ax", "ay"), ("vx", "vy", "r"), (), _run_acceleration_from_velocity

@@ -22,6 +22,7 @@ __all__ = [
     "DriveMetadata",
     "NoiseEstimate",
     "Source",
+    "metadata_of_drive",
     "read_drive",
     "untold_inputs",
     "write_drive",
@@ -371,6 +372,17 @@ def _metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[Drive
         return metadata, period
     except (KeyError, TypeError, ValueError) as error:
         raise DriveError(f"its metadata is damaged ({error})", where=str(path)) from error
+
+
+def metadata_of_drive(path: Path) -> DriveMetadata | None:
+    """Return what a drive's file says of itself; None where the file is no drive of ours."""
+    if path.suffix.lower() not in (".parquet", ".pq") or not path.is_file():
+        return None
+    try:
+        raw = pa.parquet.read_schema(path).metadata or {}
+    except (pa.ArrowException, OSError):
+        return None
+    return _metadata_from_schema(raw, path)[0] if b"split" in raw else None
 
 
 def _between(stored: Mapping[str, str]) -> dict[str, str]:

@@ -67,6 +67,10 @@ class Kinematics:
     def __contains__(self, channel: str) -> bool:
         return channel in self.columns
 
+    def times(self) -> np.ndarray:
+        """Return the time of every row [s], shape (N,): as recorded, else counted from 0."""
+        return self.columns["t"] if "t" in self.columns else np.arange(self.count) * self.period
+
     def signal(self, channel: str) -> np.ndarray:
         """Return the smoothed channel, shape (N,)."""
         return self._filtered(channel, self.columns[channel], 0)

@@ -34,12 +34,15 @@ class LagFit:
         Share of the first signal's variance that the second explains at that lag.
     refusal : str
         Why the lag is not to be used, else empty.
+    beyond : float or None
+        Where a wider search finds it, when it lies beyond what is searched [s].
     """
 
     lag: float
     error: float
     determination: float
     refusal: str = ""
+    beyond: float | None = None
 
 
 def fit_lag(
@@ -78,13 +81,22 @@ def fit_lag(
     best = int(np.argmin(costs[0]))
     determination = 1.0 - float(costs[0, best])
     lag = float(coarse[best])
+
+    def farther() -> LagFit:
+        return _beyond(
+            lag, determination, lambda reach: fit_lag(signal, regressors, mask, period, segments, reach), longest
+        )
+
     if determination < _LEAST_DETERMINATION:
+        wider = farther()
+        if wider.beyond is not None:
+            return wider
         return LagFit(lag, np.inf, determination, f"the identity explains only {max(determination, 0):.0%} of it")
     if best in (0, len(coarse) - 1):
-        return LagFit(lag, np.inf, determination, f"the best lag is at the end of the search, {lag:+.2f} s")
+        return farther()
     local = (costs[0, 1:-1] < costs[0, :-2]) & (costs[0, 1:-1] < costs[0, 2:])
     others = np.flatnonzero(local) + 1
-    rivals = [j for j in others if abs(coarse[j] - lag) > 0.2 and costs[0, j] < 1.1 * costs[0, best]]
+    rivals = [j for j in others if abs(coarse[j] - lag) > 0.2 and costs[0, j] < 1.1 * costs[0, best] + 1e-6]
     if rivals:
         return LagFit(lag, np.inf, determination, f"{lag:+.2f} s and {coarse[rivals[0]]:+.2f} s fit equally well")
     fine = lag + np.linspace(-_COARSE_STEP, _COARSE_STEP, 9)
@@ -93,6 +105,18 @@ def fit_lag(
     error = float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum((parts - parts.mean()) ** 2)))
     refusal = "" if is_sure(full, error) else f"the lag {full:+.3f} s is uncertain by {error:.3f} s"
     return LagFit(float(full), error, determination, refusal)
+
+
+def _beyond(lag: float, determination: float, again: Callable[[float], LagFit], longest: float) -> LagFit:
+    """Search once four times as far, to say where the lag lies; it is not believed unasked."""
+    refusal = f"the best lag is at the end of the search, {lag:+.2f} s"
+    if longest > LONGEST_DELAY:
+        return LagFit(lag, np.inf, determination, refusal)
+    wider = again(4.0 * longest)
+    if wider.refusal or not abs(wider.lag) > 0.9 * longest:
+        return LagFit(lag, np.inf, determination, f"{refusal}, and none is found within {4.0 * longest:g} s")
+    refusal = f"it lies beyond the {longest:g} s that are searched, at {wider.lag:+.2f} +- {wider.error:.2f} s"
+    return LagFit(lag, np.inf, determination, refusal, wider.lag)
 
 
 def is_sure(delay: float, error: float) -> bool:

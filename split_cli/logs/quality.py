@@ -12,7 +12,17 @@ from split_cli.logs.clean import CleanSeries, Drop
 from split_cli.logs.consistency import Consistency
 from split_cli.logs.delay import DelayEstimate
 
-__all__ = ["ChannelQuality", "QualityReport", "render_quality", "source_quality"]
+__all__ = [
+    "ChannelQuality",
+    "QualityReport",
+    "render_quality",
+    "source_quality",
+    "stored_faults",
+    "stored_findings",
+]
+
+_FAULTS = ("scale", "sign", "swapped", "range", "constant")
+_MODEL_CHANNELS = ("vx", "vy", "r", "T", "delta")
 
 
 @dataclass(frozen=True)
@@ -96,6 +106,32 @@ class QualityReport:
             # A function of the search for explanations, no result.
             del relation["corrected"]
         return _plain(plain)
+
+
+def stored_findings(quality: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return, one clause each, what the checks at ingest found and the drive's metadata kept."""
+    return tuple(_clause(f) for f in _stored(quality))
+
+
+def stored_faults(quality: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return those findings that make what is learned from the drive wrong: unit, sign, swap, a dead channel."""
+    return tuple(
+        _clause(f) for f in _stored(quality) if f.get("check") in _FAULTS and f.get("channel") in _MODEL_CHANNELS
+    )
+
+
+def _stored(quality: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    consistency = quality.get("consistency")
+    findings = consistency.get("findings") if isinstance(consistency, Mapping) else None
+    return [f for f in findings or () if isinstance(f, Mapping) and f.get("text")]
+
+
+def _clause(finding: Mapping[str, Any]) -> str:
+    """Return the first clause of a finding: what is wrong, without its figures and advice."""
+    text = str(finding["text"])
+    for end in (" (", ". ", ": "):
+        text = text.split(end)[0]
+    return text.rstrip(".")
 
 
 def source_quality(clean: CleanSeries, gap: float, resampling: str) -> ChannelQuality:

@@ -95,7 +95,9 @@ def clean_channels(
             # Before spikes are looked for: a car that drives along the cut of the angle is no faulty sensor.
             parts = [replace(part, values=_unwrapped(part.values)) for part in parts]
         try:
-            cleaned = [clean_series(part, despike=despike, held=held) for part in parts]
+            # No car steers out and back within two samples: a measured steer angle has spikes like any sensor.
+            steps = held and (channel != "delta" or entry.kind == "command")
+            cleaned = [clean_series(part, despike=despike, held=held, steps=steps) for part in parts]
         except LogError as error:
             if channel in needed:
                 raise

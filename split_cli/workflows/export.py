@@ -6,12 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from split_cli.errors import SetError
 from split_cli.export.provenance import provenance_of
 from split_cli.export.targets import TargetResult, plan_export, write_export
 from split_cli.files import atomic_directory, sha256_of_file
-from split_cli.learning.training_set import read_set
+from split_cli.learning.hyperparameters import FEWEST_TO_FIT
+from split_cli.learning.training_set import TrainingSet, read_set
 
-__all__ = ["ExportResult", "export_set"]
+__all__ = ["ExportResult", "export_doubts", "export_set"]
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,8 @@ class ExportResult:
     set_sha256 : str
     points, cells : int
     targets : tuple of TargetResult
+    doubts : tuple of str
+        Why the set should not drive a car yet, exported because the user insisted.
     """
 
     folder: str
@@ -32,6 +36,18 @@ class ExportResult:
     points: int
     cells: int
     targets: tuple[TargetResult, ...]
+    doubts: tuple[str, ...] = ()
+
+
+def export_doubts(training_set: TrainingSet) -> tuple[str, ...]:
+    """Return why a set should not drive a car yet; empty when nothing known speaks against it."""
+    doubts = [f"{s.name}: ingest found that {'; '.join(s.faults)}" for s in training_set.sources if s.faults]
+    accepted = sum(source.accepted for source in training_set.sources)
+    if training_set.sources and accepted < FEWEST_TO_FIT:
+        doubts.append(f"{accepted} labels were learned, fewer than the {FEWEST_TO_FIT} that hyperparameters take")
+    if not any(training_set.trust.share):
+        doubts.append("no output's correction helped on held-out driving: the export would be the nominal model")
+    return tuple(doubts)
 
 
 def export_set(
@@ -44,6 +60,7 @@ def export_set(
     real: str = "double",
     queries: int = 10_000,
     step: float | None = None,
+    insist: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> ExportResult:
     """Export a trained set into a folder.
@@ -66,19 +83,30 @@ def export_set(
     step : float, optional
         Interval of the controller [s], for vehicles whose commands arrive late: past commands are kept at it. By
         default the set's label interval.
+    insist : bool
+        Export in spite of `export_doubts`.
     say : callable
         Told what happens, one line at a time.
 
     Raises
     ------
     SplitError
-        If the set cannot be read, a word is unknown, or an export differs from Python; nothing is written then.
+        If the set cannot be read, a word is unknown, an export differs from Python, or the set should not drive a
+        car yet and the user does not insist; nothing is written then.
     """
     set_path = Path(set_path)
     plan = plan_export(targets, name or set_path.stem, real, queries, predictor, step)
     training_set = read_set(set_path)
+    doubts = export_doubts(training_set)
+    if doubts and not insist:
+        raise SetError(
+            f"should not drive a car: {'; '.join(doubts)}",
+            where=str(set_path),
+            advice="Mend the drive's map and train again, or export it all the same with --insist.",
+        )
     digest = sha256_of_file(set_path)
     provenance = provenance_of(training_set, predictor, set_path.name, digest)
     with atomic_directory(output) as folder:
         results = write_export(training_set, plan, provenance, folder, say)
-    return ExportResult(str(output), plan.name, digest, training_set.size, training_set.cell_count, results)
+    size, cells = training_set.size, training_set.cell_count
+    return ExportResult(str(output), plan.name, digest, size, cells, results, doubts)

@@ -14,6 +14,7 @@ from split_cli.learning.label_file import write_labels
 from split_cli.learning.labels import DEFAULT_HORIZON, compute_labels
 from split_cli.learning.region import Region, build_grid
 from split_cli.logs.drive import Drive, read_drive, untold_inputs
+from split_cli.logs.quality import stored_findings
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.recordings import RecordingCorrection
 
@@ -99,7 +100,9 @@ def label_drive(
 
 def drive_notes(drive: Drive) -> tuple[str, ...]:
     """Return what a reader of labels should know of a drive's channels, in words."""
+    found = stored_findings(drive.metadata.quality)
+    told = (f"{drive.name}: ingest found that {'; '.join(found)}",) if found else ()
     kind = str(drive.metadata.kinds.get("T", ""))
     if kind.startswith("derived") and ("a_x" in kind or "dv_x/dt" in kind):
-        return (f"{drive.name}: T is {kind}; the longitudinal label then says nothing",)
-    return ()
+        return (*told, f"{drive.name}: T is {kind}; the longitudinal label then says nothing")
+    return told

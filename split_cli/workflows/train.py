@@ -30,6 +30,7 @@ from split_cli.learning.region import Grid, Region, build_grid
 from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, read_drive, untold_inputs
+from split_cli.logs.quality import stored_faults
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.hints import late_inputs
 from split_cli.scoring.trust import estimate_trust
@@ -260,6 +261,9 @@ def _train_set(
             trained = extend_dictionary(trained, [labels])
         else:
             trained = extend(trained, [labels], batch=batch)
+        if run.faults:
+            last = replace(trained.sources[-1], faults=run.faults)
+            trained = replace(trained, sources=(*trained.sources[:-1], last))
         spent = labelling + time.perf_counter() - start
         seconds += spent
         table.append(_row(trained, [trained.sources[-1]], labels.drive, spent))
@@ -295,6 +299,7 @@ class _Run:
             self.horizon = DEFAULT_HORIZON if settings.horizon is None else settings.horizon
         self.seen = {source.sha256: source.name for source in known.sources} if known else {}
         self.notes: list[str] = []
+        self.faults: tuple[str, ...] = ()
         self.checked: set[int] = set()
         self.correct = RecordingCorrection(vehicle)
 
@@ -417,6 +422,7 @@ class _Run:
     def _take_notes(self, drive: Drive) -> None:
         self.notes += [note for note in untold_inputs([drive]) if note not in self.notes]
         self.notes += drive_notes(drive)
+        self.faults = stored_faults(drive.metadata.quality)
         if drive.sha256 in self.seen:
             self.notes.append(f"{drive.name} was learned before, as {self.seen[drive.sha256]}")
         self.seen[drive.sha256] = drive.name

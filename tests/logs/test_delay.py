@@ -77,7 +77,7 @@ def test_scale_offset_and_sign_do_not_matter_to_the_lag():
         (lambda t, rng: (rng.standard_normal(len(t)), np.sin(t)), "explains only"),
         (lambda t, rng: (np.sin(2 * np.pi * t), np.sin(2 * np.pi * t)), "fit equally well|end of the search"),
         (lambda t, rng: (np.sin(0.5 * (t - 3.0)) + np.sin(0.31 * (t - 3)), np.sin(0.5 * t) + np.sin(0.31 * t)),
-         "end of the search|explains only"),
+         r"beyond the 1.5 s that are searched, at \+3.00"),
     ],
     ids=["unrelated", "periodic", "out of reach"],
 )  # fmt: skip
