@@ -1,4 +1,4 @@
-"""The direction of v_y on straights over time, its correction; friction beyond the file; delays beyond the search."""
+"""The direction of v_y on straights over time and its correction; friction, delays and spikes beyond what is usual."""
 
 from __future__ import annotations
 
