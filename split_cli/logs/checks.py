@@ -301,7 +301,7 @@ class Checks:
             )
         ]
 
-    def grip(self) -> list[Finding]:
+    def grip(self) -> list[ConsistencyFinding]:
         """Compare the horizontal acceleration that is reached with what the vehicle file's tyres can carry."""
         k, car = self.k, self.vehicle
         if car is None or not self.usable("vx", "vy", "r"):
@@ -320,7 +320,7 @@ class Checks:
             f"{reached / _GRAVITY:.2f}, the file has {carried / _GRAVITY:.2f}. "
             f"Scale D of both tyres by {reached / carried:.2f} or more, or check the mass."
         )
-        return [Finding("grip", "r", text, reached, None)]
+        return [ConsistencyFinding("grip", "r", text, reached, None)]
 
     def _sideslip_fit(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Return p, q of v_y = p r - q v_x^2 r + b and their errors; None with the reason told."""

@@ -1,4 +1,4 @@
-"""The direction of v_y on straights over time and its correction; friction, delays and spikes beyond what is usual."""
+"""The direction of v_y on straights over time and its correction; friction, delays, spikes beyond the usual."""
 
 from __future__ import annotations
 
