@@ -121,9 +121,8 @@ def _with(learner: str, vehicle: str) -> str:
 
 def _long_course() -> list[Experiment]:
     """Return the races on 2.3 km: every controller has the nominal one's settings, or with physics its own."""
-    plan = (("nominal", "none", "gentle", 2), ("split", "split", "gentle", 10), ("iol", "iol", "gentle", 3),
-            ("nominal lags", "none", "lags", 1), ("split lags", "split", "lags", 3),
-            ("nominal physics", "none", "physics", 2), ("split physics", "split", "physics", 10))  # fmt: skip
+    plan = (("nominal", "none", "gentle", 1), ("split", "split", "gentle", 10), ("iol", "iol", "gentle", 3),
+            ("nominal physics", "none", "physics", 1), ("split physics", "split", "physics", 2))  # fmt: skip
     return [
         _race("handling", model, learner, TUNED["physics" if vehicle == "physics" else "nominal"], 0, vehicle,
               track="handling", laps=laps)
