@@ -57,6 +57,12 @@ __all__ = ["command"]
               "controller allows.")  # fmt: skip
 @click.option("--p-unknown", type=float, metavar="SHARE", help="The same where the residual knows nothing; from "
               "there to --p-ellipse in proportion to what it knows  [default: --p-ellipse].")  # fmt: skip
+@click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same for lap 0, which the nominal model "
+              "drives  [default: --p-ellipse].")  # fmt: skip
+@click.option("--told-grip", type=float, default=1.0, show_default=True, help="What the controller takes for the "
+              "road's grip before anything is learned.")  # fmt: skip
+@click.option("--learn-grip/--no-learn-grip", default=True, show_default=True, help="Move the slip limits to the "
+              "peaks of the tyres that the labels tell, after each lap.")  # fmt: skip
 @click.option("--margin", type=float, default=0.3, show_default=True, metavar="M", help="Kept from the car's side "
               "to the border.")  # fmt: skip
 @click.option("--p-long", type=float, default=1.1, show_default=True, help="Weight of braking force in it.")
@@ -81,8 +87,8 @@ __all__ = ["command"]
 @output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
 def command(
-    vehicle_path, output, set_output, report, p_ellipse, p_unknown, margin, p_long, no_delay, iol_update, learners,
-    as_json, **options,
+    vehicle_path, output, set_output, report, p_ellipse, p_ellipse_lap0, p_unknown, margin, p_long, no_delay,
+    iol_update, learners, as_json, **options,
 ) -> None:  # fmt: skip
     """Race the double-track plant with a contouring controller that learns while it drives.
 
@@ -104,11 +110,14 @@ def command(
     if len(learners) > 1 and (output or set_output):
         raise click.UsageError("-o and --set take the drive and the set of one learner; name one.")
     limits = Limits(p_long=p_long, p_ellipse=p_ellipse, p_unknown=p_unknown)
+    first = None
+    if p_ellipse_lap0 is not None:
+        first = MpccSettings(limits=Limits(p_long=p_long, p_ellipse=p_ellipse_lap0), margin=margin)
     results = []
     for learner in learners:
         settings = RaceSettings(
             learner=learner, delay=not no_delay, printed_iol=iol_update == "printed",
-            settings=MpccSettings(limits=limits, margin=margin), **options,
+            settings=MpccSettings(limits=limits, margin=margin), first=first, **options,
         )  # fmt: skip
         say = f"race, {learner}" if len(learners) > 1 else "race"
         results.append(

@@ -49,7 +49,9 @@ class Limits:
         return self.p_unknown + known * (self.p_ellipse - self.p_unknown)
 
 
-def slip_limit(limits: Limits, found: Linearization) -> tuple[np.ndarray, np.ndarray]:
+def slip_limit(
+    limits: Limits, found: Linearization, grip: np.ndarray | float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest slip angle of front and rear [rad], shape (N, 2), and its slope by the state (N, 2, n).
 
     Notes
@@ -57,10 +59,11 @@ def slip_limit(limits: Limits, found: Linearization) -> tuple[np.ndarray, np.nda
     SPLIT paper, the tire forces constraint, solved for the slip angle:
     |alpha| <= tan(asin(sqrt(p_ellipse^2 - (p_long F_x/D)^2))/C)/B. As a force the constraint's slope changes sign
     past the peak, and a linearised controller then steers into the slide instead of out of it. B, C, D are taken
-    as they are at the point; only the force moves with the state.
+    as they are at the point; only the force moves with the state. `grip`, shape (2,), moves the peaks of front and
+    rear: grip D, B/grip (see `learned_grip`).
     """
     ellipse = limits.ellipse(found.residual)[:, None]
-    B, C, D = (found.curve[:, :, k] for k in range(3))
+    B, C, D = found.curve[:, :, 0] / grip, found.curve[:, :, 1], found.curve[:, :, 2] * grip
     used = limits.p_long * found.force / D
     left = np.sqrt(np.maximum(ellipse**2 - used**2, (LEAST_SIDE * ellipse) ** 2))
     angle = np.arcsin(left) / C
@@ -71,7 +74,9 @@ def slip_limit(limits: Limits, found: Linearization) -> tuple[np.ndarray, np.nda
     return np.minimum(alpha, limits.alpha_max), slope
 
 
-def slip_rows(limits: Limits, found: Linearization, free: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def slip_rows(
+    limits: Limits, found: Linearization, free: float, grip: np.ndarray | float = 1.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return rows C (N, 5, n) of a step dx, with lower and upper bounds (N, 5).
 
     Two rows an axle (alpha - limit <= 0 and alpha + limit >= 0), one for the difference of slip angles.
@@ -82,8 +87,10 @@ def slip_rows(limits: Limits, found: Linearization, free: float) -> tuple[np.nda
     found : Linearization
     free : float
         What stands for no bound.
+    grip : ndarray, shape (2,)
+        Peak of front and rear over the model's [1].
     """
-    bound, slope = slip_limit(limits, found)
+    bound, slope = slip_limit(limits, found, grip)
     count, n = found.slip_slope.shape[0], found.slip_slope.shape[2]
     C = np.zeros((count, SLIP_ROWS, n))
     lower, upper = np.full((count, SLIP_ROWS), -free), np.full((count, SLIP_ROWS), free)

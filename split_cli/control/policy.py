@@ -14,6 +14,10 @@ __all__ = [
     "FAR",
     "FEASIBLE",
     "FREE",
+    "GRIP_DOUBT",
+    "GRIP_RANGE",
+    "GRIP_STEP",
+    "GRIP_TORQUE",
     "LEAST_SIDE",
     "MAXIMUM_ITERATIONS",
     "MAX_STEER",
@@ -117,3 +121,13 @@ below what sensors tell of it."""
 DICTIONARY = 400
 """Points that the dictionary of the rival may keep [1]: more than the 361 that the SPLIT paper's held after ten
 laps."""
+
+GRIP_RANGE, GRIP_STEP = (0.2, 1.6), 0.005
+"""Of the peak over the file's that is looked for [1]: from ice to tyres that a file takes for half as good."""
+
+GRIP_TORQUE = 0.25
+"""Largest |T/T_max| of labels that tell the peak [1]: an axle that drives or brakes harder has less force to the
+side for another reason."""
+
+GRIP_DOUBT = 4.0
+"""By how much, times the labels' variance, a sum of squares may exceed the least [1]: two standard deviations."""

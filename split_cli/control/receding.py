@@ -129,6 +129,11 @@ class RecedingController(ABC):
         How many standard deviations of the position, as the residual's variance makes it, the borders are moved
         in; 0 for none.
 
+    Attributes
+    ----------
+    grip : ndarray, shape (2,)
+        Peak of front and rear over the model's, by which the slip limits are moved [1].
+
     Notes
     -----
     When a programme fails, the plan of the step before goes on (its next input is applied) and the step counts as
@@ -164,6 +169,7 @@ class RecedingController(ABC):
         self.u_scale = np.ones(self.m)
         self.u_scale[0] = torque
         self.programme = StageQP(horizon, self.n, self.m, 1 + SLIP_ROWS)
+        self.grip = np.ones(2)
         self.plan: Plan | None = None
         self.failures_in_a_row = 0
 
@@ -314,7 +320,7 @@ class RecedingController(ABC):
         lower[:, 0] = -(at.left - inside)[:-1] - contour[:-1]
         upper[:, 0] = (at.right - inside)[:-1] - contour[:-1]
         C[:, 1:, : self.n_model], lower[:, 1:], upper[:, 1:] = slip_rows(
-            self.limits, found.stages(slice(1, None)), FREE
+            self.limits, found.stages(slice(1, None)), FREE, self.grip
         )
         return C, lower, upper
 

@@ -74,15 +74,13 @@ class ExperimentPlan:
 # Found by one search for all learners, `docs/experiments.md`, Tuning: seed 100, which no table uses.
 TUNED = {
     "nominal": MpccSettings(limits=Limits(p_long=1.2, p_ellipse=0.85), margin=0.5),
-    "split": MpccSettings(limits=Limits(p_long=1.2, p_ellipse=0.95, p_unknown=0.85), margin=0.3),
+    "split": MpccSettings(limits=Limits(p_long=1.2, p_ellipse=0.95), margin=0.3),
     "physics": MpccSettings(limits=Limits(p_long=1.2, p_ellipse=0.95), margin=0.5),
 }
-# A road whose tyres nobody knows asks for care: the ellipse is scaled by the grip that every controller is told,
-# and begins lower.
-CAREFUL = {
-    "nominal": Limits(p_long=1.2, p_ellipse=0.75),
-    "split": Limits(p_long=1.2, p_ellipse=0.9, p_unknown=0.75),
-}
+# On the long course every margin is that of the nominal controller, since speeds are higher. Tyres that nobody
+# knows on a road of lower grip ask for more care: the nominal controller begins at less of the ellipse.
+LONG = replace(TUNED["split"], margin=0.5)
+CAREFUL = MpccSettings(limits=Limits(p_long=1.2, p_ellipse=0.75), margin=0.5)
 _SEEDS = (0, 1, 2)
 _SMALL = {"track": "small", "max_speed": 22.0}
 
@@ -90,15 +88,10 @@ _SMALL = {"track": "small", "max_speed": 22.0}
 def _race(
     group: str, model: str, learner: str, tuned: MpccSettings, seed: int = 0, vehicle: str = "gentle", **options
 ) -> Experiment:
+    first = TUNED["nominal"] if learner != "none" and vehicle != "physics" else None
+    options = {"first": first, **options}
     settings = RaceSettings(learner=learner, seed=seed, max_torque=1000.0, settings=tuned, **options)
     return Experiment(f"{group}-{model.replace(' ', '-')}-{seed}", group, model, settings, vehicle)
-
-
-def _careful(limits: Limits, grip: float) -> MpccSettings:
-    """Return settings whose ellipse is scaled by the road's grip: every controller is told of the rain."""
-    unknown = None if limits.p_unknown is None else round(grip * limits.p_unknown, 3)
-    scaled = replace(limits, p_ellipse=round(grip * limits.p_ellipse, 3), p_unknown=unknown)
-    return MpccSettings(limits=scaled, margin=0.5)
 
 
 def _races() -> list[Experiment]:
@@ -120,11 +113,11 @@ def _with(learner: str, vehicle: str) -> str:
 
 
 def _long_course() -> list[Experiment]:
-    """Return the races on 2.3 km: every controller has the nominal one's settings, or with physics its own."""
+    """Return the races on 2.3 km."""
     plan = (("nominal", "none", "gentle", 1), ("split", "split", "gentle", 10), ("iol", "iol", "gentle", 3),
             ("nominal physics", "none", "physics", 1), ("split physics", "split", "physics", 2))  # fmt: skip
     return [
-        _race("handling", model, learner, TUNED["physics" if vehicle == "physics" else "nominal"], 0, vehicle,
+        _race("handling", model, learner, TUNED["nominal"] if model == "nominal" else LONG, 0, vehicle,
               track="handling", laps=laps)
         for model, learner, vehicle, laps in plan
     ]  # fmt: skip
@@ -140,8 +133,9 @@ def _rivals_and_roads() -> list[Experiment]:
         found.append(_race("lags", _with(learner, "lags"), learner, own, 0, "lags", laps=laps, **_SMALL))
         for group, grip in (("worn", 0.85), ("wet", 0.5)):
             model = "nominal" if learner == "none" else "split"
-            limits = _careful(CAREFUL[model], grip)
-            found.append(_race(group, model, learner, limits, 0, grip=grip, laps=laps, **_SMALL))
+            tuned = CAREFUL if learner == "none" else LONG
+            road = {"grip": grip, "told_grip": grip, "first": CAREFUL}
+            found.append(_race(group, model, learner, tuned, 0, laps=laps, **road, **_SMALL))
     # v_x as a fourth feature: what hangs on the speed.
     features = "alpha_f,alpha_r,torque_ratio,vx"
     found.append(_race("feature", "split vx", "split", TUNED["split"], 0, laps=3, features=features, **_SMALL))
@@ -164,7 +158,8 @@ def _maneuvers() -> list[Experiment]:
     for road, grip in (("dry", 1.0), ("wet", 0.5)):
         limits = TUNED["split"] if road == "dry" else replace(TUNED["split"], limits=Limits(1.2, 0.4))
         first = RaceSettings(learner="split", laps=1, max_speed=22.0 if road == "dry" else 12.0,
-                             max_torque=1000.0, grip=grip, seed=0, settings=limits)  # fmt: skip
+                             max_torque=1000.0, grip=grip, seed=0, settings=limits,
+                             learn_grip=False)  # fmt: skip
         found.append(Experiment(f"lap1-{road}", "lap1", "split", first))
         if road == "dry":
             found.append(Experiment(f"lap1-{road}-physics", "lap1", "split physics",
@@ -217,17 +212,17 @@ def run_experiments(
         if (folder / f"{experiment.name}.json").exists() or experiment.vehicle not in vehicles:
             continue
         say(experiment.name)
-        _run(experiment, folder, vehicles[experiment.vehicle])
+        _run(experiment, folder, vehicles[experiment.vehicle], say)
         ran.append(experiment.name)
     return ran
 
 
-def _run(experiment: Experiment, folder: Path, vehicle: str | Path) -> None:
+def _run(experiment: Experiment, folder: Path, vehicle: str | Path, say: Callable[[str], None]) -> None:
     settings, trained = experiment.settings, folder / f"{experiment.name}.split"
     traces: dict[str, np.ndarray] = {}
     if isinstance(settings, RaceSettings):
         keeps = settings.learner != "none"
-        result = run_race(settings, vehicle, set_output=trained if keeps else None)
+        result = run_race(settings, vehicle, set_output=trained if keeps else None, progress=say)
         traces |= {f"lap{lap.number}": trace for lap, trace in zip(result.laps, result.traces, strict=True)}
         told = asdict(result.summary())
     else:

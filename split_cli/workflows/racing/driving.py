@@ -8,6 +8,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from split_cli.control.grip import learned_grip
 from split_cli.control.learner import Learner, NoLearner
 from split_cli.control.model import ControlModel
 from split_cli.control.mpcc import Mpcc
@@ -79,6 +80,7 @@ class Race:
         self.laps: list[Lap] = []
         self.traces: list[np.ndarray] = []
         self.spans: dict[int, tuple[int, int]] = {}
+        self.grips: list[tuple[float, ...]] = []
         self.ended = ""
         self.lines, self.crossing, self.until = 0, 0.0, 0.0
 
@@ -100,8 +102,14 @@ class Race:
         self.model = ControlModel(self.vehicle, self.learner.residual, self.mpcc.step)
         if self.model.not_compiled:
             self.notes.append(f"the model's functions are interpreted, not compiled: {self.model.not_compiled}")
-        self.controller = Mpcc(self.model, self.path, self.actuators, self.mpcc, self.width, s.tightening)
+        first = self.mpcc if s.first is None or self.start_set is not None else replace(
+            self.mpcc, limits=s.first.limits, margin=s.first.margin
+        )  # fmt: skip
+        self.controller = Mpcc(self.model, self.path, self.actuators, first, self.width, s.tightening)
+        self.controller.grip[:] = s.told_grip
         self.controller.begin(self.model.steady_states(self.world.measured), self.start)
+        if self.start_set is not None:
+            self._learn_grip(self.start_set.z, self.start_set.y)
         self.rates = self.controller.plan.u[0, :2].copy()
         self.memory = self.model.steady_states(self.world.measured)[8:]
 
@@ -134,10 +142,18 @@ class Race:
     def _start_learning(self) -> None:
         """Fit the kernel to lap 0 and begin with an empty set."""
         lap = self.world.recording(*self.spans[self.laps[-1].number], name="lap 0")
-        self.header = studied_header(self.header, lap, self.settings, self.notes)
+        self.header, labels = studied_header(self.header, lap, self.settings, self.notes)
+        self._learn_grip(labels.z[labels.accepted], labels.y[labels.accepted])
         self.learner = make_learner(self.settings, self.header)
         self.model = ControlModel(self.vehicle, self.learner.residual, self.mpcc.step)
-        self.controller.model = self.model
+        self.controller.model, self.controller.limits = self.model, self.mpcc.limits
+        self.controller.half_width = 0.5 * self.width + self.mpcc.margin
+
+    def _learn_grip(self, z: np.ndarray, y: np.ndarray) -> None:
+        """Move the controller's slip limits to the peaks that labels tell."""
+        if self.settings.learn_grip:
+            self.controller.grip = learned_grip(self.vehicle, self.header.features, z, y)
+            self.grips.append(tuple(self.controller.grip.tolist()))
 
     def _lap(self, number: int) -> None:
         tally = Tally(number, len(self.world.rows) - 1)
@@ -153,8 +169,11 @@ class Race:
         truth = np.array(world.truth[tally.first :])
         self.laps.append(tally.lap(time, truth, self.learner.size, self.learner.cells, self.ended))
         self.traces.append(np.array(tally.trace))
+        self.say(f"lap {number}: " + (f"{time:.2f} s, {tally.outside:.2f} m outside" if time else self.ended))
         self.spans[number] = (tally.first, len(world.rows))
         self.model.residual = self.learner.residual
+        if trained is not None and trained.size:
+            self._learn_grip(trained.z, trained.y)
         if trained is not None and self.set_output is not None:
             write_set(trained, self.set_output)
 
@@ -239,5 +258,5 @@ class Race:
             track=self.path.name, car=self.car.name, vehicle=self.vehicle.name, learner=self.settings.learner,
             length=self.path.length, laps=tuple(self.laps), output=None if output is None else str(output),
             set_path=None if self.set_output is None else str(self.set_output), notes=tuple(self.notes),
-            traces=tuple(self.traces), path=self.path,
+            traces=tuple(self.traces), path=self.path, grips=tuple(self.grips),
         )  # fmt: skip

@@ -86,6 +86,8 @@ class RaceResult:
     notes : tuple of str
     path : Path
         The track.
+    grips : tuple of tuple of float
+        Peak of front and rear over the vehicle file's [1], as learned before lap 1 and after each lap since.
     traces : tuple of ndarray
         Of each lap, a row an interval: t, s, X, Y, yaw, v_x, v_y, r, T, delta, a_x, a_y, contour error.
     """
@@ -101,6 +103,7 @@ class RaceResult:
     notes: tuple[str, ...]
     traces: tuple[np.ndarray, ...] = ()
     path: Path | None = None
+    grips: tuple[tuple[float, ...], ...] = ()
 
     def summary(self) -> RaceResult:
         """Return the result without its traces and its track."""

@@ -51,6 +51,13 @@ class RaceSettings:
     tightening : float
         Standard deviations by which the borders are moved in [1].
     settings : MpccSettings
+    first : MpccSettings or None
+        Of the run-up and of lap 0, which the nominal model drives; as `settings` when it is None. Horizon and step
+        are those of `settings`.
+    told_grip : float
+        What the slip limits take for the road's grip before anything is learned [1].
+    learn_grip : bool
+        Whether a learner moves the slip limits to the peaks that its labels tell; see `learned_grip`.
     """
 
     track: str = "small"
@@ -71,3 +78,6 @@ class RaceSettings:
     printed_iol: bool = True
     tightening: float = 0.0
     settings: MpccSettings = MpccSettings()
+    first: MpccSettings | None = None
+    told_grip: float = 1.0
+    learn_grip: bool = True

@@ -33,13 +33,19 @@ def blank_header(vehicle: Vehicle, mpcc: MpccSettings) -> TrainingSet:
     )
 
 
-def studied_header(blank: TrainingSet, lap: Drive, settings: RaceSettings, notes: list[str]) -> TrainingSet:
-    """Return an empty set, grid and kernel fitted to `lap` as the settings ask; remarks go to `notes`."""
+def studied_header(
+    blank: TrainingSet, lap: Drive, settings: RaceSettings, notes: list[str]
+) -> tuple[TrainingSet, Labels]:
+    """Return an empty set, grid and kernel fitted to `lap` as the settings ask, and its labels.
+
+    Remarks go to `notes`.
+    """
     features = parse_features(settings.features)
     labels = compute_labels(lap, blank.vehicle, features, blank.region, horizon=blank.horizon)
     grid = build_grid(features, blank.vehicle, blank.region, labels.z[labels.accepted])
     kernel = _kernel(labels, grid, settings, notes)
-    return empty_set(blank.vehicle, features, blank.region, grid, kernel, horizon=blank.horizon)
+    header = empty_set(blank.vehicle, features, blank.region, grid, kernel, horizon=blank.horizon)
+    return header, labels
 
 
 def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]) -> Kernel:
