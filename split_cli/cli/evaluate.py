@@ -108,7 +108,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     help="How far sets trained here are believed, without --set.",
 )
 @click.option("--any-vehicle", is_flag=True, help="Warn, do not refuse, where a drive contradicts the vehicle.")
-@output_option("Folder for figures.", required=False)
+@output_option("Folder for figures and report.html.", required=False)
 @held_option
 @json_option
 def command(drives, vehicle_path, set_path, output, as_json, **settings) -> None:
@@ -131,8 +131,11 @@ def command(drives, vehicle_path, set_path, output, as_json, **settings) -> None
     run = evaluate_files(drives, vehicle_path, asked, set_path, say=_say)
     if output is not None:
         from split_cli.plots.evaluation import write_figures
+        from split_cli.workflows.recording_report import write_evaluation_report
 
         drawn = write_figures(run, output)
+        write_evaluation_report(run, output / "report.html")
+        click.echo(f"split: report in {output / 'report.html'}", err=True)
         click.echo(f"split: figures in {output}: {', '.join(drawn.written)}", err=True)
         for reason in drawn.left_out:
             click.echo(f"split: not drawn: {reason}", err=True)

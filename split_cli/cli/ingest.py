@@ -86,6 +86,7 @@ def _spans(
 @click.option("--end", type=float, metavar="S", help="Leave out what is after, from the first sample.")
 @click.option("--cut", "cuts", multiple=True, callback=_spans, metavar="A:B", help="Leave out A to B [s].")
 @click.option("--keep-going", is_flag=True, help="Write the other drives when a log fails.")
+@click.option("--report", type=click.Path(path_type=Path), metavar="FILE", help="Write a page on the (one) drive.")
 @click.option("--list", "list_only", is_flag=True, help="List the channels of the logs, and stop.")
 @click.option("--list-maps", is_flag=True, help="List the presets, and stop.")
 @click.option("--suggest-map", is_flag=True, help="Print a draft of a map for the log, and stop.")
@@ -142,6 +143,8 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
             progress=_progress,
             engine=engine,
         )
+    if options["report"] is not None:
+        _write_report(run, vehicle_path, options["report"])
     _show(run, as_json)
     return 1 if run.failures else 0
 
@@ -149,6 +152,15 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
 def _progress(text: str) -> None:
     if sys.stderr.isatty():
         click.echo(text, err=True)
+
+
+def _write_report(run, vehicle_path, path: Path) -> None:
+    from split_cli.workflows.recording_report import write_recording_report
+
+    if len(run.results) != 1:
+        raise click.UsageError(f"--report shows one drive, {len(run.results)} were made; ingest one at a time.")
+    write_recording_report(run.results[0].drive, vehicle_path, path)
+    click.echo(f"split: report in {path}", err=True)
 
 
 def _show(run, as_json: bool) -> None:

@@ -27,7 +27,7 @@ from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.workflows.evaluate import train_in_memory
 from split_cli.workflows.recordings import RecordingCorrection
 
-__all__ = ["diagnosis_charts", "recording_charts"]
+__all__ = ["diagnosis_charts", "gathered", "recording_charts"]
 
 #: A picture needs no more labels than this to show what is learned.
 _MOST_LEARNED = 1500
@@ -48,7 +48,7 @@ def recording_charts(drive: Drive, vehicle: Vehicle | None) -> tuple[Chart, ...]
             lambda: handling_charts(subjects, vehicle),
             lambda: _whiteness([("vehicle file", "simulated", drive, vehicle)]),
         ]
-    return _gathered(makers)
+    return gathered(makers)
 
 
 def diagnosis_charts(
@@ -75,7 +75,7 @@ def diagnosis_charts(
         residuals.append(("with what was found", "corrected", *corrected))
     learned = _learned(*(corrected or (nominal_drive, vehicle)))
     paths = [("measured", "measured", drive)] + [("simulation given", "nominal", one) for one in simulated[:1]]
-    return _gathered([
+    return gathered([
         lambda: drive_charts(subjects, vehicle),
         lambda: tire_charts(nominal_drive, vehicle, corrected, learned()),
         lambda: handling_charts(subjects, vehicle),
@@ -107,7 +107,7 @@ def _whiteness(parts: Sequence[tuple[str, str, Drive, Vehicle]]) -> tuple[Chart,
     return whiteness_chart(found)
 
 
-def _gathered(makers: Sequence[Callable[[], Iterable[Chart | None]]]) -> tuple[Chart, ...]:
+def gathered(makers: Sequence[Callable[[], Iterable[Chart | None]]]) -> tuple[Chart, ...]:
     """Return the charts of all makers; one that the recording cannot give is left out, the others are drawn."""
     charts: list[Chart] = []
     for maker in makers:

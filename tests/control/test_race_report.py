@@ -94,7 +94,9 @@ def test_laps_are_chosen_compared_and_played_in_a_browser(browser, tmp_path):
     assert [box.is_selected() for box in boxes] == [True, True, False]
     ink = "const c = document.getElementById(arguments[0]), d = c.getContext('2d').getImageData(0, 0, c.width, " \
           "c.height).data; let n = 0; for (let i = 3; i < d.length; i += 4) n += d[i] > 0; return n"  # fmt: skip
-    assert all(browser.execute_script(ink, name) > 500 for name in ("track", "speed", "gg"))
+    assert browser.execute_script(ink, "track") > 500
+    drawn = browser.find_elements("css selector", "#chart-speed .canvas > svg path, #chart-gg .canvas > svg path")
+    assert len(drawn) >= 4
     # Half way through the slower lap's time the cars are where their speeds bring them.
     browser.execute_script(
         "const s = document.getElementById('time'); s.value = '10'; s.dispatchEvent(new Event('input'))"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Sequence
 from importlib.resources import files
 from string import Template
@@ -11,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from split_cli import __version__
 from split_cli.control.path import Path
+from split_cli.plots.chart import Chart, Series, thinned
+from split_cli.plots.palette import ROLES
 from split_cli.workflows.racing.result import Lap, RaceResult
-from split_cli.workflows.report.payload import embedded_json
+from split_cli.workflows.report.markup import charts_block, plain_table
+from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape
 
 __all__ = ["race_page"]
@@ -36,19 +36,43 @@ def race_page(races: Sequence[RaceResult], path: Path) -> str:
     -----
     Names are escaped wherever they stand, and a content security policy admits only the page's own script.
     """
-    package = files("split_cli.workflows.race_report")
-
-    def part(name: str) -> str:
-        return package.joinpath(name).read_text(encoding="utf-8")
-
-    script = part("race.js")
-    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
     learners = ", ".join(dict.fromkeys(race.learner for race in races))
-    return Template(part("race.html")).substitute(
-        title=escape(f"{path.name}: laps with {learners}"), version=escape(__version__), digest=digest,
-        style=part("race.css"), headline=escape(_headline(races)), about=escape(_about(races[0])),
-        table=_table(races), timing=_timing(races), numbers=embedded_json(_numbers(races, path)), script=script,
+    charts = _charts(races)
+    package = files("split_cli.workflows.race_report")
+    body = Template(package.joinpath("race.html").read_text("utf-8")).substitute(
+        headline=escape(_headline(races)), table=_table(races), timing=_timing(races),
+        strips=charts_block([chart for chart in charts if chart.wide]),
+        plane=charts_block([chart for chart in charts if not chart.wide]),
     )  # fmt: skip
+    script = package.joinpath("race.js").read_text("utf-8")
+    title = f"{path.name}: laps with {learners}"
+    return page("race", _about(races[0]), title, body, charts, _numbers(races, path), [script])
+
+
+def _charts(races: Sequence[RaceResult]) -> list[Chart]:
+    """Return speed and lateral acceleration over the lap and time, and the accelerations, a series a lap.
+
+    The nominal lap and the best one are shown at first.
+    """
+    laps = _laps(races)
+    clean = [k for k, (_, lap, _) in enumerate(laps) if lap.clean]
+    first = {0, min(clean, key=lambda k: laps[k][1].time) if clean else len(laps) - 1}
+    series: dict[str, list[Series]] = {"speed": [], "lateral": [], "gg": []}
+    for k, (name, _, trace) in enumerate(laps):
+        role, shown = ROLES[k % len(ROLES)], k in first
+        part = thinned(len(trace))
+        t, s = trace[part, 0] - trace[0, 0], trace[part, 1] - trace[0, 1]
+        for key, column in (("speed", 5), ("lateral", 11)):
+            series[key].append(Series(name, s, trace[part, column], role, along=t, shown=shown))
+        series["gg"].append(Series(name, trace[part, 11], trace[part, 10], role, "points", shown=shown))
+    along = {"x": "progress [m]", "other_x": "time [s]", "wide": True, "group": "strips"}
+    plane = "a_y, left positive [m/s²]", "a_x [m/s²]"
+    return [
+        Chart("speed", "Speed along the lap", y="v [m/s]", series=tuple(series["speed"]), **along),
+        Chart("lateral", "Lateral acceleration along the lap", y="a_y [m/s²]", series=tuple(series["lateral"]),
+              **along),
+        Chart("gg", "Accelerations (GG)", *plane, tuple(series["gg"]), equal=True),
+    ]  # fmt: skip
 
 
 def _laps(races: Sequence[RaceResult]) -> list[tuple[str, Lap, np.ndarray]]:
@@ -87,7 +111,7 @@ def _table(races: Sequence[RaceResult]) -> str:
         speeds = f"{lap.mean_speed:.2f}", f"{lap.max_lateral:.2f}"
         learned = str(lap.updates), str(lap.size), str(lap.cells)
         rows.append((name, time, *speeds, *learned, *errors, f"{lap.outside:.2f}"))
-    return _html_table("laps", header, rows)
+    return plain_table(header, rows, "table-laps")
 
 
 def _timing(races: Sequence[RaceResult]) -> str:
@@ -96,13 +120,7 @@ def _timing(races: Sequence[RaceResult]) -> str:
     for name, lap, _ in _laps(races):
         times = [" / ".join(f"{v:.1f}" for v in t) for t in (lap.solver_ms, lap.step_ms, lap.update_ms)]
         rows.append((name, *times, str(lap.failures)))
-    return _html_table("timing", header, rows)
-
-
-def _html_table(name: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    head = "".join(f"<th scope=col>{escape(text)}</th>" for text in header)
-    body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows)
-    return f'<table id="table-{name}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+    return plain_table(header, rows, "table-timing")
 
 
 def _numbers(races: Sequence[RaceResult], path: Path) -> dict[str, Any]:

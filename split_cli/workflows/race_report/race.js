@@ -1,22 +1,23 @@
-"use strict";
+/* The track with the cars of chosen laps, played. */
 (() => {
   const race = JSON.parse(document.getElementById("numbers").textContent);
-  const colours = ["#1b1f27", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
+  const roles = ["measured", "simulated", "corrected", "learned", "nominal", "other"]; // as the charts below
+  const named = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const find = (id) => document.getElementById(id);
   const slider = find("time"), clock = find("clock"), play = find("play"), pace = find("pace"), status = find("status");
   const best = race.laps.reduce((a, lap, k) => (lap.time !== null && (a < 0 || lap.time < race.laps[a].time) ? k : a), -1);
   const chosen = new Set([0, best < 0 ? race.laps.length - 1 : best].filter((k) => k >= 0));
-  const colour = (k) => colours[k % colours.length];
+  const role = (k) => roles[k % roles.length];
+  const colour = (k) => named(role(k));
   let now = 0, running = false, before = 0;
 
   race.laps.forEach((lap, k) => {
-    const label = document.createElement("label"), box = document.createElement("input"), swatch = document.createElement("span");
+    const label = document.createElement("label"), box = document.createElement("input"), { shape } = Charts;
+    const swatch = shape("svg", { width: 22, height: 8, "aria-hidden": "true" }, shape("rect", { width: 22, height: 5, y: 1, fill: `var(--${role(k)})` }));
     box.type = "checkbox";
     box.checked = chosen.has(k);
     box.dataset.lap = String(k);
     box.addEventListener("change", () => { box.checked ? chosen.add(k) : chosen.delete(k); setTime(Math.min(now, longest())); });
-    swatch.className = "swatch";
-    swatch.style.background = colour(k);
     label.append(box, swatch, `${lap.name}${lap.time === null ? ", not finished" : `, ${lap.time.toFixed(2)} s`}`);
     find("choice").append(label);
   });
@@ -59,7 +60,7 @@
   function drawTrack() {
     const pen = track.getContext("2d");
     pen.clearRect(0, 0, track.width, track.height);
-    for (const border of [race.left, race.right]) line(pen, border.map(([x, y]) => onTrack(x, y)), "#9aa1ad", 1.5, true);
+    for (const border of [race.left, race.right]) line(pen, border.map(([x, y]) => onTrack(x, y)), named("soft"), 1.5, true);
     for (const k of laps()) {
       const lap = race.laps[k];
       line(pen, lap.x.map((x, i) => onTrack(x, lap.y[i])), colour(k), 1.4, false);
@@ -71,52 +72,9 @@
       pen.rotate(-value(lap.yaw, place));
       pen.fillStyle = colour(k);
       pen.fillRect(-9, -4.5, 18, 9);
-      pen.fillStyle = "#fff";
+      pen.fillStyle = named("ground");
       pen.fillRect(4, -3, 3, 6);
       pen.restore();
-    }
-  }
-
-  const speed = find("speed");
-  function drawSpeed() {
-    const pen = speed.getContext("2d"), shown = laps();
-    pen.clearRect(0, 0, speed.width, speed.height);
-    if (!shown.length) return;
-    const most = Math.ceil(Math.max(...shown.flatMap((k) => race.laps[k].v)) / 5) * 5;
-    const place = frame(speed, [0, race.length], [0, most], false, 30);
-    pen.font = "12px system-ui, sans-serif";
-    pen.fillStyle = "#5a6271";
-    for (let v = 0; v <= most; v += 5) {
-      line(pen, [place(0, v), place(race.length, v)], "#e3e5ea", 1, false);
-      pen.fillText(`${v}`, 6, place(0, v)[1] + 4);
-    }
-    pen.fillText("m/s", 4, 14);
-    pen.fillText(`${race.length.toFixed(0)} m`, speed.width - 60, speed.height - 8);
-    for (const k of shown) {
-      const lap = race.laps[k];
-      line(pen, lap.s.map((s, i) => place(s, lap.v[i])), colour(k), 1.5, false);
-      const here = at(lap, now), [x, y] = place(value(lap.s, here), value(lap.v, here));
-      pen.fillStyle = colour(k);
-      pen.beginPath();
-      pen.arc(x, y, 4, 0, 7);
-      pen.fill();
-    }
-  }
-
-  const gg = find("gg");
-  function drawAccelerations() {
-    const pen = gg.getContext("2d"), place = frame(gg, [-1.2, 1.2], [-1.2, 1.2], true, 24), g = 9.80665;
-    pen.clearRect(0, 0, gg.width, gg.height);
-    pen.font = "12px system-ui, sans-serif";
-    pen.fillStyle = "#5a6271";
-    for (const v of [-1, -0.5, 0, 0.5, 1]) {
-      line(pen, [place(-1.2, v), place(1.2, v)], "#e3e5ea", 1, false);
-      line(pen, [place(v, -1.2), place(v, 1.2)], "#e3e5ea", 1, false);
-      pen.fillText(`${v} g`, place(v, -1.2)[0] - 10, gg.height - 6);
-    }
-    for (const k of laps()) {
-      pen.fillStyle = colour(k);
-      race.laps[k].ay.forEach((ay, i) => { const [x, y] = place(ay / g, race.laps[k].ax[i] / g); pen.fillRect(x - 1, y - 1, 2, 2); });
     }
   }
 
@@ -131,7 +89,7 @@
     slider.max = String(longest());
     slider.value = String(now);
     clock.textContent = `${now.toFixed(1)} s`;
-    drawTrack(); drawSpeed(); drawAccelerations(); tell();
+    drawTrack(); tell();
   }
   function tick(stamp) {
     if (!running) return;
@@ -151,5 +109,6 @@
     requestAnimationFrame(tick);
   });
   slider.addEventListener("input", () => { stop(); setTime(Number(slider.value)); });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawTrack);
   setTime(0);
 })();

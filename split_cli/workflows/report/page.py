@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib.resources import files
 
 from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.plots.chart import Chart
@@ -23,6 +24,7 @@ def report_page(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
         Of the recordings behind it, which a diagnosis does not hold.
     """
     real = ", ".join(one.name for one in diagnosis.inputs if one.role == "real")
+    package = files("split_cli.workflows.report")
     return page(
         "diagnose",
         _compared(diagnosis),
@@ -30,7 +32,7 @@ def report_page(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
         all_sections(diagnosis, charts),
         charts,
         chart_numbers(diagnosis),
-        ("where.js", "help.js"),
+        [package.joinpath(name).read_text("utf-8") for name in ("where.js", "help.js")],
     )
 
 

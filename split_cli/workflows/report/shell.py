@@ -46,7 +46,7 @@ def page(
     numbers : mapping, optional
         Further numbers, for `scripts`.
     scripts : sequence of str
-        Files of this package that run after the charts'.
+        Texts of further scripts, which run before the charts are drawn.
 
     Notes
     -----
@@ -59,7 +59,7 @@ def page(
     def part(name: str) -> str:
         return package.joinpath(name).read_text(encoding="utf-8")
 
-    script = "\n".join(part(name) for name in ("charts.js", *scripts, "views.js"))
+    script = "\n".join([part("charts.js"), *scripts, part("views.js")])
     style = f"{_palette()}\n{part('page.css')}"
     content = {**(numbers or {}), "charts": [chart_payload(chart) for chart in charts]}
     return Template(part("page.html")).substitute(

@@ -1,0 +1,32 @@
+"""Write the pages of a recording and of an evaluation: each file whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from split_cli.files import atomic_write_text
+from split_cli.logs.drive import Drive
+from split_cli.scoring.run import EvaluationRun
+from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.pictures import recording_charts
+from split_cli.workflows.report.evaluation import evaluation_page
+from split_cli.workflows.report.recording import recording_page
+
+__all__ = ["write_evaluation_report", "write_recording_report"]
+
+
+def write_recording_report(drive: Drive, vehicle_path: str | Path | None, path: str | Path) -> None:
+    """Write the page of a drive, beside the model of a vehicle file where one is given.
+
+    Raises
+    ------
+    SplitError
+        If the vehicle cannot be read or the page not be written.
+    """
+    vehicle = read_vehicle(vehicle_path) if vehicle_path is not None else None
+    atomic_write_text(path, recording_page(drive, drive.metadata.quality, recording_charts(drive, vehicle)))
+
+
+def write_evaluation_report(run: EvaluationRun, path: str | Path) -> None:
+    """Write the page of an evaluation."""
+    atomic_write_text(path, evaluation_page(run))

@@ -1,0 +1,186 @@
+"""The report of an evaluation: does the correction help, where, and what the car does with and without it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from split_cli.plots.chart import Chart, Series
+from split_cli.plots.pictures import (
+    Subject,
+    coverage_charts,
+    drive_charts,
+    handling_charts,
+    tire_charts,
+    track_chart,
+    whiteness_chart,
+)
+from split_cli.plots.pictures.tires import LearnedForces
+from split_cli.prediction import make_predictor
+from split_cli.scoring.rollouts import Correction
+from split_cli.scoring.run import EvaluationRun, Trace
+from split_cli.scoring.verdict import Comparison
+from split_cli.vehicle.single_track import SingleTrack
+from split_cli.workflows.pictures import gathered
+from split_cli.workflows.report.markup import charts_block, plain_table, section
+from split_cli.workflows.report.pictures import picture_sections
+from split_cli.workflows.report.shell import page
+from split_cli.workflows.report.words import escape, number, percent
+
+__all__ = ["evaluation_charts", "evaluation_page"]
+
+_STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
+_HARM = "WORSE"
+
+
+def evaluation_page(run: EvaluationRun) -> str:
+    """Return the report of an evaluation as one HTML document that loads nothing."""
+    report = run.report
+    charts = evaluation_charts(run)
+    names = ", ".join(drive.name for drive in report.drives)
+    believed = [c for c in report.comparisons if c.name in report.settings.predictors]
+    body = (
+        f"{_verdict(run, believed)}{_errors(charts)}{''.join(picture_sections(charts))}{_tables(run)}"
+        f"{_notes(report.notes)}"
+    )
+    return page("evaluate", f"{names} with {report.vehicle}", f"{_headline(believed)} {names}", body, charts)
+
+
+def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:
+    """Return the charts of the drive with the most test samples, of the first predictor."""
+    if not run.traces:
+        return ()
+    trace = _shown(run)
+    vehicle = run.sets[0].vehicle
+    drive = trace.held.drive
+    part = drive if trace.held.split.test.all() else drive.select(trace.held.split.test)
+    subjects = [Subject("measured", "measured", part), Subject("vehicle file", "simulated", part, vehicle)]
+    own = next((one for one in run.sets if _same(one.features.names, trace)), run.sets[0])
+    predictor = make_predictor(trace.name.split(",")[0], own)
+    if not predictor.needs_context:
+        z = own.features.compute(SingleTrack(vehicle), part)
+        correction = Correction(own.features, z, predictor.mean)
+        subjects.append(Subject(f"with {trace.name}", "learned", part, vehicle, correction))
+    learned = LearnedForces(trace.name, trace.tested.row, trace.prediction)
+    residuals = [
+        ("vehicle file", "simulated", trace.tested, trace.tested.y),
+        (f"with {trace.name}", "learned", trace.tested, trace.tested.y - trace.prediction.mean),
+    ]
+    return gathered([
+        lambda: _ratio_charts(run.report.comparisons, run.report.settings.predictors),
+        lambda: drive_charts(subjects, vehicle),
+        lambda: tire_charts(drive, vehicle, None, learned),
+        lambda: handling_charts(subjects, vehicle),
+        lambda: [track_chart([("measured", "measured", drive)])],
+        lambda: whiteness_chart(residuals),
+        lambda: coverage_charts(run.tallies),
+    ])  # fmt: skip
+
+
+def _shown(run: EvaluationRun) -> Trace:
+    first = run.traces[0]
+    same = [trace for trace in run.traces if (trace.name, trace.features) == (first.name, first.features)]
+    return max(same, key=lambda trace: len(trace.tested))
+
+
+def _same(names: Sequence[str], trace: Trace) -> bool:
+    return tuple(names) == tuple(trace.held.labels.features.names)
+
+
+def _headline(comparisons: Sequence[Comparison]) -> str:
+    """Return the verdict of the first predictor in plain words, what changes most first."""
+    if not comparisons:
+        return "No predictor was scored on held-out time."
+    name = comparisons[0].name
+    judged = [c for c in comparisons if c.name == name and np.isfinite(c.to_nominal).all()]
+    worse = sorted({c.state for c in judged if c.to_nominal[1] > 1.0}, key=list(_STATES).index)
+    if worse:
+        states = " and ".join(_STATES[state][0].lower() for state in worse)
+        return f"The learned correction makes {states} worse."
+    better = {c.state: c for c in judged if c.to_nominal[2] < 1.0}
+    if not judged:
+        return "Too little held-out time to tell whether the correction helps."
+    if not better:
+        return "The learned correction changes nothing beyond chance."
+    longest = [min((c for c in judged if c.state == s), key=lambda c: c.to_nominal[0]) for s in better]
+    best = min(longest, key=lambda c: c.to_nominal[0])
+    less = round(100.0 * (1.0 - best.to_nominal[0]))
+    others = [s for s in better if s != best.state]
+    more = f"; {' and '.join(_STATES[s][1] for s in others)} better too" if others else ""
+    return f"{_STATES[best.state][0]}: errors up to {less} % smaller{more}."
+
+
+def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
+    report = run.report
+    harm = any(_HARM in line for line in report.verdicts)
+    kind = "mismatch" if harm else "match"
+    lines = "".join(f"<p>{escape(line)}.</p>" for line in report.verdicts)
+    valid = sum(drive.tested_valid for drive in report.drives)
+    tested = sum(drive.tested for drive in report.drives)
+    trust = " / ".join(f"{100 * v:.0f}" for v in run.sets[0].trust.share) + " %"
+    facts = [
+        ("Test samples", f"{tested:,}", f"{percent(valid / max(tested, 1))} of them in the valid region"),
+        ("Points", f"{run.sets[0].size:,}", f"in {run.sets[0].cell_count} cells"),
+        ("Trust", trust, "share of the correction of v_x, v_y, r that is applied"),
+    ]
+    told = "".join(
+        f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
+        for what, value, note in facts
+    )
+    return (
+        f'<section class="verdict {kind}" aria-labelledby="verdict"><h1 id="verdict">'
+        f'{escape(_headline(comparisons))}</h1><dl class="facts">{told}</dl>'
+        f"<details><summary>Every predictor, state by state</summary>{lines}</details></section>"
+    )
+
+
+def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) -> list[Chart]:
+    """Return a chart a state: error over the nominal error by horizon, with 95 % intervals."""
+    charts = []
+    roles = ("learned", "corrected", "nominal", "other", "simulated")
+    for state, (title, symbol) in _STATES.items():
+        own = [c for c in comparisons if c.state == state and c.name in predictors]
+        when = list(dict.fromkeys(c.when for c in own))
+        series = []
+        for k, key in enumerate(dict.fromkeys((c.name, c.features) for c in own)):
+            mine = [c for c in own if (c.name, c.features) == key]
+            ratio, low, high = (np.array([c.to_nominal[i] for c in mine]) for i in range(3))
+            rows = np.array([when.index(c.when) for c in mine])
+            series.append(Series(" on ".join(key), ratio, rows, roles[k % 5], "points", low, high))
+        if series:
+            note = "Below 1 the correction helps; bars are 95 % intervals over blocks of time."
+            charts.append(Chart(f"ratio-{symbol.replace('_', '')}", f"{title} {symbol}",
+                                "error over the vehicle file's error", "", tuple(series), note,
+                                rows=tuple(when)))  # fmt: skip
+    return charts
+
+
+def _errors(charts: Sequence[Chart]) -> str:
+    mine = [chart for chart in charts if chart.name.startswith("ratio-")]
+    return section("ratios", "Does it help, by horizon", charts_block(mine, thirds=True)) if mine else ""
+
+
+def _tables(run: EvaluationRun) -> str:
+    pooled = [score for score in run.report.scores if not score.drive]
+    rows = [
+        (
+            f"{score.name} on {score.features}" if score.features else score.name,
+            *(number(float(value)) for value in score.rmse),
+            number(float(score.skill_velocity_held[3])),
+        )
+        for score in pooled
+    ]
+    floor = run.report.noise_floor
+    if floor.rms is not None:
+        rows.append(("noise floor", *(number(float(v)) for v in floor.rms), number(floor.norm), ""))
+    heads = ("Rms error of one step", "v_x [m/s²]", "v_y [m/s²]", "r [rad/s²]", "norm", "skill")
+    words = "<p>Skill is 1 − MSE over the MSE of velocities held; 0 is no better than persistence.</p>"
+    return section("scores", "Scores", words + plain_table(heads, rows, "table-scores"))
+
+
+def _notes(notes: Sequence[str]) -> str:
+    if not notes:
+        return ""
+    items = "".join(f"<li>{escape(note)}</li>" for note in notes)
+    return section("notes", "What to know", f'<ul class="advice">{items}</ul>')

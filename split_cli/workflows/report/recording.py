@@ -1,0 +1,92 @@
+"""The report of an ingest: what is wrong with a recording, what was done to it, and what it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from split_cli.logs.drive import Drive
+from split_cli.plots.chart import Chart
+from split_cli.workflows.report.markup import plain_table, section
+from split_cli.workflows.report.pictures import picture_sections
+from split_cli.workflows.report.shell import page
+from split_cli.workflows.report.words import escape, number
+
+__all__ = ["recording_page"]
+
+
+def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Chart]) -> str:
+    """Return the report of one recording as one HTML document that loads nothing.
+
+    Parameters
+    ----------
+    drive : Drive
+    found : mapping
+        Its quality report, as the drive stores it.
+    charts : sequence of Chart
+    """
+    words = _findings(found)
+    headline = words[0] if words else "Nothing in this recording contradicts itself."
+    kind = "mismatch" if words else "match"
+    more = "".join(f"<p>{escape(text)}</p>" for text in words[1:])
+    seconds = len(drive) * drive.period
+    facts = [
+        ("Length", f"{number(seconds)} s", f"{len(drive):,} rows at {drive.rate:g} Hz"),
+        ("Stretches", f"{len(drive.segments())}", "without a gap"),
+        ("Channels", f"{len(drive.columns) - 1}", ", ".join(name for name in drive.columns if name != "t")),
+    ]
+    told = "".join(
+        f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
+        for what, value, note in facts
+    )
+    body = (
+        f'<section class="verdict {kind}" aria-labelledby="verdict">'
+        f'<h1 id="verdict">{escape(_short(headline))}</h1>'
+        f'{_rest(headline)}{more}<dl class="facts">{told}</dl></section>'
+        f"{''.join(picture_sections(charts))}{_channels(found)}{_done(drive)}"
+    )
+    source = ", ".join(one.name for one in drive.metadata.sources) or drive.name
+    return page("ingest", source, f"{_short(headline)} {source}", body, charts)
+
+
+def _findings(found: Mapping[str, Any]) -> list[str]:
+    """Return what the consistency checks found, in words."""
+    checked = found.get("consistency") or {}
+    told = [str(one["text"]) for one in checked.get("findings") or () if one.get("text")]
+    return told + [str(text) for text in found.get("contradictions") or ()]
+
+
+def _short(text: str) -> str:
+    """Return the first clause of a finding, for a headline."""
+    heads = [text.partition(end)[0] for end in (". ", "; ", ": ") if end in text]
+    heads = [head for head in heads if 12 <= len(head) <= 110]
+    if heads:
+        return f"{min(heads, key=len)}."
+    return text if len(text) <= 110 else f"{text[:107].rsplit(' ', 1)[0]} …"
+
+
+def _rest(text: str) -> str:
+    return "" if _short(text).rstrip(".") == text.rstrip(".") else f'<p class="lead">{escape(text)}</p>'
+
+
+def _channels(found: Mapping[str, Any]) -> str:
+    rows = []
+    for one in found.get("channels") or ():
+        drops = "; ".join(f"{drop['count']} {drop['reason']}" for drop in one.get("drops") or ())
+        rows.append(
+            (
+                str(one.get("channel", "")), str(one.get("source", "")), number(float(one.get("rate") or 0.0)),
+                str(one.get("gaps", "")), str(one.get("spikes", "")), number(float(one.get("low") or 0.0)),
+                number(float(one.get("high") or 0.0)), drops or "none",
+            )
+        )  # fmt: skip
+    if not rows:
+        return ""
+    heads = ("Channel", "Source", "Rate [Hz]", "Gaps", "Spikes", "Lowest [SI]", "Highest [SI]", "Dropped")
+    return section("channels", "Channels", plain_table(heads, rows, "table-channels"))
+
+
+def _done(drive: Drive) -> str:
+    kinds = [f"{name}: {kind}" for name, kind in drive.metadata.kinds.items()]
+    items = "".join(f"<li>{escape(text)}</li>" for text in (*drive.metadata.conversions, *kinds))
+    return section("done", "What was converted, measured and derived", f"<ul>{items}</ul>") if items else ""

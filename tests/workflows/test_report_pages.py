@@ -1,0 +1,90 @@
+"""Pages of a recording and of an evaluation: what they say first, and that names of others stay text."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from split_cli.scoring.report import EvaluationSettings
+from split_cli.vehicle.parameters import read_vehicle, write_vehicle
+from split_cli.workflows.evaluate import evaluate
+from split_cli.workflows.pictures import recording_charts
+from split_cli.workflows.recording_report import write_recording_report
+from split_cli.workflows.report.evaluation import evaluation_charts, evaluation_page
+from split_cli.workflows.report.recording import recording_page
+from tests.factories import MissingForce, make_drive, road_car
+
+HOSTILE = "</script><script>window.taken = 1</script>.parquet"
+FOUND = {
+    "consistency": {"findings": [{"text": f"vx is 3.6 times what the position says: km/h, not m/s; {HOSTILE}"}]},
+    "channels": [{"channel": "vx", "source": HOSTILE, "rate": 100.0, "gaps": 1, "spikes": 2, "low": 0.0,
+                  "high": 30.0, "drops": [{"source": "x", "reason": "not finite", "count": 7}]}],
+    "contradictions": [],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def car():
+    return road_car()
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """A drive whose name would run if it could: a front axle of a fifth less force than its file says."""
+    return make_drive(3, 40, 4.0, terms=[MissingForce({"front_grip_loss": 0.2})], name=HOSTILE)
+
+
+def numbers_of(page: str) -> dict:
+    return json.loads(re.search(r'id="numbers">(.*?)</script>', page, flags=re.S).group(1))
+
+
+def test_a_recording_is_headed_by_what_is_wrong_with_it(drive, car):
+    page = recording_page(drive, FOUND, recording_charts(drive, car))
+    assert '<h1 id="verdict">vx is 3.6 times what the position says.</h1>' in page
+    assert "7 not finite" in page and page.count("<script") == 2
+    sound = recording_page(drive, {}, ())
+    assert "Nothing in this recording contradicts itself." in sound
+
+
+def test_a_recording_is_drawn_as_it_was_measured(drive, car):
+    charts = {chart.name: chart for chart in recording_charts(drive, car)}
+    measured, model = charts["strip-vx"].series
+    assert measured.role == "measured" and model.role == "simulated"
+    rows = np.searchsorted(drive["t"], measured.x[np.isfinite(measured.x)] - 1e-9)
+    np.testing.assert_allclose(measured.y[np.isfinite(measured.y)], drive["vx"][rows])
+    assert {"tire-front", "tire-rear", "force-x", "gg"} <= set(charts)
+
+
+def test_the_command_writes_it_whole(drive, car, tmp_path):
+    write_vehicle(car, tmp_path / "car.yaml")
+    assert read_vehicle(tmp_path / "car.yaml").digest() == car.digest()
+    write_recording_report(drive, tmp_path / "car.yaml", tmp_path / "page.html")
+    numbers = numbers_of((tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert len(numbers["charts"]) >= 8
+
+
+@pytest.fixture(scope="module")
+def run(drive, car):
+    return evaluate([drive], car, EvaluationSettings(predictors=("bcm",), rollout=(0.5,), any_vehicle=True))
+
+
+def test_an_evaluation_shows_every_state_beside_the_vehicle_file(run):
+    charts = {chart.name: chart for chart in evaluation_charts(run)}
+    assert {"ratio-vx", "ratio-vy", "ratio-r", "strip-vy", "coverage-r", "white-vx"} <= set(charts)
+    # The chart's numbers are the report's: corrected over nominal, with its interval.
+    first = next(c for c in run.report.comparisons if c.state == "v_y" and c.name == "bcm")
+    series = charts["ratio-vy"].series[0]
+    assert (series.x[0], series.low[0], series.high[0]) == pytest.approx(first.to_nominal)
+    # What is left after the correction is less than before, where the report says so.
+    before, after = (np.std(s.y) for s in charts["white-vy"].series)
+    assert np.isfinite([before, after]).all()
+
+
+def test_its_page_says_the_verdict_first_and_lets_no_name_act(run):
+    page = evaluation_page(run)
+    headline = re.search(r'<h1 id="verdict">(.*?)</h1>', page).group(1)
+    assert re.search("errors up to|changes nothing|worse|Too little", headline)
+    assert page.count("<script") == 2 and HOSTILE not in page
