@@ -22,6 +22,7 @@ __all__ = [
     "torque_is_derived",
     "torque_is_from_pedals",
     "unfit",
+    "velocity_is_from_position",
 ]
 
 # A velocity that stands still contradicts what it always moves with.
@@ -167,6 +168,12 @@ def torque_is_from_pedals(drive: Drive) -> bool:
     kind = str(drive.metadata.kinds.get("T", ""))
     by_motion = "by the nominal model" in kind
     return kind.startswith("derived") and not by_motion and any(word in kind for word in _PEDALS)
+
+
+def velocity_is_from_position(drive: Drive) -> bool:
+    """Return whether the velocities were differentiated from position and yaw: none is late against the others."""
+    kinds = (str(drive.metadata.kinds.get(name, "")) for name in ("vx", "vy", "r"))
+    return any(kind.startswith("derived") and "X, Y" in kind for kind in kinds)
 
 
 def torque_is_constant(torque: np.ndarray, vehicle: Vehicle, rules: Screening = STANDARD.screening) -> bool:

@@ -89,8 +89,11 @@ class Series:
         return measured, smooth
 
     def accelerations(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
-        """Return recorded a_x and a_y [m/s^2], the sensors' faults among `terms` taken off, shape (N,) each."""
-        columns = {"ax": self.drive["ax"], "ay": self.drive["ay"], "t": self.t}
+        """Return recorded a_x and a_y [m/s^2], the sensors' faults among `terms` taken off, shape (N,) each.
+
+        Samples without a number are filled by straight lines.
+        """
+        columns = {name: _filled(self.drive[name]) for name in ("ax", "ay")} | {"t": self.t}
         for term in terms:
             if term.corrects:
                 velocity = dict(zip(("vx", "vy", "r"), self.smooth.T, strict=True))
@@ -207,6 +210,14 @@ def build_series(
         torque=T, steer_angle=delta, t=t, s=s, yaw=yaw, noise=noise, lap_length=lap_length,
         place_reference=place_reference,
     )  # fmt: skip
+
+
+def _filled(values: np.ndarray) -> np.ndarray:
+    known = np.isfinite(values)
+    if known.all() or not known.any():
+        return values
+    rows = np.arange(len(values))
+    return np.interp(rows, rows[known], values[known])
 
 
 def _smoothed(values: np.ndarray, sigma: float, recording: Recording) -> np.ndarray:

@@ -154,7 +154,7 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None) -> 
             return None
         position = position.select(whole)
         return Witness(kind, series, position.begin, position.end, position, 1.0, np.zeros(3))
-    if not measures(series.drive, "ax", "ay") or not np.isfinite([series.drive["ax"], series.drive["ay"]]).all():
+    if not measures(series.drive, "ax", "ay"):
         return None
     size, edge = (
         max(least, int(round(s / series.period))) for least, s in ((4, _WINDOW_SECONDS), (1, _EDGE_SECONDS))
@@ -165,6 +165,9 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None) -> 
         if end - first > size + 2 * edge
     ]
     begin = np.concatenate([*begins, np.zeros(0)]).astype(np.int64)
+    # Samples without a number were filled: windows that hold one witness nothing.
+    unknown = np.cumsum(~np.isfinite([series.drive["ax"], series.drive["ay"]]).all(axis=0))
+    begin = begin[unknown[begin + size + edge] == unknown[begin - edge]]
     if len(begin) < _LEAST_WINDOWS:
         return None
     return Witness(kind, series, begin, begin + size, None, 1.0, np.zeros(3))

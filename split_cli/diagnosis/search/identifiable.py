@@ -14,6 +14,7 @@ from split_cli.diagnosis.recording.screening import (
     torque_is_constant,
     torque_is_derived,
     torque_is_from_pedals,
+    velocity_is_from_position,
 )
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.search.candidates import Candidate
@@ -99,6 +100,10 @@ def identifiable(
         lacking.add("measured position")
     if not all(measures(drive, "ax", "ay") for drive in drives):
         lacking.add("accelerations")
+    if {"measured position", "accelerations"} <= lacking:
+        lacking.add("witness")
+    if any(map(velocity_is_from_position, drives)):
+        lacking.add("measured velocities")
     if any(map(torque_is_derived, drives)):
         lacking.add("torque")
     if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle, rules):

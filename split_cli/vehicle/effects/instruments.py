@@ -231,7 +231,9 @@ class ChannelDelay(_Instrument):
 
     Variant ``velocity`` has v_x and v_y late, as a satellite receiver makes them. The signal is late; noise stays
     where it is. Source: a transport delay. Witnesses: yaw for r, position for the velocities, the velocities for
-    accelerations. All channels late together are `sensor_delay`.
+    accelerations, and accelerations for the velocities: a_x = v_x' - v_y r and a_y = v_y' + v_x r hold in every car.
+    Velocities that were derived from position are late against nothing. All channels late together are
+    `sensor_delay`.
     """
 
     id = "channel_delay"
@@ -242,7 +244,7 @@ class ChannelDelay(_Instrument):
     }  # fmt: skip
     neutral: ClassVar = {"r": 0.0, "vx": 0.0, "vy": 0.0, "ax": 0.0, "ay": 0.0}
     variant_needs: ClassVar = {
-        **{name: frozenset({"measured position"}) for name in ("r", "vx", "vy", "velocity")},
+        **{name: frozenset({"witness", "measured velocities"}) for name in ("r", "vx", "vy", "velocity")},
         **{name: frozenset({"accelerations"}) for name in ("ax", "ay")},
     }
     moves_samples = True
