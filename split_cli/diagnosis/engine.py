@@ -11,7 +11,7 @@ from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale
-from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
+from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, torque_is_from_pedals, unfit
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.recording.witnesses import is_witness_of_position
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
@@ -19,7 +19,7 @@ from split_cli.diagnosis.remainder.formula import sparse_formula
 from split_cli.diagnosis.remainder.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.remainder.spectrum import Line, strongest_line
 from split_cli.diagnosis.search.baselines import SearchOutcome, search
-from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable, limits_of
 from split_cli.diagnosis.statement.result import Diagnosis, InputFile
@@ -133,8 +133,9 @@ def diagnose(
     progress("sizing")
     detectable = smallest_named(outcome.objectives, candidates, outcome.variance_inflation, settings.level / _WAYS)
     if found.p_value >= settings.level:
+        gap = outcome.gap.effect_to_noise
         hidden = (
-            hidden_effect(outcome.structure.objective, candidates, outcome.gap.effect_to_noise)
+            hidden_effect(outcome.structure.objective, _of_known_inputs(candidates, real), gap, detectable)
             if simulated
             else ""
         )
@@ -152,6 +153,12 @@ def diagnose(
         return _undecided([_FAR_AND_UNNAMED], share, inputs, described)
     stated = replace(stated, compared_share=share, not_judged=not_judged, detectable=detectable)
     return replace(stated, inputs=tuple(inputs), settings=described)
+
+
+def _of_known_inputs(candidates: Sequence[Candidate], real: Sequence[Drive]) -> list[Candidate]:
+    """Return the candidates without those of a torque that came of pedals: its map is a guess."""
+    guessed = any(map(torque_is_from_pedals, real))
+    return [one for one in candidates if not (guessed and "torque" in one.needs)]
 
 
 def _rows(case: DiagnosisCase) -> int:

@@ -9,6 +9,8 @@ import pytest
 
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.recording.witnesses import build_witnesses, habits_of
+from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.identifiable import identifiable
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from tests.diagnosis.recordings import driven, noisy, prepared
@@ -89,8 +91,39 @@ def test_physics_moves_no_witness():
 
 def test_a_derived_position_is_no_witness():
     drive = recording(35)
-    metadata = replace(drive.metadata, kinds={"X": "derived: from vx and r", "ay": "derived: from vy"})
+    metadata = replace(drive.metadata, kinds={"X": "derived: from vx", "ax": "derived: from vx", "ay": "derived"})
     assert not build_witnesses(prepared(replace(drive, metadata=metadata)))
+
+
+def test_an_accelerometer_without_some_of_its_numbers_witnesses_the_rest():
+    drive = recording(37)
+    holed = {**drive.columns, "ay": np.where(np.arange(len(drive)) % 400 < 8, np.nan, drive["ay"])}
+    whole, rest = (
+        {one.kind: one for one in build_witnesses(prepared(replace(drive, columns=columns)))}
+        for columns in (drive.columns, holed)
+    )
+    known = np.isin(whole["a_y"].begin, rest["a_y"].begin)
+    # Every fourth second has a hole, which costs the one or two windows of 0.5 s that it touches, edges included.
+    assert 0.5 < known.mean() < 0.95
+    assert set(rest["a_y"].begin) <= set(whole["a_y"].begin)
+    ours, theirs = rest["a_y"].left(()), whole["a_y"].left(())[known]
+    np.testing.assert_allclose(ours, theirs, atol=1e-9)
+
+
+def test_what_was_derived_from_position_is_late_against_nothing():
+    drive = recording(38)
+    car = road_car()
+
+    def late(**kinds: str) -> set[str]:
+        one = prepared(replace(drive, metadata=replace(drive.metadata, kinds=kinds)))
+        candidates = identifiable(build_candidates(car, one), [one], car)
+        return {candidate.variant for candidate in candidates if candidate.term == "channel_delay"}
+
+    assert late() == {"r", "vx", "vy", "velocity", "ax", "ay"}
+    # Without position the accelerometers witness; without either nothing does.
+    assert late(X="derived: from vx") == late()
+    assert late(X="derived: from vx", ay="derived: from vy") == {"ax"}
+    assert late(vy="derived: from X, Y, yaw smoothed by their noise") == {"ax", "ay"}
 
 
 @pytest.mark.parametrize("k", [0, 2, 6])

@@ -10,6 +10,7 @@ from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.screening import cleaned, torque_is_derived, torque_is_from_pedals, unfit
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.selection import effect_to_noise_of_terms
+from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.power import hidden_effect
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
@@ -28,6 +29,25 @@ def test_what_a_big_effect_would_make_is_no_match(nominal_objective, nominal_ser
         assert "friction scale with scale" in said and "halves of the simulation" in said
     assert hidden_effect(nominal_objective, [grip], 0.99 * size) == ""
     assert hidden_effect(nominal_objective, [grip], 0.0) == ""
+
+
+def test_an_effect_that_would_have_been_named_does_not_hide(nominal_objective, nominal_series):
+    (inertia,) = [one for one in build_candidates(road_car(), nominal_series) if one.label == "yaw_inertia"]
+    # Half of the way to the nearer bound is what is asked for; a gap of any size is larger than that effect.
+    limits = inertia.ranges["scale"]
+    nearer = min((limits.lower, limits.upper), key=lambda end: abs(end - 1.0))
+    big = 1.0 + STANDARD.abstention.big_effect * (nearer - 1.0)
+    size = effect_to_noise_of_terms(nominal_objective, (inertia.build({"scale": big}),))
+    assert size > STANDARD.selection.plain
+
+    def said(scale: float | None = None) -> str:
+        known = [] if scale is None else [Detectable("yaw_inertia", {"scale": (scale, "1")})]
+        return hidden_effect(nominal_objective, [inertia], 2.0 * size, known)
+
+    assert "yaw inertia" in said()
+    # Named from half of that on, to either side, it cannot hide; named from twice that on, it can.
+    assert said(1.0 + 0.5 * (big - 1.0)) == said(1.0 - 0.5 * (big - 1.0)) == ""
+    assert "yaw inertia" in said(1.0 + 2.0 * (big - 1.0))
 
 
 def circles(noise: float, *, frozen: bool = False) -> Drive:

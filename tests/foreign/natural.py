@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.io import loadmat
 
 from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.logs.assemble import IngestSettings
@@ -27,6 +28,9 @@ MAPS = Path(__file__).parent / "maps"
 DART_CAR = MAPS / "dart_car.yaml"
 KTH_CAR = MAPS / "kth_car.yaml"
 _NO_THRUST_SPEED = 8.7  # [m/s] at which the motor would give no torque: least squares on the ramp on rubber
+AUTORALLY_CAR = MAPS / "autorally_car.yaml"
+_UNSOUND_YAW = 100.0  # [rad] no car on this track has turned so far
+_BEFORE_UNSOUND = 1500  # samples before that are left out
 _CREEP = 0.3  # [m/s] below which the DART car stands or starts
 
 
@@ -63,6 +67,28 @@ def kth_drive(datasets: Path, run: str, folder: Path, *, yaw_rate: str = "can") 
     return read_drive(path)
 
 
+def autorally_drive(datasets: Path, number: int, folder: Path) -> Drive:
+    """Return a run of the 1:5 car on dirt as a drive, its 1 kHz matrices thinned to 100 Hz."""
+    path = folder / f"autorally_{number}.parquet"
+    if not path.exists():
+        matrices = loadmat(datasets / "autorally" / f"mppi_states_controls{number}.mat")
+        states, inputs = matrices["states"], matrices["inputs"]
+        # One tail explodes: position leaves the track by more than the car can go.
+        sound = np.abs(states[5]) < _UNSOUND_YAW
+        end = len(sound) if sound.all() else int(np.argmin(sound)) - _BEFORE_UNSOUND
+        rows = np.column_stack([1e-3 * np.arange(states.shape[1]), states[[0, 1, 2, 5, 6, 7]].T, inputs.T])
+        table = folder / f"autorally_{number}.csv"
+        names = "t,v_x,v_y,r,yaw,X,Y,steering,throttle"
+        np.savetxt(table, rows[:end:10], delimiter=",", header=names, comments="", fmt="%.7g")
+        ingest_logs([table], path, maps=[MAPS / "autorally.yaml"], vehicle_path=AUTORALLY_CAR)
+    return read_drive(path)
+
+
+def _autorally_pair(datasets: Path, folder: Path) -> tuple[Drive, Drive]:
+    reference, other = split_in_blocks(autorally_drive(datasets, 6, folder), 5.0)
+    return other, reference
+
+
 @dataclass(frozen=True)
 class Experiment:
     """One pair, or one recording against the nominal model.
@@ -89,7 +115,7 @@ def _halves(name: str) -> Callable[[Path, Path], tuple[Drive, Drive]]:
     return pair
 
 
-RUBBER, TAPE = "rubber_steer03_ramp", "tape_tiles_steer03_ramp"
+RUBBER, TAPE, SLIPPERY = "rubber_steer03_ramp", "tape_tiles_steer03_ramp", "slippery_2025-04-16-17-36-01"
 EXPERIMENTS = {
     "tape-nominal": Experiment(
         "grip of tape over that of rubber, to which the nominal model is fitted: 0.43",
@@ -101,6 +127,22 @@ EXPERIMENTS = {
         lambda datasets, folder: (dart_drive(datasets, TAPE, folder), dart_drive(datasets, RUBBER, folder)),
         DART_CAR,
     ),
+    "rubber-tape": Experiment(
+        "the same the other way: tape is the simulation, grip of rubber over that of tape is 2.3",
+        lambda datasets, folder: (dart_drive(datasets, RUBBER, folder), dart_drive(datasets, TAPE, folder)),
+        DART_CAR,
+    ),
+    "slippery-nominal": Experiment(
+        "a third floor, pose at 20 Hz; lateral acceleration ends at 4.0 m/s^2, on rubber at 7.7: grip about 0.5",
+        lambda datasets, folder: (dart_drive(datasets, SLIPPERY, folder), None),
+        DART_CAR,
+    ),
+    "autorally-nominal": Experiment(
+        "drift on dirt: sideslip to 50 degrees, steering 0.2 s late, yaw rate 4 % below the turn of yaw",
+        lambda datasets, folder: (autorally_drive(datasets, 6, folder), None),
+        AUTORALLY_CAR,
+    ),
+    "autorally-halves": Experiment("nothing: one car, one track", _autorally_pair, AUTORALLY_CAR),
     "rubber-halves": Experiment("nothing: one floor, one car", _halves(RUBBER), DART_CAR),
     "tape-halves": Experiment("nothing: one floor, one car", _halves(TAPE), DART_CAR),
     "free-nominal": Experiment(

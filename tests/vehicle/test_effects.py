@@ -73,6 +73,8 @@ EXAMPLES = {
     ("velocity_bias", ""): {"angle": 0.02, "drift": 1e-3},
     ("velocity_bias", "step"): {"angle": 0.02, "step": 0.01, "at": 20.0},
     ("acceleration_bias", ""): {"ax": 0.2, "ay": -0.3},
+    ("acceleration_bias", "ax"): {"ax": 0.2},
+    ("acceleration_bias", "ay"): {"ay": -0.3},
     ("yaw_rate_bias", ""): {"r": 0.01},
     ("speed_scale", ""): {"scale": 1.03},
     ("yaw_rate_scale", ""): {"scale": 0.97},

@@ -16,9 +16,9 @@ from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Evidence", "gather_evidence", "graded_as", "rolling"]
+__all__ = ["ROW_SECONDS", "Evidence", "gather_evidence", "graded_as", "rolling"]
 
-_ROW_SECONDS = 0.04
+ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000
 
 
@@ -223,7 +223,7 @@ def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 def _row_groups(series: Series) -> tuple[np.ndarray, np.ndarray]:
     """Number the rows transitions are summed into; a remainder at a segment's end is left out."""
-    size = max(1, int(round(_ROW_SECONDS / series.period)))
+    size = max(1, int(round(ROW_SECONDS / series.period)))
     group = np.full(len(series) - 1, -1, dtype=np.int64)
     at, number = [], 0
     for begin, end in series.recording.segments:

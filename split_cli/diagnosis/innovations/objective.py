@@ -189,6 +189,11 @@ class MarginalLikelihood:
         moved = [self._kinematic_rows(one, terms) - self._kinematic_rows(one, without) for one in self.kinematics]
         return max((float(np.sqrt(np.mean(rows**2))) for rows in moved if len(rows)), default=0.0)
 
+    def witnesses_cost(self, residuals: np.ndarray) -> float:
+        """Return which part of a cost is that of what a recording knows twice; `residuals` has shape (R,)."""
+        own = residuals[len(residuals) - sum(len(one.begin) for one in self.kinematics) :]
+        return float(own @ own)
+
     def shift(self, terms: Sequence[Term]) -> np.ndarray:
         """Return how the shared discrepancy's rows change where terms alter inputs or sensors, shape (R,).
 

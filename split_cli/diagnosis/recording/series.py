@@ -88,17 +88,18 @@ class Series:
                 measured = smooth + noise if term.moves_samples else self._apply(term, measured)
         return measured, smooth
 
-    def accelerations(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
-        """Return recorded a_x and a_y [m/s^2], the sensors' faults among `terms` taken off, shape (N,) each.
+    def accelerations(self, terms: Sequence[Term]) -> dict[str, np.ndarray]:
+        """Return recorded ``ax`` and ``ay`` [m/s^2], the sensors' faults among `terms` taken off, shape (N,) each.
 
-        Samples without a number are filled by straight lines.
+        Samples without a number are filled by straight lines; a channel that was not recorded is left out.
         """
-        columns = {name: _filled(self.drive[name]) for name in ("ax", "ay")} | {"t": self.t}
+        names = [name for name in ("ax", "ay") if name in self.drive]
+        columns = {name: _filled(self.drive[name]) for name in names} | {"t": self.t}
         for term in terms:
             if term.corrects:
                 velocity = dict(zip(("vx", "vy", "r"), self.smooth.T, strict=True))
                 columns = term.correct({**velocity, **columns}, self.recording)
-        return columns["ax"], columns["ay"]
+        return {name: columns[name] for name in names}
 
     def _apply(self, term: Term, velocity: np.ndarray) -> np.ndarray:
         columns = dict(zip(("vx", "vy", "r"), velocity.T, strict=True))

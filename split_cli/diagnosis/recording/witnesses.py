@@ -25,7 +25,8 @@ from split_cli.vehicle.effects import Term
 
 __all__ = ["Witness", "build_witnesses", "habits_of", "is_witness_of_position"]
 
-_KINDS = ("turn", "way", "a_x", "a_y")
+_CHANNELS = {"a_x": "ax", "a_y": "ay"}
+_KINDS = ("turn", "way", *_CHANNELS)
 _WINDOW_SECONDS = 0.5
 _EDGE_SECONDS = 0.1
 _LEAST_WINDOWS = 12
@@ -91,9 +92,9 @@ class Witness:
             return angle[self.end] - angle[self.begin], self._integral(r), r
         if self.kind == "way":
             return self.position.along, self.position.ahead(terms), v_x
-        a_x, a_y = self.series.accelerations(terms)
+        felt = self.series.accelerations(terms)[_CHANNELS[self.kind]]
         # In a turn the velocities' own axes turn: a_x = v_x' - v_y r and a_y = v_y' + v_x r.
-        felt, changing, turning = (a_x, v_x, -v_y * r) if self.kind == "a_x" else (a_y, v_y, v_x * r)
+        changing, turning = (v_x, -v_y * r) if self.kind == "a_x" else (v_y, v_x * r)
         changing = quiet(changing, self.series.period)
         made = changing[self.end] - changing[self.begin] + self._integral(turning)
         return self._integral(felt), made, felt
@@ -154,7 +155,7 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None) -> 
             return None
         position = position.select(whole)
         return Witness(kind, series, position.begin, position.end, position, 1.0, np.zeros(3))
-    if not measures(series.drive, "ax", "ay"):
+    if not measures(series.drive, _CHANNELS[kind]):
         return None
     size, edge = (
         max(least, int(round(s / series.period))) for least, s in ((4, _WINDOW_SECONDS), (1, _EDGE_SECONDS))
@@ -165,9 +166,10 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None) -> 
         if end - first > size + 2 * edge
     ]
     begin = np.concatenate([*begins, np.zeros(0)]).astype(np.int64)
-    # Samples without a number were filled: windows that hold one witness nothing.
-    unknown = np.cumsum(~np.isfinite([series.drive["ax"], series.drive["ay"]]).all(axis=0))
-    begin = begin[unknown[begin + size + edge] == unknown[begin - edge]]
+    # Samples without a number were filled: windows that hold one, once all is made quiet, witness nothing.
+    unknown = np.cumsum(~np.isfinite(series.drive[_CHANNELS[kind]]))
+    last = np.minimum(begin + size + 2 * edge, len(unknown) - 1)
+    begin = begin[unknown[last] == unknown[np.maximum(begin - 2 * edge, 0)]]
     if len(begin) < _LEAST_WINDOWS:
         return None
     return Witness(kind, series, begin, begin + size, None, 1.0, np.zeros(3))

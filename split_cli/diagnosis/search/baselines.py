@@ -9,7 +9,8 @@ With a fixed baseline a term saves what it brings back to where the simulation h
 inputs or sensors do that. Where model-form error is large, only this second search names them, unless the first is
 beyond doubt. A name that the second search confirms keeps the values of the first, since the discrepancy's error
 off its path would go into the second ones. Other terms are named with a fixed baseline only where the first search
-had chosen them, too small to name.
+had chosen them, too small to name. What the first names in doubt gives way to a fault that the second brings back:
+a steering offset, free to be taken by the discrepancy, leaves what looks like a road that leans all along.
 """
 
 from __future__ import annotations
@@ -68,7 +69,8 @@ def search(
 ) -> SearchOutcome:
     """Search with a marginalised baseline; and with a fixed one where the first leaves doubt.
 
-    The first leaves doubt where model-form error is large, what is named alters inputs, and no name is sure.
+    The first leaves doubt where model-form error is large and no name is sure. What it names without altering
+    inputs stays, unless a fixed baseline finds a fault of commands or sensors in its place.
 
     Parameters
     ----------
@@ -90,7 +92,7 @@ def search(
     outcome = _search(objective, rows, candidates, known)
     altering = [alters_inputs(term) for term in outcome.selection.terms]
     sure = bool(altering) and outcome.selection.first_p < policy.selection.sure_level
-    if known.ratio <= policy.selection.much_form_error or sure or (altering and not any(altering)):
+    if known.ratio <= policy.selection.much_form_error or sure:
         return outcome
     progress("naming with a fixed baseline")
     known = _known(case, candidates, reach, policy, fixed_baseline=True)
@@ -101,10 +103,10 @@ def search(
     fixed = replace(objective.with_fixed_baseline(), policy=alone)
     again = _search(fixed, rows, wide, known)
     kept = outcome
-    if _brings_back(again.selection, outcome.selection, policy.selection):
+    if _brings_back(again, outcome.selection, policy.selection):
         confirmed = bool(altering) and _ids(outcome.selection) <= _ids(again.selection)
         kept = outcome if confirmed else again
-    elif altering:
+    elif any(altering):
         kept = replace(outcome, selection=_without_names(outcome.selection))
     return replace(kept, objectives=(outcome.structure.objective, again.structure.objective))
 
@@ -117,15 +119,20 @@ def _alters(candidate: Candidate) -> bool:
     return bool(candidate.starts) and alters_inputs(candidate.build(candidate.starts[0]))
 
 
-def _brings_back(selection: Selection, marginalised: Selection, rules: SelectionRules) -> bool:
+def _brings_back(again: SearchOutcome, marginalised: Selection, rules: SelectionRules) -> bool:
     """Return whether what a fixed baseline names saves a fair share of the cost, and all of it is believed.
 
     That is what alters inputs or sensors, and beyond doubt what the search with a marginalised baseline chose
     too, if only to keep it as a nuisance: a function that is wrong off its path looks like physics with a fixed
-    baseline alone.
+    baseline alone. Of a sensor's fault the share may be that of what its witnesses contradict: physics that a
+    single track lacks moves none of them.
     """
+    selection, objective = again.selection, again.structure.objective
     saved = selection.base.cost - selection.chosen.cost
     fair = saved > rules.fixed_share * selection.base.cost
+    if selection.terms and all(term.corrects for term in selection.terms):
+        before, after = (objective.witnesses_cost(fit.residuals) for fit in (selection.base, selection.chosen))
+        fair = fair or before - after > rules.fixed_share * before
     chosen = {part.candidate.term for part in marginalised.chosen.parts if selection.first_p < rules.sure_level}
     return bool(selection.terms) and fair and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
 

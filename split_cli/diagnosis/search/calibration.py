@@ -15,7 +15,7 @@ import numpy as np
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.comparable import comparable
-from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.innovations.evidence import ROW_SECONDS, Evidence
 from split_cli.diagnosis.innovations.objective import (
     DiscrepancyPosterior,
     MarginalLikelihood,
@@ -36,6 +36,8 @@ __all__ = ["SelfTest", "self_test"]
 
 _BINS = 40
 _WAVES = 12
+_LEAST_BLOCKS = 8
+_LONGEST_BLOCK = 10.0  # [s], as `split prove recording` deals real recordings
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,7 @@ def self_test(
     sides = _Sides(
         tuple(graded), positions, rows, discrepancy, variance_inflation, reach, posterior is not None, policy
     )
-    first = _first_half(graded)
+    first = _every_other_block(graded)
     halves = [[mask ^ turned for mask in first] for turned in (False, True)]
     tests = together(lambda teaching: _test_half(sides, teaching, offers), halves)
     tests = [test for test in tests if test is not None]
@@ -158,12 +160,20 @@ def self_test(
     )
 
 
-def _first_half(graded: Sequence[Evidence]) -> list[np.ndarray]:
-    total, before, halves = sum(len(one.at) for one in graded), 0, []
-    for one in graded:
-        halves.append(before + np.arange(len(one.at)) < total / 2)
-        before += len(one.at)
-    return halves
+def _every_other_block(graded: Sequence[Evidence]) -> list[np.ndarray]:
+    """Return the rows in every other block of driving time, of each recording, shape (G,).
+
+    Halves in blocks cover the same ground, as the two drives of a comparison do where rows are compared: the first
+    and the second half of a ramp of speed do not. Blocks are as long as leaves eight of them, and no longer than
+    the longest: within a block, rows depend on each other.
+    """
+    total = sum(len(one.at) for one in graded)
+    length = int(np.clip(total // _LEAST_BLOCKS, 1, round(_LONGEST_BLOCK / ROW_SECONDS)))
+    first = np.cumsum([0, *(len(one.at) for one in graded)])
+    return [
+        (before + np.arange(len(one.at))) // length % 2 == 0
+        for before, one in zip(first, graded, strict=False)
+    ]
 
 
 @dataclass(frozen=True)
@@ -182,7 +192,7 @@ def _offers(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> l
     def offered(candidate: Candidate) -> list[_Offer]:
         if candidate.located:
             whole, _ = candidate.everywhere()
-            return [_Offer(candidate.term, (objective.left_by((whole,)) - base)[:, None], candidate.located)]
+            return [_Offer(candidate.effect, (objective.left_by((whole,)) - base)[:, None], candidate.located)]
         neutral = {name: CATALOGUE[candidate.term].neutral.get(name) for name in candidate.ranges}
         out = []
         for start in candidate.starts:
@@ -195,7 +205,7 @@ def _offers(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> l
                 - base
                 for name in sizes
             ]
-            out.append(_Offer(candidate.term, np.stack(columns, axis=1), ""))
+            out.append(_Offer(candidate.effect, np.stack(columns, axis=1), ""))
         return out
 
     return [offer for several in together(offered, candidates) for offer in several]

@@ -84,6 +84,13 @@ class Candidate:
 
         return any(ends(name, limit) for name, limit in self.ranges.items() if neutral.get(name) is not None)
 
+    def is_another(self, values: Mapping[str, float]) -> bool:
+        """Return whether a value lies where the term is another one, which has a name of its own."""
+        return any(
+            limit.ends_as_another and values[name] <= limit.lower + _NEAR * limit.step
+            for name, limit in self.ranges.items()
+        )
+
     def unlimited(self) -> Candidate:
         """Return the candidate free to go beyond what a real car has, to tell what it would need."""
         neutral = CATALOGUE[self.term].neutral
@@ -99,6 +106,12 @@ class Candidate:
         kind = CATALOGUE[self.term]
         place = frozenset({"position"} if self.located else ())
         return kind.needs | kind.variant_needs.get(self.variant, frozenset()) | place
+
+    @property
+    def effect(self) -> str:
+        """Name of what acts: variants with parameters of their own (another channel is late) are other effects."""
+        own = self.variant in CATALOGUE[self.term].variant_units and not self.located
+        return self.label if own else self.term
 
     @property
     def label(self) -> str:

@@ -148,7 +148,9 @@ class Explorer:
         return together(lambda part: fit_parts(self.objective, (*others, part)), parts)
 
     def _is_everywhere(self, part: Part) -> bool:
-        """Return whether a stretch covers so much of the track that it is none."""
+        """Return whether a stretch covers so much of the track that it is none, or a term is another one."""
+        if part.candidate.is_another(part.values):
+            return True
         if "s_start" not in part.values:
             return False
         reach = part.candidate.ranges["s_end"].upper

@@ -98,9 +98,8 @@ def identifiable(
         lacking.add("position")
     if not all(measures(drive, "X", "Y", "yaw") for drive in drives):
         lacking.add("measured position")
-    if not all(measures(drive, "ax", "ay") for drive in drives):
-        lacking.add("accelerations")
-    if {"measured position", "accelerations"} <= lacking:
+    lacking |= {name for name in ("ax", "ay") if not all(measures(drive, name) for drive in drives)}
+    if {"measured position", "ay"} <= lacking:
         lacking.add("witness")
     if any(map(velocity_is_from_position, drives)):
         lacking.add("measured velocities")

@@ -523,7 +523,7 @@ def p_of_effect(
     """
     floor = max(
         objective.policy.allowances.term_floor * objective.shared_cost,
-        objective.term_floors.get(candidate.term, 0.0),
+        objective.term_floors.get(candidate.effect, 0.0),
     )
 
     def p_value(freedom: float, widened: float, spared: float) -> float:

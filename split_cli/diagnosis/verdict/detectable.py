@@ -19,6 +19,7 @@ __all__ = ["smallest_named"]
 
 _ROUNDS = 3  # an effect of twice the size saves nearly four times as much, and what is left of that is learned
 _FURTHEST = 1e4
+_BY_CHANCE = 2.0  # standard errors: a projection of noise on what an effect moves is mostly less
 # Steps after which what alters inputs, and what does not, is as told.
 _NEAR, _PROPORTIONAL = np.log(1.2), np.log(4.0)
 
@@ -44,7 +45,8 @@ def smallest_named(
 
     Notes
     -----
-    Were an effect there, its term would save the squared length of what it moves in the whitened rows. Its size is
+    Were an effect there, its term would save the squared length of what it moves in the whitened rows, less what
+    the difference that is there already may take off: nobody knows the sign of an effect beforehand. Its size is
     searched where the test that is asked of every name is passed just so. Chance makes it pass a little earlier or
     later; what looks the same may be named in its stead.
     """
@@ -91,13 +93,16 @@ def _smallest(
     for _ in range(_ROUNDS):
         term = candidate.build(values)
         moved = objective.whiten(objective.residual((term,)) - objective.shift((term,))) - bare.residuals
-        saved, size = float(moved @ moved), over_allowance(objective, (term,), ())
+        length, size = float(np.sqrt(moved @ moved)), over_allowance(objective, (term,), ())
+        # What is there already may point the other way, and has to be made up for first.
+        against = abs(float(moved @ bare.residuals)) / max(length, 1e-300)
+        against = max(against - _BY_CHANCE * np.sqrt(variance_inflation), 0.0)
 
-        def passes(log: float, saved=saved, size=size) -> float:
-            return excess(np.exp(log) * size, np.exp(2.0 * log) * saved)
+        def passes(log: float, length=length, size=size, against=against) -> float:
+            return excess(np.exp(log) * size, max(np.exp(log) * length - against, 1e-6) ** 2)
 
         far = np.log(_FURTHEST)
-        if not saved > 0.0 or passes(far) < 0.0:
+        if not length > 0.0 or passes(far) < 0.0:
             inside = False
             break
         log = -far if passes(-far) > 0.0 else brentq(passes, -far, far, xtol=0.01)

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.selection import effect_to_noise_of_terms
+from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.statement.wording import number, term_name
 from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = ["hidden_effect"]
 
 
-def hidden_effect(objective: MarginalLikelihood, candidates: Sequence[Candidate], gap_to_noise: float) -> str:
+def hidden_effect(
+    objective: MarginalLikelihood,
+    candidates: Sequence[Candidate],
+    gap_to_noise: float,
+    detectable: Sequence[Detectable] = (),
+) -> str:
     """Return why no match can be said, in words; empty where a big effect would have been seen.
 
     Parameters
@@ -23,18 +29,24 @@ def hidden_effect(objective: MarginalLikelihood, candidates: Sequence[Candidate]
         That these recordings can tell.
     gap_to_noise : float
         Effect-to-noise ratio of all that differs between simulation and reality.
+    detectable : sequence of Detectable
+        From which size on each term would have been named.
 
     Notes
     -----
     Simulation and reality may differ by no more than halves of the simulation do, and yet by as much as a big
     effect makes: then silence is no match. An effect is big when it is a fair share of what a car can have; it
-    counts when it is larger than the noise on these drives.
+    counts when it is larger than the noise on these drives. What differs has a shape of its own: an effect of
+    another shape is told from it, and hides only where even this size of it would not have been named.
     """
+    smallest = {one.term: one.parameters for one in detectable}
     plain = objective.policy.selection.plain
     if gap_to_noise <= plain:
         return ""
     for one in candidates:
         for name, value, values in _big(one, objective.policy.abstention.big_effect):
+            if _would_be_named(one, name, value, smallest.get(one.term, {})):
+                continue
             if plain < effect_to_noise_of_terms(objective, (one.build(values),)) <= gap_to_noise:
                 return (
                     f"Simulation and reality differ by {number(gap_to_noise, 2)} times sensor noise in a step, "
@@ -43,6 +55,14 @@ def hidden_effect(objective: MarginalLikelihood, candidates: Sequence[Candidate]
                     "calibrate the vehicle file (split calibrate)."
                 )
     return ""
+
+
+def _would_be_named(
+    one: Candidate, name: str, value: float, smallest: Mapping[str, tuple[float | None, str]]
+) -> bool:
+    """Return whether a value of a term's parameter lies beyond that from which on the term is named."""
+    neutral, (least, _) = CATALOGUE[one.term].neutral[name], smallest.get(name, (None, ""))
+    return least is not None and abs(least - neutral) <= abs(value - neutral)
 
 
 def _big(one: Candidate, share: float) -> list[tuple[str, float, dict[str, float]]]:

@@ -116,14 +116,17 @@ class AccelerationBias(_Instrument):
     """Accelerometers off zero: recorded a_x + ax, a_y + ay.
 
     A mounting that is tilted by an angle measures g times it; so does a road that leans, which also moves the car.
-    Source: definition of specific force. Witness: the recorded velocities, whose rates are a_x = v_x' - v_y r and
+    Variants ``ax`` and ``ay`` have one of them, also where only one was recorded. Source: definition of specific
+    force. Witness: the recorded velocities, whose rates are a_x = v_x' - v_y r and
     a_y = v_y' + v_x r.
     """
 
     id = "acceleration_bias"
     units: ClassVar = {"ax": "m/s^2", "ay": "m/s^2"}
+    variants: ClassVar = ("", "ax", "ay")
+    variant_units: ClassVar = {name: {name: "m/s^2"} for name in ("ax", "ay")}
     neutral: ClassVar = {"ax": 0.0, "ay": 0.0}
-    needs: ClassVar = frozenset({"accelerations"})
+    variant_needs: ClassVar = {"": frozenset({"ax", "ay"}), "ax": frozenset({"ax"}), "ay": frozenset({"ay"})}
     mimics: ClassVar = (
         Mimic("road_grade", "the road climbs all along", "the way back"),
         Mimic("road_bank", "the road leans all along", "the way back: a road moves the car, a sensor does not"),
@@ -133,17 +136,19 @@ class AccelerationBias(_Instrument):
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
         limits = Range(-2.0, 2.0, 0.01, _TILTED)
-        return Search({"ax": limits, "ay": limits}, ({"ax": 0.05, "ay": 0.05},))
+        names = cls.parameter_units(variant)
+        return Search(dict.fromkeys(names, limits), (dict.fromkeys(names, 0.05),))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
-        along = amount(p["ax"], more="too much", less="too little")
-        across = amount(p["ay"], more="too much", less="too little")
-        return f"the accelerometers read {along} ahead and {across} to the left"
+        words = {"ax": "ahead", "ay": "to the left"}
+        sizes = {name: amount(p[name], more="too much", less="too little") for name in words if name in p}
+        read = [f"{size} {words[name]}" for name, size in sizes.items()]
+        return f"the accelerometers read {' and '.join(read)}"
 
     def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
-        biased = {name: columns[name] + sign * self.parameters[name] for name in ("ax", "ay") if name in columns}
+        biased = {name: columns[name] + sign * bias for name, bias in self.parameters.items() if name in columns}
         return {**columns, **biased}
 
 
@@ -230,10 +235,9 @@ class ChannelDelay(_Instrument):
     """One channel late against the others: its variant names it, the recorded one is that of `delay` before.
 
     Variant ``velocity`` has v_x and v_y late, as a satellite receiver makes them. The signal is late; noise stays
-    where it is. Source: a transport delay. Witnesses: yaw for r, position for the velocities, the velocities for
-    accelerations, and accelerations for the velocities: a_x = v_x' - v_y r and a_y = v_y' + v_x r hold in every car.
-    Velocities that were derived from position are late against nothing. All channels late together are
-    `sensor_delay`.
+    where it is. Source: a transport delay. Witnesses: yaw for r, position for the velocities, and accelerations
+    for either, since a_x = v_x' - v_y r and a_y = v_y' + v_x r hold in every car. Velocities that were derived
+    from position are late against nothing. All channels late together are `sensor_delay`.
     """
 
     id = "channel_delay"
@@ -245,7 +249,7 @@ class ChannelDelay(_Instrument):
     neutral: ClassVar = {"r": 0.0, "vx": 0.0, "vy": 0.0, "ax": 0.0, "ay": 0.0}
     variant_needs: ClassVar = {
         **{name: frozenset({"witness", "measured velocities"}) for name in ("r", "vx", "vy", "velocity")},
-        **{name: frozenset({"accelerations"}) for name in ("ax", "ay")},
+        **{name: frozenset({name}) for name in ("ax", "ay")},
     }
     moves_samples = True
     mimics: ClassVar = (

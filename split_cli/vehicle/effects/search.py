@@ -27,6 +27,8 @@ class Range:
         Why no real car lies beyond: a text, a standard, or a judgement, said so.
     ends_at_none : bool
         Whether the lower bound is where all there is has been taken off, so that a value there is sound.
+    ends_as_another : bool
+        Whether the term is another one at the lower bound, so that a value there is no explanation of its own.
     """
 
     lower: float
@@ -34,6 +36,7 @@ class Range:
     step: float
     source: str = ""
     ends_at_none: bool = False
+    ends_as_another: bool = False
 
     def times(self, size: float) -> Range:
         """Return the range in another unit."""

@@ -71,7 +71,10 @@ class SensorMisalignment(Term):
     neutral: ClassVar = {"angle": 0.0}
     family = "measurement"
     exported = False
-    mimics: ClassVar = (Mimic("road_bank+steer_offset", "constant speed, without position", "position and yaw"),)
+    mimics: ClassVar = (
+        Mimic("velocity_bias", "an angle that neither drifts nor steps: the same recording", exact=True),
+        Mimic("road_bank+steer_offset", "constant speed, without position", "position and yaw"),
+    )
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
