@@ -158,6 +158,8 @@ def read_concepts(words: list[str]) -> tuple[str, int] | None:
     if found is None:
         return None
     channel, weight = found
+    if channel == "vx" and weight == 1 and {"n", "e", "d", "u"} & set(words):
+        return None  # along north, east, down or up
     inputs = ("delta", "steering_wheel_angle", "T", "wheel_torque", "throttle", "brake", "brake_pressure")
     if "command" in concepts and channel not in inputs:
         return None
@@ -202,7 +204,7 @@ def _velocity(c: set[str]) -> tuple[str, int] | None:
         return "vx", 3
     if "lat" in c:
         return "vy", 3
-    return ("vx", 1) if "velocity" in c else None
+    return ("vx", 1) if "velocity" in c and "world" not in c else None
 
 
 def _input(c: set[str]) -> tuple[str, int] | None:

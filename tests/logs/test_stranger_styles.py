@@ -302,7 +302,7 @@ def compare_mapped(draft, recording, planted: PlantedDrive, style: Style) -> Non
         ("Driver.Steer.Ang", "steering_wheel_angle"), ("Steer_L1", "delta"), ("steering_tire_angle", "delta"),
         ("Gaspedalstellung", "throttle"), ("vel_x_world", None), ("YawRateStdDev", None), ("engine torque", None),
         ("steering torque", None), ("roll rate", None), ("pose.orientation.w", None), ("yaw rate error", None),
-        ("target speed", None), ("steering wheel speed", None), ("vertical velocity", None), ("yaw acceleration", None),
+        ("vN", None), ("v_east", None), ("target speed", None), ("steering wheel speed", None), ("vertical velocity", None), ("yaw acceleration", None),
     ],
 )
 def test_the_words_of_a_name_decide_together(name, expected):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ __all__ = ["open_mat", "open_mat_hdf5"]
 _DEEPEST = 8
 _MOST_COLUMNS = 64
 _TIME_NAMES = ("time", "Time", "t", "tout")
+_TIME_FIELD = re.compile(r"(?:t|time|timestamps?|stamp|tout)(?:_?(s|sec|ms|us|ns))?", re.IGNORECASE)
 _VALUE_NAMES = ("signals.values", "values", "data", "Data")
 
 
@@ -122,8 +124,8 @@ def _recording(path: Path, leaves: list[tuple[str, np.ndarray]]) -> RawRecording
 
 
 def _own_clocks(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the time of each array of values that stands in a structure beside one (Simulink)."""
-    clocks: dict[str, np.ndarray] = {}
+    """Return the time of each array that stands in a structure beside one: of Simulink, or of a sensor."""
+    clocks = _clocks_of_structures(arrays)
     for name in arrays:
         for ending in _VALUE_NAMES:
             if not name.endswith("." + ending):
@@ -132,6 +134,26 @@ def _own_clocks(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
             beside = next((arrays[structure + t] for t in _TIME_NAMES if structure + t in arrays), None)
             if beside is not None:
                 clocks[name] = np.asarray(beside, dtype=np.float64).ravel()
+    return clocks
+
+
+def _clocks_of_structures(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return for each vector of a structure (``imu.r``) the structure's rising vector of time (``imu.t``)."""
+    times: dict[str, np.ndarray] = {}
+    for name, values in arrays.items():
+        structure, _, field = name.rpartition(".")
+        match = _TIME_FIELD.fullmatch(field)
+        if not structure or match is None or structure in times or min(values.shape, default=0) != 1:
+            continue
+        time = np.asarray(values, dtype=np.float64).ravel()
+        step = np.diff(time[np.isfinite(time)])
+        if len(step) and np.mean(step > 0) > 0.95:
+            times[structure] = time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(match[1] or "", 1.0)
+    clocks = {}
+    for name, values in arrays.items():
+        time = times.get(name.rpartition(".")[0])
+        if time is not None and len(time) in values.shape:
+            clocks[name] = time
     return clocks
 
 
