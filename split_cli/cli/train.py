@@ -38,7 +38,7 @@ class TimeSpan(click.ParamType):
 
 
 @click.command("train")
-@click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE|FOLDER...")
+@click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE|LABELS|FOLDER...")
 @vehicle_option()
 @output_option("Trained set to write (NAME.split).")
 @click.option("--append", is_flag=True, help="Continue the set that -o names, with its own settings.")
@@ -80,6 +80,9 @@ class TimeSpan(click.ParamType):
 @json_option
 def command(drives, vehicle_path, output, append, per_lap, as_json, **settings) -> None:
     """Learn what the nominal model gets wrong, cell by cell, into a trained set.
+
+    Each drive is labelled once. Files that `split label` wrote for this vehicle spare the labelling of their
+    drives; labels alone train without the recording, with a --trust that is given, since none can be found.
 
     Drives are learned in the order given; with the same hyperparameters and trust one run and several appended
     ones give the same file, bit for bit. Printed are, a drive and in total, samples by what became of them,

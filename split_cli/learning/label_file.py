@@ -18,7 +18,7 @@ from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Region
 
-__all__ = ["label_columns", "read_labels", "write_labels"]
+__all__ = ["drive_of_labels", "label_columns", "read_labels", "write_labels"]
 
 LABELS_FORMAT = "split-labels/1"
 
@@ -41,6 +41,7 @@ def write_labels(labels: Labels, path: str | Path) -> None:
         "plain": labels.plain,
         "start_time": labels.start_time,
         "duration": labels.duration,
+        "samples": len(labels),
     }
     metadata = {b"split": json.dumps(stored, sort_keys=True).encode()}
     with atomic_path(path) as temporary:
@@ -62,13 +63,23 @@ def label_columns(labels: Labels) -> dict[str, pa.Array]:
     }
 
 
+def drive_of_labels(path: str | Path) -> str | None:
+    """Return the SHA-256 of the drive that a label file is of; None of any other file."""
+    try:
+        stored = json.loads((pa.parquet.read_schema(path).metadata or {})[b"split"])
+        return str(stored["sha256"]) if str(stored["format"]).startswith("split-labels/") else None
+    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError):
+        return None
+
+
 def read_labels(path: str | Path) -> Labels:
     """Read labels that `write_labels` wrote.
 
     Raises
     ------
     DriveError
-        If the file is missing, damaged, or no label file of this version.
+        If the file is missing, damaged, no label file of this version, or not whole: rows are lacking, are out of
+        order, or are accepted without being finite.
     """
     where = str(path)
     advice = "Labels are the Parquet that `split label` writes."
@@ -81,9 +92,25 @@ def read_labels(path: str | Path) -> Labels:
             raise DriveError(
                 f"is of format {stored['format']!r}, {LABELS_FORMAT!r} was expected", where=where, advice=advice
             )
-        return _labels_from_table(table, stored)
+        labels = _labels_from_table(table, stored)
     except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
         raise DriveError(f"cannot be read as labels ({error})", where=where, advice=advice) from error
+    fault = _fault(labels, stored.get("samples", len(labels)))
+    if fault:
+        raise DriveError(f"is not whole: {fault}", where=where, advice="Write it again with `split label`.")
+    return labels
+
+
+def _fault(labels: Labels, samples: int) -> str:
+    """Return what contradicts itself in labels that were read, in words; empty where nothing does."""
+    if samples != len(labels):
+        return f"{len(labels)} rows, {samples} were written"
+    used = labels.accepted
+    unfinished = used & ~(np.isfinite(labels.z).all(axis=1) & np.isfinite(labels.y).all(axis=1))
+    if unfinished.any():
+        return f"row {int(np.argmax(unfinished))} is accepted and not finite"
+    disorder = np.diff(labels.row, prepend=-1) <= 0
+    return f"row {int(np.argmax(disorder))} is out of order" if disorder.any() else ""
 
 
 def _labels_from_table(table: pa.Table, stored: Mapping) -> Labels:

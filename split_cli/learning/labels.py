@@ -124,6 +124,15 @@ class Labels:
         last = np.minimum(self.row + self.window + 1, len(rows))
         return self.take(blocked[last] == blocked[self.row])
 
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays [bytes]."""
+        return sum(getattr(self, name).nbytes for name in ("t", "row", "segment", "z", "y", "reason"))
+
+    def without_grid(self) -> Labels:
+        """Return the labels with those that lay outside another grid accepted again."""
+        return replace(self, reason=np.where(self.reason == Reason.GRID, np.int8(Reason.ACCEPTED), self.reason))
+
     def inside(self, grid: Grid) -> Labels:
         """Return the labels with accepted samples outside the grid marked as such."""
         outside = self.accepted & ~grid.index(self.z)[1]

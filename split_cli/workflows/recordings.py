@@ -1,4 +1,4 @@
-"""Recordings as a corrected vehicle file asks for them: sensors' faults taken off, places told."""
+"""Recordings as a corrected vehicle file asks for them: sensors' faults taken off, places counted."""
 
 from __future__ import annotations
 
@@ -26,12 +26,17 @@ class RecordingCorrection:
     Parameters
     ----------
     vehicle : Vehicle
+
+    Attributes
+    ----------
+    counts_places : bool
+        Whether the vehicle has effects of place, so that the first drive decides where s begins.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
         terms = build_terms(vehicle)
         self._sensors = [term for term in terms if term.corrects]
-        self._places = any({"s_start", "wavelength"} & set(term.parameters) for term in terms)
+        self.counts_places = any({"s_start", "wavelength"} & set(term.parameters) for term in terms)
         self._wheelbase = vehicle.wheelbase
         self._first: tuple[str, str] | None = None
         self._reference: TrackReference | None = None
@@ -43,9 +48,9 @@ class RecordingCorrection:
         return tuple(self._told)
 
     def __call__(self, drive: Drive) -> Drive:
-        """Return a drive corrected; the first one given is where s is told along."""
+        """Return a drive corrected; the first one given is that which s counts along."""
         columns = dict(drive.columns)
-        if self._places and "s" not in drive:
+        if self.counts_places and "s" not in drive:
             # A drive may be read several times: the first is known by what it is, not by when it comes.
             key = drive.name, drive.sha256
             if self._first is None:

@@ -4,43 +4,31 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from split_cli.errors import SetError
-from split_cli.files import exclusive_access, refuse_overwriting_inputs, sha256_of_file
-from split_cli.learning.cells import DEFAULT_CAPACITY, DEFAULT_THRESHOLD, empty_set, extend, warm_up
+from split_cli.files import exclusive_access, refuse_overwriting_inputs
+from split_cli.learning.cells import extend, warm_up
 from split_cli.learning.features import parse_features
-from split_cli.learning.hyperparameters import (
-    FEWEST_TO_FIT,
-    KernelFit,
-    default_kernel,
-    fit_kernel,
-    longest_scale,
-    scatter_variance,
-)
-from split_cli.learning.iol import DEFAULT_DICTIONARY, LEARNER, empty_dictionary, extend_dictionary
+from split_cli.learning.hyperparameters import KernelFit
+from split_cli.learning.iol import LEARNER, extend_dictionary
 from split_cli.learning.kernel import Kernel
-from split_cli.learning.kernel_file import read_kernel
-from split_cli.learning.labels import DEFAULT_HORIZON, Labels, compute_labels
-from split_cli.learning.region import Grid, Region, build_grid
+from split_cli.learning.labels import DEFAULT_HORIZON
+from split_cli.learning.region import Region
 from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
 from split_cli.learning.trust import Trust
-from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.logs.quality import stored_faults
-from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
-from split_cli.scoring.hints import late_inputs
-from split_cli.scoring.trust import estimate_trust
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
-from split_cli.workflows.label import drive_notes
+from split_cli.workflows.labelled_drives import LabelledDrives, Labelling, drive_digest
 from split_cli.workflows.laps import LapRow, lap_rows
-from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
+from split_cli.workflows.new_set import create_set
 from split_cli.workflows.sources import DRIVE_SUFFIXES, find_sources
 
-__all__ = ["TrainResult", "TrainRow", "TrainSettings", "parse_trust", "train_set", "trust_notes"]
+__all__ = ["TrainResult", "TrainRow", "TrainSettings", "train_set"]
 
 
 @dataclass(frozen=True)
@@ -178,8 +166,9 @@ def train_set(
     Parameters
     ----------
     drive_paths : sequence of path
-        Drives; folders, globs and addresses as `find_sources` takes them. Of a folder that is appended, only the
-        drives that the set has not learned.
+        Drives, and files of labels that `split label` wrote; folders, globs and addresses as `find_sources` takes
+        them. Labels of a drive that is given too spare its labelling; labels alone train without their drive. Of
+        a folder that is appended, only the drives that the set has not learned.
     vehicle_path : path
     output : path
         The set; with `append` it must exist and is continued.
@@ -227,7 +216,7 @@ def _not_learned(paths: Sequence[Path], known: TrainingSet) -> list[Path]:
         If there is none: the set would stay as it is.
     """
     learned = {source.sha256 for source in known.sources}
-    new = [path for path in paths if sha256_of_file(path) not in learned]
+    new = [path for path in paths if drive_digest(path) not in learned]
     if not new:
         raise SetError(f"all {len(paths)} drives were learned before; the set is as it was")
     return new
@@ -248,23 +237,35 @@ def _train_set(
     known = read_set(output) if append else None
     if known is not None:
         _check_continues(known, vehicle, settings, str(output))
-    run = _Run(tuple(Path(path) for path in drive_paths), vehicle, settings, rows, known, say)
+    drives = LabelledDrives(
+        [Path(path) for path in drive_paths],
+        _labelling(vehicle, settings, known),
+        rows,
+        {source.sha256: source.name for source in known.sources} if known else {},
+        say,
+    )
+    if per_lap and drives.without_recording():
+        raise SetError(f"{drives.without_recording()[0]} holds labels only: laps need the drive")
     warm_up()
-    begin_set, fit = (known, None) if known is not None else run.create()
-    trained, seconds, table, laps = begin_set, 0.0, [], []
-    for labels, labelling in run.labels():
+    trained, fit = (known, None) if known is not None else _create(drives, settings)
+    seconds, table, laps = 0.0, [], []
+    for number in range(len(drives)):
+        drive = drives.drive(number)
+        labels = drives.labels(number, drive)
+        drives.remark(labels, drive)
         say(f"learning {labels.drive}")
-        if per_lap and trained.learner != LEARNER:
-            laps += lap_rows(run.drive(len(table)), labels, trained)
+        if per_lap and drive is not None and trained.learner != LEARNER:
+            laps += lap_rows(drive, labels, trained)
         start = time.perf_counter()
         if trained.learner == LEARNER:
             trained = extend_dictionary(trained, [labels])
         else:
             trained = extend(trained, [labels], batch=batch)
-        if run.faults:
-            last = replace(trained.sources[-1], faults=run.faults)
+        faults = stored_faults(drive.metadata.quality) if drive is not None else ()
+        if faults:
+            last = replace(trained.sources[-1], faults=faults)
             trained = replace(trained, sources=(*trained.sources[:-1], last))
-        spent = labelling + time.perf_counter() - start
+        spent = drives.seconds(number) + time.perf_counter() - start
         seconds += spent
         table.append(_row(trained, [trained.sources[-1]], labels.drive, spent))
     write_set(trained, output)
@@ -273,194 +274,40 @@ def _train_set(
     horizons = tuple(source.horizon for source in trained.sources[-len(table) :])
     return TrainResult(
         str(output), tuple(table), total, horizons, trained.kernel, fit, trained.trust,
-        (*run.notes, *run.correct.notes), tuple(laps),
+        drives.notes, tuple(laps),
     )  # fmt: skip
 
 
-class _Run:
-    """The drives of one run, read and labelled one at a time so that memory holds one."""
-
-    def __init__(
-        self,
-        paths: tuple[Path, ...],
-        vehicle: Vehicle,
-        settings: TrainSettings,
-        rows: Sequence[np.ndarray] | None,
-        known: TrainingSet | None,
-        say: Callable[[str], None],
-    ) -> None:
-        self.paths, self.vehicle, self.settings, self.rows, self.say = paths, vehicle, settings, rows, say
-        if known is not None:
-            self.features, self.region, self.plain = known.features, known.region, known.plain
-            self.horizon = known.horizon if settings.horizon is None else settings.horizon
-        else:
-            self.features = parse_features("z2" if settings.features is None else settings.features)
-            self.region, self.plain = Region.of(vehicle), settings.plain
-            self.horizon = DEFAULT_HORIZON if settings.horizon is None else settings.horizon
-        self.seen = {source.sha256: source.name for source in known.sources} if known else {}
-        self.notes: list[str] = []
-        self.faults: tuple[str, ...] = ()
-        self.checked: set[int] = set()
-        self.correct = RecordingCorrection(vehicle)
-
-    def labels(self) -> Iterator[tuple[Labels, float]]:
-        """Yield the labels of each drive and the seconds that labelling took."""
-        for position in range(len(self.paths)):
-            drive = self.drive(position)
-            self._take_notes(drive)
-            start = time.perf_counter()
-            labels = self._label(drive, position)
-            spent = time.perf_counter() - start
-            self.notes += late_inputs(drive, labels, self.vehicle)
-            yield labels, spent
-
-    def create(self) -> tuple[TrainingSet, KernelFit | None]:
-        """Return an empty set: its grid from the first drive with valid samples, its kernel as asked for."""
-        settings = self.settings
-        asked = settings.hyperparameters or "fit"
-        first = self._first_valid()
-        valid = first.accepted
-        grid = build_grid(self.features, self.vehicle, self.region, first.z[valid])
-        kernel, fit = default_kernel(grid, first.y[valid], scatter_variance(first)), None
-        if asked == "fit":
-            fit = self._fit(grid, kernel)
-            kernel = kernel if fit is None else fit.kernel
-        elif asked != "default":
-            kernel = read_kernel(asked, self.features)
-        dictionary = settings.learner == LEARNER
-        empty = empty_set(
-            self.vehicle,
-            self.features,
-            self.region,
-            grid,
-            kernel,
-            horizon=self.horizon,
-            capacity=DEFAULT_CAPACITY if settings.capacity is None or dictionary else settings.capacity,
-            threshold=DEFAULT_THRESHOLD if settings.threshold is None else settings.threshold,
-            forgetting=settings.forgetting,
-            plain=self.plain,
-        )
-        if dictionary:
-            points = DEFAULT_DICTIONARY if settings.capacity is None else settings.capacity
-            return empty_dictionary(replace(empty, trust=self._trust(empty, "full")), points), fit
-        return replace(empty, trust=self._trust(empty, "held-out")), fit
-
-    def _trust(self, empty: TrainingSet, usual: str) -> Trust:
-        """Return the trust asked for, else the usual one of the learner; the rival's way is to believe all."""
-        asked = self.settings.trust or usual
-        if asked != "held-out":
-            return parse_trust(asked)
-        parts, rows = [], 0
-        for position in range(len(self.paths)):
-            drive = self.drive(position)
-            rows += len(drive)
-            if parts and rows > MOST_ROWS:
-                self.notes.append(f"trust was found on the first {len(parts)} of {len(self.paths)} drives")
-                break
-            parts.append(TrainingDrive(drive, self._label(drive, position)))
-        trust = estimate_trust(parts, empty, say=self.say)
-        self.notes += trust_notes(trust)
-        return trust
-
-    def _fit(self, grid: Grid, start: Kernel) -> KernelFit | None:
-        """Fit to the valid labels of all drives; None, with a note, when they are too few."""
-        z, y = [], []
-        for position in range(len(self.paths)):
-            labels = self._label(self.drive(position), position).inside(grid)
-            z.append(labels.z[labels.accepted])
-            y.append(labels.y[labels.accepted])
-        z, y = np.concatenate(z), np.concatenate(y)
-        if len(z) < FEWEST_TO_FIT:
-            self.notes.append(
-                f"{len(z)} valid labels are too few to fit hyperparameters to; the defaults are kept"
-            )
-            return None
-        self.say(f"fitting hyperparameters to {len(z)} labels")
-        fit = fit_kernel(z, y, grid, start, longest=longest_scale(grid))
-        scales = {f"length scale {i + 1}": f"length scale of {name}" for i, name in enumerate(self.features.names)}
-        self.notes += [f"the {scales.get(name, name)} ended on a bound of the fit" for name in fit.at_bound]
-        return fit
-
-    def _first_valid(self) -> Labels:
-        for position in range(len(self.paths)):
-            labels = self._label(self.drive(position), position)
-            if labels.accepted.any():
-                return labels
-        counts = ", ".join(f"{count} {reason}" for reason, count in labels.counts().items()) or "no samples"
-        raise SetError(
-            f"no sample is inside the valid region (rejected: {counts})",
-            where=labels.drive,
-            advice="Check units and signs with `split info`, and that the vehicle file is of this car.",
-        )
-
-    def drive(self, position: int) -> Drive:
-        """Return a drive of the run, its recording corrected as the vehicle file says."""
-        self.say(f"reading {self.paths[position].name}")
-        drive = self.correct(read_drive(self.paths[position], self.settings.held))
-        if position not in self.checked:
-            self.checked.add(position)
-            self.notes += vehicle_doubts([drive], self.vehicle, self.settings.any_vehicle)
-        return drive
-
-    def _label(self, drive: Drive, position: int) -> Labels:
-        labels = compute_labels(
-            drive,
-            self.vehicle,
-            self.features,
-            self.region,
-            horizon=self.horizon,
-            stride=self.settings.stride,
-            plain=self.plain,
-        )
-        allowed = (
-            np.ones(len(drive), dtype=bool) if self.rows is None else np.asarray(self.rows[position], dtype=bool)
-        )
-        for begin, end in self.settings.exclude:
-            allowed = allowed & ~((drive["t"] >= begin) & (drive["t"] < end))
-        return labels.within(allowed)
-
-    def _take_notes(self, drive: Drive) -> None:
-        self.notes += [note for note in untold_inputs([drive]) if note not in self.notes]
-        self.notes += drive_notes(drive)
-        self.faults = stored_faults(drive.metadata.quality)
-        if drive.sha256 in self.seen:
-            self.notes.append(f"{drive.name} was learned before, as {self.seen[drive.sha256]}")
-        self.seen[drive.sha256] = drive.name
+def _labelling(vehicle: Vehicle, settings: TrainSettings, known: TrainingSet | None) -> Labelling:
+    """Return how drives are labelled: as the set says that is continued, else as asked for."""
+    if known is not None:
+        features, region, plain, usual = known.features, known.region, known.plain, known.horizon
+    else:
+        features = parse_features("z2" if settings.features is None else settings.features)
+        region, plain, usual = Region.of(vehicle), settings.plain, DEFAULT_HORIZON
+    return Labelling(
+        vehicle,
+        features,
+        region,
+        usual if settings.horizon is None else settings.horizon,
+        settings.stride,
+        plain,
+        settings.exclude,
+        settings.held,
+        settings.any_vehicle,
+    )
 
 
-def parse_trust(text: str) -> Trust:
-    """Return the trust that ``full`` or ``0.5,0.6,1`` stands for.
-
-    Raises
-    ------
-    SetError
-        If it is neither.
-    """
-    if text == "full":
-        return Trust.full()
-    try:
-        return Trust(tuple(float(part) for part in text.split(",")), "given")
-    except ValueError:
-        raise SetError(
-            f"the trust {text!r} cannot be read",
-            advice="Give held-out, full, or three numbers from 0 to 1 for v_x, v_y and r, such as 0.5,0.8,1.",
-        ) from None
-
-
-def trust_notes(trust: Trust) -> list[str]:
-    """Return what the reader of a training must know of its trust."""
-    if trust.origin == "unjudged":
-        return [
-            "the drives are too short to judge the correction on held-out blocks, so none of it is applied; "
-            "record more driving, or say --trust full"
-        ]
-    left_out = [n for n, share in zip(("v_x", "v_y", "r"), trust.share, strict=True) if share == 0.0]
-    if not left_out:
-        return []
-    return [
-        f"no correction of {', '.join(left_out)} is applied: on held-out blocks it did not help beyond chance, or "
-        "made some of the driving worse"
-    ]
+def _create(drives: LabelledDrives, settings: TrainSettings) -> tuple[TrainingSet, KernelFit | None]:
+    return create_set(
+        drives,
+        hyperparameters=settings.hyperparameters or "fit",
+        trust=settings.trust,
+        dictionary=settings.learner == LEARNER,
+        capacity=settings.capacity,
+        threshold=settings.threshold,
+        forgetting=settings.forgetting,
+    )
 
 
 def _row(

@@ -1,0 +1,279 @@
+"""The drives of one training: read and corrected one at a time, labelled once, or with labels from a file."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import DriveError, SetError
+from split_cli.files import sha256_of_file
+from split_cli.learning.features import FeatureSet
+from split_cli.learning.label_file import drive_of_labels, read_labels, write_labels
+from split_cli.learning.labels import Labels, compute_labels, window_samples
+from split_cli.learning.region import Region
+from split_cli.logs.drive import Drive, read_drive, untold_inputs
+from split_cli.scoring.hints import late_inputs
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.workflows.label import drive_notes
+from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
+
+__all__ = ["LabelledDrives", "Labelling", "drive_digest"]
+
+#: Labels kept in memory [bytes]; those beyond wait in a temporary folder, so that an archive of any size trains.
+_MOST_BYTES = 256 * 2**20
+
+
+@dataclass(frozen=True)
+class Labelling:
+    """How drives are labelled.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+    features : FeatureSet
+    region : Region
+    horizon : float
+        Label interval [s].
+    stride : int or None
+        Samples between labels; the horizon if None.
+    plain : bool
+        Use the paper's plain difference.
+    exclude : tuple of (float, float)
+        Stretches of time that are not learned [s].
+    held : tuple of str
+        Inputs that keep their value between samples, whatever the files say.
+    any_vehicle : bool
+        Warn, where a drive contradicts the vehicle, instead of refusing.
+    """
+
+    vehicle: Vehicle
+    features: FeatureSet
+    region: Region
+    horizon: float
+    stride: int | None = None
+    plain: bool = False
+    exclude: tuple[tuple[float, float], ...] = ()
+    held: tuple[str, ...] = ()
+    any_vehicle: bool = False
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A drive, its labels from a file, or both; `position` is its place among the rows that may be learned."""
+
+    position: int
+    drive: Path | None
+    labels: Path | None
+
+    @property
+    def name(self) -> str:
+        return (self.drive or self.labels).name  # type: ignore[union-attr]
+
+
+class LabelledDrives:
+    """Drives and their labels, in the order given; memory holds one drive and a bounded share of the labels.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Drives, and files that `split label` wrote. Labels of a drive that is given too spare its labelling.
+    labelling : Labelling
+    rows : sequence of ndarray of bool, optional
+        For each drive, which rows may be learned; a label whose window touches another row is left out.
+    seen : mapping of str to str
+        Name of each drive that was learned before, by SHA-256.
+    say : callable
+        Told what is being done.
+
+    Raises
+    ------
+    SplitError
+        If a label file is damaged, or two are of one drive.
+    """
+
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        labelling: Labelling,
+        rows: Sequence[np.ndarray] | None,
+        seen: Mapping[str, str],
+        say: Callable[[str], None],
+    ) -> None:
+        self.labelling, self.say = labelling, say
+        self._rows, self._seen = rows, dict(seen)
+        self._sources = _paired(paths)
+        self._correct = RecordingCorrection(labelling.vehicle)
+        self._checked: set[int] = set()
+        self._notes: list[str] = []
+        self._kept: dict[int, Labels | Path] = {}
+        self._seconds: dict[int, float] = {}
+        self._bytes = 0
+        self._scratch: tempfile.TemporaryDirectory[str] | None = None
+
+    def __len__(self) -> int:
+        return len(self._sources)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the training should know of its drives."""
+        return (*self._notes, *self._correct.notes)
+
+    def note(self, *texts: str) -> None:
+        """Add to the notes what is not there yet."""
+        self._notes += [text for text in texts if text not in self._notes]
+
+    def without_recording(self) -> tuple[str, ...]:
+        """Return names of label files whose drives are not given."""
+        return tuple(source.name for source in self._sources if source.drive is None)
+
+    def drive(self, number: int) -> Drive | None:
+        """Return a drive, its recording corrected as the vehicle file says; None where only labels are given."""
+        source = self._sources[number]
+        if source.drive is None:
+            return None
+        self.say(f"reading {source.name}")
+        drive = self._correct(read_drive(source.drive, self.labelling.held))
+        if number not in self._checked:
+            self._checked.add(number)
+            self._notes += vehicle_doubts([drive], self.labelling.vehicle, self.labelling.any_vehicle)
+        return drive
+
+    def labels(self, number: int, drive: Drive | None = None) -> Labels:
+        """Return the labels that may be learned of a drive, made once; `drive` spares reading it again."""
+        if number not in self._kept:
+            self._keep(number, self._make(number, drive))
+        kept = self._kept[number]
+        labels = read_labels(kept) if isinstance(kept, Path) else kept
+        if drive is not None and self._sources[number].labels is not None:
+            _check_of_drive(labels, drive, str(self._sources[number].labels))
+        return labels
+
+    def seconds(self, number: int) -> float:
+        """Return how long labelling took [s]."""
+        return self._seconds[number]
+
+    def remark(self, labels: Labels, drive: Drive | None) -> None:
+        """Note what a reader should know of a drive that is learned now."""
+        if drive is None:
+            self._notes.append(f"{labels.drive} is learned from its labels; the recording was not looked at")
+        else:
+            self.note(*untold_inputs([drive]))
+            self._notes += drive_notes(drive)
+            self._notes += late_inputs(drive, labels, self.labelling.vehicle)
+        if labels.sha256 in self._seen:
+            self._notes.append(f"{labels.drive} was learned before, as {self._seen[labels.sha256]}")
+        self._seen[labels.sha256] = labels.drive
+
+    def _keep(self, number: int, labels: Labels) -> None:
+        self._bytes += labels.nbytes
+        if self._bytes <= _MOST_BYTES:
+            self._kept[number] = labels
+            return
+        self._scratch = self._scratch or tempfile.TemporaryDirectory(prefix="split-labels-")
+        path = Path(self._scratch.name) / f"{number}.parquet"
+        write_labels(labels, path)
+        self._kept[number] = path
+
+    def _make(self, number: int, drive: Drive | None) -> Labels:
+        source, how = self._sources[number], self.labelling
+        if source.labels is None:
+            drive = self.drive(number) if drive is None else drive
+            start = time.perf_counter()
+            labels = compute_labels(
+                drive, how.vehicle, how.features, how.region,
+                horizon=how.horizon, stride=how.stride, plain=how.plain,
+            )  # fmt: skip
+            if how.exclude:
+                spans = [(drive["t"] >= begin) & (drive["t"] < end) for begin, end in how.exclude]
+                labels = labels.within(~np.any(spans, axis=0))
+        else:
+            start = time.perf_counter()
+            labels = _fitting(read_labels(source.labels), how, self._correct.counts_places, str(source.labels))
+            labels = _outside(labels, how.exclude)
+        if self._rows is not None:
+            labels = labels.within(np.asarray(self._rows[source.position], dtype=bool))
+        self._seconds[number] = time.perf_counter() - start
+        return labels
+
+
+def drive_digest(path: Path) -> str:
+    """Return the SHA-256 of a drive, or of the drive that a label file is of."""
+    return drive_of_labels(path) or sha256_of_file(path)
+
+
+def _paired(paths: Sequence[Path]) -> list[_Source]:
+    """Return the drives with the label files that are of them, then what labels are left, in the order given."""
+    files: dict[str, Path] = {}
+    drives: list[tuple[int, Path]] = []
+    order: list[tuple[int, str]] = []
+    for position, path in enumerate(paths):
+        digest = drive_of_labels(path)
+        if digest is None:
+            drives.append((position, path))
+        elif digest in files:
+            raise SetError(
+                f"and {files[digest].name} are labels of one drive", where=str(path), advice="Give one of them."
+            )
+        else:
+            files[digest] = path
+            order.append((position, digest))
+    digests = {position: sha256_of_file(path) for position, path in drives} if files else {}
+    sources = [_Source(position, path, files.get(digests.get(position, ""))) for position, path in drives]
+    given = set(digests.values())
+    sources += [_Source(position, None, files[digest]) for position, digest in order if digest not in given]
+    return sorted(sources, key=lambda source: source.position)
+
+
+def _fitting(labels: Labels, how: Labelling, counts_places: bool, where: str) -> Labels:
+    """Return labels of a file for a training; refuse those that were made for another one."""
+    label_again = "Write them again with `split label`, or give the drive itself."
+    if labels.vehicle_digest != how.vehicle.digest():
+        raise SetError(
+            f"holds labels of another vehicle file (physics {labels.vehicle_digest[:12]}, that of "
+            f"{how.vehicle.name!r} is {how.vehicle.digest()[:12]})",
+            where=where,
+            advice=label_again,
+        )
+    if how.held:
+        raise SetError("holds labels: --held comes too late for them", where=where, advice=label_again)
+    if counts_places:
+        raise SetError(
+            "holds labels, but the vehicle file has effects of place, which count along the first drive",
+            where=where,
+            advice="Give the drives themselves.",
+        )
+    window = window_samples(how.horizon, labels.horizon / labels.window)
+    asked = min(np.diff(labels.row), default=None)
+    for what, theirs, ours in (
+        ("features", ", ".join(labels.features.names), ", ".join(how.features.names)),
+        ("valid region", labels.region, how.region),
+        ("plain labels", labels.plain, how.plain),
+        ("label interval in samples", labels.window, window),
+        ("stride", asked if how.stride and asked is not None else how.stride, how.stride),
+    ):
+        if theirs != ours:
+            raise SetError(f"its {what}: {theirs}; asked for: {ours}", where=where, advice=label_again)
+    return labels.without_grid()
+
+
+def _outside(labels: Labels, spans: Sequence[tuple[float, float]]) -> Labels:
+    """Return the labels without a sample, first and last included, in any span [begin, end)."""
+    period = labels.horizon / labels.window
+    for begin, end in spans:
+        first = np.clip(np.ceil((begin - labels.t) / period - 1e-6), 0.0, None)
+        touched = (first <= labels.window) & (labels.t + first * period < end - 1e-6 * period)
+        labels = labels.take(~touched)
+    return labels
+
+
+def _check_of_drive(labels: Labels, drive: Drive, where: str) -> None:
+    """Make sure that labels lie on the rows of their drive."""
+    if len(labels) and (
+        labels.row[-1] + labels.window >= len(drive) or not np.array_equal(drive["t"][labels.row], labels.t)
+    ):
+        raise DriveError(f"does not lie on the rows of {drive.name}", where=where)

@@ -1,0 +1,174 @@
+"""A new set before it learns: grid, kernel and trust, from the labels of its drives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from split_cli.errors import SetError
+from split_cli.learning.cells import DEFAULT_CAPACITY, DEFAULT_THRESHOLD, empty_set
+from split_cli.learning.hyperparameters import (
+    FEWEST_TO_FIT,
+    KernelFit,
+    default_kernel,
+    fit_kernel,
+    longest_scale,
+    scatter_variance,
+)
+from split_cli.learning.iol import DEFAULT_DICTIONARY, empty_dictionary
+from split_cli.learning.kernel import Kernel
+from split_cli.learning.kernel_file import read_kernel
+from split_cli.learning.labels import Labels
+from split_cli.learning.region import Grid, build_grid
+from split_cli.learning.training_set import TrainingSet
+from split_cli.learning.trust import Trust
+from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
+from split_cli.scoring.trust import estimate_trust
+from split_cli.workflows.labelled_drives import LabelledDrives
+
+__all__ = ["create_set", "parse_trust", "trust_notes"]
+
+
+def create_set(
+    drives: LabelledDrives,
+    *,
+    hyperparameters: str = "fit",
+    trust: str | None = None,
+    dictionary: bool = False,
+    capacity: int | None = None,
+    threshold: float | None = None,
+    forgetting: float | None = None,
+) -> tuple[TrainingSet, KernelFit | None]:
+    """Return an empty set: its grid from the first drive with valid samples, its kernel and trust as asked for.
+
+    Parameters
+    ----------
+    drives : LabelledDrives
+    hyperparameters : str
+        ``fit``, ``default``, or a YAML file.
+    trust : str or None
+        As `parse_trust` takes it, or ``held-out``; None for the usual one of the learner.
+    dictionary : bool
+        One dictionary over the whole feature space instead of cells.
+    capacity, threshold, forgetting
+        As for `empty_set`; None for the defaults.
+
+    Raises
+    ------
+    SetError
+        If no sample is valid, or trust is to be found without a recording.
+    """
+    how = drives.labelling
+    first = _first_valid(drives)
+    valid = first.accepted
+    grid = build_grid(how.features, how.vehicle, how.region, first.z[valid])
+    kernel, fit = default_kernel(grid, first.y[valid], scatter_variance(first)), None
+    if hyperparameters == "fit":
+        fit = _fit(drives, grid, kernel)
+        kernel = kernel if fit is None else fit.kernel
+    elif hyperparameters != "default":
+        kernel = read_kernel(hyperparameters, how.features)
+    empty = empty_set(
+        how.vehicle,
+        how.features,
+        how.region,
+        grid,
+        kernel,
+        horizon=how.horizon,
+        capacity=DEFAULT_CAPACITY if capacity is None or dictionary else capacity,
+        threshold=DEFAULT_THRESHOLD if threshold is None else threshold,
+        forgetting=forgetting,
+        plain=how.plain,
+    )
+    if dictionary:
+        points = DEFAULT_DICTIONARY if capacity is None else capacity
+        # The rival's way is to believe all.
+        return empty_dictionary(replace(empty, trust=_trust(drives, empty, trust or "full")), points), fit
+    return replace(empty, trust=_trust(drives, empty, trust or "held-out")), fit
+
+
+def _trust(drives: LabelledDrives, empty: TrainingSet, asked: str) -> Trust:
+    if asked != "held-out":
+        return parse_trust(asked)
+    bare = drives.without_recording()
+    if bare:
+        raise SetError(
+            f"trust is found by predicting recordings; of {', '.join(bare)} there are labels only",
+            advice="Give the drives too, or --trust full, or three shares such as --trust 0.5,0.8,1.",
+        )
+    parts, rows = [], 0
+    for number in range(len(drives)):
+        drive = drives.drive(number)
+        rows += len(drive)
+        if parts and rows > MOST_ROWS:
+            drives.note(f"trust was found on the first {len(parts)} of {len(drives)} drives")
+            break
+        parts.append(TrainingDrive(drive, drives.labels(number, drive)))
+    trust = estimate_trust(parts, empty, say=drives.say)
+    drives.note(*trust_notes(trust))
+    return trust
+
+
+def _fit(drives: LabelledDrives, grid: Grid, start: Kernel) -> KernelFit | None:
+    """Fit to the valid labels of all drives; None, with a note, when they are too few."""
+    kept = [drives.labels(number).inside(grid) for number in range(len(drives))]
+    z = np.concatenate([labels.z[labels.accepted] for labels in kept])
+    y = np.concatenate([labels.y[labels.accepted] for labels in kept])
+    if len(z) < FEWEST_TO_FIT:
+        drives.note(f"{len(z)} valid labels are too few to fit hyperparameters to; the defaults are kept")
+        return None
+    drives.say(f"fitting hyperparameters to {len(z)} labels")
+    fit = fit_kernel(z, y, grid, start, longest=longest_scale(grid))
+    names = drives.labelling.features.names
+    scales = {f"length scale {i + 1}": f"length scale of {name}" for i, name in enumerate(names)}
+    drives.note(*(f"the {scales.get(name, name)} ended on a bound of the fit" for name in fit.at_bound))
+    return fit
+
+
+def _first_valid(drives: LabelledDrives) -> Labels:
+    for number in range(len(drives)):
+        labels = drives.labels(number)
+        if labels.accepted.any():
+            return labels
+    counts = ", ".join(f"{count} {reason}" for reason, count in labels.counts().items()) or "no samples"
+    raise SetError(
+        f"no sample is inside the valid region (rejected: {counts})",
+        where=labels.drive,
+        advice="Check units and signs with `split info`, and that the vehicle file is of this car.",
+    )
+
+
+def parse_trust(text: str) -> Trust:
+    """Return the trust that ``full`` or ``0.5,0.6,1`` stands for.
+
+    Raises
+    ------
+    SetError
+        If it is neither.
+    """
+    if text == "full":
+        return Trust.full()
+    try:
+        return Trust(tuple(float(part) for part in text.split(",")), "given")
+    except ValueError:
+        raise SetError(
+            f"the trust {text!r} cannot be read",
+            advice="Give held-out, full, or three numbers from 0 to 1 for v_x, v_y and r, such as 0.5,0.8,1.",
+        ) from None
+
+
+def trust_notes(trust: Trust) -> list[str]:
+    """Return what the reader of a training must know of its trust."""
+    if trust.origin == "unjudged":
+        return [
+            "the drives are too short to judge the correction on held-out blocks, so none of it is applied; "
+            "record more driving, or say --trust full"
+        ]
+    left_out = [n for n, share in zip(("v_x", "v_y", "r"), trust.share, strict=True) if share == 0.0]
+    if not left_out:
+        return []
+    return [
+        f"no correction of {', '.join(left_out)} is applied: on held-out blocks it did not help beyond chance, or "
+        "made some of the driving worse"
+    ]
