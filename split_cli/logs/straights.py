@@ -13,7 +13,7 @@ import numpy as np
 
 from split_cli.logs.kinematics import Kinematics
 
-__all__ = ["Course", "Stretch", "course_of", "straight_rows", "straight_stretches"]
+__all__ = ["DirectionCourse", "Stretch", "course_of", "straight_rows", "straight_stretches"]
 
 _STRAIGHT_LATERAL = 0.3
 """Of v_x r [m/s^2]: a thirtieth of what tyres carry, whose slip angle is then a few milliradians."""
@@ -48,7 +48,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Course:
+class DirectionCourse:
     """How the direction of v_y goes over a drive.
 
     Attributes
@@ -128,7 +128,7 @@ def straight_stretches(
     return found
 
 
-def course_of(stretches: Sequence[Stretch]) -> Course | None:
+def course_of(stretches: Sequence[Stretch]) -> DirectionCourse | None:
     """Return how the direction goes over the straights; None without any.
 
     Notes
@@ -145,7 +145,7 @@ def course_of(stretches: Sequence[Stretch]) -> Course | None:
     spread = float(np.sqrt(np.average((angle - mean) ** 2, weights=seconds)))
     error = spread / np.sqrt(max(len(angle) - 1, 1)) if len(angle) > 1 else np.inf
     ends = np.array([time[0], max(time[-1], time[0] + 1e-3)])
-    constant = Course("constant", ends, np.array([mean, mean]), mean, error, spread, len(angle))
+    constant = DirectionCourse("constant", ends, np.array([mean, mean]), mean, error, spread, len(angle))
     if len(angle) < _FEWEST:
         return constant
     weight = seconds / seconds.mean()
@@ -167,9 +167,9 @@ def course_of(stretches: Sequence[Stretch]) -> Course | None:
     return best
 
 
-def _with_scatter(course: Course, rest: np.ndarray, weight: np.ndarray) -> Course:
+def _with_scatter(course: DirectionCourse, rest: np.ndarray, weight: np.ndarray) -> DirectionCourse:
     scatter = float(np.sqrt(np.average(rest**2, weights=weight)))
-    return Course(course.kind, course.time, course.angle, course.mean, course.error, scatter, course.count)
+    return DirectionCourse(course.kind, course.time, course.angle, course.mean, course.error, scatter, course.count)
 
 
 def _criterion(rest: np.ndarray, weight: np.ndarray, parameters: int) -> float:
@@ -178,11 +178,11 @@ def _criterion(rest: np.ndarray, weight: np.ndarray, parameters: int) -> float:
     return len(rest) * np.log(variance) + parameters * np.log(len(rest))
 
 
-def _line(constant: Course, line: np.ndarray, ends: np.ndarray) -> Course:
-    return Course("drifting", ends, np.polyval(line, ends), constant.mean, constant.error, 0.0, constant.count)
+def _line(constant: DirectionCourse, line: np.ndarray, ends: np.ndarray) -> DirectionCourse:
+    return DirectionCourse("drifting", ends, np.polyval(line, ends), constant.mean, constant.error, 0.0, constant.count)
 
 
-def _step(constant: Course, time: np.ndarray, angle: np.ndarray, weight: np.ndarray) -> Course | None:
+def _step(constant: DirectionCourse, time: np.ndarray, angle: np.ndarray, weight: np.ndarray) -> DirectionCourse | None:
     best, least = None, np.inf
     for place in range(2, len(angle) - 1):
         before = float(np.average(angle[:place], weights=weight[:place]))
@@ -193,13 +193,13 @@ def _step(constant: Course, time: np.ndarray, angle: np.ndarray, weight: np.ndar
             middle = 0.5 * (time[place - 1] + time[place])
             knots = np.array([time[0], middle - 1e-3, middle + 1e-3, time[-1]])
             levels = np.array([before, before, after, after])
-            best = Course("stepping", knots, levels, constant.mean, constant.error, 0.0, constant.count)
+            best = DirectionCourse("stepping", knots, levels, constant.mean, constant.error, 0.0, constant.count)
             least = cost
     return best
 
 
-def _wandering(constant: Course, time: np.ndarray, angle: np.ndarray, weight: np.ndarray) -> Course:
+def _wandering(constant: DirectionCourse, time: np.ndarray, angle: np.ndarray, weight: np.ndarray) -> DirectionCourse:
     width = 2.0 * float(np.median(np.diff(time)))
     kernel = np.exp(-0.5 * ((time[:, None] - time[None, :]) / width) ** 2) * weight[None, :]
     smooth = kernel @ angle / kernel.sum(axis=1)
-    return Course("wandering", time, smooth, constant.mean, constant.error, 0.0, constant.count)
+    return DirectionCourse("wandering", time, smooth, constant.mean, constant.error, 0.0, constant.count)
