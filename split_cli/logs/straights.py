@@ -13,7 +13,7 @@ import numpy as np
 
 from split_cli.logs.kinematics import Kinematics
 
-__all__ = ["DirectionCourse", "Stretch", "course_of", "straight_rows", "straight_stretches"]
+__all__ = ["Direction", "Stretch", "course_of", "straight_rows", "straight_stretches"]
 
 _STRAIGHT_LATERAL = 0.3
 """Of v_x r [m/s^2]: a thirtieth of what tyres carry, whose slip angle is then a few milliradians."""
@@ -48,7 +48,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class DirectionCourse:
+class Direction:
     """How the direction of v_y goes over a drive.
 
     Attributes
@@ -128,7 +128,7 @@ def straight_stretches(
     return found
 
 
-def course_of(stretches: Sequence[Stretch]) -> DirectionCourse | None:
+def course_of(stretches: Sequence[Stretch]) -> Direction | None:
     """Return how the direction goes over the straights; None without any.
 
     Notes
@@ -145,7 +145,7 @@ def course_of(stretches: Sequence[Stretch]) -> DirectionCourse | None:
     spread = float(np.sqrt(np.average((angle - mean) ** 2, weights=seconds)))
     error = spread / np.sqrt(max(len(angle) - 1, 1)) if len(angle) > 1 else np.inf
     ends = np.array([time[0], max(time[-1], time[0] + 1e-3)])
-    constant = DirectionCourse("constant", ends, np.array([mean, mean]), mean, error, spread, len(angle))
+    constant = Direction("constant", ends, np.array([mean, mean]), mean, error, spread, len(angle))
     if len(angle) < _FEWEST:
         return constant
     weight = seconds / seconds.mean()
@@ -167,9 +167,9 @@ def course_of(stretches: Sequence[Stretch]) -> DirectionCourse | None:
     return best
 
 
-def _with_scatter(course: DirectionCourse, rest: np.ndarray, weight: np.ndarray) -> DirectionCourse:
+def _with_scatter(course: Direction, rest: np.ndarray, weight: np.ndarray) -> Direction:
     scatter = float(np.sqrt(np.average(rest**2, weights=weight)))
-    return DirectionCourse(course.kind, course.time, course.angle, course.mean, course.error, scatter, course.count)
+    return Direction(course.kind, course.time, course.angle, course.mean, course.error, scatter, course.count)
 
 
 def _criterion(rest: np.ndarray, weight: np.ndarray, parameters: int) -> float:
@@ -178,11 +178,11 @@ def _criterion(rest: np.ndarray, weight: np.ndarray, parameters: int) -> float:
     return len(rest) * np.log(variance) + parameters * np.log(len(rest))
 
 
-def _line(constant: DirectionCourse, line: np.ndarray, ends: np.ndarray) -> DirectionCourse:
-    return DirectionCourse("drifting", ends, np.polyval(line, ends), constant.mean, constant.error, 0.0, constant.count)
+def _line(constant: Direction, line: np.ndarray, ends: np.ndarray) -> Direction:
+    return Direction("drifting", ends, np.polyval(line, ends), constant.mean, constant.error, 0.0, constant.count)
 
 
-def _step(constant: DirectionCourse, time: np.ndarray, angle: np.ndarray, weight: np.ndarray) -> DirectionCourse | None:
+def _step(constant: Direction, time: np.ndarray, angle: np.ndarray, weight: np.ndarray) -> Direction | None:
     best, least = None, np.inf
     for place in range(2, len(angle) - 1):
         before = float(np.average(angle[:place], weights=weight[:place]))
@@ -193,13 +193,13 @@ def _step(constant: DirectionCourse, time: np.ndarray, angle: np.ndarray, weight
             middle = 0.5 * (time[place - 1] + time[place])
             knots = np.array([time[0], middle - 1e-3, middle + 1e-3, time[-1]])
             levels = np.array([before, before, after, after])
-            best = DirectionCourse("stepping", knots, levels, constant.mean, constant.error, 0.0, constant.count)
+            best = Direction("stepping", knots, levels, constant.mean, constant.error, 0.0, constant.count)
             least = cost
     return best
 
 
-def _wandering(constant: DirectionCourse, time: np.ndarray, angle: np.ndarray, weight: np.ndarray) -> DirectionCourse:
+def _wandering(constant: Direction, time: np.ndarray, angle: np.ndarray, weight: np.ndarray) -> Direction:
     width = 2.0 * float(np.median(np.diff(time)))
     kernel = np.exp(-0.5 * ((time[:, None] - time[None, :]) / width) ** 2) * weight[None, :]
     smooth = kernel @ angle / kernel.sum(axis=1)
-    return DirectionCourse("wandering", time, smooth, constant.mean, constant.error, 0.0, constant.count)
+    return Direction("wandering", time, smooth, constant.mean, constant.error, 0.0, constant.count)

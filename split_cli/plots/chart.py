@@ -11,13 +11,13 @@ import numpy as np
 
 from split_cli.plots.palette import ROLES
 
-__all__ = ["Band", "Chart", "ChartSeries", "chart_csv", "thinned"]
+__all__ = ["Band", "Chart", "ChartLine", "chart_csv", "thinned"]
 
 MOST_POINTS = 2400
 
 
 @dataclass(frozen=True)
-class ChartSeries:
+class ChartLine:
     """One series of a chart.
 
     Attributes
@@ -75,7 +75,7 @@ class Chart:
     title : str
     x, y : str
         Titles of the axes with units.
-    series : tuple of ChartSeries
+    series : tuple of ChartLine
     note : str
         What a reader must know to read it.
     bands : tuple of Band
@@ -97,7 +97,7 @@ class Chart:
     title: str
     x: str
     y: str
-    series: tuple[ChartSeries, ...]
+    series: tuple[ChartLine, ...]
     note: str = ""
     bands: tuple[Band, ...] = ()
     other_x: str = ""

@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from split_cli.plots.chart import Band, Chart, ChartSeries, chart_csv
+from split_cli.plots.chart import Band, Chart, ChartLine, chart_csv
 from split_cli.workflows.report.markup import bar, charts_block, plain_table
 from split_cli.workflows.report.shell import page
 from tests.browsers import headless
@@ -25,14 +25,14 @@ def charts() -> tuple[Chart, ...]:
     """Return strips of two series, one of them with a hostile name, bars with intervals, and dots in a plane."""
     strip = tuple(
         Chart(f"strip-{name}", f"{name} {HOSTILE}", "time [s]", f"{name} [m/s]", (
-            ChartSeries("measured", T, np.sin(T), along=5.0 * T),
-            ChartSeries(HOSTILE, T, 1.1 * np.sin(T), "simulated", along=5.0 * T),
+            ChartLine("measured", T, np.sin(T), along=5.0 * T),
+            ChartLine(HOSTILE, T, 1.1 * np.sin(T), "simulated", along=5.0 * T),
         ), bands=(Band(-0.1, 0.1, "noise"),), other_x="distance [m]", wide=True, group="strips")
         for name in ("vx", "vy")
     )  # fmt: skip
-    rows = ChartSeries("runs", np.array([1.0, 2.0]), np.array([0, 1]), "learned", "bars", np.array([0.8, 1.7]),
+    rows = ChartLine("runs", np.array([1.0, 2.0]), np.array([0, 1]), "learned", "bars", np.array([0.8, 1.7]),
                   np.array([1.2, 2.3]), emphasis=(True, False))  # fmt: skip
-    dots = ChartSeries("dots", np.cos(T), np.sin(T), "corrected", "points")
+    dots = ChartLine("dots", np.cos(T), np.sin(T), "corrected", "points")
     return (
         *strip,
         Chart("ranked", "Error", "rms [m/s]", "", (rows,), rows=("first", HOSTILE)),

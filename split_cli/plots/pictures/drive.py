@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from split_cli.logs.drive import Drive
-from split_cli.plots.chart import Chart, ChartSeries, thinned
+from split_cli.plots.chart import Chart, ChartLine, thinned
 from split_cli.scoring.handling.motion import free_run, measured_motion
 from split_cli.scoring.handling.steering_response import WINDOW
 from split_cli.scoring.rollouts import Correction
@@ -88,13 +88,13 @@ def drive_charts(subjects: Sequence[Subject], vehicle: Vehicle | None = None) ->
     return (*charts, _accelerations(moving, vehicle))
 
 
-def _over_time(one: Subject, motion: Drive, channel: str) -> ChartSeries:
+def _over_time(one: Subject, motion: Drive, channel: str) -> ChartLine:
     """Return a channel with a NaN between segments, so that no line spans a gap."""
     part = thinned(len(motion))
     at = np.flatnonzero(np.diff(motion.segment[part])) + 1
     columns = [motion["t"][part], motion[channel][part], motion["s"][part] if "s" in motion else motion["t"][part]]
     t, y, s = (np.insert(column.astype(float), at, np.nan) for column in columns)
-    return ChartSeries(one.name, t, y, one.role, along=s, shown=one.shown)
+    return ChartLine(one.name, t, y, one.role, along=s, shown=one.shown)
 
 
 def _accelerations(moving: Sequence[tuple[Subject, Drive]], vehicle: Vehicle | None) -> Chart:
@@ -104,13 +104,13 @@ def _accelerations(moving: Sequence[tuple[Subject, Drive]], vehicle: Vehicle | N
             continue
         part = thinned(len(motion), _MOST_DOTS)
         x, y = motion["ay"][part], motion["ax"][part]
-        series.append(ChartSeries(one.name, x, y, one.role, "points", shown=one.shown))
+        series.append(ChartLine(one.name, x, y, one.role, "points", shown=one.shown))
     note = ""
     if vehicle is not None:
         angle = np.linspace(0.0, 2.0 * np.pi, 121)
         most = (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
         x, y = most * np.cos(angle), most * np.sin(angle)
-        series.append(ChartSeries("friction ellipse of the vehicle file", x, y, "other"))
+        series.append(ChartLine("friction ellipse of the vehicle file", x, y, "other"))
         note = "The ellipse is (D_f + D_r)/m: what both axles give at once."
     return Chart("gg", "Accelerations (GG)", "a_y, left positive [m/s²]", "a_x [m/s²]", tuple(series), note,
                  equal=True)  # fmt: skip
@@ -125,7 +125,7 @@ def track_chart(drives: Sequence[tuple[str, str, Drive]]) -> Chart | None:
         part = thinned(len(drive))
         at = np.flatnonzero(np.diff(drive.segment[part])) + 1
         x, y = (np.insert(drive[axis][part].astype(float), at, np.nan) for axis in ("X", "Y"))
-        series.append(ChartSeries(name, x, y, role))
+        series.append(ChartLine(name, x, y, role))
     if not series:
         return None
     return Chart("path", "Track map", "X [m]", "Y [m]", tuple(series), equal=True)

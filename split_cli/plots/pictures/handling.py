@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from split_cli.plots.chart import Chart, ChartSeries, thinned
+from split_cli.plots.chart import Chart, ChartLine, thinned
 from split_cli.plots.pictures.drive import Subject
 from split_cli.scoring.handling.steering_response import steering_response
 from split_cli.scoring.handling.understeer import DEG_PER_G, Understeer, understeer_of
@@ -32,10 +32,10 @@ def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Char
     told = [(one, response) for one, response in responses if response]
     if told:
         gain = tuple(
-            ChartSeries(one.name, r.frequency, r.gain, one.role, low=r.gain_low, high=r.gain_high, shown=one.shown)
+            ChartLine(one.name, r.frequency, r.gain, one.role, low=r.gain_low, high=r.gain_high, shown=one.shown)
             for one, r in told
         )
-        phase = tuple(ChartSeries(one.name, r.frequency, r.phase, one.role, shown=one.shown) for one, r in told)
+        phase = tuple(ChartLine(one.name, r.frequency, r.phase, one.role, shown=one.shown) for one, r in told)
         count = told[0][1].windows
         note = f"{count} stretches of 8 s; only where steering and yaw rate are coherent; bands are 95 %."
         charts.append(Chart("response-gain", "Steering response: gain", "frequency [Hz]", "r/delta [1/s]", gain,
@@ -57,10 +57,10 @@ def _understeer(shown: Sequence[tuple[Subject, Understeer]]) -> Chart:
         if one.vehicle is None:
             part = thinned(len(found.lateral), _MOST_DOTS)
             x, y = found.lateral[part], found.slip_difference[part]
-            series.append(ChartSeries(f"{one.name}, moments", x, y, one.role, "points", shown=one.shown))
+            series.append(ChartLine(f"{one.name}, moments", x, y, one.role, "points", shown=one.shown))
         reach = np.array([-1.0, 1.0]) * float(np.quantile(np.abs(found.lateral), 0.995))
         line = found.offset + found.gradient * reach
-        series.append(ChartSeries(one.name, reach, line, one.role, shown=one.shown))
+        series.append(ChartLine(one.name, reach, line, one.role, shown=one.shown))
     words = "; ".join(understeer_words(one.name, found) for one, found in shown)
     note = f"The slope is the understeer gradient, below {shown[0][1].limit:.1f} m/s²: {words}."
     return Chart("understeer", "Understeer gradient", "a_y [m/s²]", "alpha_f − alpha_r [rad]", tuple(series), note)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from split_cli.learning.labels import Labels
-from split_cli.plots.chart import Band, Chart, ChartSeries
+from split_cli.plots.chart import Band, Chart, ChartLine
 from split_cli.scoring.evaluation import ScoreTally
 from split_cli.scoring.handling.whiteness import autocorrelation
 
@@ -37,7 +37,7 @@ def whiteness_chart(residuals: Sequence[tuple[str, str, Labels, np.ndarray]]) ->
             run = np.concatenate([[0], np.cumsum(apart)])
             found, half = autocorrelation(values[finite, state], run, _LAGS)
             lags = kept.horizon * np.arange(1, _LAGS + 1)
-            series.append(ChartSeries(name, lags, found[1:], role))
+            series.append(ChartLine(name, lags, found[1:], role))
             band = max(band, half)
         if series:
             note = "Inside the band it is white noise. Sensor noise alone gives −0.5 at the first lag."
@@ -54,12 +54,12 @@ def coverage_charts(tallies: Mapping[tuple[str, str], ScoreTally]) -> tuple[Char
     roles = ("learned", "simulated", "corrected", "nominal", "other")
     charts = []
     for state, symbol in enumerate(_STATES if scored else ()):
-        series = [ChartSeries("as promised", np.array([0.0, 100.0]), np.array([0.0, 100.0]), "measured")]
+        series = [ChartLine("as promised", np.array([0.0, 100.0]), np.array([0.0, 100.0]), "measured")]
         inside = []
         for k, (key, tally) in enumerate(scored.items()):
             promised, observed = tally.probability.reliability_curve
             name = " on ".join(part for part in key if part)
-            series.append(ChartSeries(name, 100 * promised, 100 * observed[:, state], roles[k % len(roles)]))
+            series.append(ChartLine(name, 100 * promised, 100 * observed[:, state], roles[k % len(roles)]))
             inside.append(f"{name} {100 * tally.probability.coverage[1, state]:.0f} %")
         charts.append(Chart(f"coverage-{symbol.replace('_', '')}", f"Coverage of {symbol}", "promised [%]",
                             "labels inside [%]", tuple(series),

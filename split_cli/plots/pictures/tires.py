@@ -9,7 +9,7 @@ import numpy as np
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive
-from split_cli.plots.chart import Chart, ChartSeries, thinned
+from split_cli.plots.chart import Chart, ChartLine, thinned
 from split_cli.prediction import Prediction
 from split_cli.scoring.handling.axles import AxleForces, axle_forces, binned, force_deviation, forces_of_rates
 from split_cli.vehicle.parameters import Vehicle
@@ -78,7 +78,7 @@ def tire_charts(
         series = [_cloud(x, forces.measured[:, column]), _nominal(vehicle, column, x, forces)]
         if with_found is not None:
             centre, mean, _ = binned(x, with_found[:, column], width)
-            series.append(ChartSeries("with what was found", centre, mean, "corrected"))
+            series.append(ChartLine("with what was found", centre, mean, "corrected"))
         if learned is not None:
             base = forces.nominal if with_found is None else with_found
             series.append(_learned(learned, forces, base, vehicle, x, column, width, with_found is not None))
@@ -86,12 +86,12 @@ def tire_charts(
     return tuple(charts)
 
 
-def _cloud(x: np.ndarray, force: np.ndarray) -> ChartSeries:
+def _cloud(x: np.ndarray, force: np.ndarray) -> ChartLine:
     part = thinned(len(x), _MOST_DOTS)
-    return ChartSeries("measured", x[part], force[part], "measured", "points")
+    return ChartLine("measured", x[part], force[part], "measured", "points")
 
 
-def _nominal(vehicle: Vehicle, column: int, x: np.ndarray, forces: AxleForces) -> ChartSeries:
+def _nominal(vehicle: Vehicle, column: int, x: np.ndarray, forces: AxleForces) -> ChartLine:
     low, high = (float(v) for v in np.quantile(x, [0.001, 0.999]))
     across = np.linspace(low, high, 121)
     if column == 0:
@@ -100,7 +100,7 @@ def _nominal(vehicle: Vehicle, column: int, x: np.ndarray, forces: AxleForces) -
     else:
         tire = vehicle.front_tire if column == 1 else vehicle.rear_tire
         y = lateral_force(tire.B, tire.C, tire.D, across)
-    return ChartSeries("vehicle file", across, y, "simulated")
+    return ChartLine("vehicle file", across, y, "simulated")
 
 
 def _left(forces: AxleForces, drive: Drive, corrected: Vehicle, nominal: Vehicle) -> np.ndarray:
@@ -115,13 +115,13 @@ def _left(forces: AxleForces, drive: Drive, corrected: Vehicle, nominal: Vehicle
 def _learned(
     learned: LearnedForces, forces: AxleForces, base: np.ndarray, vehicle: Vehicle, x: np.ndarray, column: int,
     width: float, found: bool,
-) -> ChartSeries:  # fmt: skip
+) -> ChartLine:  # fmt: skip
     _, mine, theirs = np.intersect1d(forces.labels.row, learned.rows, return_indices=True)
     mean = base[mine, column] + forces_of_rates(vehicle, learned.prediction.mean)[theirs, column]
     deviation = force_deviation(vehicle, learned.prediction)[theirs, column]
     centre, middle, _ = binned(x[mine], mean, width)
     _, half, _ = binned(x[mine], _TWO_SIDED_95 * deviation, width)
     name = f"{'with what was found' if found else 'vehicle file'} and {learned.name}"
-    return ChartSeries(name, centre, middle, "learned", low=middle - half, high=middle + half)
+    return ChartLine(name, centre, middle, "learned", low=middle - half, high=middle + half)
 
 

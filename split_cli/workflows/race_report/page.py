@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.control.path import Path
-from split_cli.plots.chart import Chart, ChartSeries, thinned
+from split_cli.plots.chart import Chart, ChartLine, thinned
 from split_cli.plots.palette import ROLES
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.report.markup import charts_block, plain_table
@@ -57,14 +57,14 @@ def _charts(races: Sequence[RaceResult]) -> list[Chart]:
     laps = _laps(races)
     clean = [k for k, (_, lap, _) in enumerate(laps) if lap.clean]
     first = {0, min(clean, key=lambda k: laps[k][1].time) if clean else len(laps) - 1}
-    series: dict[str, list[ChartSeries]] = {"speed": [], "lateral": [], "gg": []}
+    series: dict[str, list[ChartLine]] = {"speed": [], "lateral": [], "gg": []}
     for k, (name, _, trace) in enumerate(laps):
         role, shown = ROLES[k % len(ROLES)], k in first
         part = thinned(len(trace))
         t, s = trace[part, 0] - trace[0, 0], trace[part, 1] - trace[0, 1]
         for key, column in (("speed", 5), ("lateral", 11)):
-            series[key].append(ChartSeries(name, s, trace[part, column], role, along=t, shown=shown))
-        series["gg"].append(ChartSeries(name, trace[part, 11], trace[part, 10], role, "points", shown=shown))
+            series[key].append(ChartLine(name, s, trace[part, column], role, along=t, shown=shown))
+        series["gg"].append(ChartLine(name, trace[part, 11], trace[part, 10], role, "points", shown=shown))
     along = {"x": "progress [m]", "other_x": "time [s]", "wide": True, "group": "strips"}
     plane = "a_y, left positive [m/s²]", "a_x [m/s²]"
     return [

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from split_cli.plots.chart import Chart, ChartSeries
+from split_cli.plots.chart import Chart, ChartLine
 from split_cli.plots.pictures import (
     Subject,
     coverage_charts,
@@ -147,7 +147,7 @@ def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) 
             mine = [c for c in own if (c.name, c.features) == key]
             ratio, low, high = (np.array([c.to_nominal[i] for c in mine]) for i in range(3))
             rows = np.array([when.index(c.when) for c in mine])
-            series.append(ChartSeries(" on ".join(key), ratio, rows, roles[k % 5], "points", low, high))
+            series.append(ChartLine(" on ".join(key), ratio, rows, roles[k % 5], "points", low, high))
         if series:
             note = "Below 1 the correction helps; bars are 95 % intervals over blocks of time."
             charts.append(Chart(f"ratio-{symbol.replace('_', '')}", f"{title} {symbol}",

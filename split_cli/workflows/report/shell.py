@@ -10,7 +10,7 @@ from string import Template
 from typing import Any
 
 from split_cli import __version__
-from split_cli.plots.chart import Chart, ChartSeries
+from split_cli.plots.chart import Chart, ChartLine
 from split_cli.plots.palette import DARK, LIGHT
 from split_cli.workflows.report.payload import embedded_json, packed
 from split_cli.workflows.report.words import escape, readable
@@ -87,7 +87,7 @@ def chart_payload(chart: Chart) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _series(one: ChartSeries) -> dict[str, Any]:
+def _series(one: ChartLine) -> dict[str, Any]:
     told: dict[str, Any] = {
         "name": readable(one.name), "role": one.role, "kind": one.kind, "shown": one.shown,
         "x": packed(one.x), "y": packed(one.y), "emphasis": list(one.emphasis),
