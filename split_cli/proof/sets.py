@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from split_cli.errors import SplitError
 from split_cli.logs.drive import Drive, DriveMetadata
 from split_cli.logs.noise import estimate_noise
 from split_cli.proof.cases import Answer, Case, ConcealedEffect
@@ -36,6 +37,8 @@ _KNOT = 0.2  # [s], between set points of the script
 _RUNS, _SECONDS = 9, 10.0
 _SIGMA = np.array([0.02, 0.02, 0.004])  # of v_x, v_y [m/s] and r [rad/s] for a full-size car
 _CARS = ("av21", "genesis", "tum_sim")
+_DRAWS = 8  # of car and script, until the car does not spin
+_MOST_SIDEWAYS = 0.6  # lateral over longitudinal velocity; a car beyond it spins
 _ROUNDS = 4  # of the search for an effect's size
 
 _DELAYS = ("drive_delay", "steer_delay", "sensor_delay")
@@ -43,8 +46,29 @@ _ON_COMMANDS = (*_DELAYS, "steer_gain", "steer_backlash")
 
 
 def build_nominal_set(plan: CasePlan) -> Case:
-    """Return a case whose car is its nominal model with the plan's terms, their severities drawn for the plan."""
-    rng = plan.rng(11)
+    """Return a case whose car is its nominal model with the plan's terms, their severities drawn for the plan.
+
+    Raises
+    ------
+    SplitError
+        If none of eight drawings of car and script leaves the car on its wheels.
+    """
+    for attempt in range(_DRAWS):
+        rng = plan.rng(11, attempt) if attempt else plan.rng(11)
+        try:
+            return _told_draws(_drawn(plan, rng), attempt + 1)
+        except SplitError as error:
+            # Together the effects made the car spin, which none of them does alone.
+            reason = error
+    raise SplitError(f"case {plan.number} of seed {plan.seed} cannot be built: {reason}")
+
+
+def _told_draws(case: Case, draws: int) -> Case:
+    """Return a case that tells how often it was drawn."""
+    return replace(case, answer=replace(case.answer, draws=draws))
+
+
+def _drawn(plan: CasePlan, rng: np.random.Generator) -> Case:
     vehicle = _varied(rng)
     sizes = {term: _sized(vehicle, term, plan, rng) for term in plan.terms}
     terms = [built for built, _ in sizes.values()]
@@ -102,6 +126,8 @@ def scripted_drive(
     state = np.stack([zero, zero, rng.uniform(-3.0, 3.0, runs), speed, zero, zero], axis=1)
     substeps = 2 if pace > 0.6 else 6
     path = np.stack(_integrated(model, state, arrived, every, substeps), axis=1)
+    if not np.isfinite(path).all() or np.any(np.abs(path[:, :, 4]) > _MOST_SIDEWAYS * np.abs(path[:, :, 3])):
+        raise SplitError("the scripted car spins")
     length = path.shape[1]
     number = np.repeat(np.arange(runs), length)
     columns = {

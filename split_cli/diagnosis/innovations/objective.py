@@ -117,7 +117,8 @@ class MarginalLikelihood:
     root : ndarray, shape (C,)
         M, diagonal in the directions of V, with (I - V M V^T)^2 = I - V V^T.
     kinematics : tuple of KinematicResiduals or Witness
-        Recordings against themselves; their rows come last in every stack, and nothing but sensors moves them.
+        Recordings against themselves; their rows come last in every stack. Sensors move them, and inclined roads
+        what accelerometers feel; no other physics does.
     unnamed_floor : float
         Cost that a flexible fit may save without a difference: what simulation shows against itself, see
         `calibration`.
@@ -177,12 +178,17 @@ class MarginalLikelihood:
         return rows
 
     def _kinematic_rows(self, one: KinematicResiduals, terms: Sequence[Term]) -> np.ndarray:
-        if any(not term.exported for term in terms):
+        if any(not term.exported or term.is_felt for term in terms):
             return one.rows(terms)
         key = ("kinematics", id(one))
         if key not in self.memo:
             self.memo[key] = one.rows(())
         return self.memo[key]
+
+    def places(self) -> np.ndarray:
+        """Return how far along the track each entry lies [m], shape (R,)."""
+        rows = [np.repeat(one.series.s[one.at][keep], 3) for one, keep in zip(self.evidence, self.keep, strict=True)]
+        return np.concatenate([*rows, *(one.series.s[(one.begin + one.end) // 2] for one in self.kinematics)])
 
     def witnessed(self, terms: Sequence[Term], without: Sequence[Term] = ()) -> float:
         """Return how far terms move what a recording knows twice, in spreads of a window, where most [rms]."""

@@ -89,9 +89,11 @@ class Series:
         return measured, smooth
 
     def accelerations(self, terms: Sequence[Term]) -> dict[str, np.ndarray]:
-        """Return recorded ``ax`` and ``ay`` [m/s^2], the sensors' faults among `terms` taken off, shape (N,) each.
+        """Return ``ax`` and ``ay`` [m/s^2] without sensors' faults and weight on inclined roads, shape (N,) each.
 
-        Samples without a number are filled by straight lines; a channel that was not recorded is left out.
+        With what `terms` say of both taken off, the changes of the velocities are left, v_x' - v_y r and
+        v_y' + v_x r. Samples without a number are filled by straight lines; a channel that was not recorded is
+        left out.
         """
         names = [name for name in ("ax", "ay") if name in self.drive]
         columns = {name: _filled(self.drive[name]) for name in names} | {"t": self.t}
@@ -99,6 +101,10 @@ class Series:
             if term.corrects:
                 velocity = dict(zip(("vx", "vy", "r"), self.smooth.T, strict=True))
                 columns = term.correct({**velocity, **columns}, self.recording)
+        for term in terms:
+            if term.is_felt:
+                felt = dict(zip(("ax", "ay"), term.weight_felt(self.s), strict=True))
+                columns = {**columns, **{name: columns[name] - felt[name] for name in names}}
         return {name: columns[name] for name in names}
 
     def _apply(self, term: Term, velocity: np.ndarray) -> np.ndarray:

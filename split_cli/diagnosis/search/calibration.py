@@ -256,9 +256,7 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
     structure = build_structure(objective, sides.rows)
     fit = structure.fit(residuals, sides.variance_inflation)
     chosen = np.concatenate([np.repeat(np.concatenate(keep), 3), windows])
-    # Kinematic rows have no place; nothing that has one moves them.
-    s = [np.repeat(one.series.s[one.at][mask], 3) for one, mask in zip(graded, keep, strict=True)]
-    s = np.concatenate([*s, np.zeros(int(windows.sum()))])
+    s = objective.places()
     lap = graded[0].series.lap_length
     terms = {offer.term: 0.0 for offer in offers}
     for offer in offers:

@@ -94,6 +94,16 @@ class Explorer:
             key=lambda one: one[0] / self.variance_inflation + self.rules.price * one[1].candidate.complexity,
         )
 
+    def first_lines(self, current: Fit) -> list[Tangent]:
+        """Return of every other term without a place the start and variant that promises most, as straight lines."""
+        taken = {part.candidate.term for part in current.parts}
+        best: dict[str, tuple[float, Tangent]] = {}
+        for promised, line in together(lambda one: (one.cost(current), one), self._tangents):
+            term = line.part.candidate.term
+            if term not in taken and (term not in best or promised < best[term][0]):
+                best[term] = promised, line
+        return [line for _, line in best.values()]
+
     def _fits(self, current: Fit) -> list[Fit]:
         """Return fits of the best promises, with the second start of a variant where it promises more."""
         starts: dict[str, list[tuple[float, Part]]] = {}

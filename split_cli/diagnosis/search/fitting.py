@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,15 +14,18 @@ from split_cli.vehicle.effects import Term
 __all__ = [
     "Fit",
     "Part",
+    "Prior",
     "Tangent",
     "effect_everywhere",
     "fit_parts",
+    "fit_with_prior",
     "raw_slopes",
     "scan_places",
     "tangent",
 ]
 
 _ITERATIONS = 12
+_JOINT_ITERATIONS = 6  # of all terms at once, to see which of them are needed
 _REFRESHES = 1
 
 
@@ -37,6 +40,14 @@ class Part:
     def term(self) -> Term:
         """The term with these values."""
         return self.candidate.build(self.values)
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A normal prior of one parameter: mean and standard deviation, in its unit."""
+
+    mean: float
+    deviation: float
 
 
 @dataclass(frozen=True)
@@ -95,8 +106,51 @@ def fit_parts(objective: MarginalLikelihood, parts: Sequence[Part], *, refreshes
     return fit
 
 
-def _fit(objective: MarginalLikelihood, parts: tuple[Part, ...], shift: np.ndarray, iterations: int) -> Fit:
+def fit_with_prior(
+    objective: MarginalLikelihood, parts: Sequence[Part], priors: Sequence[Mapping[str, Prior]]
+) -> tuple[Fit, np.ndarray]:
+    """Refit all parameters together where priors hold what the rows do not tell: many terms that look alike.
+
+    Parameters
+    ----------
+    objective : MarginalLikelihood
+    parts : sequence of Part
+    priors : sequence of mapping of str to Prior
+        For each part, by parameter; those without one are free.
+
+    Returns
+    -------
+    Fit
+        With the residuals' cost alone.
+    ndarray, shape (P, P)
+        Half the curvature of the cost with the priors, in steps of the parameters.
+    """
+    parts = tuple(parts)
+    means, roots = [], []
+    for part, prior in zip(parts, priors, strict=True):
+        for name in part.values:
+            step = part.candidate.ranges[name].step
+            means.append(prior[name].mean / step if name in prior else 0.0)
+            roots.append(step / prior[name].deviation if name in prior else 0.0)
+    pulls = np.array(means), np.array(roots) ** 2
+    altering = not objective.fixed_baseline and any(alters_inputs(part.term) for part in parts)
+    shift = objective.shift([part.term for part in parts]) if altering else np.zeros(len(objective.weight))
+    fit = _fit(objective, parts, shift, _JOINT_ITERATIONS, pulls)
+    steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
+    slopes = fit.sensitivity * steps
+    return fit, slopes.T @ slopes + np.diag(pulls[1])
+
+
+def _fit(
+    objective: MarginalLikelihood,
+    parts: tuple[Part, ...],
+    shift: np.ndarray,
+    iterations: int,
+    pulls: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Fit:
     """Refit all parameters from where they are, the shared discrepancy's shift held.
+
+    `pulls` are the means and the precisions of priors, in steps of the parameters.
 
     Notes
     -----
@@ -114,11 +168,13 @@ def _fit(objective: MarginalLikelihood, parts: tuple[Part, ...], shift: np.ndarr
 
     here = residual_at(x)
     residuals = objective.whiten(here - shift)
-    cost = float(residuals @ residuals)
+    mean, precision = pulls if pulls is not None else (np.zeros(len(x)), np.zeros(len(x)))
+    cost = float(residuals @ residuals) + float(precision @ (x - mean) ** 2)
     damping = 1e-3
     for _ in range(iterations):
         jacobian = objective.whiten(_slopes(residual_at, here, x, upper))
-        curvature, slope = jacobian.T @ jacobian, jacobian.T @ residuals
+        curvature = jacobian.T @ jacobian + np.diag(precision)
+        slope = jacobian.T @ residuals + precision * (x - mean)
         improved = 0.0
         for _ in range(5):
             scaled = curvature + damping * np.diag(np.diag(curvature)) + 1e-9 * np.eye(len(x))
@@ -129,7 +185,7 @@ def _fit(objective: MarginalLikelihood, parts: tuple[Part, ...], shift: np.ndarr
             trial = np.clip(x + move, lower, upper)
             there = residual_at(trial)
             trial_residuals = objective.whiten(there - shift)
-            trial_cost = float(trial_residuals @ trial_residuals)
+            trial_cost = float(trial_residuals @ trial_residuals) + float(precision @ (trial - mean) ** 2)
             if trial_cost < cost:
                 improved = cost - trial_cost
                 x, here, residuals, cost = trial, there, trial_residuals, trial_cost
@@ -138,7 +194,7 @@ def _fit(objective: MarginalLikelihood, parts: tuple[Part, ...], shift: np.ndarr
             damping *= 8.0
         if improved < 0.02:
             break
-    return Fit(_with(parts, names, x * steps), cost, residuals, jacobian / steps)
+    return Fit(_with(parts, names, x * steps), float(residuals @ residuals), residuals, jacobian / steps)
 
 
 def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarray:
@@ -239,13 +295,7 @@ def scan_places(
         Of `effect_everywhere`.
     """
     amount, neutral = ("scale", 1.0) if candidate.located == "patch" else ("angle", 0.0)
-    # Kinematic rows have no place; what acts on the road does not move them.
-    s = np.zeros(len(residuals))
-    own = [
-        np.repeat(one.series.s[one.at][keep], 3)
-        for one, keep in zip(objective.evidence, objective.keep, strict=True)
-    ]
-    s[: sum(map(len, own))] = np.concatenate(own)
+    s = objective.places()
     reach = max(
         limit.upper for name, limit in candidate.ranges.items() if name in ("s_start", "s_end", "wavelength")
     )

@@ -17,6 +17,7 @@ from split_cli.diagnosis.search.exchange import merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.form_error import costs_beside_form_error, saved_beside_form_error
+from split_cli.diagnosis.search.joint import all_at_once, promised_by_all
 from split_cli.vehicle.effects import Term
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
 ]
 
 
+_PROMISING = 3.0  # prices that all terms at once have to promise to be worth the time of trying
 _ONCE = "nearly all in a few moments"
 _FORM_ERROR = "no more than the model-form error of the others"
 
@@ -110,8 +112,8 @@ def select_terms(
 ) -> Selection:
     """Add the term that saves most while one earns its price, then drop those that no longer do.
 
-    Where the best first term leaves something, the search begins anew from the next best: two terms together may
-    be one that is not the best alone.
+    Where the best first term leaves something, all terms are fitted at once; where that is no better, the search
+    begins anew from the next best first term: two terms together may be one that is not the best alone.
     """
     rules = objective.policy.selection
     explore = Explorer(objective, tuple(candidates), variance_inflation)
@@ -124,13 +126,18 @@ def select_terms(
     def score(found: _Found) -> float:
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
-    for other in _other_beginnings(first, base, rules) if found.left_something else ():
-        found = min(found, _forward(explore, base, [other]), key=score)
-    chosen, history = found.with_what_matters(base, rules), list(found.history)
-    if chosen is not found.chosen and term_size(objective, chosen, len(chosen.parts) - 1) < rules.nuisance_size:
-        history.append(f"{chosen.parts[-1].candidate.label} kept as a nuisance")
+    jointly = _all_at_once(explore, base, found.with_what_matters(base, rules)) if found.left_something else None
+    if jointly is not None:
+        history = [*found.history, f"all at once: {said_of(found.chosen, jointly)}"]
+        chosen = jointly
     else:
-        chosen = found.chosen
+        for other in _other_beginnings(first, base, rules) if found.left_something else ():
+            found = min(found, _forward(explore, base, [other]), key=score)
+        chosen, history = found.with_what_matters(base, rules), list(found.history)
+        if chosen is not found.chosen and term_size(objective, chosen, len(chosen.parts) - 1) < rules.nuisance_size:
+            history.append(f"{chosen.parts[-1].candidate.label} kept as a nuisance")
+        else:
+            chosen = found.chosen
     selection = _examined(explore, base, chosen)
     for _ in range(rules.rounds):
         selection, exchanged = _exchanged(explore, selection, history)
@@ -144,6 +151,38 @@ def select_terms(
         history += grown.history
         selection = _examined(explore, base, grown.chosen)
     return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first))
+
+
+def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
+    """Return what is left of all terms fitted at once, each believed beside the others; None if that is no better."""
+    if promised_by_all(explore, chosen) < _PROMISING * explore.rules.price:
+        return None
+    fit = all_at_once(explore, base, chosen)
+    while len(fit.parts) > 1:
+        without = without_parts(explore.objective, base, fit)
+        refused = [k for k, rest in enumerate(without) if _refused_last(explore, rest, fit, k)]
+        if not refused:
+            break
+        fit = min((without[k] for k in refused), key=explore.price)
+    return fit if _is_better_beside_form_error(explore, fit, chosen) else None
+
+
+def _is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:
+    """Return whether a fit costs less than another, with its price, beside model-form error of the effects of both.
+
+    Several terms may imitate one, and fit better by the model-form error of the one.
+    """
+    if explore.price(fit) > explore.price(than) - explore.rules.least_swap:
+        return False
+    there, here = costs_beside_form_error(explore.objective, [than, fit])
+    price = explore.rules.price * (fit.complexity - than.complexity)
+    return (there - here) / explore.variance_inflation > price + explore.rules.least_swap
+
+
+def _refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
+    """Return whether one part of a fit would be refused as the last to come to the others."""
+    last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k]))
+    return bool(_refusal(explore, rest, _sizes_in_velocity(explore.objective, rest.terms, ()), last))
 
 
 def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
@@ -214,7 +253,7 @@ def _believed_together(
     sizes = {k: _part_sizes(objective, chosen, k) for k, one in enumerate(sure) if one}
     named: list[int] = []
     for k in sorted(sizes, key=lambda k: -sizes[k].max()):
-        larger = _sizes(objective, tuple(chosen.terms[i] for i in named), ())
+        larger = _sizes_in_velocity(objective, tuple(chosen.terms[i] for i in named), ())
         witnessed = _is_witnessed(objective, chosen, k, rules)
         if not named or witnessed or not _is_form_error(objective, sizes[k], larger, without[k], chosen, rules):
             named.append(k)
@@ -378,7 +417,7 @@ def _error_of_sum(difference: np.ndarray) -> float:
 def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tuple[Fit | None, str]:
     """Return the first further term that is believed; where none is, why not the first of them, in words."""
     objective = explore.objective
-    sizes = _sizes(objective, chosen.terms, ())
+    sizes = _sizes_in_velocity(objective, chosen.terms, ())
     reasons = []
     for fit in fits:
         reasons.append(_refusal(explore, chosen, sizes, fit))
@@ -453,13 +492,20 @@ def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fi
 
 def _sizes(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
     """Return effect-to-noise ratios of terms against those of `without` in v_x, v_y and r, shape (3,)."""
+    size = _sizes_in_velocity(objective, terms, without)
+    # An accelerometer's fault moves no prediction of the velocities: it is as large as its witness says.
+    return size if size.any() else np.full(3, objective.witnessed(terms, without))
+
+
+def _sizes_in_velocity(
+    objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]
+) -> np.ndarray:
+    """Return the same of the velocities alone: the fault of an accelerometer leaves no model-form error there."""
     sizes = [
         effects_to_noise_of(one, one.at[mask], terms, without, partial(objective.carried, one))
         for one, mask in zip(objective.evidence, objective.keep, strict=True)
     ]
-    size = np.max(sizes, axis=0)
-    # An accelerometer's fault moves no prediction of the velocities: it is as large as its witness says.
-    return size if size.any() else np.full(3, objective.witnessed(terms, without))
+    return np.max(sizes, axis=0)
 
 
 def _part_sizes(objective: MarginalLikelihood, fit: Fit, k: int) -> np.ndarray:

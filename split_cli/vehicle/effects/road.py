@@ -16,6 +16,7 @@ from split_cli.vehicle.effects.search import GRAVITY, Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, number
 from split_cli.vehicle.flow import Flow
+from split_cli.vehicle.operations import NUMPY, Operations
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["RoadBank", "RoadGrade"]
@@ -68,12 +69,20 @@ class _Incline(Term):
 
     def angle(self, flow: Flow) -> Any:
         """Return the angle where the car is [rad]."""
+        return self.profile(flow.ops, flow.s)
+
+    def profile(self, ops: Operations, s: Any) -> Any:
+        """Return the angle at s [m] [rad]."""
         p = self.parameters
         if self.variant == "wave":
-            return p["amplitude"] * flow.ops.sin(2.0 * np.pi / p["wavelength"] * flow.s + p["phase"])
+            return p["amplitude"] * ops.sin(2.0 * np.pi / p["wavelength"] * s + p["phase"])
         if self.variant == "stretch":
-            return p["angle"] * inside_stretch(flow.ops, flow.s, p["s_start"], p["s_end"])
+            return p["angle"] * inside_stretch(ops, s, p["s_start"], p["s_end"])
         return p["angle"]
+
+    def specific_weight(self, s: np.ndarray) -> Any:
+        """Return the part of gravity along the inclination at s [m], shape (N,), uphill positive [m/s^2]."""
+        return GRAVITY * np.sin(self.profile(NUMPY, s))
 
 
 class RoadGrade(_Incline):
@@ -108,6 +117,10 @@ class RoadGrade(_Incline):
         """Add the longitudinal part of gravity."""
         flow.force_x = flow.force_x - flow.mass * GRAVITY * flow.ops.sin(self.angle(flow))
 
+    def weight_felt(self, s: np.ndarray) -> tuple[Any, Any]:
+        """Return what a_x gains."""
+        return self.specific_weight(s), 0.0
+
 
 class RoadBank(_Incline):
     """Gravity across the car, left side higher positive: v_y' gains -g sin(angle(s)).
@@ -131,3 +144,7 @@ class RoadBank(_Incline):
     def external(self, flow: Flow) -> None:
         """Add the lateral part of gravity."""
         flow.force_y = flow.force_y - flow.mass * GRAVITY * flow.ops.sin(self.angle(flow))
+
+    def weight_felt(self, s: np.ndarray) -> tuple[Any, Any]:
+        """Return what a_y gains."""
+        return 0.0, self.specific_weight(s)

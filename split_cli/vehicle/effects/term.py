@@ -211,6 +211,18 @@ class Term:
     def external(self, flow: Flow) -> None:
         """Add forces and a moment at the CG."""
 
+    def weight_felt(self, s: np.ndarray) -> tuple[Any, Any]:
+        """Return what accelerometers gain along and across the car by the term's inclination [m/s^2].
+
+        They feel a_x = v_x' - v_y r + g sin(grade) and a_y = v_y' + v_x r + g sin(bank); s [m] has shape (N,).
+        """
+        return 0.0, 0.0
+
+    @property
+    def is_felt(self) -> bool:
+        """Whether `weight_felt` is anything: whether the term inclines the car."""
+        return type(self).weight_felt is not Term.weight_felt
+
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
         """Return the channels of a recording as a right sensor would have given them; unchanged by default."""
         return dict(columns)

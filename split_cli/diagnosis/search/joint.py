@@ -1,0 +1,174 @@
+"""All plausible terms fitted at once, and taken away again while evidence allows.
+
+Adding terms one at a time finds those that help alone. Effects that act together may hide each other: a first term
+that stands for a little of each is added, and none of the true ones saves much beside it. Here every term takes
+part from the beginning, held by the prior of what a car of this size can have; then those leave that cost least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.exploration import Explorer
+from split_cli.diagnosis.search.fitting import Fit, Part, Prior, fit_parts, fit_with_prior
+from split_cli.vehicle.effects import CATALOGUE
+
+__all__ = ["all_at_once", "promised_by_all", "without_needless"]
+
+_NEAR_NONE = 0.1  # of a start, where a term that is not in the explanation yet begins
+_NO_EFFECT = 1e-12  # curvature, in chi squared by a step, of what changes nothing
+_TRIED = 2  # parts whose leaving is tried by a refit, those that cost least by straight lines
+_DEVIATIONS = 2.0  # that the bound of a range lies from no effect, for a prior as wide as the range
+
+
+def promised_by_all(explore: Explorer, current: Fit) -> float:
+    """Return what a linear fit of every term beside an explanation would save beyond the price, in chi squared.
+
+    Notes
+    -----
+    The terms' derivatives D at their first starts and the explanation's own sensitivity: e^T P e with P the
+    projection onto [D S], e the residuals left. Of pure noise it saves one for every column.
+    """
+    lines = [one.slopes for one in explore.first_lines(current)]
+    columns = np.hstack([*lines, current.sensitivity])
+    columns = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
+    score = columns.T @ current.residuals
+    normal = columns.T @ columns + 1e-6 * np.eye(len(score))
+    return float(score @ np.linalg.solve(normal, score)) / explore.variance_inflation - len(score)
+
+
+def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
+    """Return the explanation that is left of all terms when none can leave without costing more than its price.
+
+    Parameters
+    ----------
+    explore : Explorer
+    nothing, current : Fit
+        Nothing added, and an explanation. Of its parts only those with a place are taken along: all others begin
+        near no effect, lest a wrong one keep the place that it has.
+
+    Notes
+    -----
+    With x the parameters of the joint fit in steps, H its curvature with the prior's, and d the distance of a
+    term's parameters b from no effect, leaving the term out costs d^T ((H^-1)_bb)^-1 d to second order, the others
+    refitted (Wald). The linear costs are followed down to where the next would cost more than it is worth; what is
+    left is then fitted without the prior, and taken away by refits.
+    """
+    placed = tuple(part for part in current.parts if part.candidate.located)
+    begun = fit_parts(explore.objective, placed) if placed else nothing
+    parts = _everything(explore, begun)
+    fit, curvature = fit_with_prior(explore.objective, parts, [_prior(part.candidate) for part in parts])
+    kept = _not_needless(explore, fit.parts, curvature)
+    if not kept:
+        return current
+    return without_needless(explore, fit_parts(explore.objective, kept))
+
+
+def without_needless(explore: Explorer, fit: Fit) -> Fit:
+    """Return an explanation without the parts whose leaving costs less than their price, one after the other.
+
+    Only those whose leaving costs least by straight lines are tried.
+    """
+    while len(fit.parts) > 1:
+        parts = fit.parts
+        steps = np.array([part.candidate.ranges[name].step for part in parts for name in part.values])
+        slopes = fit.sensitivity * steps
+        worth = _worth(explore, _blocks(parts), slopes.T @ slopes, np.zeros(len(steps)))
+        tried = np.argsort([one for one, _ in worth])[:_TRIED]
+        reduced = [fit_parts(explore.objective, parts[:k] + parts[k + 1 :]) for k in tried]
+        best = min(reduced, key=explore.price)
+        if explore.price(best) > explore.price(fit):
+            break
+        fit = best
+    return fit
+
+
+def _everything(explore: Explorer, current: Fit) -> tuple[Part, ...]:
+    """Return the parts of an explanation and all other terms, each in its most promising variant, near none."""
+    others = [
+        Part(one.part.candidate, _clipped(one.part.candidate, one.part.candidate.moved(one.part.values, _NEAR_NONE)))
+        for one in explore.first_lines(current)
+    ]
+    return (*current.parts, *others)
+
+
+def _clipped(candidate: Candidate, values: dict[str, float]) -> dict[str, float]:
+    return {
+        name: float(np.clip(value, candidate.ranges[name].lower, candidate.ranges[name].upper))
+        for name, value in values.items()
+    }
+
+
+def _prior(candidate: Candidate) -> dict[str, Prior]:
+    """Return no effect and a deviation for each parameter that has a neutral value; others are free."""
+    neutral = CATALOGUE[candidate.term].neutral
+    out = {}
+    for name, limit in candidate.ranges.items():
+        none = neutral.get(name)
+        if none is not None:
+            out[name] = Prior(none, max(limit.upper - none, none - limit.lower) / _DEVIATIONS)
+    return out
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Which of all parameters belong to a part, and which of them vanish with it."""
+
+    part: Part
+    columns: np.ndarray
+    vanishing: np.ndarray
+    distance: np.ndarray
+
+
+def _blocks(parts: Sequence[Part]) -> list[_Block]:
+    blocks, first = [], 0
+    for part in parts:
+        neutral = CATALOGUE[part.candidate.term].neutral
+        names = list(part.values)
+        told = np.array([neutral.get(name) is not None for name in names])
+        distance = [
+            (part.values[name] - neutral[name]) / part.candidate.ranges[name].step
+            for name in names
+            if neutral.get(name) is not None
+        ]
+        columns = first + np.arange(len(names))
+        blocks.append(_Block(part, columns, columns[told], np.array(distance)))
+        first += len(names)
+    return blocks
+
+
+def _not_needless(explore: Explorer, parts: Sequence[Part], curvature: np.ndarray) -> tuple[Part, ...]:
+    """Return the parts that cost more than their price, by linear costs, the cheapest taken away one by one."""
+    blocks = _blocks(parts)
+    moved = np.zeros(len(curvature))  # of the parameters that stay, as others leave
+    while len(blocks) > 1:
+        worth = _worth(explore, blocks, curvature, moved)
+        least = int(np.argmin([one for one, _ in worth]))
+        if worth[least][0] > 0.0:
+            break
+        moved[np.concatenate([one.columns for one in blocks])] += worth[least][1]
+        blocks.pop(least)
+    return tuple(one.part for one in blocks)
+
+
+def _worth(
+    explore: Explorer, blocks: Sequence[_Block], curvature: np.ndarray, moved: np.ndarray
+) -> list[tuple[float, np.ndarray]]:
+    """Return for each block what its leaving costs beyond its price, and how the parameters there are then move."""
+    here = np.concatenate([one.columns for one in blocks])
+    place = {column: i for i, column in enumerate(here)}
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature)[here], _NO_EFFECT))
+    inverse = np.linalg.inv(curvature[np.ix_(here, here)] * np.outer(scale, scale) + 1e-9 * np.eye(len(here)))
+    inverse *= np.outer(scale, scale)
+    out = []
+    for one in blocks:
+        at = [place[column] for column in one.vanishing]
+        distance = one.distance + moved[one.vanishing]
+        weights = np.linalg.solve(inverse[np.ix_(at, at)], distance)
+        cost = float(distance @ weights) / explore.variance_inflation - explore.rules.price * one.part.candidate.complexity
+        out.append((cost, -inverse[:, at] @ weights))
+    return out
