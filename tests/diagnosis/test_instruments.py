@@ -89,6 +89,22 @@ def test_physics_moves_no_witness():
         np.testing.assert_array_equal(one.rows((CATALOGUE["mass"]({"scale": 1.5}),)), one.rows(()))
 
 
+def test_an_inclined_road_is_felt_by_accelerometers_and_by_nothing_else():
+    """a_y = v_y' + v_x r + g sin(bank): a drive on a bank contradicts itself until the bank is told."""
+    drive = recording(35)
+    felt = replace(drive, columns={**drive.columns, "ay": drive["ay"] + 9.80665 * np.sin(0.03)})
+    bank = CATALOGUE["road_bank"]({"angle": 0.03}, "")
+    # A grade is felt along the car; a stretch only where it is.
+    grade = CATALOGUE["road_grade"]({"angle": 0.05, "s_start": 10.0, "s_end": 20.0}, "stretch")
+    assert grade.weight_felt(np.array([5.0, 15.0]))[0] == pytest.approx([0.0, 9.80665 * np.sin(0.05)])
+    for level, banked in zip(build_witnesses(prepared(drive)), build_witnesses(prepared(felt)), strict=True):
+        right = level.rows(())
+        assert banked.rows((bank,)) * banked.scale == pytest.approx(right * level.scale, abs=1e-9)
+        moved = np.abs(banked.left(()) - level.left(())).max()
+        # A window of half a second gains g sin(bank) times its length.
+        assert moved == pytest.approx(0.5 * 9.80665 * np.sin(0.03) if level.kind == "a_y" else 0.0, abs=1e-9)
+
+
 def test_a_derived_position_is_no_witness():
     drive = recording(35)
     metadata = replace(drive.metadata, kinds={"X": "derived: from vx", "ax": "derived: from vx", "ay": "derived"})

@@ -187,7 +187,8 @@ class MarginalLikelihood:
 
     def places(self) -> np.ndarray:
         """Return how far along the track each entry lies [m], shape (R,)."""
-        rows = [np.repeat(one.series.s[one.at][keep], 3) for one, keep in zip(self.evidence, self.keep, strict=True)]
+        pairs = zip(self.evidence, self.keep, strict=True)
+        rows = [np.repeat(one.series.s[one.at][keep], 3) for one, keep in pairs]
         return np.concatenate([*rows, *(one.series.s[(one.begin + one.end) // 2] for one in self.kinematics)])
 
     def witnessed(self, terms: Sequence[Term], without: Sequence[Term] = ()) -> float:

@@ -95,7 +95,7 @@ class Explorer:
         )
 
     def first_lines(self, current: Fit) -> list[Tangent]:
-        """Return of every other term without a place the start and variant that promises most, as straight lines."""
+        """Return the most promising start and variant of every other term without a place, as straight lines."""
         taken = {part.candidate.term for part in current.parts}
         best: dict[str, tuple[float, Tangent]] = {}
         for promised, line in together(lambda one: (one.cost(current), one), self._tangents):

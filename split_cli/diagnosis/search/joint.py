@@ -89,18 +89,14 @@ def without_needless(explore: Explorer, fit: Fit) -> Fit:
 
 def _everything(explore: Explorer, current: Fit) -> tuple[Part, ...]:
     """Return the parts of an explanation and all other terms, each in its most promising variant, near none."""
-    others = [
-        Part(one.part.candidate, _clipped(one.part.candidate, one.part.candidate.moved(one.part.values, _NEAR_NONE)))
-        for one in explore.first_lines(current)
-    ]
-    return (*current.parts, *others)
+    return (*current.parts, *(_near_none(one.part) for one in explore.first_lines(current)))
 
 
-def _clipped(candidate: Candidate, values: dict[str, float]) -> dict[str, float]:
-    return {
-        name: float(np.clip(value, candidate.ranges[name].lower, candidate.ranges[name].upper))
-        for name, value in values.items()
-    }
+def _near_none(part: Part) -> Part:
+    ranges = part.candidate.ranges
+    near = part.candidate.moved(part.values, _NEAR_NONE)
+    inside = {name: float(np.clip(value, ranges[name].lower, ranges[name].upper)) for name, value in near.items()}
+    return Part(part.candidate, inside)
 
 
 def _prior(candidate: Candidate) -> dict[str, Prior]:
@@ -158,7 +154,7 @@ def _not_needless(explore: Explorer, parts: Sequence[Part], curvature: np.ndarra
 def _worth(
     explore: Explorer, blocks: Sequence[_Block], curvature: np.ndarray, moved: np.ndarray
 ) -> list[tuple[float, np.ndarray]]:
-    """Return for each block what its leaving costs beyond its price, and how the parameters there are then move."""
+    """Return for each block what its leaving costs beyond its price, and how all parameters then move."""
     here = np.concatenate([one.columns for one in blocks])
     place = {column: i for i, column in enumerate(here)}
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature)[here], _NO_EFFECT))
@@ -169,6 +165,6 @@ def _worth(
         at = [place[column] for column in one.vanishing]
         distance = one.distance + moved[one.vanishing]
         weights = np.linalg.solve(inverse[np.ix_(at, at)], distance)
-        cost = float(distance @ weights) / explore.variance_inflation - explore.rules.price * one.part.candidate.complexity
-        out.append((cost, -inverse[:, at] @ weights))
+        price = explore.rules.price * one.part.candidate.complexity
+        out.append((float(distance @ weights) / explore.variance_inflation - price, -inverse[:, at] @ weights))
     return out

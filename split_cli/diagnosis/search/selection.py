@@ -134,7 +134,8 @@ def select_terms(
         for other in _other_beginnings(first, base, rules) if found.left_something else ():
             found = min(found, _forward(explore, base, [other]), key=score)
         chosen, history = found.with_what_matters(base, rules), list(found.history)
-        if chosen is not found.chosen and term_size(objective, chosen, len(chosen.parts) - 1) < rules.nuisance_size:
+        refused = chosen is not found.chosen
+        if refused and term_size(objective, chosen, len(chosen.parts) - 1) < rules.nuisance_size:
             history.append(f"{chosen.parts[-1].candidate.label} kept as a nuisance")
         else:
             chosen = found.chosen
@@ -154,7 +155,7 @@ def select_terms(
 
 
 def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
-    """Return what is left of all terms fitted at once, each believed beside the others; None if that is no better."""
+    """Return what is left of all terms fitted at once, each believed beside the others; None if no better."""
     if promised_by_all(explore, chosen) < _PROMISING * explore.rules.price:
         return None
     fit = all_at_once(explore, base, chosen)
@@ -168,7 +169,7 @@ def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
 
 
 def _is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:
-    """Return whether a fit costs less than another, with its price, beside model-form error of the effects of both.
+    """Return whether a fit costs less than another, price included, beside model-form error of both.
 
     Several terms may imitate one, and fit better by the model-form error of the one.
     """

@@ -1,0 +1,75 @@
+"""All terms at once: what a search one by one misses is found, and linear costs are those of refits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.search.exploration import Explorer
+from split_cli.diagnosis.search.fitting import Part, Prior, fit_parts, fit_with_prior
+from split_cli.diagnosis.search.joint import _blocks, _worth, all_at_once, promised_by_all, without_needless
+from split_cli.diagnosis.search.selection import nothing
+from split_cli.vehicle.effects import CATALOGUE
+from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
+
+VARIANCE_INFLATION = 1.5
+TRUE = {
+    "aero_drag": {"drag": 0.6},
+    "yaw_inertia": {"scale": 1.15},
+    "yaw_moment_differential": {"yaw_damping": 1500.0},
+}
+OTHERS = ("aero_downforce", "tire_stiffness", "friction_scale", "cg_shift", "rolling_resistance", "steer_gain")
+
+
+@pytest.fixture(scope="module")
+def explore() -> Explorer:
+    objective = noisy_objective(driven(41, [CATALOGUE[term](values) for term, values in TRUE.items()]), 3)
+    return Explorer(objective, tuple(candidates_of(objective, *TRUE, *OTHERS)), VARIANCE_INFLATION)
+
+
+def test_terms_that_a_wrong_beginning_hides_are_found(explore):
+    base = nothing(explore.objective)
+    wrong = [one for one in explore.candidates if one.term in ("aero_downforce", "cg_shift") and not one.variant]
+    begun = fit_parts(explore.objective, [Part(one, dict(one.starts[0])) for one in wrong])
+    assert promised_by_all(explore, begun) > 10.0 * explore.rules.price
+    found = all_at_once(explore, base, begun)
+    assert set(found.names) >= set(TRUE)
+    for part in found.parts:
+        for name, value in TRUE.get(part.candidate.term, {}).items():
+            assert part.values[name] == pytest.approx(value, rel=0.1)
+    assert explore.price(found) < explore.price(begun)
+    # What is whole promises no more than chance gives the columns that are tried.
+    assert promised_by_all(explore, found) < 3.0 * explore.rules.price
+
+
+def test_linear_costs_of_leaving_are_those_of_refits(explore):
+    by_term = {one.term: one for one in reversed(explore.candidates)}
+    parts = [Part(by_term[term], dict(values)) for term, values in TRUE.items()]
+    fit = fit_parts(explore.objective, parts)
+    steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
+    slopes = fit.sensitivity * steps
+    told = [one for one, _ in _worth(explore, _blocks(fit.parts), slopes.T @ slopes, np.zeros(len(steps)))]
+    refitted = [
+        (fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :]).cost - fit.cost) / VARIANCE_INFLATION
+        - explore.rules.price
+        for k in range(len(fit.parts))
+    ]
+    # Moments act by one over the inertia, of which a straight line at 1.15 has told 1/1.15 by the way to 1.
+    told[list(TRUE).index("yaw_inertia")] *= 1.15**2
+    assert told == pytest.approx(refitted, rel=0.1)
+    assert without_needless(explore, fit).names == fit.names
+
+
+def test_a_prior_holds_what_the_rows_do_not_tell(explore):
+    """A narrow prior keeps a parameter, a wide one leaves it to the rows; curvature adds up."""
+    one = next(one for one in explore.candidates if one.term == "yaw_inertia")
+    free = fit_parts(explore.objective, [Part(one, {"scale": 1.05})])
+    part = Part(one, {"scale": 1.05})
+    wide, curvature = fit_with_prior(explore.objective, [part], [{"scale": Prior(1.0, 1e3)}])
+    assert wide.parts[0].values["scale"] == pytest.approx(free.parts[0].values["scale"], rel=1e-3)
+    deviation = one.ranges["scale"].step / np.sqrt(curvature[0, 0])
+    held, both = fit_with_prior(explore.objective, [part], [{"scale": Prior(1.0, deviation)}])
+    # A prior as wide as the rows' own deviation takes half of the way, and doubles the curvature.
+    middle = 0.5 * (1.0 + free.parts[0].values["scale"])
+    assert held.parts[0].values["scale"] == pytest.approx(middle, abs=0.2 * abs(middle - 1.0))
+    assert both[0, 0] == pytest.approx(2.0 * curvature[0, 0], rel=0.3)
