@@ -26,6 +26,8 @@ from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, build_structure
 from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.fitting import Fit
+from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.running import with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
 
@@ -180,6 +182,12 @@ def _search(
     gap = structure.fit(base.residuals, variance_inflation)
     objective = replace(objective, form_error_inflation=known.form_error_inflation_of(gap, objective.policy))
     structure = replace(structure, objective=objective)
-    selection = select_terms(objective, candidates, variance_inflation)
+    rules = objective.policy.abstention
+
+    def leaves_structure(fit: Fit) -> bool:
+        left = structure.fit(residuals_beside_form_error(objective, fit), variance_inflation)
+        return left.p_value < rules.level and left.effect_to_noise > rules.effect_to_noise
+
+    selection = select_terms(objective, candidates, variance_inflation, leaves_structure)
     selection = with_variants_that_run(structure, candidates, selection, variance_inflation)
     return SearchOutcome(structure, gap, selection, known, variance_inflation, (objective,))

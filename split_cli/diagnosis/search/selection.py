@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -108,12 +108,23 @@ def nothing(objective: MarginalLikelihood) -> Fit:
 
 
 def select_terms(
-    objective: MarginalLikelihood, candidates: Sequence[Candidate], variance_inflation: float
+    objective: MarginalLikelihood,
+    candidates: Sequence[Candidate],
+    variance_inflation: float,
+    leaves_structure: Callable[[Fit], bool] = lambda fit: True,
 ) -> Selection:
     """Add the term that saves most while one earns its price, then drop those that no longer do.
 
-    Where the best first term leaves something, all terms are fitted at once; where that is no better, the search
-    begins anew from the next best first term: two terms together may be one that is not the best alone.
+    Where the best first term leaves something, the search begins anew from the next best: two terms together may
+    be one that is not the best alone. Where that something has structure, all terms are fitted at once before.
+
+    Parameters
+    ----------
+    objective : MarginalLikelihood
+    candidates : sequence of Candidate
+    variance_inflation : float
+    leaves_structure : callable
+        Whether an explanation leaves more than noise and the model-form error of its terms.
     """
     rules = objective.policy.selection
     explore = Explorer(objective, tuple(candidates), variance_inflation)
@@ -126,10 +137,11 @@ def select_terms(
     def score(found: _Found) -> float:
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
-    jointly = _all_at_once(explore, base, found.with_what_matters(base, rules)) if found.left_something else None
+    jointly = None
+    if found.left_something and leaves_structure(found.with_what_matters(base, rules)):
+        jointly = _all_at_once(explore, base, found.with_what_matters(base, rules))
     if jointly is not None:
-        history = [*found.history, f"all at once: {said_of(found.chosen, jointly)}"]
-        chosen = jointly
+        chosen, history = jointly, [*found.history, f"all at once: {said_of(found.chosen, jointly)}"]
     else:
         for other in _other_beginnings(first, base, rules) if found.left_something else ():
             found = min(found, _forward(explore, base, [other]), key=score)
@@ -173,11 +185,14 @@ def _is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool
 
     Several terms may imitate one, and fit better by the model-form error of the one.
     """
-    if explore.price(fit) > explore.price(than) - explore.rules.least_swap:
+    rules, more = explore.rules, len(fit.parts) > len(than.parts)
+    # Of explanations that are as good, the one with fewer terms stays.
+    least = rules.same_excess if more else rules.least_swap
+    if explore.price(fit) > explore.price(than) - least:
         return False
     there, here = costs_beside_form_error(explore.objective, [than, fit])
-    price = explore.rules.price * (fit.complexity - than.complexity)
-    return (there - here) / explore.variance_inflation > price + explore.rules.least_swap
+    price = rules.price * (fit.complexity - than.complexity)
+    return (there - here) / explore.variance_inflation > price + least
 
 
 def _refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
