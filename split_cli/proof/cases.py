@@ -235,7 +235,7 @@ def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
         lap = drive(without, trips[1], sample_period=1e-2)
         sim = record(lap, source.alignment, "sim", None, without.sensor)
     told, heldout, removed = _told(effects, world, without, trips, source, plan)
-    if plan.kind in ("single", "pair"):
+    if plan.kind in ("single", "pair", "hard-pair"):
         _require_named(heldout, removed, source)
     answer = Answer(
         number=plan.number, kind=plan.kind, tier=plan.tier, effects=told, car=source.car.name, base=setting.base,

@@ -21,12 +21,12 @@ FIRST_REPORTED_SEED = 10**6
 TIERS = {"easy": (1.0, 3.0), "realistic": (0.35, 1.0), "hard": (0.12, 0.35)}
 """Severity: rms of the effect's 0.05 s prediction error over sqrt(2) sigma, in the channel where it is largest."""
 
-KINDS = ("null", "single", "pair", "strange", "set", "nominal-set")
+KINDS = ("null", "single", "pair", "strange", "set", "nominal-set", "hard-pair")
 MIXED = KINDS[:4]
 """Kinds that `plan_case` mixes unless it is asked for others."""
 # Of twenty cases: seven nulls, eight singles, two pairs, three effects outside the catalogue.
-_PATTERN = "sn snsxnps nsnxs nspxns n".replace(" ", "")[:20] + "tm"
-_LETTERS = {"n": "null", "s": "single", "p": "pair", "x": "strange", "t": "set", "m": "nominal-set"}
+_PATTERN = "sn snsxnps nsnxs nspxns n".replace(" ", "")[:20] + "tmh"
+_LETTERS = dict(zip("nspxtmh", ("null", "single", "pair", "strange", "set", "nominal-set", "hard-pair"), strict=True))
 _TIER_PATTERN = ("realistic", "hard", "realistic", "easy", "hard", "realistic", "hard")
 _PAIR_RANGE = (0.5, 1.5)
 _SUBSTITUTES = 3
@@ -42,7 +42,7 @@ class CasePlan:
     ----------
     seed, number : int
     kind : str
-        null, single, pair, strange, set or nominal-set.
+        One of `KINDS`.
     terms : tuple of str
         Ids of the catalogue; or kinds outside it, of which the first that can be built is taken.
     tier : str
@@ -99,9 +99,10 @@ def plan_case(seed: int, number: int, kinds: tuple[str, ...] = MIXED) -> CasePla
         tier = _TIER_PATTERN[(turn + turn // len(singles)) % len(_TIER_PATTERN)]
         first, *others = ((str(singles[(turn + i) % len(singles)]),) for i in range(1 + _SUBSTITUTES))
         return CasePlan(seed, number, kind, first, tier, *TIERS[tier], instead=tuple(others))
-    if kind == "pair":
+    if kind in ("pair", "hard-pair"):
         first, *others = (_draw_pair(rng) for _ in range(1 + _SUBSTITUTES))
-        return CasePlan(seed, number, kind, first, "", *_PAIR_RANGE, instead=tuple(others))
+        low, high = _PAIR_RANGE if kind == "pair" else TIERS["hard"]
+        return CasePlan(seed, number, kind, first, "", low, high, instead=tuple(others))
     if kind in ("set", "nominal-set"):
         names = sorted(EFFECTS) if kind == "set" else sorted(NOMINAL_TERMS)
         first, *others = (_draw_set(rng, names) for _ in range(1 + _SUBSTITUTES))

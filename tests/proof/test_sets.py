@@ -62,3 +62,10 @@ def test_a_set_is_scored_by_effects_by_strange_names_and_whole():
     assert list(some.values()) == pytest.approx([1.0 / 3.0, 0.5, 0.0])
     whole = rates(Named("aero_drag"), Named("steer_offset"), Named("drive_gain", {}, ("mass",)))
     assert list(whole.values()) == pytest.approx([1.0, 0.0, 1.0])
+
+
+def test_hard_pairs_are_pairs_of_small_effects():
+    plans = [plan_case(9, number, ("pair", "hard-pair")) for number in range(12)]
+    hard = [plan for plan in plans if plan.kind == "hard-pair"]
+    assert len(hard) == 4 and {plan.kind for plan in plans} == {"pair", "hard-pair"}
+    assert all((plan.low, plan.high) == (0.12, 0.35) and len(set(plan.terms)) == 2 for plan in hard)
