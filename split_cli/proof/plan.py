@@ -26,7 +26,7 @@ MIXED = KINDS[:4]
 """Kinds that `plan_case` mixes unless it is asked for others."""
 # Of twenty cases: seven nulls, eight singles, two pairs, three effects outside the catalogue.
 _PATTERN = "sn snsxnps nsnxs nspxns n".replace(" ", "")[:20] + "tmh"
-_LETTERS = dict(zip("nspxtmh", ("null", "single", "pair", "strange", "set", "nominal-set", "hard-pair"), strict=True))
+_LETTERS = dict(zip("nspxtmh", KINDS, strict=True))
 _TIER_PATTERN = ("realistic", "hard", "realistic", "easy", "hard", "realistic", "hard")
 _PAIR_RANGE = (0.5, 1.5)
 _SUBSTITUTES = 3
