@@ -108,10 +108,39 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     help="How far sets trained here are believed, without --set.",
 )
 @click.option("--any-vehicle", is_flag=True, help="Warn, do not refuse, where a drive contradicts the vehicle.")
+@click.option(
+    "--select",
+    is_flag=True,
+    help="Try capacities, gain thresholds, cell edges and --features on held-out blocks, and choose.",
+)
+@click.option(
+    "--capacities",
+    default="5,10,20",
+    show_default=True,
+    callback=_list_of(int),
+    metavar="LIST",
+    help="With --select.",
+)
+@click.option(
+    "--thresholds",
+    default="0.001,0.01,0.1",
+    show_default=True,
+    callback=_list_of(float),
+    metavar="LIST",
+    help="With --select.",
+)
+@click.option(
+    "--cell-edges",
+    default="1,2",
+    show_default=True,
+    callback=_list_of(float),
+    metavar="LIST",
+    help="With --select: in usual edges.",
+)
 @output_option("Folder for figures and report.html.", required=False)
 @held_option
 @json_option
-def command(drives, vehicle_path, set_path, output, as_json, **settings) -> None:
+def command(drives, vehicle_path, set_path, output, as_json, select, **settings) -> None:
     """Score predictors beside the nominal model, persistence and the noise floor.
 
     Without --set, a set is trained on the training blocks of the drives, with hyperparameters fitted there, and
@@ -121,13 +150,18 @@ def command(drives, vehicle_path, set_path, output, as_json, **settings) -> None
     Example:
       split evaluate lap.parquet --vehicle car.yaml --features z1,z2 -o figures
       split evaluate lap2.parquet --set car.split --predictor bcm,full
+      split evaluate lap.parquet --vehicle car.yaml --select -o figures
     """
+    tried = {name: settings.pop(name) for name in ("capacities", "thresholds", "cell_edges")}
+    if output is not None and not output.parent.is_dir():
+        raise click.UsageError(f"the folder {output.parent} does not exist")
+    if select:
+        _select(drives, vehicle_path, set_path, output, as_json, tried, settings)
+        return
     from split_cli.scoring.report import EvaluationSettings
     from split_cli.workflows.evaluate import evaluate_files
 
     asked = EvaluationSettings(**settings)
-    if output is not None and not output.parent.is_dir():
-        raise click.UsageError(f"the folder {output.parent} does not exist")
     run = evaluate_files(drives, vehicle_path, asked, set_path, say=_say)
     if output is not None:
         from split_cli.plots.evaluation import write_figures
@@ -145,6 +179,42 @@ def command(drives, vehicle_path, set_path, output, as_json, **settings) -> None
         print_json(run.report)
     else:
         _print_report(run.report)
+
+
+def _select(drives, vehicle_path, set_path, output, as_json, tried: dict, settings: dict) -> None:
+    from split_cli.scoring.selection import SelectionSettings
+    from split_cli.workflows.select import select_files
+
+    if vehicle_path is None or set_path is not None:
+        raise click.UsageError("--select trains sets of its own: give --vehicle, and no --set")
+    asked = SelectionSettings(settings["features"], **tried, horizon=settings["horizon"])
+    found = select_files(
+        drives, vehicle_path, asked, held=settings["held"], any_vehicle=settings["any_vehicle"], say=_say
+    )
+    if output is not None:
+        from split_cli.plots.selection import write_selection
+
+        click.echo(f"split: figure in {output}: {write_selection(found, output)}", err=True)
+    if as_json:
+        print_json(found)
+        return
+    click.echo(f"{found.vehicle}: {found.labels} labels on {found.blocks} held-out blocks, {found.folds} folds")
+    click.echo("error: root mean over v_x, v_y, r of MSE/MSE of the nominal model; behind: of the mean square\n")
+    header = ("", "features", "capacity", "threshold", "cell edge", "points", "cells", "us/query", "error",
+              "behind", "+-", "v_x", "v_y", "r")  # fmt: skip
+    print_table(header, [
+        (_mark(one), one.features, one.capacity, one.threshold, one.cell_edge, one.points, one.cells,
+         one.microseconds, one.error, one.behind, one.behind_error, *map(float, one.rmse))
+        for one in found.candidates
+    ])  # fmt: skip
+    click.echo("\nchosen: fewest points among those within one standard error of the best")
+    click.echo(found.command)
+
+
+def _mark(one) -> str:
+    """Return how a row is marked: on the front, chosen, what `split train` does by itself."""
+    marks = (("front", one.on_front), ("CHOSEN", one.chosen), ("default", one.usual))
+    return ", ".join(name for name, true in marks if true)
 
 
 def _say(text: str) -> None:

@@ -57,6 +57,7 @@ class TimeSpan(click.ParamType):
     help="split: cell by cell (default). iol: the rival, one dictionary, every point judged again.",
 )
 @click.option("--threshold", type=float, help="Gain a point needs to enter a cell with room; default 1e-3.")
+@click.option("--cell-edge", type=float, metavar="FACTOR", help="Edge of the cells, in usual edges; default 1.")
 @click.option(
     "--forgetting", type=float, metavar="S", help="Weigh gains down with age, time constant S; default off."
 )

@@ -87,6 +87,10 @@ class Grid:
     lower: tuple[float, ...]
     upper: tuple[float, ...]
 
+    def coarser(self, factor: float) -> Grid:
+        """Return the grid with edges of `factor` times the length; bounds stay."""
+        return Grid(tuple(factor * edge for edge in self.edges), self.lower, self.upper)
+
     @property
     def bits(self) -> int:
         """Bits of a cell number each feature's index takes."""

@@ -38,6 +38,7 @@ def create_set(
     dictionary: bool = False,
     capacity: int | None = None,
     threshold: float | None = None,
+    cell_edge: float | None = None,
     forgetting: float | None = None,
 ) -> tuple[TrainingSet, KernelFit | None]:
     """Return an empty set: its grid from the first drive with valid samples, its kernel and trust as asked for.
@@ -51,18 +52,23 @@ def create_set(
         As `parse_trust` takes it, or ``held-out``; None for the usual one of the learner.
     dictionary : bool
         One dictionary over the whole feature space instead of cells.
+    cell_edge : float or None
+        Edge of the cells in usual edges; None for 1.
     capacity, threshold, forgetting
         As for `empty_set`; None for the defaults.
 
     Raises
     ------
     SetError
-        If no sample is valid, or trust is to be found without a recording.
+        If no sample is valid, the cell edge is not positive, or trust is to be found without a recording.
     """
     how = drives.labelling
     first = _first_valid(drives)
     valid = first.accepted
-    grid = build_grid(how.features, how.vehicle, how.region, first.z[valid])
+    edge = 1.0 if cell_edge is None else cell_edge
+    if not 0.0 < edge < np.inf:
+        raise SetError(f"the cell edge is {edge:g} usual edges, a positive number was expected")
+    grid = build_grid(how.features, how.vehicle, how.region, first.z[valid]).coarser(edge)
     kernel, fit = default_kernel(grid, first.y[valid], scatter_variance(first)), None
     if hyperparameters == "fit":
         fit = _fit(drives, grid, kernel)

@@ -49,6 +49,8 @@ class TrainSettings:
         Points a cell, 10 by default.
     threshold : float or None
         Gain that a point needs to enter a cell with room, 1e-3 by default.
+    cell_edge : float or None
+        Edge of the cells in usual edges, 1 by default; only for a new set.
     forgetting : float or None
         Time constant [s]; off by default.
     plain : bool
@@ -72,6 +74,7 @@ class TrainSettings:
     stride: int | None = None
     capacity: int | None = None
     threshold: float | None = None
+    cell_edge: float | None = None
     forgetting: float | None = None
     plain: bool = False
     exclude: tuple[tuple[float, float], ...] = ()
@@ -306,6 +309,7 @@ def _create(drives: LabelledDrives, settings: TrainSettings) -> tuple[TrainingSe
         dictionary=settings.learner == LEARNER,
         capacity=settings.capacity,
         threshold=settings.threshold,
+        cell_edge=settings.cell_edge,
         forgetting=settings.forgetting,
     )
 
@@ -346,6 +350,12 @@ def _check_continues(known: TrainingSet, vehicle: Vehicle, settings: TrainSettin
             f"keeps its hyperparameters ({known.kernel.origin}) when appended to",
             where=where,
             advice="Leave out --hyperparameters, or train anew with all drives.",
+        )
+    if settings.cell_edge is not None:
+        raise SetError(
+            "keeps its cells when appended to",
+            where=where,
+            advice="Leave out --cell-edge, or train anew with all drives.",
         )
     if settings.trust is not None:
         raise SetError(

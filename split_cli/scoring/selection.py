@@ -1,0 +1,163 @@
+"""Settings of a set chosen on held-out blocks: every candidate's error and cost, their front, and the choice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+__all__ = ["Candidate", "Selection", "SelectionSettings", "choose", "relative_error"]
+
+
+@dataclass(frozen=True)
+class SelectionSettings:
+    """Candidates: every combination of these is tried.
+
+    Attributes
+    ----------
+    features : tuple of str
+        ``z1``, ``z2`` or comma-separated names.
+    capacities : tuple of int
+        Points a cell keeps.
+    thresholds : tuple of float
+        Gain that a point needs to enter a cell with room.
+    cell_edges : tuple of float
+        Edge of the cells, in usual edges.
+    predictor : str
+    horizon : float
+        Label interval [s].
+    """
+
+    features: tuple[str, ...] = ("z2",)
+    capacities: tuple[int, ...] = (5, 10, 20)
+    thresholds: tuple[float, ...] = (1e-3, 1e-2, 1e-1)
+    cell_edges: tuple[float, ...] = (1.0, 2.0)
+    predictor: str = "rbcm"
+    horizon: float = 0.05
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One combination of settings, and what it gave on held-out blocks.
+
+    Attributes
+    ----------
+    features : str
+    capacity : int
+    threshold : float
+    cell_edge : float
+        In usual edges.
+    error : float
+        Root mean over v_x, v_y and r of the squared error over the nominal model's: 1 is no gain.
+    behind : float
+        How much larger the mean square behind `error` is than the best candidate's.
+    behind_error : float
+        Standard error of `behind` over blocks.
+    rmse : ndarray, shape (3,)
+        [m/s^2], [m/s^2], [rad/s^2].
+    points : float
+        Size of the set, mean over folds: what memory and exports grow with.
+    cells : float
+        Non-empty cells, mean over folds.
+    microseconds : float
+        Median of one query with variance, asked one at a time [us].
+    on_front : bool
+        Whether no candidate with as few points has a smaller error.
+    chosen : bool
+    usual : bool
+        Whether these are the settings of `split train` without options.
+    """
+
+    features: str
+    capacity: int
+    threshold: float
+    cell_edge: float
+    error: float
+    behind: float
+    behind_error: float
+    rmse: np.ndarray
+    points: float
+    cells: float
+    microseconds: float
+    on_front: bool = False
+    chosen: bool = False
+    usual: bool = False
+
+
+@dataclass(frozen=True)
+class Selection:
+    """All candidates, fewest points first.
+
+    Attributes
+    ----------
+    vehicle : str
+    drives : tuple of str
+    labels, blocks, folds : int
+        Held-out labels, the blocks of time they are from, and how many sets each candidate trained.
+    candidates : tuple of Candidate
+    command : str
+        `split train` with the settings chosen.
+    """
+
+    vehicle: str
+    drives: tuple[str, ...]
+    labels: int
+    blocks: int
+    folds: int
+    candidates: tuple[Candidate, ...]
+    command: str
+
+
+def relative_error(errors: np.ndarray, nominal: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return each block's part of the squared relative error, shape (B,), and the RMSE of the states, shape (3,).
+
+    Parameters
+    ----------
+    errors, nominal : ndarray, shape (N, 3)
+        Label errors of a candidate and of the nominal model.
+    block : ndarray of int, shape (N,)
+
+    Notes
+    -----
+    The parts sum to the mean over the states of MSE/MSE of the nominal model. Every state counts alike, whatever
+    its unit.
+    """
+    nominal_squares = np.square(nominal).sum(axis=0)
+    share = np.square(errors) / np.where(nominal_squares > 0.0, nominal_squares, 1.0)
+    _, member = np.unique(block, return_inverse=True)
+    return np.bincount(member, share.mean(axis=1)), np.sqrt(np.square(errors).mean(axis=0))
+
+
+def choose(found: Sequence[tuple[Candidate, np.ndarray]]) -> tuple[Candidate, ...]:
+    """Return the candidates in order of their points, with errors, the front and the choice marked.
+
+    Parameters
+    ----------
+    found : sequence of (Candidate, ndarray)
+        With the parts of the squared relative error, one a block.
+
+    Notes
+    -----
+    Chosen is the one of fewest points among those that are behind the best by no more than one standard error of
+    the difference over blocks, the same blocks for both: the one-standard-error rule (Breiman, Friedman, Olshen
+    and Stone, Classification and regression trees, 1984, section 3.4.3), with differences in place of errors.
+    """
+    best = min(found, key=lambda one: one[1].sum())[1]
+    judged = []
+    for candidate, parts in found:
+        difference, count = parts - best, len(parts)
+        spread = float(np.sqrt(count * np.var(difference, ddof=1))) if count > 1 else 0.0
+        judged.append(
+            replace(
+                candidate, error=float(np.sqrt(parts.sum())), behind=float(difference.sum()), behind_error=spread
+            )
+        )
+    judged.sort(key=lambda one: (one.points, one.error))
+    good = [one for one in judged if one.behind <= one.behind_error]
+    chosen, least, marked = good[0], float("inf"), []
+    for one in judged:
+        on_front = one.error < least
+        least = min(least, one.error)
+        marked.append(replace(one, on_front=on_front, chosen=one is chosen))
+    return tuple(marked)
