@@ -31,6 +31,7 @@ LAYERS = {
     "proof": 7,
     "plots": 8,
     "workflows": 9,
+    "api": 10,
     "cli": 10,
 }
 # The rooms of the diagnosis, from the ground up: `engine.py` on top, `policy.py` and `together.py` below all.

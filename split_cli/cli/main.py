@@ -23,6 +23,7 @@ COMMANDS = {
     "label": "Compute what the nominal model gets wrong, sample by sample.",
     "train": "Learn drives into a trained set, cell by cell.",
     "evaluate": "Score predictors and features on held-out blocks of time.",
+    "compare": "Set models side by side on the same drives.",
     "export": "Write a trained set as C, CasADi, npz or json.",
     "calibrate": "Fit a vehicle file to gentle drives, or convert a foreign one.",
     "diagnose": "Say where a simulation and a real drive differ, and why.",

@@ -63,9 +63,9 @@ def _charts(races: Sequence[RaceResult]) -> list[Chart]:
         part = thinned(len(trace))
         t, s = trace[part, 0] - trace[0, 0], trace[part, 1] - trace[0, 1]
         for key, column in (("speed", 5), ("lateral", 11)):
-            series[key].append(ChartLine(name, s, trace[part, column], role, along=t, shown=shown))
+            series[key].append(ChartLine(name, t, trace[part, column], role, along=s, shown=shown))
         series["gg"].append(ChartLine(name, trace[part, 11], trace[part, 10], role, "points", shown=shown))
-    along = {"x": "progress [m]", "other_x": "time [s]", "wide": True, "group": "strips"}
+    along = {"x": "time [s]", "other_x": "progress [m]", "other_first": True, "wide": True, "group": "strips"}
     plane = "a_y, left positive [m/s²]", "a_x [m/s²]"
     return [
         Chart("speed", "Speed along the lap", y="v [m/s]", series=tuple(series["speed"]), **along),

@@ -1,0 +1,268 @@
+"""What a notebook needs: read, label, train, evaluate, compare and diagnose, with tables as DataFrames.
+
+May import: workflows and all below. pandas is imported only where a table is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+from split_cli.diagnosis.engine import diagnose as diagnose_drives
+from split_cli.diagnosis.statement.result import Diagnosis
+from split_cli.errors import SplitError
+from split_cli.learning.features import parse_features
+from split_cli.learning.label_file import label_columns
+from split_cli.learning.labels import compute_labels
+from split_cli.learning.training_set import TrainingSet, read_set
+from split_cli.logs.drive import Drive, read_drive
+from split_cli.plots.chart import Chart
+from split_cli.plots.draw import draw_chart
+from split_cli.plots.evaluation import draw_figures
+from split_cli.scoring.handling.steering_response import SteeringResponse, steering_response
+from split_cli.scoring.handling.understeer import DEG_PER_G, Understeer
+from split_cli.scoring.handling.understeer import understeer_of as understeer
+from split_cli.scoring.report import EvaluationSettings
+from split_cli.scoring.run import EvaluationRun
+from split_cli.vehicle.parameters import Vehicle, read_vehicle
+from split_cli.workflows.compare import ComparedModel, ModelComparison, compare_models
+from split_cli.workflows.diagnose import corrected_vehicle
+from split_cli.workflows.evaluate import evaluate as evaluate_drives
+from split_cli.workflows.evaluate import train_in_memory
+from split_cli.workflows.pictures import diagnosis_charts, recording_charts
+from split_cli.workflows.recordings import RecordingCorrection
+from split_cli.workflows.report.comparison import comparison_charts, comparison_page
+from split_cli.workflows.report.evaluation import evaluation_charts, evaluation_page
+from split_cli.workflows.report.page import report_page
+
+__all__ = [
+    "DEG_PER_G",
+    "ComparisonResult",
+    "DiagnosisResult",
+    "EvaluationResult",
+    "SteeringResponse",
+    "Understeer",
+    "charts",
+    "compare",
+    "diagnose",
+    "draw_chart",
+    "drive_table",
+    "evaluate",
+    "labels",
+    "read_drive",
+    "read_set",
+    "read_vehicle",
+    "steering_response",
+    "train",
+    "understeer",
+]
+
+
+def _frame(rows: Any) -> Any:
+    """Return rows (or columns by name) as a pandas DataFrame."""
+    try:
+        import pandas
+    except ImportError:
+        raise SplitError("tables need pandas", advice="pip install 'split-cli[notebook]'.") from None
+    return pandas.DataFrame(rows)
+
+
+def drive_table(drive: Drive) -> Any:
+    """Return the samples of a drive as a DataFrame, a column a channel [SI], with ``segment``."""
+    return _frame({**drive.columns, "segment": drive.segment})
+
+
+def labels(drive: Drive, vehicle: Vehicle, features: str = "z2", *, horizon: float = 0.05) -> Any:
+    """Return what the vehicle file gets wrong, sample by sample, as a DataFrame.
+
+    Parameters
+    ----------
+    drive : Drive
+    vehicle : Vehicle
+    features : str
+        ``z1``, ``z2`` or names separated by commas.
+    horizon : float
+        h [s].
+
+    Returns
+    -------
+    DataFrame
+        ``t`` [s], ``row``, ``segment``, the features, ``y_vx``, ``y_vy`` [m/s^2], ``y_r`` [rad/s^2], and
+        ``reason`` why a sample is not learned from, empty for those that are.
+    """
+    found = compute_labels(RecordingCorrection(vehicle)(drive), vehicle, parse_features(features), horizon=horizon)
+    return _frame({name: column.to_pylist() for name, column in label_columns(found).items()})
+
+
+def train(drives: Drive | Sequence[Drive], vehicle: Vehicle, features: str = "z2") -> TrainingSet:
+    """Return a set trained on drives in memory, with hyperparameters fitted to them, believed in full.
+
+    `split train` also finds on held-out blocks how far each output is believed; `evaluate` does so as well.
+    """
+    correct = RecordingCorrection(vehicle)
+    several = [drives] if isinstance(drives, Drive) else list(drives)
+    found = [compute_labels(correct(drive), vehicle, parse_features(features)) for drive in several]
+    return train_in_memory(found, vehicle)
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """An evaluation: ``run`` holds everything, the rest shows it."""
+
+    run: EvaluationRun
+
+    @property
+    def verdicts(self) -> tuple[str, ...]:
+        """One sentence a predictor and feature set."""
+        return self.run.report.verdicts
+
+    @cached_property
+    def scores(self) -> Any:
+        """One-step errors in label units, skill and coverage, a row a model, as a DataFrame."""
+        rows = []
+        for one in self.run.report.scores:
+            row = {"model": one.name, "features": one.features, "drive": one.drive or "all", "points": one.points}
+            row |= dict(zip(("rmse_vx", "rmse_vy", "rmse_r", "rmse_norm"), map(float, one.rmse), strict=True))
+            row["skill"] = float(one.skill_velocity_held[3])
+            if one.coverage_95 is not None:
+                row |= dict(zip(("in95_vx", "in95_vy", "in95_r"), map(float, one.coverage_95), strict=True))
+            rows.append(row)
+        return _frame(rows)
+
+    @cached_property
+    def comparisons(self) -> Any:
+        """Every state at every horizon beside the nominal model and persistence, with 95 % intervals."""
+        return _frame([asdict(one) for one in self.run.report.comparisons])
+
+    @cached_property
+    def charts(self) -> Mapping[str, Chart]:
+        """The charts of the report by name; `draw_chart` makes a matplotlib figure of one."""
+        return {chart.name: chart for chart in evaluation_charts(self.run)}
+
+    @cached_property
+    def figures(self) -> Mapping[str, Any]:
+        """The figures that `split evaluate -o` writes, as matplotlib objects by file name."""
+        return draw_figures(self.run)[0]
+
+    def page(self) -> str:
+        """Return the report as HTML."""
+        return evaluation_page(self.run)
+
+
+def evaluate(
+    drives: Drive | Sequence[Drive],
+    vehicle: Vehicle | None = None,
+    trained: TrainingSet | None = None,
+    **settings: Any,
+) -> EvaluationResult:
+    """Score predictors on drives; settings are those of `EvaluationSettings`, as `split evaluate` takes them."""
+    several = [drives] if isinstance(drives, Drive) else list(drives)
+    car = vehicle or (trained.vehicle if trained is not None else None)
+    if car is None:
+        raise SplitError("needs a vehicle or a trained set")
+    return EvaluationResult(evaluate_drives(several, car, EvaluationSettings(**settings), trained))
+
+
+@dataclass(frozen=True)
+class ComparisonResult:
+    """Models side by side: ``compared`` holds everything, the rest shows it."""
+
+    compared: ModelComparison
+
+    @cached_property
+    def scores(self) -> Any:
+        """A row a model, state and horizon, as a DataFrame."""
+        return _frame(
+            [
+                {"model": score.name, "horizon": score.horizon, **asdict(one)}
+                for score in self.compared.scores
+                for one in score.states
+            ]
+        )
+
+    @cached_property
+    def charts(self) -> Mapping[str, Chart]:
+        """The charts of the report by name."""
+        return {chart.name: chart for chart in comparison_charts(self.compared)}
+
+    def page(self) -> str:
+        """Return the report as HTML."""
+        return comparison_page(self.compared)
+
+
+def compare(
+    models: Mapping[str, Vehicle | TrainingSet],
+    drives: Drive | Sequence[Drive],
+    horizons: Sequence[float] = (0.05, 0.5, 2.0),
+    predictor: str = "rbcm",
+) -> ComparisonResult:
+    """Let models (vehicles and trained sets, by name) run freely on the same drives; see `split compare`."""
+    several = [drives] if isinstance(drives, Drive) else list(drives)
+    read = []
+    for name, one in models.items():
+        learned = (one.vehicle, one, predictor) if isinstance(one, TrainingSet) else (one,)
+        read.append(ComparedModel(name, *learned))
+    return ComparisonResult(compare_models(read, several, horizons))
+
+
+@dataclass(frozen=True)
+class DiagnosisResult:
+    """A diagnosis with what it was made from; the drives are needed for its pictures."""
+
+    diagnosis: Diagnosis
+    vehicle: Vehicle
+    real: tuple[Drive, ...]
+    simulated: tuple[Drive, ...]
+
+    @property
+    def summary(self) -> str:
+        """One paragraph a reader can act on."""
+        return self.diagnosis.summary
+
+    @cached_property
+    def findings(self) -> Any:
+        """A row a parameter of every finding, as a DataFrame."""
+        rows = [
+            {"term": one.term, "variant": one.variant, "parameter": name, "value": value.value,
+             "low_95": value.interval_95[0], "high_95": value.interval_95[1], "unit": value.unit,
+             "gap_explained": one.gap_explained, "alternatives": ", ".join(one.alternatives)}
+            for one in self.diagnosis.findings
+            for name, value in one.parameters.items()
+        ]  # fmt: skip
+        return _frame(rows)
+
+    @property
+    def corrected_vehicle(self) -> Vehicle:
+        """The vehicle with the findings that belong to the car."""
+        return corrected_vehicle(self.diagnosis, self.vehicle)
+
+    @cached_property
+    def charts(self) -> Mapping[str, Chart]:
+        """The charts of the report by name."""
+        found = diagnosis_charts(self.diagnosis, self.vehicle, self.real, self.simulated)
+        return {chart.name: chart for chart in found}
+
+    def page(self) -> str:
+        """Return the report as HTML."""
+        return report_page(self.diagnosis, tuple(self.charts.values()))
+
+
+def diagnose(
+    real: Drive | Sequence[Drive],
+    vehicle: Vehicle,
+    simulated: Drive | Sequence[Drive] = (),
+    holdout: Drive | Sequence[Drive] = (),
+) -> DiagnosisResult:
+    """Say where simulation and reality differ and name what was left out; see `split diagnose`."""
+    groups = [(one,) if isinstance(one, Drive) else tuple(one) for one in (real, simulated, holdout)]
+    correct = RecordingCorrection(vehicle)
+    measured, held = ([correct.sensors(drive) for drive in groups[k]] for k in (0, 2))
+    told = diagnose_drives(measured, vehicle, list(groups[1]), held)
+    return DiagnosisResult(told, vehicle, groups[0], groups[1])
+
+
+def charts(drive: Drive, vehicle: Vehicle | None = None) -> Mapping[str, Chart]:
+    """Return the charts of a recording by name, beside the model of a vehicle file where one is given."""
+    return {chart.name: chart for chart in recording_charts(drive, vehicle)}

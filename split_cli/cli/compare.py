@@ -1,0 +1,116 @@
+"""`split compare`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from split_cli.cli.options import existing_file, held_option, json_option, output_option, print_json, print_table
+
+__all__ = ["command"]
+
+_MOST_TOLD = 6
+
+
+def _limits(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, float]:
+    """Parse STATE=NUMBER options."""
+    limits = {}
+    for value in values:
+        name, sign, text = value.partition("=")
+        try:
+            limits[name] = float(text)
+        except ValueError:
+            sign = ""
+        if not sign or name not in ("v_x", "v_y", "r") or not limits[name] > 0.0:
+            raise click.BadParameter(f"{value!r} is not of the form v_y=0.2", context, parameter)
+    return limits
+
+
+def _horizons(context: click.Context, parameter: click.Parameter, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(",") if part.strip())
+    except ValueError as error:
+        raise click.BadParameter(f"{text!r} ({error})", context, parameter) from error
+
+
+@click.command("compare")
+@click.argument("models", nargs=-1, required=True, metavar="MODEL...")
+@click.option("--on", "drives", type=existing_file, multiple=True, required=True, metavar="DRIVE",
+              help="Drive to run on; repeatable.")  # fmt: skip
+@click.option("--horizon", "horizons", default="0.05,0.5,2", show_default=True, callback=_horizons, metavar="LIST",
+              help="How long models run freely [s].")  # fmt: skip
+@click.option("--exit-code", is_flag=True, help="Leave with 3 when the first model is worse than another one.")
+@click.option("--most", "limits", multiple=True, callback=_limits, metavar="STATE=ERROR",
+              help="Leave with 3 when the first model's error at the longest horizon is larger.")  # fmt: skip
+@output_option("Folder for report.html and compare.csv.", required=False)
+@held_option
+@json_option
+def command(models, drives, horizons, exit_code, limits, output, held, as_json) -> None:
+    """Set models side by side on the same drives: vehicles, trained sets, predictors.
+
+    A MODEL is a vehicle file, a trained set, or a set with a predictor (car.split:full); NAME= before it names it.
+    All run freely over the recorded inputs from the same starts. Intervals are 95 %, from blocks of time.
+
+    \b
+    Example:
+      split compare old.yaml new.yaml car.split --on lap2.parquet -o compared
+      split compare new=car.split base=car.yaml --on lap2.parquet --exit-code --most v_y=0.3
+    """
+    from split_cli.workflows.compare import compare_files
+    from split_cli.workflows.comparison_report import write_comparison
+
+    if output is not None and not Path(output).parent.is_dir():
+        raise click.UsageError(f"the folder {Path(output).parent} does not exist")
+    compared, read, recordings = compare_files(models, drives, horizons, held, say=_say)
+    if output is not None:
+        write_comparison(compared, read, recordings, output)
+        click.echo(f"split: report in {Path(output) / 'report.html'}", err=True)
+    for note in compared.notes:
+        click.echo(f"split: note: {note}", err=True)
+    if as_json:
+        print_json(compared)
+    else:
+        _tell(compared)
+    sys.exit(_code(compared, exit_code, limits))
+
+
+def _code(compared, exit_code: bool, limits: dict[str, float]) -> int:
+    """Return 3 where a gate is shut, and say which on stderr."""
+    shut = list(compared.worse) if exit_code else []
+    longest = max(score.horizon for score in compared.scores)
+    first = next(s for s in compared.scores if s.name == compared.models[0] and s.horizon == longest)
+    for one in first.states:
+        most = limits.get(one.state)
+        if most is not None and not one.rmse <= most:
+            what = f"{one.state} of {first.name} after {longest:g} s"
+            shut.append(f"{what} is {one.rmse:.3g} {one.unit}, over {most:g}")
+    for text in shut[:_MOST_TOLD]:
+        click.echo(f"split: gate: {text}", err=True)
+    if len(shut) > _MOST_TOLD:
+        click.echo(f"split: gate: and {len(shut) - _MOST_TOLD} more, in --json and the report", err=True)
+    return 3 if shut else 0
+
+
+def _tell(compared) -> None:
+    click.echo(f"{compared.starts} free runs on {', '.join(compared.drives)}")
+    click.echo("rms errors with 95 % intervals; * is best; `split explain compare` explains the columns\n")
+    rows = []
+    for score in compared.scores:
+        row = [score.name, f"{score.horizon:g}"]
+        for one in score.states:
+            low, high = one.interval
+            told = f"{one.rmse:.3g}{'*' if one.is_best else ''}"
+            told = told if low != low else f"{told} ({low:.3g} to {high:.3g})"
+            row += [told, f"{one.fit:.1f}", f"{one.skill:.3f}"]
+        rows.append([*row, f"{score.total:.3f}{'*' if score.is_best else ''}"])
+    heads = ["model", "after s"]
+    for state in ("v_x", "v_y", "r"):
+        heads += [state, "fit %", "skill"]
+    print_table([*heads, "of held"], rows)
+
+
+def _say(text: str) -> None:
+    if sys.stderr.isatty():
+        click.echo(f"split: {text}", err=True)

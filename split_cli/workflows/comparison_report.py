@@ -1,0 +1,64 @@
+"""Write what a comparison found: the page and the table, both or none."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+from split_cli.files import atomic_directory
+from split_cli.learning.training_set import TrainingSet
+from split_cli.logs.drive import Drive
+from split_cli.plots.chart import Chart
+from split_cli.plots.palette import ROLES
+from split_cli.plots.pictures import Subject, drive_charts, handling_charts
+from split_cli.prediction import make_predictor
+from split_cli.scoring.rollouts import Correction
+from split_cli.vehicle.single_track import SingleTrack
+from split_cli.workflows.compare import ComparedModel, ModelComparison
+from split_cli.workflows.pictures import gathered
+from split_cli.workflows.recordings import RecordingCorrection
+from split_cli.workflows.report.comparison import comparison_page
+
+__all__ = ["write_comparison"]
+
+_SHOWN = 4
+_COLUMNS = (
+    "drive", "model", "horizon_s", "state", "unit", "rmse", "low_95", "high_95", "fit_percent", "skill", "to_best",
+    "to_best_low", "to_best_high", "best",
+)  # fmt: skip
+
+
+def write_comparison(
+    compared: ModelComparison, models: Sequence[ComparedModel], drives: Sequence[Drive], output: str | Path
+) -> None:
+    """Write ``report.html`` and ``compare.csv`` into a folder."""
+    page = comparison_page(compared, _pictures(models, max(drives, key=len)))
+    with atomic_directory(output) as folder:
+        (folder / "report.html").write_text(page, encoding="utf-8")
+        with (folder / "compare.csv").open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(_COLUMNS)
+            for name, scores in (("all", compared.scores), *compared.by_drive):
+                for score in scores:
+                    for one in score.states:
+                        what = name, score.name, score.horizon, one.state, one.unit
+                        numbers = one.rmse, *one.interval, one.fit, one.skill, *one.to_best
+                        writer.writerow((*what, *numbers, int(one.is_best)))
+
+
+def _pictures(models: Sequence[ComparedModel], drive: Drive) -> tuple[Chart, ...]:
+    """Return the charts of the longest drive with the first models; colours for more would not be told apart."""
+    subjects = [Subject("measured", "measured", drive)]
+    for model, role in zip(models[:_SHOWN], ROLES[1:], strict=False):
+        own = RecordingCorrection(model.vehicle)(drive)
+        subjects.append(Subject(model.name, role, own, model.vehicle, _correction(model.trained, model, own)))
+    vehicle = models[0].vehicle
+    return gathered([lambda: drive_charts(subjects, vehicle), lambda: handling_charts(subjects, vehicle)])
+
+
+def _correction(trained: TrainingSet | None, model: ComparedModel, drive: Drive) -> Correction | None:
+    if trained is None:
+        return None
+    z = trained.features.compute(SingleTrack(model.vehicle), drive)
+    return Correction(trained.features, z, make_predictor(model.predictor, trained).mean)

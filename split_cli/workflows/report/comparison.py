@@ -1,0 +1,132 @@
+"""The report of a comparison: which model is best, by how much, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from split_cli.plots.chart import Chart, ChartLine
+from split_cli.scoring.comparison import STATES, UNITS, ModelScore
+from split_cli.workflows.compare import ModelComparison
+from split_cli.workflows.report.markup import charts_block, plain_table, section
+from split_cli.workflows.report.pictures import picture_sections
+from split_cli.workflows.report.shell import page
+from split_cli.workflows.report.words import escape, number
+
+__all__ = ["comparison_charts", "comparison_page", "headline"]
+
+_NAMES = {"v_x": "longitudinal velocity", "v_y": "lateral velocity", "r": "yaw rate"}
+
+
+def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = ()) -> str:
+    """Return the report of a comparison as one HTML document that loads nothing."""
+    charts = (*comparison_charts(compared), *pictures)
+    last = _at(compared.scores, _longest(compared))
+    drives = "drive" if len(compared.drives) == 1 else "drives"
+    facts = [
+        ("Models", str(len(compared.models)), "side by side, on the same starts"),
+        ("Free runs", f"{compared.starts:,}", f"on {len(compared.drives)} {drives}"),
+        ("Left out", f"{compared.diverged:,}", "since some model left the finite numbers"),
+    ]
+    told = "".join(
+        f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
+        for what, value, note in facts
+    )
+    alarms = "".join(f"<li>{escape(text)}</li>" for text in compared.worse)
+    if alarms:
+        summary = f"<summary>{len(compared.worse)} states and horizons</summary>"
+        alarms = f"<details>{summary}<ul>{alarms}</ul></details>"
+    kind = "mismatch" if compared.worse else "match"
+    said = headline(compared)
+    title = f"Errors after {last[0].horizon:g} s of free running"
+    body = (
+        f'<section class="verdict {kind}" aria-labelledby="verdict"><h1 id="verdict">{escape(said)}</h1>'
+        f'<dl class="facts">{told}</dl></section>'
+        + section("errors", title, charts_block(charts[:3], thirds=True))
+        + (section("gate", "Where the first model is worse", alarms) if alarms else "")
+        + _tables(compared)
+        + "".join(picture_sections(pictures))
+        + _notes(compared.notes)
+    )
+    return page("compare", ", ".join(compared.drives), f"{said} {', '.join(compared.models)}", body, charts)
+
+
+def headline(compared: ModelComparison) -> str:
+    """Return which model is best at the longest horizon, and whether the others can be told from it."""
+    horizon = _longest(compared)
+    last = _at(compared.scores, horizon)
+    best = next(score for score in last if score.is_best)
+    if len(last) == 1:
+        return f"{best.name}: {100 * best.total:.0f} % of the error of velocities held after {horizon:g} s."
+    others = [score for score in last if score is not best]
+    sure = [
+        one.state
+        for k, one in enumerate(best.states)
+        if one.is_best and not any(other.states[k].as_good for other in others)
+    ]
+    if not sure:
+        return f"{best.name} is ahead after {horizon:g} s, but not beyond chance."
+    return f"{best.name} is best after {horizon:g} s, beyond chance in {_listed(sure)}."
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def comparison_charts(compared: ModelComparison) -> tuple[Chart, ...]:
+    """Return a chart of bars with intervals a state, at the longest horizon, the best marked."""
+    last = _at(compared.scores, _longest(compared))
+    charts = []
+    for k, (state, unit) in enumerate(zip(STATES, UNITS, strict=True)):
+        own = [score.states[k] for score in last]
+        low, high = (np.array([one.interval[i] for one in own]) for i in (0, 1))
+        series = ChartLine(
+            "rms error", np.array([one.rmse for one in own]), np.arange(len(own)), "learned", "bars", low, high,
+            emphasis=tuple(one.is_best for one in own),
+        )  # fmt: skip
+        note = "" if k else "Whiskers: 95 % over blocks of time. The table's ratios are sharper."
+        texts = f"compare-{state.replace('_', '')}", f"{_NAMES[state].capitalize()} {state}", f"rms error [{unit}]"
+        charts.append(Chart(*texts, "", (series,), note, rows=tuple(score.name for score in last)))
+    return tuple(charts)
+
+
+def _longest(compared: ModelComparison) -> float:
+    return max(score.horizon for score in compared.scores)
+
+
+def _at(scores: Sequence[ModelScore], horizon: float) -> list[ModelScore]:
+    return [score for score in scores if score.horizon == horizon]
+
+
+def _tables(compared: ModelComparison) -> str:
+    parts = [_table(compared.scores, "table-scores")]
+    for k, (name, scores) in enumerate(compared.by_drive):
+        parts.append(f"<h3>{escape(name)}</h3>{_table(scores, f'table-drive-{k}')}")
+    words = (
+        "<p>Fit is 100 (1 − ‖error‖/‖measured − mean‖), skill 1 − MSE over the MSE of velocities held. A ratio is "
+        "to the best model, with its 95 % interval; one that holds 1 cannot be told from the best.</p>"
+    )
+    return section("scores", "Table", words + "".join(parts))
+
+
+def _table(scores: Sequence[ModelScore], name: str) -> str:
+    heads = ["Model", "After [s]"]
+    for state, unit in zip(STATES, UNITS, strict=True):
+        heads += [f"{state} [{unit}]", "fit %", "skill", "to the best"]
+    rows, best = [], []
+    for k, score in enumerate(scores):
+        cells = [score.name, f"{score.horizon:g}"]
+        for one in score.states:
+            if one.is_best:
+                best.append((k, len(cells)))
+            ratio, low, high = one.to_best
+            told = "best" if one.is_best else f"{ratio:.2f} ({low:.2f} to {high:.2f})"
+            cells += [number(one.rmse), f"{one.fit:.1f}", f"{one.skill:.3f}", told]
+        rows.append(cells)
+    return plain_table(heads, rows, name, best)
+
+
+def _notes(notes: Sequence[str]) -> str:
+    items = "".join(f"<li>{escape(note)}</li>" for note in notes)
+    return section("notes", "What to know", f'<ul class="advice">{items}</ul>') if notes else ""
