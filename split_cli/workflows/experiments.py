@@ -98,7 +98,7 @@ def _races() -> list[Experiment]:
     found = []
     for seed in _SEEDS:
         for model, learner in (("nominal", "none"), ("iol", "iol"), ("split", "split")):
-            laps = 1 if learner == "none" else 3
+            laps = 1 if learner == "none" else 10 if (learner, seed) == ("split", 0) else 3
             tuned = TUNED["nominal" if learner == "none" else "split"]
             found.append(_race("small", model, learner, tuned, seed, laps=laps, **_SMALL))
         for learner in ("none", "split"):
@@ -114,7 +114,7 @@ def _with(learner: str, vehicle: str) -> str:
 
 def _long_course() -> list[Experiment]:
     """Return the races on 2.3 km."""
-    plan = (("nominal", "none", "gentle", 1), ("split", "split", "gentle", 10), ("iol", "iol", "gentle", 3),
+    plan = (("nominal", "none", "gentle", 1), ("split", "split", "gentle", 4), ("iol", "iol", "gentle", 2),
             ("nominal physics", "none", "physics", 1), ("split physics", "split", "physics", 2))  # fmt: skip
     return [
         _race("handling", model, learner, TUNED["nominal"] if model == "nominal" else LONG, 0, vehicle,

@@ -132,9 +132,10 @@ def best_clean(race: dict) -> float | None:
 def _gain_table(group: list[dict], reference: list[dict]) -> str:
     """Return the best clean lap of each race against the best clean nominal one of the same group and seed."""
     rows = []
-    nominal = {
-        race["settings"]["seed"]: best_clean(race) for race in group if race["model"].startswith("nominal")
-    } or {race["settings"]["seed"]: best_clean(race) for race in reference if race["model"] == "nominal"}
+    bases = [race for race in group if race["model"] == "nominal"]
+    bases = bases or [race for race in group if race["model"].startswith("nominal")]
+    bases = bases or [race for race in reference if race["model"] == "nominal"]
+    nominal = {race["settings"]["seed"]: best_clean(race) for race in bases}
     for race in group:
         best, base = best_clean(race), nominal.get(race["settings"]["seed"])
         clean = sum(lap["time"] is not None and lap["outside"] == 0.0 for lap in race["result"]["laps"])
@@ -216,7 +217,7 @@ def _figures(results: dict[str, dict], vehicle: Vehicle, folder: Path) -> list[s
         keep(f"closed-loop-{track}-laps.png", draw_lap_times, pictures)
         firsts = {name: group[0] for name, group in pictures.items()}
         keep(f"closed-loop-{track}-best.png", draw_best_laps, firsts)
-        learned = {name: race for name, race in firsts.items() if name != "nominal"}
+        learned = {name: race for name, race in firsts.items() if not name.startswith("nominal")}
         keep(f"closed-loop-{track}-learning.png", draw_learning, learned)
     for road in ("dry", "wet"):
         pictures = _maneuver_pictures(results, road)
