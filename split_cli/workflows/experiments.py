@@ -101,6 +101,9 @@ def _races() -> list[Experiment]:
             laps = 1 if learner == "none" else 10 if (learner, seed) == ("split", 0) else 3
             tuned = TUNED["nominal" if learner == "none" else "split"]
             found.append(_race("small", model, learner, tuned, seed, laps=laps, **_SMALL))
+        # The margin of the learning controllers, for who asks whether it is the margin that gains.
+        near = replace(TUNED["nominal"], margin=TUNED["split"].margin)
+        found.append(_race("small", "nominal near", "none", near, seed, laps=2, **_SMALL))
         for learner in ("none", "split"):
             laps = 1 if learner == "none" else 3
             found.append(_race("small", _with(learner, "physics"), learner, TUNED["physics"], seed, "physics",
@@ -144,11 +147,11 @@ def _rivals_and_roads() -> list[Experiment]:
 
 _SWEEPS = {
     ("iso3888-1", 1.0): (14, 18, 19, 20, 21, 22, 23, 24, 25, 26),
-    ("iso3888-1", 0.5): (12, 8, 10, 11, 11.5, 12.5, 13, 13.5, 14),
+    ("iso3888-1", 0.5): (12, 8, 10, 11, 11.5, 12.5, 13, 13.5, 14, 15, 16),
     ("iso3888-2", 1.0): (10, 11, 11.5, 12, 12.5, 13, 13.5, 14),
     ("iso3888-2", 0.5): (6, 7, 7.5, 8, 8.5, 9, 9.5, 10),
     ("brake-avoid", 1.0): (14, 14.5, 15, 15.5, 16, 17),
-    ("brake-avoid", 0.5): (7, 8, 9, 9.5, 10, 10.5, 11),
+    ("brake-avoid", 0.5): (9, 10, 11, 11.5, 12, 12.5, 13, 14),
 }
 """Entry speeds of each manoeuvre on each grip [m/s]; the first is where sets are learned."""
 
