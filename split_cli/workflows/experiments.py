@@ -118,9 +118,10 @@ def _with(learner: str, vehicle: str) -> str:
 def _long_course() -> list[Experiment]:
     """Return the races on 2.3 km."""
     plan = (("nominal", "none", "gentle", 1), ("split", "split", "gentle", 4), ("iol", "iol", "gentle", 2),
+            ("nominal lags", "none", "lags", 1), ("split lags", "split", "lags", 3),
             ("nominal physics", "none", "physics", 1), ("split physics", "split", "physics", 2))  # fmt: skip
     return [
-        _race("handling", model, learner, TUNED["nominal"] if model == "nominal" else LONG, 0, vehicle,
+        _race("handling", model, learner, TUNED["nominal"] if model in ("nominal", "nominal lags") else LONG, 0, vehicle,
               track="handling", laps=laps)
         for model, learner, vehicle, laps in plan
     ]  # fmt: skip
