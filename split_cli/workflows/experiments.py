@@ -120,8 +120,9 @@ def _long_course() -> list[Experiment]:
     plan = (("nominal", "none", "gentle", 1), ("split", "split", "gentle", 4), ("iol", "iol", "gentle", 2),
             ("nominal lags", "none", "lags", 1), ("split lags", "split", "lags", 3),
             ("nominal physics", "none", "physics", 1), ("split physics", "split", "physics", 2))  # fmt: skip
+    as_filed = ("nominal", "nominal lags")
     return [
-        _race("handling", model, learner, TUNED["nominal"] if model in ("nominal", "nominal lags") else LONG, 0, vehicle,
+        _race("handling", model, learner, TUNED["nominal"] if model in as_filed else LONG, 0, vehicle,
               track="handling", laps=laps)
         for model, learner, vehicle, laps in plan
     ]  # fmt: skip
