@@ -107,6 +107,11 @@ class Mpc(RecedingController):
             self.s[k + 1] = self.s[k] + self.settings.step * float(self.speed(self.s[k : k + 1])[0])
         self.wanted = self.speed(self.s)
 
+    @property
+    def place(self) -> float:
+        """Return the first reference point."""
+        return float(self.s[0])
+
     def reference(self) -> tuple[np.ndarray, PathPoint]:
         """Return the reference points."""
         return self.s, self.path.at(self.s)

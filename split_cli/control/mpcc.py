@@ -86,6 +86,11 @@ class Mpcc(RecedingController):
         plan.x[0, : self.n_model] = begin
         return plan
 
+    @property
+    def place(self) -> float:
+        """Return the plan's own progress at its begin."""
+        return float(self.plan.x[0, -2])
+
     def reference(self) -> tuple[np.ndarray, PathPoint]:
         """Return the plan's own progress and the line there."""
         theta = self.plan.x[:, -2]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 __all__ = [
     "ALPHA_MAX",
+    "ANEW",
     "DALPHA_MAX",
     "DICTIONARY",
     "ELLIPSE_SLACK",
@@ -77,6 +78,9 @@ holds."""
 PATIENCE = 10
 """Programmes in a row without a solution after which a controller gives up [1]: half a second at 50 ms, what a
 plan of 4 s outlives."""
+
+ANEW = 4
+"""Programmes from the line on after a plan that spins [1]: what fits into an interval of 50 ms."""
 
 PROGRESS_ACCELERATION = 30.0
 """Bound of the rate of the progress speed [m/s^2]: three times what tyres give, so that it never decides."""

@@ -12,6 +12,7 @@ from split_cli.control.limits import SLIP_ROWS, Limits, slip_rows
 from split_cli.control.model import ControlModel, Linearization
 from split_cli.control.path import Path, PathPoint, contour_and_lag
 from split_cli.control.policy import (
+    ANEW,
     ELLIPSE_SLACK,
     FAR,
     FREE,
@@ -137,7 +138,8 @@ class RecedingController(ABC):
     Notes
     -----
     When a programme fails, the plan of the step before goes on (its next input is applied) and the step counts as
-    a failure; after `PATIENCE` failures in a row `ControllerLost` is raised.
+    a failure. So does a step whose plan spins, and there planning begins anew from the line. After `PATIENCE`
+    failures in a row `ControllerLost` is raised.
     """
 
     EXTRA_STATES = 0
@@ -176,6 +178,11 @@ class RecedingController(ABC):
     @abstractmethod
     def first_plan(self, x: np.ndarray, s: float) -> Plan:
         """Return a guess from the model's state `x`, shape (n_model,), at arc length `s` [m]."""
+
+    @property
+    @abstractmethod
+    def place(self) -> float:
+        """Arc length at which the plan begins [m]."""
 
     @abstractmethod
     def reference(self) -> tuple[np.ndarray, PathPoint]:
@@ -228,13 +235,16 @@ class RecedingController(ABC):
         start = time.thread_time()
         self._shift(x)
         solved, solver_seconds, residual_seconds = self._iterate()
+        solved = solved and not self._spins()
         if solved:
             self.failures_in_a_row = 0
         else:
             self.failures_in_a_row += 1
             if self.failures_in_a_row >= PATIENCE:
                 raise ControllerLost(f"{self.failures_in_a_row} quadratic programmes in a row had no solution")
-            self._follow_own_inputs()
+            if self._spins():
+                solver, residual = self._begin_anew()
+                solver_seconds, residual_seconds = solver_seconds + solver, residual_seconds + residual
         info = StepInfo(solved, solver_seconds, time.thread_time() - start, residual_seconds)
         return self.plan.u[0, :2].copy(), info
 
@@ -254,9 +264,21 @@ class RecedingController(ABC):
         following[: self.n_model] = self.model.linearize(x[None, : self.n_model], np.zeros((1, 2))).following[0]
         return following
 
-    def _follow_own_inputs(self) -> None:
-        """Make the plan's states those that its inputs lead to."""
-        self.plan.x[:, : self.n_model] = self.model.follow(self.plan.x[0, : self.n_model], self.plan.u[:, :2])
+    def _spins(self) -> bool:
+        """Return whether the plan moves more sideways than forward somewhere, or backwards, and so is none."""
+        vx, vy = self.plan.x[1:, 3], self.plan.x[1:, 4]
+        return bool((np.abs(vy) > vx).any())
+
+    def _begin_anew(self) -> tuple[float, float]:
+        """Plan from the state as it is, as at the start; return the solver's and the model's time [s].
+
+        Steps of single programmes can lead a plan to where its linearisation means nothing; from there no further
+        step leads back.
+        """
+        now = self.plan.x[0]
+        self.plan = self.first_plan(now[: self.n_model], self.place)
+        tries = [self._iterate() for _ in range(ANEW)]
+        return sum(one[1] for one in tries), sum(one[2] for one in tries)
 
     def _iterate(self) -> tuple[bool, float, float]:
         """Solve one programme about the plan and take its step."""

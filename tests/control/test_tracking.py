@@ -13,7 +13,7 @@ from split_cli.control.model import ControlModel
 from split_cli.control.mpc import Mpc, MpcSettings
 from split_cli.control.mpcc import Mpcc, MpccSettings
 from split_cli.control.path import contour_and_lag, resampled
-from split_cli.control.policy import PATIENCE
+from split_cli.control.policy import ANEW, PATIENCE
 from split_cli.control.receding import Actuators, ControllerLost
 from split_cli.control.residual import NoResidual, ResidualValues
 from split_cli.vehicle.parameters import read_vehicle
@@ -126,3 +126,24 @@ def test_a_controller_that_fails_goes_on_with_its_plan_and_then_gives_up(monkeyp
     with pytest.raises(ControllerLost, match="in a row"):
         for _ in range(PATIENCE):
             controller.step(x)
+
+
+def test_a_plan_that_spins_is_begun_anew(monkeypatch):
+    model = ControlModel(CAR, NoResidual(), 0.05)
+    controller = Mpcc(model, straight(), ACTUATORS, MpccSettings(horizon=20), 1.77)
+    x = np.array([5.0, 0.3, 0.0, 10.0, 0.0, 0.0, 100.0, 0.0])
+    controller.begin(x, 5.0)
+    x = model.linearize(x[None], controller.plan.u[:1, :2]).following[0]
+    controller.plan.x[8:, 4] = 40.0
+    solve, calls = controller.programme.solve, []
+
+    def fails_once(data):
+        calls.append(data)
+        return replace(solve(data), solved=len(calls) > 1)
+
+    monkeypatch.setattr(controller.programme, "solve", fails_once)
+    _, info = controller.step(x)
+    assert not info.solved and len(calls) == 1 + ANEW
+    plan = controller.plan.x
+    assert np.abs(plan[:, 4]).max() < 2.0 and plan[:, 3].min() > 8.0
+    assert plan[0, :8] == pytest.approx(x) and controller.step(x)[1].solved
