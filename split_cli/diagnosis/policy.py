@@ -131,13 +131,9 @@ class SelectionRules:
         "size in what a recording knows twice from which on a sensor's fault is no model-form error",
         _CHOSEN,
     )
-    form_error: float = _number(
-        0.15,
-        "1",
-        "model-form error over the size of the chosen terms, in the channel of the further term",
-        _CHOSEN,
+    form_error_across: float = _number(
+        0.07, "1", "model-form error over the size of the chosen terms, where they hardly act", _CHOSEN
     )
-    form_error_across: float = _number(0.07, "1", "the same in any other channel", _CHOSEN)
     settled: float = _number(
         0.8,
         "1",
@@ -219,6 +215,12 @@ class SelectionRules:
     )
     form_error_share: float = _number(
         0.10, "1", "prior deviation of a term's model-form error, as a share of the term's effect", _CHOSEN
+    )
+    range_deviations: float = _number(
+        2.0,
+        "standard deviations",
+        "between no effect and the largest that a car can have, in the prior of all terms at once",
+        _THEORY + "a range holds 95 % of the cars",
     )
     runs_better: float = _number(
         0.9,

@@ -72,7 +72,8 @@ BESIDE_THEIR_ALGORITHM = {
     "remainder/autocorrelation.py": {"_NEAR_ROWS"},
     "search/calibration.py": {"_BINS", "_WAVES"},
     "search/candidates.py": {"_NEAR"},
-    "search/fitting.py": {"_ITERATIONS", "_REFRESHES"},
+    "search/fitting.py": {"_ITERATIONS", "_JOINT_ITERATIONS", "_REFRESHES"},
+    "search/joint.py": {"_NEAR_NONE", "_NO_EFFECT", "_TRIED"},
     "search/running.py": {"_TINY"},
 }
 # The rooms that only tell (statement), and those of held-out errors, hold what is said and not what is found.

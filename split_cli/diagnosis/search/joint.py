@@ -22,7 +22,6 @@ __all__ = ["all_at_once", "promised_by_all", "without_needless"]
 _NEAR_NONE = 0.1  # of a start, where a term that is not in the explanation yet begins
 _NO_EFFECT = 1e-12  # curvature, in chi squared by a step, of what changes nothing
 _TRIED = 2  # parts whose leaving is tried by a refit, those that cost least by straight lines
-_DEVIATIONS = 2.0  # that the bound of a range lies from no effect, for a prior as wide as the range
 
 
 def promised_by_all(explore: Explorer, current: Fit) -> float:
@@ -61,7 +60,8 @@ def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
     placed = tuple(part for part in current.parts if part.candidate.located)
     begun = fit_parts(explore.objective, placed) if placed else nothing
     parts = _everything(explore, begun)
-    fit, curvature = fit_with_prior(explore.objective, parts, [_prior(part.candidate) for part in parts])
+    priors = [_prior(part.candidate, explore.rules.range_deviations) for part in parts]
+    fit, curvature = fit_with_prior(explore.objective, parts, priors)
     kept = _not_needless(explore, fit.parts, curvature)
     if not kept:
         return current
@@ -99,14 +99,14 @@ def _near_none(part: Part) -> Part:
     return Part(part.candidate, inside)
 
 
-def _prior(candidate: Candidate) -> dict[str, Prior]:
-    """Return no effect and a deviation for each parameter that has a neutral value; others are free."""
+def _prior(candidate: Candidate, deviations: float) -> dict[str, Prior]:
+    """Return no effect and a deviation, so many to a range's bound, for parameters with a neutral value."""
     neutral = CATALOGUE[candidate.term].neutral
     out = {}
     for name, limit in candidate.ranges.items():
         none = neutral.get(name)
         if none is not None:
-            out[name] = Prior(none, max(limit.upper - none, none - limit.lower) / _DEVIATIONS)
+            out[name] = Prior(none, max(limit.upper - none, none - limit.lower) / deviations)
     return out
 
 

@@ -36,7 +36,6 @@ __all__ = [
 ]
 
 
-_PROMISING = 3.0  # prices that all terms at once have to promise to be worth the time of trying
 _ONCE = "nearly all in a few moments"
 _FORM_ERROR = "no more than the model-form error of the others"
 
@@ -168,7 +167,7 @@ def select_terms(
 
 def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
     """Return what is left of all terms fitted at once, each believed beside the others; None if no better."""
-    if promised_by_all(explore, chosen) < _PROMISING * explore.rules.price:
+    if promised_by_all(explore, chosen) < explore.rules.price:
         return None
     fit = all_at_once(explore, base, chosen)
     while len(fit.parts) > 1:
@@ -198,7 +197,7 @@ def _is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool
 def _refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
     """Return whether one part of a fit would be refused as the last to come to the others."""
     last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k]))
-    return bool(_refusal(explore, rest, _sizes_in_velocity(explore.objective, rest.terms, ()), last))
+    return bool(_refusal(explore, rest, _sizes_with_form_error(explore.objective, rest.terms), last))
 
 
 def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
@@ -269,7 +268,7 @@ def _believed_together(
     sizes = {k: _part_sizes(objective, chosen, k) for k, one in enumerate(sure) if one}
     named: list[int] = []
     for k in sorted(sizes, key=lambda k: -sizes[k].max()):
-        larger = _sizes_in_velocity(objective, tuple(chosen.terms[i] for i in named), ())
+        larger = _sizes_with_form_error(objective, tuple(chosen.terms[i] for i in named))
         witnessed = _is_witnessed(objective, chosen, k, rules)
         if not named or witnessed or not _is_form_error(objective, sizes[k], larger, without[k], chosen, rules):
             named.append(k)
@@ -433,7 +432,7 @@ def _error_of_sum(difference: np.ndarray) -> float:
 def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tuple[Fit | None, str]:
     """Return the first further term that is believed; where none is, why not the first of them, in words."""
     objective = explore.objective
-    sizes = _sizes_in_velocity(objective, chosen.terms, ())
+    sizes = _sizes_with_form_error(objective, chosen.terms)
     reasons = []
     for fit in fits:
         reasons.append(_refusal(explore, chosen, sizes, fit))
@@ -488,7 +487,7 @@ def _is_form_error(
     channel = int(np.argmax(size))
     across = 0.0 if _settles(objective, channel, before, after, rules) else rules.form_error_across * of.max()
     discrepancy = rules.discrepancy_form_error * discrepancy_to_noise(objective)[channel]
-    return bool(size[channel] < max(rules.least_size, rules.form_error * of[channel], across, discrepancy))
+    return bool(size[channel] < max(rules.least_size, rules.form_error_share * of[channel], across, discrepancy))
 
 
 def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fit, rules: SelectionRules) -> bool:
@@ -522,6 +521,11 @@ def _sizes_in_velocity(
         for one, mask in zip(objective.evidence, objective.keep, strict=True)
     ]
     return np.max(sizes, axis=0)
+
+
+def _sizes_with_form_error(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> np.ndarray:
+    """Return the sizes of terms of the car, shape (3,): what an instrument does has no model-form error."""
+    return _sizes_in_velocity(objective, tuple(term for term in terms if term.exported), ())
 
 
 def _part_sizes(objective: MarginalLikelihood, fit: Fit, k: int) -> np.ndarray:
