@@ -103,10 +103,10 @@ def own_shares(evidence: Sequence[TrustEvidence]) -> np.ndarray:
 
     Notes
     -----
-    The coefficient of the correction in the least-squares regression of the held-out label on the correction, the
-    rivals less their means: by Frisch, Waugh and Lovell, both label and correction are freed of what the rivals
-    say of them, and one is regressed on the other. A constant correction stays the correction's own. 1 without
-    rivals, and where the correction is theirs entirely 0.
+    The coefficient of the correction in the least-squares regression of the held-out label on the correction and
+    the rivals less their means, less its standard error over blocks. By Frisch, Waugh and Lovell, both label and
+    correction are freed of what the rivals say of them, and one is regressed on the other. A constant correction
+    stays the correction's own. 1 without rivals, and where the correction is theirs entirely 0.
     """
     own = np.ones(3)
     for part in evidence:
@@ -116,8 +116,14 @@ def own_shares(evidence: Sequence[TrustEvidence]) -> np.ndarray:
         rivals = (part.rivals - part.rivals.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
         both = np.column_stack([part.change[:, part.state], part.error])
         change, error = (both - rivals @ np.linalg.lstsq(rivals, both, rcond=None)[0]).T
-        power = float(change @ change)
-        own[part.state] = np.clip(change @ error / power, 0.0, 1.0) if power > 0.0 else 0.0
+        numbers, member = np.unique(part.block, return_inverse=True)
+        together, power = (np.bincount(member, change * other) for other in (error, change))
+        if not power.sum() > 0.0:
+            own[part.state] = 0.0
+            continue
+        slope, count = together.sum() / power.sum(), len(numbers)
+        scatter = count / max(count - 1, 1) * np.square(together - slope * power).sum()
+        own[part.state] = np.clip(slope - np.sqrt(scatter) / power.sum(), 0.0, 1.0)
     return own
 
 

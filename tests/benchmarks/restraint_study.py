@@ -10,13 +10,14 @@ import json
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from split_cli.logs.drive import read_drive, write_drive
+from split_cli.logs.drive import Drive, read_drive, write_drive
 from tests.benchmarks.results_tables import CASES, ROOT, Case, split
+from tests.foreign.natural import DART_CAR, KTH_CAR, RUBBER, TAPE, dart_drive, kth_drive
 
 #: (Trained on, judged on) by the title in `results_tables.CASES`; one name twice stands for the halves of a drive.
 AGGRESSIVE, MODERATE = "Road car, two laps at 85 % of the grip", "Road car, two laps at 70 % of the grip"
@@ -30,10 +31,18 @@ ACROSS = (
     (MODERATE, AGGRESSIVE),
     (AGGRESSIVE, SMALL),
     (MODERATE, SMALL),
+    (SMALL, MODERATE),
+    (SMALL, AGGRESSIVE),
     (TUM_TRAIN, TUM_RUN),
     (TUM_RUN, TUM_TRAIN),
 )
 HALVES = ("1:10 car, three laps", "Hyundai Genesis, real, gentle", "Indy AV-21, real, banked oval")
+#: DART's car on two floors and driven freely; KTH's Volvo in a slalom (038) and a step steer (040).
+DART = ((RUBBER, TAPE), (TAPE, RUBBER), (RUBBER, "free_driving"), ("free_driving", "racetrack_lap_v_1"))
+DART_HALVES = (RUBBER, TAPE, "free_driving")
+KTH = (("038", "040"), ("040", "038"))
+#: What is judged: the default predictor.
+PREDICTOR = "rbcm"
 STATES = ("v_x", "v_y", "r")
 
 
@@ -58,22 +67,24 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for pair in pairs(cases, Path(folder), datasets):
             made = Path(folder) / "a.split"
-            split("train", str(pair.trains), "--vehicle", pair.vehicle, "-o", str(made))
-            report = json.loads(
-                split("evaluate", str(pair.judges), "--set", str(made), "--predictor", "bcm", "--json")
+            split("train", str(pair.trains), "--vehicle", pair.vehicle, "--any-vehicle", "-o", str(made))
+            report = json.loads(  # fmt: skip
+                split("evaluate", str(pair.judges), "--set", str(made), "--predictor", PREDICTOR,
+                      "--any-vehicle", "--json")
             )
             trust = report["sets"][0]["trust"]["share"]
             rows = {(c["name"], c["state"], c["horizon"]): c for c in report["comparisons"]}
-            own = [c for c in report["comparisons"] if c["name"] == "bcm"]
+            own = [c for c in report["comparisons"] if c["name"] == PREDICTOR]
             believed += own
-            plain += [rows.get(("bcm, all believed", c["state"], c["horizon"]), c) for c in own]
+            plain += [rows.get((f"{PREDICTOR}, all believed", c["state"], c["horizon"]), c) for c in own]
             for line in lines_of(pair, trust, rows):
                 print(line, flush=True)
             intervals.append(
-                (pair.title, next(s for s in report["scores"] if s["name"] == "bcm" and not s["drive"]))
+                (pair.title, next(s for s in report["scores"] if s["name"] == PREDICTOR and not s["drive"]))
             )
     print()
     for name, found in (("all believed", plain), ("with trust", believed)):
+        found = [c for c in found if c["to_nominal"][1] is not None]  # fewer than four blocks judge nothing
         worse = [c for c in found if c["to_nominal"][1] > 1.0]
         better = [c for c in found if c["to_nominal"][2] < 1.0]
         largest = max((c["to_nominal"][0] for c in worse), default=float("nan"))
@@ -114,14 +125,49 @@ def pairs(cases: dict[str, Case], folder: Path, datasets: Path | None) -> Iterat
     for title in HALVES:
         if title in cases:
             path, vehicle = drive(title)
-            whole = read_drive(path)
-            halves = []
-            for number in range(2):
-                rows = np.arange(len(whole)) * 2 // len(whole) == number
-                halves.append(folder / f"{path.stem}_{number}.parquet")
-                write_drive(whole.select(rows), halves[-1])
-            yield Pair(f"{title}: first half → second", halves[0], halves[1], vehicle)
-            yield Pair(f"{title}: second half → first", halves[1], halves[0], vehicle)
+            yield from halves_of(title, path, vehicle, folder)
+    if datasets:
+        yield from natural_pairs(datasets, folder)
+
+
+def halves_of(title: str, path: Path, vehicle: str, folder: Path) -> Iterator[Pair]:
+    """Yield the pair of a drive's halves, both ways."""
+    whole = read_drive(path)
+    halves = []
+    for number in range(2):
+        rows = np.arange(len(whole)) * 2 // len(whole) == number
+        halves.append(folder / f"{path.stem}_{number}.parquet")
+        write_drive(whole.select(rows), halves[-1])
+    yield Pair(f"{title}: first half → second", halves[0], halves[1], vehicle)
+    yield Pair(f"{title}: second half → first", halves[1], halves[0], vehicle)
+
+
+def natural_pairs(datasets: Path, folder: Path) -> Iterator[Pair]:
+    """Yield the pairs of the recordings whose drives `tests.foreign.natural` prepares."""
+    work = folder / "natural"
+    work.mkdir(exist_ok=True)
+    files: dict[str, Path] = {}
+
+    def written(name: str, drive: Drive) -> Path:
+        if name not in files:
+            files[name] = folder / f"{name}.parquet"
+            write_drive(replace(drive, name=files[name].name), files[name])
+        return files[name]
+
+    def dart(name: str) -> Path:
+        return written(f"dart_{name}", dart_drive(datasets, name, work))
+
+    def kth(run: str, yaw_rate: str) -> Path:
+        return written(f"kth_{run}_{yaw_rate}", kth_drive(datasets, run, work, yaw_rate=yaw_rate))
+
+    for first, second in DART:
+        yield Pair(f"DART, {first} → {second}", dart(first), dart(second), str(DART_CAR))
+    for name in DART_HALVES:
+        yield from halves_of(f"DART, {name}", dart(name), str(DART_CAR), folder)
+    for yaw_rate in ("can", "imu"):
+        for first, second in KTH:
+            files = kth(first, yaw_rate), kth(second, yaw_rate)
+            yield Pair(f"KTH, {first} → {second}, yaw rate {yaw_rate}", *files, str(KTH_CAR))
 
 
 def lines_of(pair: Pair, trust: list[float], rows: dict) -> list[str]:
@@ -134,11 +180,11 @@ def lines_of(pair: Pair, trust: list[float], rows: dict) -> list[str]:
             state,
         ]
         for horizon in (0.0, 0.5, 1.0, 2.0):
-            found = rows.get(("bcm", state, horizon))
+            found = rows.get((PREDICTOR, state, horizon))
             cells.append(ratio_of(found["to_nominal"]) if found else "")
-        found = rows.get(("bcm", state, 1.0))
+        found = rows.get((PREDICTOR, state, 1.0))
         cells.append(ratio_of(found["to_held"]) if found else "")
-        found = rows.get(("bcm, all believed", state, 1.0), found)
+        found = rows.get((f"{PREDICTOR}, all believed", state, 1.0), found)
         cells.append(ratio_of(found["to_nominal"]) if found else "")
         lines.append("| " + " | ".join(cells) + " |")
     return lines

@@ -100,7 +100,7 @@ def test_what_a_rival_explains_as_well_is_not_credited_to_the_correction():
     rest = (np.zeros(count), block, np.zeros((count, 7)), None)
     alone = TrustEvidence(0, 0.0, error, change, *rest)
     beside = TrustEvidence(0, 0.0, error, change, *rest, rival[:, None])
-    # Alone the coefficient is 0.3 + 0.7/2 in the limit; the error of 0.3 is 0.2/sqrt(4000) = 0.003.
+    # Alone the coefficient is 0.3 + 0.7/2 in the limit; the standard error of 0.3 is 0.2/sqrt(4000) = 0.003.
     np.testing.assert_allclose(own_shares([beside]), (0.3, 1.0, 1.0), atol=0.02)
     assert trust_from([alone])[0] >= 0.6 and trust_from([beside])[0] <= 0.3 + 1e-9
 
