@@ -11,14 +11,17 @@ __all__ = ["command"]
 
 
 @click.command("verify")
-@click.argument("path", type=existing_file, metavar="FILE")
+@click.argument("path", type=existing_file, metavar="FILE|FOLDER")
 @json_option
 def command(path, as_json) -> None:
-    """Check a trained set or an export against itself.
+    """Check any file or folder of this program against itself.
 
-    A set: its digest, order, capacity, that every point lies in its cell, and every marginal gain against the
-    inverse of its cell's kernel matrix. The folder of an export: the hash of every file, then the self-test in C
-    and the stored queries of every other target. Exit code 1 when something fails.
+    A drive or labels: checksums of the pages, ranges, clock, sources that lie beside it, and whether the channels
+    fit together. A vehicle, a map, hyperparameters: every key and value. A set: its digest, order, capacity, that
+    every point lies in its cell, and every marginal gain against the inverse of its cell's kernel matrix. The
+    folder of an export: the hash of every file, the set beside it, then the self-test in C and the stored queries
+    of every other target. A diagnosis: its document, the report against it, its vehicles. A folder of drives: each
+    of them, and against the manifest. Exit code 1 when something fails.
 
     \b
     Example:

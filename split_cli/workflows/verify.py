@@ -1,15 +1,24 @@
-"""Check a trained set or an export against itself: nothing but the file is needed."""
+"""Check a file or folder of ours against itself: nothing but the file is needed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from split_cli.errors import SplitError
+from split_cli.files import sha256_of_file
 from split_cli.learning.kernel import correlation
 from split_cli.learning.training_set import TrainingSet, read_set
+from split_cli.workflows.verification import Verification, VerifiedItem
+from split_cli.workflows.verification import item as _item
+from split_cli.workflows.verify_files import (
+    is_diagnosis,
+    verify_diagnosis,
+    verify_drives_folder,
+    verify_parquet,
+    verify_yaml,
+)
 
 __all__ = ["Verification", "VerifiedItem", "verify", "verify_set"]
 
@@ -17,70 +26,58 @@ GAIN_TOLERANCE = 1e-9
 """Absolute, of gains between 0 and 1: LAPACK's inverse against the factors that learning keeps."""
 
 
-@dataclass(frozen=True)
-class VerifiedItem:
-    """One thing that was checked.
-
-    Attributes
-    ----------
-    check : str
-    passed : bool or None
-        None when it could not be checked here.
-    detail : str
-    """
-
-    check: str
-    passed: bool | None
-    detail: str
-
-
-@dataclass(frozen=True)
-class Verification:
-    """What checking a file or folder found.
-
-    Attributes
-    ----------
-    path, kind : str
-        Kind is ``trained set`` or ``export``.
-    items : tuple of VerifiedItem
-    """
-
-    path: str
-    kind: str
-    items: tuple[VerifiedItem, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether nothing failed."""
-        return all(item.passed is not False for item in self.items)
-
-
 def verify(path: str | Path) -> Verification:
-    """Check a ``.split`` file, or the folder of an export.
+    """Check any file of ours, or the folder of an export, of a diagnosis or of drives.
 
     Raises
     ------
     SplitError
-        If it is neither, or cannot be read at all.
+        If it is none of them, or cannot be read at all.
     """
     path = Path(path)
-    if path.name == "manifest.json" and path.is_file():
+    if path.name in ("manifest.json", "diagnosis.json") and path.is_file():
         path = path.parent
     if path.is_dir():
-        # An export's checks need CasADi, which takes a second to import and is not needed for sets.
-        from split_cli.export.verify import verify_folder
-
-        items = tuple(VerifiedItem(f.check, f.passed, f.detail) for f in verify_folder(path))
-        return Verification(str(path), "export", items)
+        return _folder(path)
     if not path.exists():
         raise SplitError("no such file or folder", where=str(path))
-    if path.suffix.lower() != ".split" and not _is_arrow(path):
-        raise SplitError(
-            "is neither a trained set nor the folder of an export",
-            where=str(path),
-            advice="`split info` tells what it is.",
-        )
-    return Verification(str(path), "trained set", verify_set(read_set(path)))
+    if path.suffix.lower() == ".split" or _is_arrow(path):
+        return Verification(str(path), "trained set", verify_set(read_set(path)))
+    if path.suffix.lower() in (".parquet", ".pq"):
+        return Verification(str(path), *verify_parquet(path))
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return Verification(str(path), *verify_yaml(path))
+    raise SplitError(
+        "is no file that this program writes",
+        where=str(path),
+        advice="`split info` tells what it is.",
+    )
+
+
+def _folder(path: Path) -> Verification:
+    if is_diagnosis(path):
+        return Verification(str(path), "diagnosis", verify_diagnosis(path))
+    if not (path / "manifest.json").is_file():
+        return Verification(str(path), "drives", verify_drives_folder(path))
+    # An export's checks need CasADi, which takes a second to import and is not needed for sets.
+    from split_cli.export.verify import verify_folder
+
+    items = [VerifiedItem(f.check, f.passed, f.detail) for f in verify_folder(path)]
+    return Verification(str(path), "export", (*items, *_set_of_export(path)))
+
+
+def _set_of_export(folder: Path) -> tuple[VerifiedItem, ...]:
+    """Compare the set that lies in or beside an export with the digest in its manifest; empty where none does."""
+    from split_cli.export.verify import read_manifest
+
+    told = read_manifest(folder).get("set")
+    name, digest = (str(told.get("name", "")), told.get("sha256")) if isinstance(told, dict) else ("", None)
+    beside = [p / Path(name).name for p in (folder, folder.parent) if (p / Path(name).name).is_file()]
+    if not name or not digest or not beside:
+        return ()
+    same = any(sha256_of_file(path) == digest for path in beside)
+    good = f"{name} beside it is the one that was exported"
+    return (_item("trained set", same, good, f"{name} beside it is another one: export it again"),)
 
 
 def _is_arrow(path: Path) -> bool:
@@ -111,10 +108,6 @@ def verify_set(training_set: TrainingSet) -> tuple[VerifiedItem, ...]:
     items.append(_gains(s))
     items.append(_sources(s))
     return tuple(items)
-
-
-def _item(check: str, passed: bool, good: str, bad: str) -> VerifiedItem:
-    return VerifiedItem(check, bool(passed), good if passed else bad)
 
 
 def _cells(s: TrainingSet) -> VerifiedItem:

@@ -1,0 +1,50 @@
+"""What a check of a file found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Verification", "VerifiedItem", "item"]
+
+
+@dataclass(frozen=True)
+class VerifiedItem:
+    """One thing that was checked.
+
+    Attributes
+    ----------
+    check : str
+    passed : bool or None
+        None when it could not be checked here.
+    detail : str
+    """
+
+    check: str
+    passed: bool | None
+    detail: str
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What checking a file or folder found.
+
+    Attributes
+    ----------
+    path, kind : str
+        Kind is what it was found to be: ``trained set``, ``export``, ``drive`` ...
+    items : tuple of VerifiedItem
+    """
+
+    path: str
+    kind: str
+    items: tuple[VerifiedItem, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing failed."""
+        return all(item.passed is not False for item in self.items)
+
+
+def item(check: str, passed: bool, good: str, bad: str) -> VerifiedItem:
+    """Return a check with the words for its outcome."""
+    return VerifiedItem(check, bool(passed), good if passed else bad)
