@@ -141,7 +141,7 @@ def test_a_manifest_may_not_point_outside_its_folder(exported):
 
 
 def test_a_folder_without_export_and_a_path_without_file_say_so(tmp_path):
-    with pytest.raises(SplitError, match="manifest.json"):
+    with pytest.raises(SplitError, match="neither an export"):
         verify(tmp_path)
     with pytest.raises(SplitError, match="no such"):
         verify(tmp_path / "absent.split")

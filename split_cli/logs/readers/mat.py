@@ -159,12 +159,15 @@ def _clocks_of_structures(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray
 
 def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """Yield a vector as itself and a matrix as the vectors along its longer side."""
+    with np.errstate(over="ignore"):
+        # Of a damaged long double; what is infinite is dropped and counted later.
+        values = np.array(values, dtype=np.float64)
     if min(values.shape) == 1 or values.ndim == 1:
-        yield name, np.array(values, dtype=np.float64).ravel()
+        yield name, values.ravel()
         return
     along = values if values.shape[0] >= values.shape[1] else values.T
     for index in range(min(along.shape[1], _MOST_COLUMNS)):
-        yield f"{name}[{index}]", np.array(along[:, index], dtype=np.float64)
+        yield f"{name}[{index}]", along[:, index].copy()
 
 
 def _damaged(path: Path, error: Exception) -> LogError:
