@@ -30,6 +30,7 @@ from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.running import with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
+from split_cli.diagnosis.statement.separation import exact_mimics
 
 __all__ = ["SearchOutcome", "search"]
 
@@ -135,7 +136,11 @@ def _brings_back(again: SearchOutcome, marginalised: Selection, rules: Selection
     if selection.terms and all(term.corrects for term in selection.terms):
         before, after = (objective.witnesses_cost(fit.residuals) for fit in (selection.base, selection.chosen))
         fair = fair or before - after > rules.fixed_share * before
-    chosen = {part.candidate.term for part in marginalised.chosen.parts if selection.first_p < rules.sure_level}
+    chosen: set[str] = set()
+    for part in marginalised.chosen.parts if selection.first_p < rules.sure_level else ():
+        # A whole friction curve is its peak with both stiffnesses: under either name the first search chose it.
+        one = part.candidate
+        chosen |= {one.term, *(name for terms in exact_mimics(one.term, one.variant) for name in terms.split("+"))}
     return bool(selection.terms) and fair and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
 
 

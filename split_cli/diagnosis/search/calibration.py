@@ -56,6 +56,8 @@ class SelfTest:
         Cost that each term saves alone, in its best variant, start and place.
     autocorrelation : float
         How much rows vary together, see `residual_autocorrelation`.
+    witnessed : mapping of str to float
+        Cost that each term saves alone of what a recording knows twice.
     """
 
     rows: int = 0
@@ -63,6 +65,7 @@ class SelfTest:
     unnamed: float = 0.0
     terms: Mapping[str, float] = field(default_factory=dict)
     autocorrelation: float = 1.0
+    witnessed: Mapping[str, float] = field(default_factory=dict)
 
     def allow(self, objective: MarginalLikelihood) -> MarginalLikelihood:
         """Return an objective that forgives as much, with a margin.
@@ -75,14 +78,16 @@ class SelfTest:
         rules = objective.policy.self_test
         rows = sum(int(mask.sum()) for mask in objective.keep)
         scale = float(np.sqrt(max(rows / self.rows, 1.0)))
-        most = max(self.terms.values(), default=0.0)
+
+        def floors(saved: Mapping[str, float]) -> dict[str, float]:
+            least = rules.kindred * max(saved.values(), default=0.0)
+            return {term: rules.term_margin * scale * max(one, least) for term, one in saved.items()}
+
         return replace(
             objective,
             unnamed_floor=rules.unnamed_margin * scale * self.unnamed,
-            term_floors={
-                term: rules.term_margin * scale * max(saved, rules.kindred * most)
-                for term, saved in self.terms.items()
-            },
+            term_floors=floors(self.terms),
+            witness_floors=floors(self.witnessed),
         )
 
     def form_error_inflation_of(self, gap: FlexibleFit, policy: Policy = STANDARD) -> float:
@@ -157,6 +162,7 @@ def self_test(
         max(test.unnamed for test in tests),
         {term: max(test.terms[term] for test in tests) for term in names},
         max(test.autocorrelation for test in tests),
+        {term: max(test.witnessed[term] for test in tests) for term in names},
     )
 
 
@@ -259,12 +265,15 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
     s = objective.places()
     lap = graded[0].series.lap_length
     terms = {offer.term: 0.0 for offer in offers}
+    witnessed, first = dict(terms), len(residuals) - int(windows.sum())
     for offer in offers:
         columns = objective.whiten(offer.columns[chosen])
         if offer.located:
             saved = _best_place(columns[:, 0], residuals, s, offer.located, lap)
         else:
             saved = _saving(columns, residuals)
+            alone = _saving(columns[first:], residuals[first:]) if first < len(residuals) else 0.0
+            witnessed[offer.term] = max(witnessed[offer.term], alone)
         terms[offer.term] = max(terms[offer.term], saved)
     # What the simulation lacks of reality's noise would have added its share.
     quiet = max(0.0, 1.0 - (float(residuals @ residuals) - fit.saved) / max(len(residuals) - fit.freedom, 1.0))
@@ -274,6 +283,7 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
         fit.saved,
         terms,
         residual_autocorrelation(structure, residuals).ratio,
+        witnessed,
     )
 
 

@@ -38,9 +38,10 @@ def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
     """Return the best explanation with one named part replaced by two that together look like it, if that saves.
 
     Late sensors look like late steering and late torque together. One more name has to save what a single track
-    may get wrong of the whole as well.
+    may get wrong of the whole as well, and its price where model-form error widens chance.
     """
     rules = explore.rules
+    widened = max(explore.variance_inflation, explore.objective.form_error_inflation)
     burden = rules.same_form_error * (base.cost - chosen.cost) / explore.variance_inflation
     best, least = None, explore.price(chosen) - burden - rules.least_swap
     for k, part in enumerate(chosen.parts):
@@ -49,7 +50,8 @@ def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
         for pair in _pairs_like(part, explore.candidates) if named[k] else ():
             if not taken & {one.candidate.term for one in pair}:
                 fit = fit_parts(explore.objective, (*others, *pair))
-                if explore.price(fit) < least:
+                worth = (chosen.cost - fit.cost) / widened > rules.price * (fit.complexity - chosen.complexity)
+                if worth and explore.price(fit) < least:
                     best, least = fit, explore.price(fit)
     return best
 

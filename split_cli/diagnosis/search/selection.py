@@ -241,7 +241,8 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
     objective, rules = explore.objective, explore.rules
     without = without_parts(objective, base, chosen)
     sure = [
-        term_p(objective, chosen, k, one.cost - chosen.cost, explore.variance_inflation) * len(explore.candidates)
+        term_p(objective, chosen, k, one.cost - chosen.cost, explore.variance_inflation, one)
+        * len(explore.candidates)
         < rules.level
         and is_spread(objective, chosen, k, one, rules)
         and not chosen.parts[k].candidate.at_limit(chosen.parts[k].values)
@@ -340,7 +341,7 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Selectio
 
     while True:
         fits = first if chosen is base else explore(chosen)
-        fits = [fit for fit in fits if price_saved(fit) > 0.0]
+        fits = [fit for fit in fits if price_saved(fit) > 0.0 and not _goes_too_far(chosen, fit)]
         if not fits:
             break
         best = fits[0]
@@ -354,7 +355,7 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Selectio
             refused = fits[0]
             break
         label, saved = best.parts[-1].candidate.label, price_saved(best)
-        p_value = term_p(objective, best, len(best.parts) - 1, chosen.cost - best.cost, variance_inflation)
+        p_value = term_p(objective, best, len(best.parts) - 1, chosen.cost - best.cost, variance_inflation, chosen)
         p_value *= len(explore.candidates)
         small, spread = p_value >= rules.level, is_spread(objective, best, len(best.parts) - 1, chosen, rules)
         first_p = min(first_p, p_value if spread else 1.0)
@@ -370,6 +371,17 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Selectio
         history += dropped
     names = len(chosen.parts) - nuisances
     return _Found(chosen, refused or chosen, names, tuple(history), first_p)
+
+
+def _goes_too_far(chosen: Fit, further: Fit) -> bool:
+    """Return whether a further term ends where no real car goes further, or takes one that did not there."""
+    if not chosen.parts:
+        return False
+
+    def at_limit(fit: Fit) -> set[str]:
+        return {part.candidate.term for part in fit.parts if part.candidate.at_limit(part.values)}
+
+    return bool(at_limit(further) - at_limit(chosen))
 
 
 def _other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) -> list[Fit]:
@@ -572,11 +584,27 @@ def explaining_as_well(
     ]
 
 
-def term_p(objective: MarginalLikelihood, fit: Fit, k: int, saved: float, variance_inflation: float) -> float:
-    """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
-    return p_of_effect(
-        objective, fit.parts[k].candidate, _over_allowance(objective, fit, k), saved, variance_inflation
-    )
+def term_p(
+    objective: MarginalLikelihood,
+    fit: Fit,
+    k: int,
+    saved: float,
+    variance_inflation: float,
+    without: Fit | None = None,
+) -> float:
+    """Return the minimum-effect p value of one part of an explanation that saves `saved`.
+
+    A sensor's fault, where the explanation `without` it is given, is also tested by its witnesses alone, which no
+    model-form error moves: the smaller p value, for two tests, is returned.
+    """
+    candidate, size = fit.parts[k].candidate, _over_allowance(objective, fit, k)
+    p_value = p_of_effect(objective, candidate, size, saved, variance_inflation)
+    floor = objective.witness_floors.get(candidate.effect)
+    if without is None or floor is None or not fit.parts[k].term.corrects:
+        return p_value
+    told = objective.witnesses_cost(without.residuals) - objective.witnesses_cost(fit.residuals)
+    alone = minimum_effect_p(told, candidate.complexity, size, variance_inflation, floor, allowance=1.0)
+    return min(p_value, 2.0 * alone)
 
 
 def p_of_effect(
