@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.innovations.case import gather_case
+from split_cli.diagnosis.innovations.objective import build_objective
 from split_cli.diagnosis.recording.witnesses import build_witnesses, habits_of
 from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable
+from split_cli.diagnosis.search.selection import nothing, term_p
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from tests.diagnosis.recordings import driven, noisy, prepared
@@ -140,6 +144,28 @@ def test_what_was_derived_from_position_is_late_against_nothing():
     assert late(X="derived: from vx") == late()
     assert late(X="derived: from vx", ay="derived: from vy") == {"ax"}
     assert late(vy="derived: from X, Y, yaw smoothed by their noise") == {"ax", "ay"}
+
+
+def test_witnesses_alone_tell_a_fault_where_the_model_forgives_everything():
+    case = gather_case(road_car(), [prepared(recording(39, fault("channel_delay", "r", {"r": 0.06})))])
+    objective = build_objective(case.real, None, case.discrepancy, case.keep, case.kinematics)
+    late, heavy = _candidates(case, "channel_delay (r)", "mass")
+    bare = nothing(objective)
+
+    def p_value(candidate, forgiven: float, witnessed: float) -> float:
+        fit = fit_parts(objective, (Part(candidate, dict(candidate.starts[-1])),))
+        floors = {"term_floors": {candidate.effect: forgiven}, "witness_floors": {candidate.effect: witnessed}}
+        return term_p(replace(objective, **floors), fit, 0, bare.cost - fit.cost, 1.5, bare)
+
+    assert p_value(late, 1e6, 0.0) < 1e-6
+    # Where the witnesses of a simulation's halves disagree as much, nothing is told.
+    assert p_value(late, 1e6, 1e6) > 0.9
+    assert p_value(heavy, 1e6, 0.0) > 0.9
+
+
+def _candidates(case, *labels):
+    every = {one.label: one for one in build_candidates(road_car(), case.real[0].series)}
+    return [every[label] for label in labels]
 
 
 @pytest.mark.parametrize("k", [0, 2, 6])

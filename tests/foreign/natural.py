@@ -84,11 +84,6 @@ def autorally_drive(datasets: Path, number: int, folder: Path) -> Drive:
     return read_drive(path)
 
 
-def _autorally_pair(datasets: Path, folder: Path) -> tuple[Drive, Drive]:
-    reference, other = split_in_blocks(autorally_drive(datasets, 6, folder), 5.0)
-    return other, reference
-
-
 @dataclass(frozen=True)
 class Experiment:
     """One pair, or one recording against the nominal model.
@@ -142,7 +137,11 @@ EXPERIMENTS = {
         lambda datasets, folder: (autorally_drive(datasets, 6, folder), None),
         AUTORALLY_CAR,
     ),
-    "autorally-halves": Experiment("nothing: one car, one track", _autorally_pair, AUTORALLY_CAR),
+    "autorally-runs": Experiment(
+        "nothing: two runs of one car on one track",
+        lambda datasets, folder: (autorally_drive(datasets, 5, folder), autorally_drive(datasets, 6, folder)),
+        AUTORALLY_CAR,
+    ),
     "rubber-halves": Experiment("nothing: one floor, one car", _halves(RUBBER), DART_CAR),
     "tape-halves": Experiment("nothing: one floor, one car", _halves(TAPE), DART_CAR),
     "free-nominal": Experiment(

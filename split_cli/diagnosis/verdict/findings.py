@@ -53,6 +53,7 @@ def describe(
         # Where something is left, terms that explain less than it does imitate what has no name.
         explained = 1.0 - remainder.share
         kept = {one.term for one in findings if one.gap_explained * explained > remainder.share}
+        kept |= _told_by_witnesses(objective, selection)
     kept -= _vague(selection, findings, rules)
     if len(kept) < len(findings):
         unexplained = True
@@ -61,6 +62,17 @@ def describe(
         remainder = _remainder(structure, selection, variance_inflation, left)
         findings = _findings(objective, selection, remainder.share)
     return selection, findings, remainder, unexplained
+
+
+def _told_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> set[str]:
+    """Return sensors' faults that take a fair share of what witnesses contradict: nothing nameless moves these."""
+    told, rules = set(), objective.policy.selection
+    after = objective.witnesses_cost(selection.chosen.residuals)
+    for part, without in zip(selection.chosen.parts, selection.without, strict=True):
+        before = objective.witnesses_cost(without.residuals)
+        if part.term.corrects and before - after > rules.fixed_share * before:
+            told.add(part.candidate.term)
+    return told
 
 
 def _vague(selection: Selection, findings: Sequence[Finding], rules: Abstention) -> set[str]:
