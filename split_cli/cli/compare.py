@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from split_cli.cli.options import existing_file, held_option, json_option, output_option, print_json, print_table
+from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
 
@@ -63,7 +64,9 @@ def command(models, drives, horizons, exit_code, limits, output, held, as_json) 
 
     if output is not None and not Path(output).parent.is_dir():
         raise click.UsageError(f"the folder {Path(output).parent} does not exist")
-    compared, read, recordings = compare_files(models, drives, horizons, held, say=_say)
+    progress = StepBar(len(drives))
+    compared, read, recordings = compare_files(models, drives, horizons, held, say=progress)
+    progress.close()
     if output is not None:
         write_comparison(compared, read, recordings, output)
         click.echo(f"split: report in {Path(output) / 'report.html'}", err=True)
@@ -109,8 +112,3 @@ def _tell(compared) -> None:
     for state in ("v_x", "v_y", "r"):
         heads += [state, "fit %", "skill"]
     print_table([*heads, "of held"], rows)
-
-
-def _say(text: str) -> None:
-    if sys.stderr.isatty():
-        click.echo(f"split: {text}", err=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 
 import click
@@ -16,6 +15,7 @@ from split_cli.cli.options import (
     print_table,
     vehicle_option,
 )
+from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
 
@@ -162,7 +162,10 @@ def command(drives, vehicle_path, set_path, output, as_json, select, **settings)
     from split_cli.workflows.evaluate import evaluate_files
 
     asked = EvaluationSettings(**settings)
-    run = evaluate_files(drives, vehicle_path, asked, set_path, say=_say)
+    # Labels, each predictor trusted and believed in full, rollouts and noise: no more steps than this.
+    progress = StepBar(len(asked.features) * (1 + 2 * len(asked.predictors)) + 2)
+    run = evaluate_files(drives, vehicle_path, asked, set_path, say=progress)
+    progress.close()
     if output is not None:
         from split_cli.plots.evaluation import write_figures
         from split_cli.workflows.recording_report import write_evaluation_report
@@ -189,7 +192,7 @@ def _select(drives, vehicle_path, set_path, output, as_json, tried: dict, settin
         raise click.UsageError("--select trains sets of its own: give --vehicle, and no --set")
     asked = SelectionSettings(settings["features"], **tried, horizon=settings["horizon"])
     found = select_files(
-        drives, vehicle_path, asked, held=settings["held"], any_vehicle=settings["any_vehicle"], say=_say
+        drives, vehicle_path, asked, held=settings["held"], any_vehicle=settings["any_vehicle"], say=StepBar()
     )
     if output is not None:
         from split_cli.plots.selection import write_selection
@@ -215,12 +218,6 @@ def _mark(one) -> str:
     """Return how a row is marked: on the front, chosen, what `split train` does by itself."""
     marks = (("front", one.on_front), ("CHOSEN", one.chosen), ("default", one.usual))
     return ", ".join(name for name, true in marks if true)
-
-
-def _say(text: str) -> None:
-    """Tell progress on stderr, where someone watches."""
-    if sys.stderr.isatty():
-        click.echo(f"split: {text}", err=True)
 
 
 def _print_report(report) -> None:

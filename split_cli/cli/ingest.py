@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
@@ -16,6 +15,7 @@ from split_cli.cli.options import (
     print_table,
     vehicle_option,
 )
+from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
 
@@ -129,6 +129,7 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
         end=options["end"],
         cuts=options["cuts"],
     )
+    progress = StepBar()
     with open_engine(options["engine"], jobs=options["jobs"], scheduler=options["scheduler"]) as engine:
         run = ingest_logs(
             logs,
@@ -140,18 +141,14 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
             message_paths=message_paths,
             keep_going=options["keep_going"],
             together=options["together"],
-            progress=_progress,
+            progress=progress,
             engine=engine,
         )
+    progress.close()
     if options["report"] is not None:
         _write_report(run, vehicle_path, options["report"])
     _show(run, as_json)
     return 1 if run.failures else 0
-
-
-def _progress(text: str) -> None:
-    if sys.stderr.isatty():
-        click.echo(text, err=True)
 
 
 def _write_report(run, vehicle_path, path: Path) -> None:

@@ -32,6 +32,7 @@ COMMANDS = {
     "maneuver": "Drive ISO 3888 and brake-and-avoid between cones.",
     "experiments": "Run the closed-loop experiments and fill their page.",
     "simulate": "Drive the double-track plant and write its logs.",
+    "explain": "Explain the columns of printed tables.",
     "info": "Tell what a file of ours is.",
     "verify": "Check a trained set or an export against itself.",
     "demo": "Run the whole path on the bundled samples.",
@@ -53,6 +54,9 @@ _COREUTILS_OPTIONS = (
     "--number",
 )
 
+
+#: Options of the group that a user may write behind the command as well.
+_ANYWHERE = ("--quiet", "--verbose", "--legend")
 
 _STOPPED = "stopped; what was being written is left as it was before"
 
@@ -86,7 +90,10 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the group's own options."""
+        """Parse the group's own options; those that say how much is said may stand anywhere."""
+        end = args.index("--") if "--" in args else len(args)
+        moved = [word for word in args[:end] if word in _ANYWHERE]
+        args = [*moved, *(word for word in args[:end] if word not in _ANYWHERE), *args[end:]]
         if args and args[0].startswith(_COREUTILS_OPTIONS):
             raise click.UsageError(_not_coreutils(args[0]), ctx)
         return super().parse_args(ctx, args)
@@ -107,7 +114,12 @@ def _not_coreutils(name: str) -> str:
 
 @click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="split", message="%(prog)s %(version)s")
-def group() -> None:
+@click.option("--quiet", is_flag=True, help="Say only what is wrong; results go to stdout as ever.")
+@click.option("--verbose", is_flag=True, help="Tell every step, also where nobody watches.")
+@click.option("--legend", is_flag=True, help="Explain the columns below every table.")
+@click.option("--config", metavar="FILE", help="Options of commands; over ./split.yaml and the user's own.")
+@click.pass_context
+def group(context, quiet, verbose, legend, config) -> None:
     """Turn driving logs into vehicle models that a controller can trust.
 
     \b
@@ -118,8 +130,23 @@ def group() -> None:
       split export car.split --target c -o controller/
 
     Figures and tables go to stdout, progress and notes to stderr. Exit codes: 0 done, 1 the input is at fault,
-    2 usage.
+    2 usage, 3 a gate is shut (--exit-code). --quiet, --verbose and --legend may stand anywhere.
     """
+    from split_cli.cli.settings import default_options, settings_files
+    from split_cli.cli.voice import Loud, Quiet
+
+    if quiet and verbose:
+        raise click.UsageError("--quiet and --verbose exclude each other.")
+    context.obj = {"legend": legend}
+    files = settings_files(config)
+    if files:
+        context.default_map = default_options(context.command, context, files)
+        if not quiet:
+            click.echo(f"split: note: options of {', '.join(map(str, files))}", err=True)
+    if quiet or verbose:
+        usual = sys.stderr
+        sys.stderr = Quiet(usual) if quiet else Loud(usual)
+        context.call_on_close(lambda: setattr(sys, "stderr", usual))
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -113,11 +113,34 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     click.echo("  ".join("-" * width for width in widths))
     for row in texts:
         click.echo(line(row))
+    _print_legend([*header, *(row[0] for row in texts if row)])
+
+
+def _print_legend(names: Sequence[str]) -> None:
+    """Explain columns (and rows that have a meaning) below a table, where it is asked for."""
+    context = click.get_current_context(silent=True)
+    if context is None or not (context.find_root().obj or {}).get("legend"):
+        return
+    from split_cli.cli.columns import meaning
+
+    told = {name: meaning(context.info_name or "", name) for name in names}
+    for name, text in told.items():
+        if text:
+            click.echo(f"  {name}: {text}")
 
 
 def _cell(value: Any) -> str:
     if value is None:
         return "-"
     if isinstance(value, float):
-        return f"{value:.4g}"
+        return plausible(value)
     return str(value)
+
+
+def plausible(value: float) -> str:
+    """Return a number to four digits at most, without a power of ten where it can be read: ``12300``, ``0.0123``.
+
+    More digits than the fourth are never known of what is measured here.
+    """
+    text = f"{value:.4g}"
+    return f"{value:.0f}" if "e+" in text and abs(value) < 1e9 else text

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import click
 
 from split_cli.cli.options import (
@@ -15,6 +13,7 @@ from split_cli.cli.options import (
     print_table,
     vehicle_option,
 )
+from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
 
@@ -96,6 +95,7 @@ def command(drives, vehicle_path, output, append, per_lap, as_json, **settings) 
     """
     from split_cli.workflows.train import TrainSettings, train_set
 
+    progress = StepBar()
     try:
         result = train_set(
             drives,
@@ -104,10 +104,10 @@ def command(drives, vehicle_path, output, append, per_lap, as_json, **settings) 
             TrainSettings(**settings),
             append=append,
             per_lap=per_lap,
-            progress=_progress(),
+            progress=progress,
         )
     finally:
-        _clear_progress()
+        progress.close()
     for note in result.notes:
         click.echo(f"note: {note}", err=True)
     if as_json:
@@ -155,15 +155,3 @@ def _print_rows(result) -> None:
         click.echo(f"fitted to {fit.points} points in {fit.blocks} blocks, {fit.evaluations} evaluations")
     click.echo(f"trust {result.trust.words()}")
     click.echo(f"written: {result.output}")
-
-
-def _progress():
-    """Return how to tell what is being done: a line on stderr that replaces itself, if that is a terminal."""
-    if not sys.stderr.isatty():
-        return None
-    return lambda text: click.echo(f"\r\x1b[K{text} ...", nl=False, err=True)
-
-
-def _clear_progress() -> None:
-    if sys.stderr.isatty():
-        click.echo("\r\x1b[K", nl=False, err=True)

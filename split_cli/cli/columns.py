@@ -1,0 +1,170 @@
+"""What the columns of printed tables mean: for `split explain`, for `--legend`, and for the page in the docs."""
+
+from __future__ import annotations
+
+__all__ = ["COLUMNS", "LABELS_REASONS", "meaning"]
+
+_RMS = "root mean square error"
+_INTERVAL = "interval that holds the true value in 95 of 100 cases"
+
+#: Table (the command that prints it), column, meaning. `any` holds columns that mean the same everywhere.
+COLUMNS: dict[str, dict[str, str]] = {
+    "any": {
+        "+-": f"half of the 95 % {_INTERVAL}, in the unit of the value beside it",
+        "cells": "cells of the feature space that hold at least one point",
+        "drive": "the recording, by its file name",
+        "failures": "steps in which the solver found no solution and the last plan was driven on",
+        "features": "what the correction depends on: z2 slip angles and torque, z1 velocities, torque, steering",
+        "lap": "number of the lap; 0 is driven with the nominal model",
+        "points": "samples the set keeps",
+        "r": f"{_RMS} of yaw rate: rad/s^2 of one step, rad/s after a free run",
+        "time s": "duration [s]",
+        "unit": "SI unit; 1 for a plain number",
+        "updates": "samples that changed the set",
+        "us/query": "time of one prediction [microseconds], on this machine, one thread",
+        "v_x": f"{_RMS} of longitudinal velocity: m/s^2 of one step, m/s after a free run",
+        "v_y": f"{_RMS} of lateral velocity: m/s^2 of one step, m/s after a free run",
+        "value": "estimate, in the unit of its row or column",
+        "valid region %": "share of the cells of the valid region that hold a point",
+        "samples": "label windows of the drive",
+        "accepted": "samples inside the valid region, which may be learned from",
+    },
+    "evaluate": {
+        "NLPD": "negative logarithm of the density promised for what came, over all outputs; less is better",
+        "after s": "how long the model ran freely over the recorded inputs [s]",
+        "behind": "how the set would do with what was held behind for choosing",
+        "capacity": "most points that a cell keeps",
+        "cell edge": "edge of a cell, in units of the usual one",
+        "error": "error of one step over that of the nominal model, on blocks used for choosing [1]",
+        "in 50 %": "share of labels inside the 50 % interval, of v_x/v_y/r [%]",
+        "in 95 %": "share of labels inside the 95 % interval, of v_x/v_y/r [%]; far below 95 is too sure",
+        "model": "predictor; nominal is the vehicle file alone, held persistence, noise floor what sensors make",
+        "norm": "root of the sum of the three squared errors of one step: to rank with, since units mix",
+        "norm valid": "the same, inside the valid region only",
+        "position": f"{_RMS} of position after the free run [m]",
+        "size": "size of the set that was asked for",
+        "skill": "1 - MSE/MSE of velocities held: 1 is perfect, 0 no better than persistence, below 0 worse",
+        "skill v_x,v_y,r": "skill of each state by itself",
+        "starts": "free runs that were averaged",
+        "threshold": "marginal gain from which on a sample is kept",
+    },
+    "compare": {
+        "after s": "how long the models ran freely over the recorded inputs [s]",
+        "fit %": "100 (1 - |error|/|measured - mean|), as fit in identification tools; below 0 the mean is better",
+        "model": "vehicle file, or trained set with its predictor; * marks the best of a column",
+        "of held": "mean over the three states of the rms error over that of velocities held [1]; less is better",
+        "skill": "1 - MSE/MSE of velocities held: 1 is perfect, 0 no better than persistence",
+    },
+    "diagnose": {
+        "from": "size from which on this effect, alone, would have been named on these drives",
+        "or": "explanations that this data cannot tell from the term",
+        "parameter": "what the term is made of; docs/catalogue.md tells its sign",
+        "std error": "standard error of the estimate, in its unit; what it cannot be told from is included",
+        "term": "the piece of physics or the fault of a sensor, by its name in the catalogue",
+        "before": "the simulation as it is",
+        "physics": "the simulation with the named physics",
+        "split_only": "the simulation with what SPLIT learns, without a name",
+        "after": "the simulation with the named physics and SPLIT on what remains",
+        "persistence": "velocities held as they were",
+        "noise_floor": "what sensor noise alone makes",
+    },
+    "calibrate": {
+        "B": "stiffness factor of the Magic Formula [1/rad]",
+        "C": "its shape factor [1]",
+        "D [N]": "peak lateral force of the whole axle",
+        "alike to [N]": "largest difference of curves as good",
+        "and at most [N]": "largest peak that fits as well",
+        "at [rad]": "slip angle of that deviation",
+        "axle": "front or rear",
+        "from turning": "what turning shows of the body",
+        "held out [N]": "rms force error on drives not fitted to",
+        "in the source": "the curve in the foreign file",
+        "largest deviation [N]": "between that curve and the fitted one",
+        "resistance": "what brakes a rolling car",
+        "set by data": "whether the drives decide it, or it stays as it was given",
+        "signal [N]": "rms of the force itself, to compare the error with",
+        "slip to [rad]": "largest slip angle that the drives cover",
+        "slope fitted [N/rad]": "cornering stiffness, slope of the curve at zero slip",
+        "start [N]": "rms force error of the file that was given",
+    },
+    "export": {
+        "target": "the form that was written",
+        "mean error": "largest difference of the mean from Python's, in signal deviations",
+        "variance error": "the same of the variance, in signal variances",
+        "Jacobian error": "the same of the derivatives",
+        "step error": "the same of the model's discrete step",
+        "tables kB": "size of the numbers",
+        "code kB": "size of the code",
+    },
+    "ingest": {"channel": "name in the recording", "type": "kind of its values", "count": "samples it has"},
+    "maneuver": {
+        "speed m/s": "speed at the entry",
+        "entered": "whether the car came into the course",
+        "left": "and out of it",
+        "cones hit": "cones the car touched",
+        "deviation m": "largest distance from the middle of the lane",
+        "|ay| m/s^2": "largest lateral acceleration",
+        "ended": "why the run ended",
+    },
+    "prove": {
+        "what": "the share that is judged",
+        "goal": "set before the run",
+        "reached": "by these cases",
+        "met": "or not",
+        "held-out rmse": "model on time that was not fitted to",
+        "v_x m/s^2": f"{_RMS} of one step",
+        "v_y m/s^2": f"{_RMS} of one step",
+        "r rad/s^2": f"{_RMS} of one step",
+        "fault": "the sensor fault that was put in",
+        "put in": "its size",
+        "outcome": "whether it was found",
+        "said": "what the diagnosis named",
+        "found": "the size it gave",
+        "interval": _INTERVAL,
+    },
+    "race": {
+        "speed m/s": "mean of the lap",
+        "|ay| g": "largest lateral acceleration of the lap [9.81 m/s^2]",
+        "set": "points of the set",
+        "error vx": f"{_RMS} of 50 ms with what was learned [m/s^2]",
+        "vy": "the same of v_y [m/s^2]",
+        "of nominal": "the same of the nominal model",
+        "outside m": "how far a side of the car left the track",
+        "learning ms": "CPU time of labels and update: median, 99 %, worst",
+        "solver ms (median, 99 %, worst)": "CPU time of the solver in a step",
+        "step ms (median, 99 %, worst)": "CPU time of a whole step",
+    },
+    "simulate": {
+        "distance m": "driven",
+        "top speed m/s": "largest speed",
+        "|ay| max": "largest lateral acceleration [m/s^2]",
+        "ax max": "largest acceleration [m/s^2]",
+        "ax min": "hardest braking [m/s^2]",
+    },
+    "train": {
+        "mean speed m/s": "of the lap",
+        "max |v_x r| m/s^2": "largest lateral acceleration of the lap",
+        "set size": "points kept so far",
+        "us/sample": "time of an update, a sample [microseconds]",
+        "MB": "memory of the set",
+    },
+    "verify": {"check": "what was looked at", "result": "ok or not", "detail": "what was found"},
+}
+#: Why a sample is not learned from; columns of `split label` and `split train`.
+LABELS_REASONS = {
+    "gap": "the label window reaches over a gap of the recording",
+    "non_finite": "a value is not a number",
+    "speed": "slower than the model is meant for, or standing",
+    "slip": "a slip angle beyond alpha_max",
+    "slip_difference": "|alpha_f - alpha_r| beyond dalpha_max",
+    "ellipse": "an axle is asked for more force than its ellipse has",
+    "grid": "outside the grid of cells",
+    "gain": "it tells nothing that the kept points do not",
+}
+for _table in ("label", "train"):
+    COLUMNS.setdefault(_table, {}).update(LABELS_REASONS)
+
+
+def meaning(table: str, column: str) -> str | None:
+    """Return what a column of a table means, None where nobody has written it down."""
+    return COLUMNS.get(table, {}).get(column) or COLUMNS["any"].get(column)

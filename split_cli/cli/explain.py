@@ -1,0 +1,60 @@
+"""`split explain`."""
+
+from __future__ import annotations
+
+import click
+
+from split_cli.cli.options import json_option, print_json
+
+__all__ = ["command"]
+
+
+@click.command("explain")
+@click.argument("words", nargs=-1, metavar="[COMMAND | COLUMN]...")
+@click.option("--man", is_flag=True, help="Print the manual page of all commands (roff), and stop.")
+@json_option
+def command(words, man, as_json) -> None:
+    """Explain columns of printed tables: all of a command's, or one column wherever it is printed.
+
+    \b
+    Example:
+      split explain evaluate
+      split explain skill "in 95 %"
+      split explain --man | man -l -
+    """
+    from split_cli.cli.columns import COLUMNS
+
+    if man:
+        from split_cli.cli.manual import manual_page
+
+        click.echo(manual_page(), nl=False)
+        return
+    tables = [name for name in COLUMNS if name != "any"]
+    told = _told(words or tables)
+    if as_json:
+        print_json([{"table": table, "column": column, "meaning": text} for table, column, text in told])
+        return
+    last = ""
+    for table, column, text in told:
+        if table != last:
+            click.echo(f"{'' if not last else chr(10)}{'every table' if table == 'any' else f'split {table}'}")
+            last = table
+        click.echo(f"  {column:<16}  {text}")
+
+
+def _told(words) -> list[tuple[str, str, str]]:
+    """Return (table, column, meaning) for commands and columns."""
+    from split_cli.cli.columns import COLUMNS
+    from split_cli.errors import nearest_names
+
+    told = []
+    for word in words:
+        if word in COLUMNS:
+            told += [(word, column, text) for column, text in COLUMNS[word].items()]
+            continue
+        found = [(table, word, columns[word]) for table, columns in COLUMNS.items() if word in columns]
+        if not found:
+            known = [*COLUMNS, *(column for columns in COLUMNS.values() for column in columns)]
+            raise click.UsageError(f"no table and no column {word!r}. {nearest_names(word, known)}")
+        told += found
+    return told

@@ -1,0 +1,90 @@
+"""Options that are always the same, from a file: `split.yaml` here, one named by --config, or the user's own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from split_cli.errors import SplitError, nearest_names
+
+__all__ = ["default_options", "settings_files"]
+
+#: In the folder one works in.
+LOCAL = "split.yaml"
+
+
+def settings_files(named: str | None = None) -> list[Path]:
+    """Return the files that are read, the weakest first: the user's, the folder's, the one named.
+
+    One that is named (by ``--config`` or ``SPLIT_CONFIG``) must exist; the others are read where they are.
+    """
+    home = os.environ.get("XDG_CONFIG_HOME") or os.path.join(os.path.expanduser("~"), ".config")
+    usual = [Path(home) / "split" / LOCAL, Path(LOCAL)]
+    found = [path for path in usual if path.is_file()]
+    named = named or os.environ.get("SPLIT_CONFIG")
+    return [*found, Path(named)] if named else found
+
+
+def default_options(group: click.Group, context: click.Context, files: list[Path]) -> dict[str, dict[str, Any]]:
+    """Return defaults for every command, as click's `default_map`.
+
+    Parameters
+    ----------
+    group : Group
+    context : Context
+        Of the group.
+    files : list of Path
+        The weakest first; a later one's options replace an earlier one's, option by option.
+
+    Raises
+    ------
+    SplitError
+        If a file is no mapping of commands to options, or names a command or option that there is not.
+    """
+    merged: dict[str, dict[str, Any]] = {}
+    for path in files:
+        for name, options in _read(path).items():
+            if name != "all" and group.get_command(context, name) is None:
+                raise SplitError(f"no command {name!r}", where=str(path),
+                                 advice=nearest_names(name, [*group.list_commands(context), "all"]))  # fmt: skip
+            if not isinstance(options, Mapping):
+                advice = f"Write {name}: {{option: value}}."
+                raise SplitError(f"{name} holds no options", where=str(path), advice=advice)
+            for command in group.list_commands(context) if name == "all" else [name]:
+                own = _by_parameter(group.get_command(context, command), options, path, name)
+                merged.setdefault(command, {}).update(own)
+    return merged
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    from split_cli.yaml_file import read_yaml_mapping
+
+    return {str(name): options for name, options in read_yaml_mapping(path, SplitError).items()}
+
+
+def _by_parameter(command: click.Command, options: Mapping[str, Any], path: Path, name: str) -> dict[str, Any]:
+    """Return options, named as on the command line without dashes, by the names of their parameters."""
+    known = {
+        word.lstrip("-"): parameter
+        for parameter in command.params
+        if isinstance(parameter, click.Option)
+        for word in (*parameter.opts, *parameter.secondary_opts)
+    }
+    out = {}
+    for option, value in options.items():
+        if option not in known:
+            if name == "all":
+                continue  # an option that some commands have
+            advice = nearest_names(str(option), list(known))
+            raise SplitError(f"{name} has no option {option!r}", where=str(path), advice=advice)
+        parameter = known[option]
+        if parameter.multiple and not isinstance(value, list):
+            value = [value]
+        if not parameter.multiple and isinstance(value, list):
+            value = ",".join(map(str, value))
+        out[parameter.name] = [str(one) for one in value] if parameter.multiple else value
+    return out

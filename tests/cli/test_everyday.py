@@ -1,0 +1,187 @@
+"""Explained columns, options from a file, how much is said, progress, the manual page, completion."""
+
+from __future__ import annotations
+
+import ast
+import io
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from split_cli.cli.columns import COLUMNS, meaning
+from split_cli.cli.main import COMMANDS, group
+from split_cli.cli.manual import manual_page
+from split_cli.cli.options import plausible
+from split_cli.cli.settings import default_options
+from split_cli.cli.voice import Quiet, StepBar
+from split_cli.errors import SplitError
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run(*words: str):
+    return CliRunner().invoke(group, list(words))
+
+
+def printed_columns() -> set[tuple[str, str]]:
+    """Return (command, column) of every header that a command's source gives to `print_table`."""
+    found = set()
+
+    def texts(node: ast.AST, name: str) -> None:
+        if isinstance(node, ast.List | ast.Tuple):
+            for element in node.elts:
+                if isinstance(element, ast.Constant) and isinstance(element.value, str):
+                    found.add((name, element.value))
+                elif isinstance(element, ast.Starred):
+                    texts(element.value, name)
+        elif isinstance(node, ast.IfExp):
+            texts(node.body, name)
+            texts(node.orelse, name)
+
+    for path in (ROOT / "split_cli" / "cli").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            target = getattr(getattr(node, "targets", [getattr(node, "target", None)])[0], "id", "")
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "print_table":
+                texts(node.args[0], path.stem)
+            elif isinstance(node, ast.Assign | ast.AugAssign) and target in ("header", "heads"):
+                texts(node.value, path.stem)
+    return found
+
+
+class TestExplain:
+    def test_every_printed_column_is_explained(self):
+        columns = printed_columns()
+        assert len(columns) > 80
+        missing = sorted((name, column) for name, column in columns if column and meaning(name, column) is None)
+        assert not missing
+
+    def test_every_explained_table_is_a_command(self):
+        assert set(COLUMNS) - {"any"} <= set(COMMANDS)
+
+    def test_a_command_and_a_column(self):
+        assert "1 - MSE/MSE of velocities held" in run("explain", "skill").stdout
+        told = run("explain", "train").stdout
+        assert "set size" in told and "alpha_max" in told
+        wrong = run("explain", "skil")
+        assert wrong.exit_code == 2 and "skill" in wrong.output
+
+    def test_a_legend_stands_below_the_table_it_explains(self, tmp_path):
+        file = tmp_path / "lap.csv"
+        rows = "\n".join(f"{0.01 * k:.2f},{20 + 0.001 * k},0,0,0,0" for k in range(200))
+        file.write_text(f"t,vx,vy,r,T,delta\n{rows}\n")
+        plain = run("ingest", str(file), "--list")
+        told = run("ingest", str(file), "--list", "--legend")
+        assert told.exit_code == 0 and told.stdout.startswith(plain.stdout)
+        assert "channel: name in the recording" in told.stdout.removeprefix(plain.stdout)
+
+
+class TestSettings:
+    def read(self, tmp_path, *contents: str) -> dict:
+        files = []
+        for k, content in enumerate(contents):
+            files.append(tmp_path / f"{k}.yaml")
+            files[-1].write_text(content)
+        return default_options(group, click.Context(group), files)
+
+    def test_later_files_win_option_by_option(self, tmp_path):
+        found = self.read(
+            tmp_path, "evaluate: {predictor: bcm, blocks: 7}", "all: {vehicle: car.yaml}\nevaluate: {blocks: 9}"
+        )
+        assert found["evaluate"] == {"predictors": "bcm", "blocks": 9, "vehicle_path": "car.yaml"}
+        assert found["train"] == {"vehicle_path": "car.yaml"}
+        assert "vehicle_path" not in found.get("verify", {})
+
+    def test_lists_become_what_the_option_takes(self, tmp_path):
+        found = self.read(tmp_path, "ingest: {map: split_sim}\ncompare: {horizon: [0.05, 1]}")
+        assert found == {"ingest": {"maps": ["split_sim"]}, "compare": {"horizons": "0.05,1"}}
+
+    @pytest.mark.parametrize(
+        ("content", "said"),
+        [("evalute: {}", "evaluate"), ("train: {predictr: x}", "train has no option"), ("train: 3", "no options"),
+         ("- a", "keys")],
+    )  # fmt: skip
+    def test_what_is_wrong_is_named(self, tmp_path, content, said):
+        with pytest.raises(SplitError, match=said):
+            self.read(tmp_path, content)
+
+    def test_the_command_line_wins_over_the_folder_and_the_folder_is_named(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "split.yaml").write_text("explain: {json: true}\n")
+        told = run("explain", "skill")
+        assert told.stdout.startswith("[") and "options of split.yaml" in told.stderr
+        (tmp_path / "other.yaml").write_text("explain: {json: false}\n")
+        assert run("--config", "other.yaml", "explain", "skill").stdout.startswith("split evaluate")
+        assert run("explain", "skill", "--json", "--config", "x").exit_code == 2
+
+
+class TestVoice:
+    def test_quiet_lets_through_what_is_wrong(self):
+        stream = io.StringIO()
+        quiet = Quiet(stream)
+        news = ("note: a\n", "split: note: b\n", "\r\x1b[K 3/7", "\n", "split: report in x\n")
+        for text in (*news[:3], "\n", "split: gate: shut", "\n", *news[4:]):
+            quiet.write(text)
+        assert stream.getvalue() == "split: gate: shut\n" and not quiet.isatty()
+
+    def test_they_stand_anywhere_and_exclude_each_other(self):
+        assert run("explain", "skill", "--quiet").exit_code == 0
+        assert run("--verbose", "explain", "skill", "--quiet").exit_code == 2
+
+    def test_the_time_that_is_left_is_that_of_steps_as_long_as_those_done(self):
+        bar = StepBar(8)
+        bar._done = 2
+        assert bar.line("rollouts", 20.0) == "█████" + "░" * 15 + " 3/8  20 s, about 60 s left  rollouts"
+        bar._done = 4
+        assert "about 10 min left" in bar.line("x", 600.0)
+        # Without a number of steps there is nothing to promise.
+        assert StepBar().line("reading", 3.2) == "    3 s  reading"
+
+    def test_a_text_that_counts_is_believed(self):
+        bar = StepBar()
+        bar("[3/7] lap.mcap")
+        assert bar.line("next", 6.0).startswith("█" * 9 + "░" * 11 + " 4/7  6 s, about 8 s left")
+
+
+def test_numbers_are_printed_with_digits_that_can_be_known():
+    told = [plausible(v) for v in (12345.678, 0.0123456, 3.0, 123456789.0, 1e-7, 2.5e12)]
+    assert told == ["12346", "0.01235", "3", "123456789", "1e-07", "2.5e+12"]
+
+
+def test_the_manual_page_holds_every_command_and_option():
+    page = manual_page()
+    for name in COMMANDS:
+        assert f".SS split {name}" in page
+    assert page.startswith(".TH SPLIT 1") and not re.search(r"(?m)^'(?!\\)", page)
+    assert "\\-\\-exit\\-code" in page
+
+
+def test_completion_knows_the_commands():
+    """What the shell's function asks is answered by click; the docs say how it is switched on."""
+    words = {"_SPLIT_COMPLETE": "bash_complete", "COMP_WORDS": "split ev", "COMP_CWORD": "1"}
+    code = "from split_cli.cli.main import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, **words}, capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout.split() == ["plain,evaluate"]
+    assert "_SPLIT_COMPLETE=bash_source" in (ROOT / "docs" / "everyday.md").read_text(encoding="utf-8")
+
+
+def test_the_image_installs_what_the_project_declares_and_gives_up_root():
+    """No registry is asked here: each step is read. COPY names files that exist; the last user is no root."""
+    lines = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
+    steps = [line.split(maxsplit=1) for line in lines if line and not line.startswith("#")]
+    assert {word for word, _ in steps} <= {"FROM", "WORKDIR", "COPY", "RUN", "ENV", "USER", "ENTRYPOINT", "CMD"}
+    for word, rest in steps:
+        if word == "COPY" and "--from" not in rest:
+            assert all((ROOT / source).exists() for source in rest.split()[:-1]), rest
+    user = [rest for word, rest in steps if word == "USER"]
+    assert user == ["10001"]
+    extras = re.search(r"\.\[([\w,]+)\]", " ".join(rest for _, rest in steps)).group(1).split(",")
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    assert all(re.search(rf"(?m)^{extra} = ", text) for extra in extras)
