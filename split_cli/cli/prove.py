@@ -39,7 +39,7 @@ def command() -> None:
     "--kinds",
     default="null,single,pair,strange",
     show_default=True,
-    help="Kinds of cases; also hard-pair, set and nominal-set.",
+    help="Kinds of cases; also hard-pair, set, nominal-set and whole-car.",
 )
 @click.option("--sets", is_flag=True, help="Sets of three to five effects instead: --kinds set,nominal-set.")
 @_jobs

@@ -33,9 +33,10 @@ from split_cli.proof.world import ProofWorld, Trip, drive, effect_error
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Answer", "Case", "ConcealedEffect", "build_case"]
+__all__ = ["LAP_LENGTH", "Answer", "Case", "ConcealedEffect", "build_case", "draw_trip"]
 
-_LAP_LENGTH = {"road_car": 1050.0, "f1tenth_car": 55.0, "formula_car": 620.0}
+LAP_LENGTH = {"road_car": 1050.0, "f1tenth_car": 55.0, "formula_car": 620.0}
+"""Of the tracks of each of the plant's cars, before it is varied [m]."""
 _CARS_OF_A_SEED = 12
 _DRAWS = 24  # of surroundings and drivers, for the same terms
 _SEARCH_SECONDS = 45.0
@@ -199,7 +200,7 @@ def _setting(plan: CasePlan, rng: np.random.Generator) -> _Setting:
         base, simulation = "rich", "plant"
     source = _car(plan.seed, int(rng.integers(_CARS_OF_A_SEED)), base)
     name = source.car.name
-    length = _LAP_LENGTH[name] * rng.uniform(0.8, 1.3)
+    length = LAP_LENGTH[name] * rng.uniform(0.8, 1.3)
     believed = replace(source.car, steer_rate=CARS[name].steer_rate, torque_rate=CARS[name].torque_rate)
     track = random_track(rng, length, length / 2400, 4.0 * source.car.wheelbase / 2.7)
     without = ProofWorld(source.car, track, believed)
@@ -210,7 +211,7 @@ def _setting(plan: CasePlan, rng: np.random.Generator) -> _Setting:
         # The car without the effect is another one now; its file must be its own.
         source = build_car(without.car, plan.seed % 10_000 + plan.number)
     seconds = 60.0 + 30.0 * rng.random() if name == "f1tenth_car" else 70.0 + 60.0 * rng.random()
-    trips = (_trip(rng, seconds), _trip(rng, seconds), _trip(rng, seconds))
+    trips = (draw_trip(rng, seconds), draw_trip(rng, seconds), draw_trip(rng, seconds))
     base_severity = _base_severity(without, trips[0], source)
     if base_severity > _BARE_ENOUGH:
         simulation = "plant"
@@ -257,7 +258,8 @@ def _draw(plan: CasePlan, term: str, rng: np.random.Generator, world: ProofWorld
     return draw_strange(term, rng, world) if plan.kind == "strange" else draw_effect(term, rng, world)
 
 
-def _trip(rng: np.random.Generator, seconds: float) -> Trip:
+def draw_trip(rng: np.random.Generator, seconds: float) -> Trip:
+    """Return a trip of so many seconds by one of the plant's drivers at 55 to 80 % of the grip he knows."""
     style = DRIVER_STYLES[str(rng.choice(sorted(DRIVER_STYLES)))]
     return Trip(style, rng.uniform(0.55, 0.8), seconds, int(rng.integers(2**31)))
 

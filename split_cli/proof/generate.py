@@ -14,6 +14,7 @@ from split_cli.proof.cases import build_case
 from split_cli.proof.plan import MIXED, plan_case
 from split_cli.proof.sets import build_nominal_set
 from split_cli.proof.store import Seal, case_name, write_case, write_seal
+from split_cli.proof.whole_car import build_whole_car
 
 __all__ = ["generate_cases"]
 
@@ -71,7 +72,8 @@ def generate_cases(
 
 def _make(root: Path, seed: int, number: int, kinds: tuple[str, ...]) -> None:
     plan = plan_case(seed, number, kinds)
-    write_case(build_nominal_set(plan) if plan.kind == "nominal-set" else build_case(plan), root)
+    build = {"nominal-set": build_nominal_set, "whole-car": build_whole_car}.get(plan.kind, build_case)
+    write_case(build(plan), root)
 
 
 def _claim(root: Path, seed: int, kinds: tuple[str, ...]) -> None:

@@ -21,12 +21,12 @@ FIRST_REPORTED_SEED = 10**6
 TIERS = {"easy": (1.0, 3.0), "realistic": (0.35, 1.0), "hard": (0.12, 0.35)}
 """Severity: rms of the effect's 0.05 s prediction error over sqrt(2) sigma, in the channel where it is largest."""
 
-KINDS = ("null", "single", "pair", "strange", "set", "nominal-set", "hard-pair")
+KINDS = ("null", "single", "pair", "strange", "set", "nominal-set", "hard-pair", "whole-car")
 MIXED = KINDS[:4]
 """Kinds that `plan_case` mixes unless it is asked for others."""
 # Of twenty cases: seven nulls, eight singles, two pairs, three effects outside the catalogue.
-_PATTERN = "sn snsxnps nsnxs nspxns n".replace(" ", "")[:20] + "tmh"
-_LETTERS = dict(zip("nspxtmh", KINDS, strict=True))
+_PATTERN = "sn snsxnps nsnxs nspxns n".replace(" ", "")[:20] + "tmhw"
+_LETTERS = dict(zip("nspxtmhw", KINDS, strict=True))
 _TIER_PATTERN = ("realistic", "hard", "realistic", "easy", "hard", "realistic", "hard")
 _PAIR_RANGE = (0.5, 1.5)
 _SUBSTITUTES = 3
@@ -92,7 +92,7 @@ def plan_case(seed: int, number: int, kinds: tuple[str, ...] = MIXED) -> CasePla
     order = np.random.default_rng([seed, 99])
     singles, strange = order.permutation(sorted(EFFECTS)), order.permutation(sorted(STRANGE))
     rng = np.random.default_rng([seed, number, 1])
-    if kind == "null":
+    if kind in ("null", "whole-car"):
         return CasePlan(seed, number, kind, (), "", 0.0, 0.0)
     if kind == "single":
         # The tier moves on by one each time round the terms.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from split_cli.errors import VehicleError
 from split_cli.proof.cases import Answer
 from split_cli.proof.outcome import OUTCOMES, Named, Rate, Statement, judge, rate_of
+from split_cli.proof.plan import TIERS
 from split_cli.proof.strange import NAMED_SINCE
 from split_cli.proof.truth import ExactDrive, removed_share
 from split_cli.vehicle.effects import CATALOGUE
@@ -53,9 +54,14 @@ def score_case(
     name: str, answer: Answer, said: Statement, heldout: ExactDrive | None, noise: np.ndarray, vehicle: Vehicle
 ) -> CaseScore:
     """Score a statement against the answer."""
-    truth = [effect.term for effect in answer.effects]
+    truth, judged = [effect.term for effect in answer.effects], said
+    if answer.kind == "whole-car":
+        # What is there and small may be named; it is not asked for.
+        small = {effect.term for effect in answer.effects if effect.severity < TIERS["realistic"][0]}
+        truth = [term for term in truth if term not in small]
+        judged = replace(said, findings=tuple(one for one in said.findings if one.term not in small))
     strange = answer.kind == "strange"
-    outcome = judge(truth, said, in_catalogue=not strange)
+    outcome = judge(truth, judged, in_catalogue=not strange)
     if strange and said.findings and {one.term for one in said.findings} == {NAMED_SINCE.get(truth[0])}:
         outcome = "exact"
     by_term = {finding.term: finding for finding in said.findings}
@@ -174,7 +180,7 @@ def summarise(scores: Sequence[CaseScore]) -> CaseSetScore:
 
 def _group_order(name: str) -> tuple[int, str]:
     singles = ("single easy", "single realistic", "single hard")
-    order = ("null", *singles, "pair", "hard-pair", "set", "nominal-set", "strange")
+    order = ("null", *singles, "pair", "hard-pair", "set", "nominal-set", "whole-car", "strange")
     return (order.index(name) if name in order else len(order), name)
 
 
@@ -189,6 +195,11 @@ def _targets(scores: Sequence[CaseScore], coverage: Rate, median: float | None) 
         ("sets: names that are none of theirs, of all named", "at most 2 %", _strangers_named(sets), 0.02, False),
         ("sets complete", "at least 80 %", rate_of([s.outcome in ("exact", "class") for s in sets]), 0.80, True),
     ] if sets else []
+    whole = [score for score in scores if score.answer.kind == "whole-car"]
+    entries += [
+        ("whole cars: physics above 0.35 named, or in class", "at least 85 %", _recall(whole), 0.85, True),
+        ("whole cars: names of what is not there, of all named", "none", _strangers_named(whole), 0.0, False),
+    ] if whole else []
     entries += [
         ("nulls called a mismatch", "at most 2 %", rate("null", "wrong"), 0.02, False),
         ("singles named exactly, realistic", "at least 95 %", rate("single realistic", "exact"), 0.95, True),
@@ -223,6 +234,7 @@ def _recall(sets: Sequence[CaseScore]) -> Rate:
         any(effect.term == one.term or effect.term in one.alternatives for one in score.said.findings)
         for score in sets
         for effect in score.answer.effects
+        if score.answer.kind != "whole-car" or effect.severity >= TIERS["realistic"][0]
     ])  # fmt: skip
 
 
