@@ -207,7 +207,7 @@ def _compare(case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[
         unnamed.p_value,
         selection.first_p if any(selection.named) else 1.0,
         line.p_value if line else 1.0,
-        autocorrelation.p_value(usual_autocorrelation, policy.unnamed)
+        autocorrelation.p_value(usual_autocorrelation, policy.self_test)
         if is_autocorrelated(autocorrelation, usual_autocorrelation, policy)
         else 1.0,
     ]

@@ -8,21 +8,21 @@ from matplotlib.figure import Figure
 
 from split_cli.files import atomic_directory
 from split_cli.plots.style import PALETTE, new_figure, quiet, save
-from split_cli.scoring.selection import Selection
+from split_cli.scoring.selection import SetSelection
 
 __all__ = ["draw_selection", "write_selection"]
 
 _NAME = "selection.png"
 
 
-def write_selection(selection: Selection, folder: str | Path) -> str:
+def write_selection(selection: SetSelection, folder: str | Path) -> str:
     """Draw into a folder; return the name of the file."""
     with atomic_directory(folder) as temporary:
         save(draw_selection(selection), temporary / _NAME)
     return _NAME
 
 
-def draw_selection(selection: Selection) -> Figure:
+def draw_selection(selection: SetSelection) -> Figure:
     """Draw error relative to the nominal model's over the points kept."""
     figure = new_figure(5.0)
     axes = figure.subplots()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-__all__ = ["Candidate", "Selection", "SelectionSettings", "choose", "relative_error"]
+__all__ = ["SelectionSettings", "SetCandidate", "SetSelection", "choose", "relative_error"]
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class SelectionSettings:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class SetCandidate:
     """One combination of settings, and what it gave on held-out blocks.
 
     Attributes
@@ -86,7 +86,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Selection:
+class SetSelection:
     """All candidates, fewest points first.
 
     Attributes
@@ -95,7 +95,7 @@ class Selection:
     drives : tuple of str
     labels, blocks, folds : int
         Held-out labels, the blocks of time they are from, and how many sets each candidate trained.
-    candidates : tuple of Candidate
+    candidates : tuple of SetCandidate
     command : str
         `split train` with the settings chosen.
     """
@@ -105,7 +105,7 @@ class Selection:
     labels: int
     blocks: int
     folds: int
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[SetCandidate, ...]
     command: str
 
 
@@ -129,12 +129,12 @@ def relative_error(errors: np.ndarray, nominal: np.ndarray, block: np.ndarray) -
     return np.bincount(member, share.mean(axis=1)), np.sqrt(np.square(errors).mean(axis=0))
 
 
-def choose(found: Sequence[tuple[Candidate, np.ndarray]]) -> tuple[Candidate, ...]:
+def choose(found: Sequence[tuple[SetCandidate, np.ndarray]]) -> tuple[SetCandidate, ...]:
     """Return the candidates in order of their points, with errors, the front and the choice marked.
 
     Parameters
     ----------
-    found : sequence of (Candidate, ndarray)
+    found : sequence of (SetCandidate, ndarray)
         With the parts of the squared relative error, one a block.
 
     Notes

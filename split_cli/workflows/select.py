@@ -25,7 +25,7 @@ from split_cli.learning.region import Grid, Region, build_grid
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.prediction import make_predictor
 from split_cli.scoring.application import time_per_query
-from split_cli.scoring.selection import Candidate, Selection, SelectionSettings, choose, relative_error
+from split_cli.scoring.selection import SelectionSettings, SetCandidate, SetSelection, choose, relative_error
 from split_cli.scoring.splits import DEFAULT_BLOCKS, DEFAULT_GUARD
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -54,7 +54,7 @@ def select_files(
     held: tuple[str, ...] = (),
     any_vehicle: bool = False,
     say: Callable[[str], None] = lambda text: None,
-) -> Selection:
+) -> SetSelection:
     """Read drives and vehicle, and choose; see `select`."""
     car = read_vehicle(vehicle)
     correct = RecordingCorrection(car)
@@ -70,7 +70,7 @@ def select(
     *,
     command: str = "",
     say: Callable[[str], None] = lambda text: None,
-) -> Selection:
+) -> SetSelection:
     """Try every combination of settings on held-out blocks of time, and choose one.
 
     Parameters
@@ -98,7 +98,7 @@ def select(
         raise SplitError("at least one value of each setting is needed")
     if not all(0.0 < edge < np.inf for edge in settings.cell_edges):
         raise SplitError(f"cell edges {settings.cell_edges}: positive multiples of the usual edge were expected")
-    found: list[tuple[Candidate, np.ndarray]] = []
+    found: list[tuple[SetCandidate, np.ndarray]] = []
     for features in settings.features:
         parts = _parts(drives, vehicle, features, settings)
         for edge in settings.cell_edges:
@@ -106,7 +106,9 @@ def select(
             folds = [_fold(parts, fold, vehicle, edge) for fold in range(_FOLDS)]
             for capacity, threshold in product(settings.capacities, settings.thresholds):
                 say(f"{features}, cell edge {edge:g}, capacity {capacity}, threshold {threshold:g}")
-                blank = Candidate(features, capacity, threshold, edge, 0.0, 0.0, 0.0, np.zeros(3), 0.0, 0.0, 0.0)
+                blank = SetCandidate(
+                    features, capacity, threshold, edge, 0.0, 0.0, 0.0, np.zeros(3), 0.0, 0.0, 0.0
+                )
                 found.append(_try(blank, parts, folds, vehicle, settings.predictor))
     usual = (settings.features[0], DEFAULT_CAPACITY, DEFAULT_THRESHOLD, 1.0)
     candidates = tuple(
@@ -118,7 +120,7 @@ def select(
     edge = f" --cell-edge {best.cell_edge:g}" if best.cell_edge != 1.0 else ""
     names = " ".join(drive.name for drive in drives)
     tested = sum(int(np.isfinite(part.labels.y).all(axis=1).sum()) for part in parts)
-    return Selection(
+    return SetSelection(
         vehicle=vehicle.name,
         drives=tuple(drive.name for drive in drives),
         labels=tested,
@@ -167,12 +169,12 @@ def _fold(
 
 
 def _try(
-    candidate: Candidate,
+    candidate: SetCandidate,
     parts: Sequence[_Part],
     folds: Sequence[tuple[list[Labels], Grid, Kernel]],
     vehicle: Vehicle,
     predictor: str,
-) -> tuple[Candidate, np.ndarray]:
+) -> tuple[SetCandidate, np.ndarray]:
     """Return the candidate with its cost, and its error block by block."""
     errors, nominal, blocks, sizes, times = [], [], [], [], []
     for fold, (labels, grid, kernel) in enumerate(folds):

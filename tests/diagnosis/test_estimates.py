@@ -28,7 +28,8 @@ def drive() -> Drive:
 
 def by_chance(objective: MarginalLikelihood) -> MarginalLikelihood:
     """Return an objective under whose policy parameters have no systematic error."""
-    return replace(objective, policy=STANDARD.altered("reporting", systematic=0.0, through_tires=0.0))
+    exact = STANDARD.altered("reporting", systematic=0.0).altered("selection", form_error_share=0.0)
+    return replace(objective, policy=exact)
 
 
 def fitted(objective: MarginalLikelihood, term: str, values: dict[str, float]) -> Fit:

@@ -12,14 +12,14 @@ from split_cli.cli.main import group
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import write_drive
 from split_cli.prediction import make_predictor
-from split_cli.scoring.selection import Candidate, SelectionSettings, choose, relative_error
+from split_cli.scoring.selection import SelectionSettings, SetCandidate, choose, relative_error
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.select import _fold, _parts, learn, select
 from tests.factories import MissingForce, make_drive, road_car
 
 
-def candidate(points: float) -> Candidate:
-    return Candidate("z2", 10, 1e-3, 1.0, 0.0, 0.0, 0.0, np.zeros(3), points, 1.0, 1.0)
+def candidate(points: float) -> SetCandidate:
+    return SetCandidate("z2", 10, 1e-3, 1.0, 0.0, 0.0, 0.0, np.zeros(3), points, 1.0, 1.0)
 
 
 def test_the_cheapest_within_one_standard_error_is_chosen_and_the_front_has_no_dominated_candidate():

@@ -265,7 +265,7 @@ def _of_another_car(drive: Drive, vehicle: Vehicle, rules: Screening) -> list[st
     In gentle turns the steer angle is (L + K v_x^2) r / v_x with K the understeer of mass, axles and cornering
     stiffness (steady-state single track); along the car m R_w (v_x' - v_y r) is the torque, less resistance.
     Resistances of air, tyres and cornering change with speed and slip, so slowly; what torque does within
-    `balance_seconds` it does to the mass. Torque that rises so slowly that resistance balances it tells nothing.
+    `answer_seconds` it does to the mass. Torque that rises so slowly that resistance balances it tells nothing.
     Regressions give the ratio of what was recorded to what the file makes of it.
     """
     v = {name: _quiet(drive, drive[name]) for name in ("vx", "vy", "r", "delta", "T")}
@@ -281,7 +281,7 @@ def _of_another_car(drive: Drive, vehicle: Vehicle, rules: Screening) -> list[st
     expected = v["r"] / np.maximum(v["vx"], 1e-3) * (vehicle.wheelbase + understeer * v["vx"] ** 2)
     reasons = []
     ratio = _ratio(expected[gentle], v["delta"][gentle], rules)
-    if ratio is not None and not rules.least_steer_ratio < ratio < rules.most_steer_ratio:
+    if ratio is not None and not 1.0 / rules.another_steering < ratio < rules.another_steering:
         sign = " Its sign may be turned." if ratio < 0.0 else ""
         reasons.append(
             f"{drive.name} does not fit this vehicle file: in gentle turns it steers {ratio:.2g} times what a "
@@ -292,7 +292,7 @@ def _of_another_car(drive: Drive, vehicle: Vehicle, rules: Screening) -> list[st
     if not torque_is_derived(drive) and not torque_is_constant(v["T"][sound], vehicle, rules):
         made = vehicle.mass * vehicle.wheel_radius * along
         ratio = _ratio(_changes(drive, v["T"], rules)[sound], _changes(drive, made, rules)[sound], rules)
-    if ratio is not None and not rules.least_torque_ratio < ratio < rules.most_torque_ratio:
+    if ratio is not None and not 1.0 / rules.another_torque < ratio < rules.another_torque:
         reasons.append(
             f"{drive.name} does not fit this vehicle file: torque accelerates it {ratio:.2g} times as much as a "
             f"mass of {vehicle.mass:.4g} kg on wheels of {vehicle.wheel_radius:.3g} m would. Is it a recording of "
@@ -302,10 +302,10 @@ def _of_another_car(drive: Drive, vehicle: Vehicle, rules: Screening) -> list[st
 
 
 def _changes(drive: Drive, values: np.ndarray, rules: Screening) -> np.ndarray:
-    """Return values less their mean over `balance_seconds` around each sample, shape (N,)."""
+    """Return values less their mean over `answer_seconds` around each sample, shape (N,)."""
     from scipy.ndimage import uniform_filter1d
 
-    out, width = np.array(values, dtype=float), max(3, round(rules.balance_seconds / drive.period))
+    out, width = np.array(values, dtype=float), max(3, round(rules.answer_seconds / drive.period))
     for run in drive.segments():
         out[run] -= uniform_filter1d(out[run], width, mode="nearest")
     return out

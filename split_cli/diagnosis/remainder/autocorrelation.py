@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
-from split_cli.diagnosis.policy import STANDARD, Unnamed
+from split_cli.diagnosis.policy import STANDARD, SelfTestRules
 from split_cli.diagnosis.remainder.structure import Structure
 
 __all__ = ["ResidualAutocorrelation", "residual_autocorrelation"]
@@ -36,7 +36,7 @@ class ResidualAutocorrelation:
     effect_to_noise: float
     rows: int
 
-    def p_value(self, usual: float, rules: Unnamed = STANDARD.unnamed) -> float:
+    def p_value(self, usual: float, rules: SelfTestRules = STANDARD.self_test) -> float:
         """Return the probability of wandering this much where `usual` is the simulation's own ratio.
 
         Notes
@@ -46,7 +46,7 @@ class ResidualAutocorrelation:
         """
         from scipy.stats import norm
 
-        allowed = rules.autocorrelation_margin * max(usual, 1.0)
+        allowed = rules.term_margin * max(usual, 1.0)
         spread = allowed * np.sqrt(4.0 * LAG_ROWS / (3.0 * max(self.rows, 1)))
         return float(norm.sf((self.ratio - allowed) / spread))
 

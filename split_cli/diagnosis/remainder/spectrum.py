@@ -15,7 +15,7 @@ from scipy.ndimage import median_filter
 from split_cli.diagnosis.innovations.effect_to_noise import effect_to_noise
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.policy import Unnamed
+from split_cli.diagnosis.policy import Policy, Unnamed
 from split_cli.vehicle.effects import Term
 
 __all__ = ["Line", "strongest_line"]
@@ -80,12 +80,15 @@ def strongest_line(
     Periodograms of whitened samples over their running median: a ratio above x ln 2 has probability exp(-x) in
     noise of any smooth spectrum (Brockwell and Davis, 1991, section 10.2).
     """
-    rules = objective.policy.unnamed
-    lines = [line for one in objective.evidence for line in _lines(one, _left(objective, one, terms), rules)]
-    lines = [line for line in lines if line.p_value < rules.line_level]
+    policy = objective.policy
+    lines = [line for one in objective.evidence for line in _lines(one, _left(objective, one, terms), policy)]
     # A simulation that has lines of its own is a recording: another line of their size is no difference.
-    own = [line for one in simulated for line in _lines(one, _left(objective, one, ()), rules)] if lines else []
-    lines = [line for line in lines if line.amplitude > rules.line_margin * max(map(line.like, own), default=0.0)]
+    own = [line for one in simulated for line in _lines(one, _left(objective, one, ()), policy)] if lines else []
+    lines = [
+        line
+        for line in lines
+        if line.amplitude > policy.unnamed.line_margin * max(map(line.like, own), default=0.0)
+    ]
     for line in sorted(lines, key=lambda line: line.p_value):
         if not any(_shows(objective, one, line) for one in simulated):
             return line
@@ -102,9 +105,9 @@ def _left(objective: MarginalLikelihood, one: Evidence, terms: Sequence[Term]) -
     return left
 
 
-def _lines(one: Evidence, left: np.ndarray, rules: Unnamed) -> list[Line]:
+def _lines(one: Evidence, left: np.ndarray, policy: Policy) -> list[Line]:
     """Return the strongest line of each channel, over time and over distance."""
-    if len(left) < rules.fewest:
+    if len(left) < policy.unnamed.fewest:
         return []
     white = one.whitener.of_every_sample()(left)
     white = np.clip(white, -6.0, 6.0)
@@ -118,13 +121,13 @@ def _lines(one: Evidence, left: np.ndarray, rules: Unnamed) -> list[Line]:
         frequency = np.fft.rfftfreq(len(even), step)
         background = median_filter(power, size=(_BACKGROUND, 1), mode="reflect") / np.log(2.0) + 1e-300
         ratio = power / background
-        allowed = _fast_enough(one, over, frequency, rules)
+        allowed = _fast_enough(one, over, frequency, policy.unnamed)
         count = max(3 * int(allowed.sum()), 1)
         for channel in range(3):
             strength = np.where(allowed, ratio[:, channel], 0.0)
             peak = int(np.argmax(strength))
             p_value = float(min(1.0, 2.0 * count * np.exp(-strength[peak])))
-            if p_value < rules.line_level:
+            if p_value < policy.comparison.level:
                 amplitude, size = _size(one, left, clock, float(frequency[peak]), channel)
                 found.append(Line(over, float(frequency[peak]), _CHANNELS[channel], amplitude, size, p_value))
     return found
@@ -167,5 +170,5 @@ def _shows(objective: MarginalLikelihood, one: Evidence, line: Line) -> bool:
     nearby = line.frequency * np.linspace(0.98, 1.02, 9)
     return (
         max(_size(one, left, clock, f, channel)[0] for f in nearby)
-        > objective.policy.unnamed.shared * line.amplitude
+        > line.amplitude / objective.policy.unnamed.line_margin
     )

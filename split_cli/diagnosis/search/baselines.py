@@ -191,7 +191,7 @@ def _search(
 
     def leaves_structure(fit: Fit) -> bool:
         left = structure.fit(residuals_beside_form_error(objective, fit), variance_inflation)
-        return left.p_value < rules.level and left.effect_to_noise > rules.effect_to_noise
+        return left.p_value < objective.policy.selection.level and left.effect_to_noise > rules.effect_to_noise
 
     selection = select_terms(objective, candidates, variance_inflation, leaves_structure)
     selection = with_variants_that_run(structure, candidates, selection, variance_inflation)

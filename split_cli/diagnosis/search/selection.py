@@ -145,8 +145,8 @@ def select_terms(
         for other in _other_beginnings(first, base, rules) if found.left_something else ():
             found = min(found, _forward(explore, base, [other]), key=score)
         chosen, history = found.with_what_matters(base, rules), list(found.history)
-        refused = chosen is not found.chosen
-        if refused and term_size(objective, chosen, len(chosen.parts) - 1) < rules.nuisance_size:
+        refused, small = chosen is not found.chosen, objective.policy.abstention.effect_to_noise
+        if refused and term_size(objective, chosen, len(chosen.parts) - 1) < small:
             history.append(f"{chosen.parts[-1].candidate.label} kept as a nuisance")
         else:
             chosen = found.chosen
@@ -498,8 +498,9 @@ def _is_form_error(
     """
     channel = int(np.argmax(size))
     across = 0.0 if _settles(objective, channel, before, after, rules) else rules.form_error_across * of.max()
-    discrepancy = rules.discrepancy_form_error * discrepancy_to_noise(objective)[channel]
-    return bool(size[channel] < max(rules.least_size, rules.form_error_share * of[channel], across, discrepancy))
+    least = objective.policy.allowances.unnamed
+    discrepancy = rules.form_error_share * discrepancy_to_noise(objective)[channel]
+    return bool(size[channel] < max(least, rules.form_error_share * of[channel], across, discrepancy))
 
 
 def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fit, rules: SelectionRules) -> bool:

@@ -29,6 +29,7 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
     from scipy.stats import t as student
 
     J, rules = fit.sensitivity, objective.policy.reporting
+    form_error = objective.policy.selection.form_error_share
     if not J.shape[1]:
         return ()
     scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-150
@@ -47,7 +48,7 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
         size = term_size(objective, fit, k)
         term, residuals = part.term, {}
         systematic = rules.systematic * np.sqrt(max(objective.form_error_inflation, 1.0))
-        relative = np.hypot(systematic / max(size, 1e-9), rules.through_tires if term.through_tires else 0.0)
+        relative = np.hypot(systematic / max(size, 1e-9), form_error if term.through_tires else 0.0)
         for name, unit in term.parameter_units(part.candidate.variant).items():
             value = term.parameters[name]
             away = value - term.neutral.get(name, value)

@@ -105,7 +105,10 @@ def _is_unexplained(
         and autocorrelation.effect_to_noise > large
     ):
         return True
-    if remainder.p_value >= rules.level or remainder.effect_to_noise < rules.effect_to_noise:
+    if (
+        remainder.p_value >= outcome.structure.objective.policy.selection.level
+        or remainder.effect_to_noise < rules.effect_to_noise
+    ):
         return False
     return remainder.effect_to_noise > large or remainder.share > rules.share
 
@@ -115,7 +118,7 @@ def is_autocorrelated(autocorrelation: ResidualAutocorrelation, usual: float, po
     rules = policy.abstention
     return (
         autocorrelation.effect_to_noise > rules.effect_to_noise
-        and autocorrelation.p_value(usual, policy.unnamed) < rules.level
+        and autocorrelation.p_value(usual, policy.self_test) < policy.selection.level
     )
 
 

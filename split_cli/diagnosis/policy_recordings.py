@@ -1,0 +1,128 @@
+"""Numbers that decide what a recording is believed of: screening, wheels that slip, lines of the spectrum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from split_cli.diagnosis.policy_numbers import CHOSEN, JUDGEMENT, THEORY, number
+
+__all__ = ["Believing", "Screening", "Unnamed"]
+
+
+@dataclass(frozen=True)
+class Screening:
+    """What a drive must be before it is judged; what is left out of it."""
+
+    least_seconds: float = number(8.0, "s", "longest run without a gap below which a drive is refused", CHOSEN)
+    longest_period: float = number(
+        0.1, "s", "sample period above which a drive is refused", JUDGEMENT + "a yaw mode of 1 to 2 Hz needs ten"
+    )
+    least_fast: float = number(
+        0.2, "1", "share of the time at a valid speed below which a drive is refused", CHOSEN
+    )
+    valid_speed: float = number(
+        0.6, "1", "speed over the vehicle's minimum speed from which on rows are compared", CHOSEN
+    )
+    crawl: float = number(
+        0.5,
+        "1",
+        "the same below which rows are left out before anything is computed",
+        JUDGEMENT + "below the one",
+    )
+    shortest_run: float = number(
+        0.5,
+        "s",
+        "length below which a run between crawling is left out",
+        THEORY + "longer than a smoothing window",
+    )
+    stuck_seconds: float = number(1.0, "s", "time after which a velocity that repeats itself stands still", CHOSEN)
+    turn_spread: float = number(
+        0.3,
+        "1",
+        "spread of yaw rate that speed does not explain, over its mean, below which steering is held on purpose",
+        JUDGEMENT + "a steered car's varies by all of its mean, real circles leave 0.05 to 0.15",
+    )
+    held_seconds: float = number(3.0, "s", "the same for a steer angle, which drivers hold", CHOSEN)
+    answer_seconds: float = number(
+        2.0,
+        "s",
+        "time in which a car answers a step of an input: what torque does more slowly, resistance balances",
+        JUDGEMENT + "a driver's torque steps last less, a change of speed that alters resistance takes longer",
+    )
+    position_gap_seconds: float = number(
+        0.5, "s", "gap of position and yaw that is filled by straight lines", CHOSEN
+    )
+    least_torque: float = number(
+        0.05, "1", "range of torque over the car's largest below which it is constant", CHOSEN
+    )
+    another_steering: float = number(
+        5.0 / 3.0,
+        "1",
+        "steering over what the file makes of it, or the reverse, from which on it is another car",
+        CHOSEN,
+    )
+    another_torque: float = number(
+        2.0, "1", "factor between acceleration by torque and what the file makes of it, likewise", CHOSEN
+    )
+    least_correlation: float = number(
+        0.7, "1", "correlation below which such a factor is not judged", JUDGEMENT + "half the variance explained"
+    )
+    least_scale_error: float = number(
+        0.01,
+        "1",
+        "error of a sensor's scale that is reported",
+        JUDGEMENT + "wheels wear and gyroscopes drift by less",
+    )
+    sure_scale_error: float = number(
+        6.0, "standard errors", "size of that error from which on it is reported", CHOSEN
+    )
+
+
+@dataclass(frozen=True)
+class Believing:
+    """How far rows are believed: wheels that slip, noise of a simulation, and where motion alone compares."""
+
+    rolling_share: float = number(
+        0.9, "1", "share of an axle's peak force asked for, from which on wheels may spin or lock", CHOSEN
+    )
+    lost_share: float = number(0.1, "1", "share of the force asked for that is lost while they do", CHOSEN)
+    rolling_seconds: float = number(0.2, "s", "time that wheels take to roll again", CHOSEN)
+    least_rolling: float = number(
+        0.5,
+        "1",
+        "share of the time below which the vehicle file is wrong about the tyres instead",
+        JUDGEMENT + "no driver slips half the time",
+    )
+    cycling_seconds: float = number(0.3, "s", "time in which a slip control goes back and forth", CHOSEN)
+    cycling_share: float = number(
+        0.8, "1", "share of the peak force by which a slip control goes back and forth", CHOSEN
+    )
+    least_noise: float = number(
+        1e-3,
+        "1",
+        "least variance that a whitened residual of a simulation is believed to have",
+        JUDGEMENT + "no dictionary holds the physics of a real car",
+    )
+    most_noise: float = number(5.0, "1", "largest variance of the same, beyond which nothing is known", CHOSEN)
+    motion_share: float = number(
+        0.7, "1", "share of the tyres' peak up to which rows that moved the same are compared", CHOSEN
+    )
+    huber: float = number(
+        4.0, "spreads", "whitened residual from which on a row loses weight", JUDGEMENT + "far outside the normal"
+    )
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """Lines of the spectrum and residual autocorrelation: what is no smooth function of the operating point."""
+
+    slowest: float = number(
+        3.0, "Hz", "least frequency of a line in time, for a full-size car", JUDGEMENT + "drivers steer slower"
+    )
+    longest: float = number(
+        4.0, "wheelbases", "longest wave over distance", JUDGEMENT + "longer waves are the track's"
+    )
+    fewest: int = number(2048, "samples", "length of a recording below which no line is sought", CHOSEN)
+    line_margin: float = number(
+        2.0, "1", "amplitude over that of lines that the simulation has, there or elsewhere", CHOSEN
+    )
