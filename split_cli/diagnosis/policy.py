@@ -204,9 +204,9 @@ class SelectionRules:
     form_error_share: float = number(
         0.10,
         "1",
-        "model-form error over the size of what makes it: prior deviation of a term's, least share of larger terms "
-        "and of the shared discrepancy that is a term of its own, least uncertainty of a parameter that acts "
-        "through the tyres",
+        "model-form error over the size of what makes it: prior deviation of a term's, least share of larger "
+        "terms and of the shared discrepancy that is a term of its own, least uncertainty of a "
+        "parameter that acts through the tyres",
         JUDGEMENT + "two curves stand for four tyres",
     )
     range_deviations: float = number(

@@ -10,7 +10,8 @@ import pytest
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
-from split_cli.diagnosis.search.selection import nothing, term_size
+from split_cli.diagnosis.search.selection import nothing
+from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE

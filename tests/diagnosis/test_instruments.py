@@ -14,7 +14,8 @@ from split_cli.diagnosis.recording.witnesses import build_witnesses, habits_of
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable
-from split_cli.diagnosis.search.selection import nothing, term_p
+from split_cli.diagnosis.search.selection import nothing
+from split_cli.diagnosis.search.term_tests import term_p
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from tests.diagnosis.recordings import driven, noisy, prepared

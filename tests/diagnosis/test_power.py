@@ -9,7 +9,7 @@ import numpy as np
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.screening import cleaned, torque_is_derived, torque_is_from_pedals, unfit
 from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.selection import effect_to_noise_of_terms
+from split_cli.diagnosis.search.term_tests import effect_to_noise_of_terms
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.power import hidden_effect
 from split_cli.logs.drive import Drive

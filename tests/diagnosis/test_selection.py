@@ -12,6 +12,7 @@ import pytest
 from scipy import stats
 
 import split_cli.diagnosis.search.selection as selecting
+import split_cli.diagnosis.search.term_tests as term_tests
 from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
@@ -22,16 +23,12 @@ from split_cli.diagnosis.search.selection import (
     _other_beginnings,
     _refusal,
     _rivals,
-    block_t,
-    block_z,
     explaining_as_well,
-    is_spread,
     nothing,
     select_terms,
-    term_p,
-    term_size,
     without_parts,
 )
+from split_cli.diagnosis.search.term_tests import block_t, block_z, is_form_error, is_spread, term_p, term_size
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_objective
 
@@ -233,12 +230,10 @@ def test_a_term_that_settles_a_channel_is_no_form_error_of_a_large_one_elsewhere
 
     size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 10.0])
     for before, after, refused in ((1.0, 0.0, False), (1.0, 0.4, False), (1.0, 0.5, True), (0.3, 0.0, True)):
-        assert (
-            selecting._is_form_error(pair, size, other, left(before), left(after), STANDARD.selection) == refused
-        )
+        assert is_form_error(pair, size, other, left(before), left(after), STANDARD.selection) == refused
     # Not larger than a model-form error in that channel anyway, or of what acts in the same.
-    assert not selecting._is_form_error(pair, size, 0.7 * other, left(1.0), left(1.0), STANDARD.selection)
-    assert selecting._is_form_error(pair, size, other[::-1], left(1.0), left(0.0), STANDARD.selection)
+    assert not is_form_error(pair, size, 0.7 * other, left(1.0), left(1.0), STANDARD.selection)
+    assert is_form_error(pair, size, other[::-1], left(1.0), left(0.0), STANDARD.selection)
 
 
 def test_a_term_is_allowed_a_share_of_the_shared_discrepancy_in_its_channel(pair, chosen_pair):
@@ -462,7 +457,7 @@ class TestWithoutRecordings:
             assert block_z(objective, fit, self.fit(without)) < rules.spread
             for effect_to_noise in (0.9, 1.1):
                 monkeypatch.setattr(
-                    selecting, "term_size", lambda *_, effect_to_noise=effect_to_noise: effect_to_noise
+                    term_tests, "term_size", lambda *_, effect_to_noise=effect_to_noise: effect_to_noise
                 )
                 expected = believed or effect_to_noise > 1.0
                 assert is_spread(objective, fit, 0, self.fit(without), rules) == expected

@@ -177,8 +177,7 @@ def _every_other_block(graded: Sequence[Evidence]) -> list[np.ndarray]:
     length = int(np.clip(total // _LEAST_BLOCKS, 1, round(_LONGEST_BLOCK / ROW_SECONDS)))
     first = np.cumsum([0, *(len(one.at) for one in graded)])
     return [
-        (before + np.arange(len(one.at))) // length % 2 == 0
-        for before, one in zip(first, graded, strict=False)
+        (before + np.arange(len(one.at))) // length % 2 == 0 for before, one in zip(first, graded, strict=False)
     ]
 
 

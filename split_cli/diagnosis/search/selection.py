@@ -4,36 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
-from split_cli.diagnosis.remainder.structure import discrepancy_to_noise, minimum_effect_p, term_allowances
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exchange import merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.form_error import costs_beside_form_error, saved_beside_form_error
 from split_cli.diagnosis.search.joint import all_at_once, promised_by_all
+from split_cli.diagnosis.search.term_tests import (
+    error_of_sum,
+    is_form_error,
+    is_spread,
+    is_witnessed,
+    part_over_allowance,
+    part_sizes,
+    sizes_in_velocity,
+    sizes_of_terms,
+    term_p,
+    term_size,
+)
 from split_cli.vehicle.effects import Term
 
-__all__ = [
-    "Rival",
-    "Selection",
-    "effect_to_noise_of_terms",
-    "explaining_as_well",
-    "nothing",
-    "over_allowance",
-    "p_of_effect",
-    "select_terms",
-    "term_p",
-    "term_size",
-    "with_chosen",
-    "without_parts",
-]
+__all__ = ["Rival", "Selection", "explaining_as_well", "nothing", "select_terms", "with_chosen", "without_parts"]
 
 
 _ONCE = "nearly all in a few moments"
@@ -266,12 +262,12 @@ def _believed_together(
     """Return which parts are named: the largest sure one, and what is no model-form error of larger ones."""
     if sum(sure) < 2:
         return tuple(sure)
-    sizes = {k: _part_sizes(objective, chosen, k) for k, one in enumerate(sure) if one}
+    sizes = {k: part_sizes(objective, chosen, k) for k, one in enumerate(sure) if one}
     named: list[int] = []
     for k in sorted(sizes, key=lambda k: -sizes[k].max()):
         larger = _sizes_with_form_error(objective, tuple(chosen.terms[i] for i in named))
-        witnessed = _is_witnessed(objective, chosen, k, rules)
-        if not named or witnessed or not _is_form_error(objective, sizes[k], larger, without[k], chosen, rules):
+        witnessed = is_witnessed(objective, chosen, k, rules)
+        if not named or witnessed or not is_form_error(objective, sizes[k], larger, without[k], chosen, rules):
             named.append(k)
     return tuple(k in named for k in range(len(chosen.parts)))
 
@@ -345,9 +341,8 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Selectio
         if not fits:
             break
         best = fits[0]
-        if (
-            len(chosen.parts) > nuisances
-        ):  # beside what is kept as a nuisance there is no name to be a model-form error of
+        # Beside nuisances alone there is no name that a term could be a model-form error of.
+        if len(chosen.parts) > nuisances:
             best, reason = _first_believed(explore, chosen, fits[: rules.considered])
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
@@ -404,43 +399,6 @@ def without_parts(objective: MarginalLikelihood, base: Fit, fit: Fit) -> tuple[F
     )
 
 
-def block_z(objective: MarginalLikelihood, fit: Fit, other: Fit) -> float:
-    """Return what a fit saves against another in standard errors, from differences block by block."""
-    difference = objective.block_sums(other.residuals**2) - objective.block_sums(fit.residuals**2)
-    return float(difference.sum()) / _error_of_sum(difference)
-
-
-def is_spread(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> bool:
-    """Return whether one part saves in enough blocks of time, or its size is known well enough from them all.
-
-    A place is passed once a lap. What acts in few blocks saves in few; if it is there, those agree about its size,
-    and if it stands for something else they do not. What is larger than the noise is seen however seldom it acts.
-    Where there is much model-form error it is worst somewhere, and a place says no more than any few moments.
-    """
-    seldom = fit.parts[k].candidate.located and objective.form_error_inflation <= rules.much_form_error
-    if seldom or block_z(objective, fit, without) > rules.spread:
-        return True
-    return block_t(objective, fit, without) > rules.sure or term_size(objective, fit, k) > rules.plain
-
-
-def block_t(objective: MarginalLikelihood, fit: Fit, without: Fit) -> float:
-    """Return the size of what a fit adds to another in standard errors, from scores block by block.
-
-    Notes
-    -----
-    With what it adds taken as one direction d, e the residuals left: d^T d/sqrt(sum over blocks of (d_b^T e_b)^2),
-    a Wald statistic with the sandwich's variance (Liang and Zeger, 1986).
-    """
-    added = without.residuals - fit.residuals
-    scores = objective.block_sums(added * fit.residuals)
-    return float(added @ added) / (float(np.sqrt(scores @ scores)) + 1e-9)
-
-
-def _error_of_sum(difference: np.ndarray) -> float:
-    """Return the standard error of a sum over blocks, shape (B,)."""
-    return float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9
-
-
 def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tuple[Fit | None, str]:
     """Return the first further term that is believed; where none is, why not the first of them, in words."""
     objective = explore.objective
@@ -465,9 +423,9 @@ def _refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) ->
     objective, rules = explore.objective, explore.rules
     k = len(further.parts) - 1
     # What witnesses show is the instrument's own, whatever the model gets wrong.
-    if not _is_witnessed(objective, further, k, rules):
-        if _is_form_error(
-            objective, _sizes(objective, further.terms, chosen.terms), sizes, chosen, further, rules
+    if not is_witnessed(objective, further, k, rules):
+        if is_form_error(
+            objective, sizes_of_terms(objective, further.terms, chosen.terms), sizes, chosen, further, rules
         ):
             return _FORM_ERROR
         saved = saved_beside_form_error(objective, chosen, further)
@@ -479,89 +437,9 @@ def _refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) ->
     return "" if is_spread(objective, further, len(further.parts) - 1, chosen, rules) else _ONCE
 
 
-def _is_witnessed(objective: MarginalLikelihood, fit: Fit, k: int, rules: SelectionRules) -> bool:
-    """Return whether a sensor's fault moves what a recording knows twice, which no model-form error does."""
-    if not fit.parts[k].term.corrects:
-        return False
-    return objective.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :]) > rules.least_witnessed
-
-
-def _is_form_error(
-    objective: MarginalLikelihood, size: np.ndarray, of: np.ndarray, before: Fit, after: Fit, rules: SelectionRules
-) -> bool:
-    """Return whether sizes (3,) are no more than the model-form error of terms with sizes `of` (3,).
-
-    Sizes are effect-to-noise ratios in v_x, v_y and r.
-
-    The model-form error of large terms in a channel they hardly act in has no simple shape: a term that takes
-    nearly all that was left there, and much was, is none of it.
-    """
-    channel = int(np.argmax(size))
-    across = 0.0 if _settles(objective, channel, before, after, rules) else rules.form_error_across * of.max()
-    least = objective.policy.allowances.unnamed
-    discrepancy = rules.form_error_share * discrepancy_to_noise(objective)[channel]
-    return bool(size[channel] < max(least, rules.form_error_share * of[channel], across, discrepancy))
-
-
-def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fit, rules: SelectionRules) -> bool:
-    """Return whether a fit leaves next to noise in a channel where another leaves much more.
-
-    Notes
-    -----
-    Noise is half the mean square of successive differences (von Neumann, 1941), which what varies slowly hardly
-    adds to.
-    """
-    rows = sum(int(mask.sum()) for mask in objective.keep)
-    left, still = (fit.residuals[: 3 * rows].reshape(rows, 3)[:, channel] for fit in (before, after))
-    noise = 0.5 * np.mean(np.diff(still) ** 2)
-    much, little = np.mean(left**2) - noise, np.mean(still**2) - noise
-    return bool(much > rules.settled_noise * noise and little < (1.0 - rules.settled) * much)
-
-
-def _sizes(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
-    """Return effect-to-noise ratios of terms against those of `without` in v_x, v_y and r, shape (3,)."""
-    size = _sizes_in_velocity(objective, terms, without)
-    # An accelerometer's fault moves no prediction of the velocities: it is as large as its witness says.
-    return size if size.any() else np.full(3, objective.witnessed(terms, without))
-
-
-def _sizes_in_velocity(
-    objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]
-) -> np.ndarray:
-    """Return the same of the velocities alone: the fault of an accelerometer leaves no model-form error there."""
-    sizes = [
-        effects_to_noise_of(one, one.at[mask], terms, without, partial(objective.carried, one))
-        for one, mask in zip(objective.evidence, objective.keep, strict=True)
-    ]
-    return np.max(sizes, axis=0)
-
-
 def _sizes_with_form_error(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> np.ndarray:
     """Return the sizes of terms of the car, shape (3,): what an instrument does has no model-form error."""
-    return _sizes_in_velocity(objective, tuple(term for term in terms if term.exported), ())
-
-
-def _part_sizes(objective: MarginalLikelihood, fit: Fit, k: int) -> np.ndarray:
-    return _sizes(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
-
-
-def term_size(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
-    """Return the effect-to-noise ratio of one part of an explanation, the others in place."""
-    return float(_part_sizes(objective, fit, k).max())
-
-
-def effect_to_noise_of_terms(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> float:
-    """Return the effect-to-noise ratio of terms, in the channel where it is most."""
-    return float(_sizes(objective, terms, ()).max())
-
-
-def over_allowance(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> float:
-    """Return the size of terms against `without` over what is allowed, in the channel where that is most."""
-    return float(np.max(_sizes(objective, terms, without) / term_allowances(objective)))
-
-
-def _over_allowance(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
-    return over_allowance(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
+    return sizes_in_velocity(objective, tuple(term for term in terms if term.exported), ())
 
 
 def explaining_as_well(
@@ -575,7 +453,7 @@ def explaining_as_well(
     rules, margin = objective.policy.selection, objective.policy.self_test.term_margin
     # An excess is measured in what model-form error makes of chance; so is what it is compared with.
     saved = (selection.without[k].cost - selection.chosen.cost) / max(objective.form_error_inflation / margin, 1.0)
-    share = min(1.0 / max(_over_allowance(objective, selection.chosen, k), 1e-9), 1.0) ** 2
+    share = min(1.0 / max(part_over_allowance(objective, selection.chosen, k), 1e-9), 1.0) ** 2
     allowed = max(rules.same_excess, max(share, rules.same_form_error, form_error / margin) * saved)
     by_chance = rules.same_share * saved
     return [
@@ -583,52 +461,6 @@ def explaining_as_well(
         for rival in rivals
         if rival.excess < allowed or (rival.z < rules.same_within and rival.excess < by_chance)
     ]
-
-
-def term_p(
-    objective: MarginalLikelihood,
-    fit: Fit,
-    k: int,
-    saved: float,
-    variance_inflation: float,
-    without: Fit | None = None,
-) -> float:
-    """Return the minimum-effect p value of one part of an explanation that saves `saved`.
-
-    A sensor's fault, where the explanation `without` it is given, is also tested by its witnesses alone, which no
-    model-form error moves: the smaller p value, for two tests, is returned.
-    """
-    candidate, size = fit.parts[k].candidate, _over_allowance(objective, fit, k)
-    p_value = p_of_effect(objective, candidate, size, saved, variance_inflation)
-    floor = objective.witness_floors.get(candidate.effect)
-    if without is None or floor is None or not fit.parts[k].term.corrects:
-        return p_value
-    told = objective.witnesses_cost(without.residuals) - objective.witnesses_cost(fit.residuals)
-    alone = minimum_effect_p(told, candidate.complexity, size, variance_inflation, floor, allowance=1.0)
-    return min(p_value, 2.0 * alone)
-
-
-def p_of_effect(
-    objective: MarginalLikelihood, candidate: Candidate, size: float, saved: float, variance_inflation: float
-) -> float:
-    """Return the minimum-effect p value of a term of `size`, over what is allowed, that saves `saved`.
-
-    What model-form error may save counts twice, as what it is known to save and as what it adds to chance. A
-    term has to stand against each, so the larger of two is returned; both at once would count it double.
-    """
-    floor = max(
-        objective.policy.allowances.term_floor * objective.shared_cost,
-        objective.term_floors.get(candidate.effect, 0.0),
-    )
-
-    def p_value(freedom: float, widened: float, spared: float) -> float:
-        return minimum_effect_p(saved, freedom, size, widened, spared, allowance=1.0)
-
-    known = p_value(candidate.complexity, variance_inflation, floor)
-    if objective.form_error_inflation <= variance_inflation:
-        return known
-    searched = candidate.complexity + (objective.policy.selection.searched_places if candidate.located else 0.0)
-    return max(known, p_value(searched, objective.form_error_inflation, 0.0))
 
 
 def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
@@ -658,7 +490,7 @@ def _rivals(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> tuple[tuple[Ri
             continue
         difference = (objective.block_sums(fit.residuals**2) - reference) / variance_inflation
         total = float(difference.sum()) + explore.rules.price * (fit.complexity - chosen.complexity)
-        rivals.append(Rival(fit, total, total / _error_of_sum(difference)))
+        rivals.append(Rival(fit, total, total / error_of_sum(difference)))
     rivals.sort(key=lambda rival: rival.excess)
     of_own = [rival.fit.parts[-1].candidate.term == own.term for rival in rivals]
     return (

@@ -10,7 +10,8 @@ from scipy.optimize import brentq
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Fit
-from split_cli.diagnosis.search.selection import nothing, over_allowance, p_of_effect
+from split_cli.diagnosis.search.selection import nothing
+from split_cli.diagnosis.search.term_tests import over_allowance, p_of_effect
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE

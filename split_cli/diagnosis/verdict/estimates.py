@@ -6,7 +6,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part
-from split_cli.diagnosis.search.selection import term_size
+from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.statement.result import ParameterEstimate
 
 __all__ = ["parameter_estimates"]

@@ -14,7 +14,8 @@ from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.search.baselines import SearchOutcome
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
-from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well, term_size, without_parts
+from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well, without_parts
+from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
 from split_cli.diagnosis.statement.separation import exact_mimics

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.selection import effect_to_noise_of_terms
+from split_cli.diagnosis.search.term_tests import effect_to_noise_of_terms
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.statement.wording import number, term_name
 from split_cli.vehicle.effects import CATALOGUE

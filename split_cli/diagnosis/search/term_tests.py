@@ -1,0 +1,200 @@
+"""What one term has to show: sizes against noise, differences block by block, and the minimum-effect test."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.policy import SelectionRules
+from split_cli.diagnosis.remainder.structure import discrepancy_to_noise, minimum_effect_p, term_allowances
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.fitting import Fit
+from split_cli.vehicle.effects import Term
+
+__all__ = [
+    "block_t",
+    "block_z",
+    "effect_to_noise_of_terms",
+    "error_of_sum",
+    "is_form_error",
+    "is_spread",
+    "is_witnessed",
+    "over_allowance",
+    "p_of_effect",
+    "part_over_allowance",
+    "part_sizes",
+    "sizes_in_velocity",
+    "sizes_of_terms",
+    "term_p",
+    "term_size",
+]
+
+
+def block_z(objective: MarginalLikelihood, fit: Fit, other: Fit) -> float:
+    """Return what a fit saves against another in standard errors, from differences block by block."""
+    difference = objective.block_sums(other.residuals**2) - objective.block_sums(fit.residuals**2)
+    return float(difference.sum()) / error_of_sum(difference)
+
+
+def is_spread(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> bool:
+    """Return whether one part saves in enough blocks of time, or its size is known well enough from them all.
+
+    A place is passed once a lap. What acts in few blocks saves in few; if it is there, those agree about its size,
+    and if it stands for something else they do not. What is larger than the noise is seen however seldom it acts.
+    Where there is much model-form error it is worst somewhere, and a place says no more than any few moments.
+    """
+    seldom = fit.parts[k].candidate.located and objective.form_error_inflation <= rules.much_form_error
+    if seldom or block_z(objective, fit, without) > rules.spread:
+        return True
+    return block_t(objective, fit, without) > rules.sure or term_size(objective, fit, k) > rules.plain
+
+
+def block_t(objective: MarginalLikelihood, fit: Fit, without: Fit) -> float:
+    """Return the size of what a fit adds to another in standard errors, from scores block by block.
+
+    Notes
+    -----
+    With what it adds taken as one direction d, e the residuals left: d^T d/sqrt(sum over blocks of (d_b^T e_b)^2),
+    a Wald statistic with the sandwich's variance (Liang and Zeger, 1986).
+    """
+    added = without.residuals - fit.residuals
+    scores = objective.block_sums(added * fit.residuals)
+    return float(added @ added) / (float(np.sqrt(scores @ scores)) + 1e-9)
+
+
+def error_of_sum(difference: np.ndarray) -> float:
+    """Return the standard error of a sum over blocks, shape (B,)."""
+    return float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9
+
+
+def is_witnessed(objective: MarginalLikelihood, fit: Fit, k: int, rules: SelectionRules) -> bool:
+    """Return whether a sensor's fault moves what a recording knows twice, which no model-form error does."""
+    if not fit.parts[k].term.corrects:
+        return False
+    return objective.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :]) > rules.least_witnessed
+
+
+def is_form_error(
+    objective: MarginalLikelihood, size: np.ndarray, of: np.ndarray, before: Fit, after: Fit, rules: SelectionRules
+) -> bool:
+    """Return whether sizes (3,) are no more than the model-form error of terms with sizes `of` (3,).
+
+    Sizes are effect-to-noise ratios in v_x, v_y and r.
+
+    The model-form error of large terms in a channel they hardly act in has no simple shape: a term that takes
+    nearly all that was left there, and much was, is none of it.
+    """
+    channel = int(np.argmax(size))
+    across = 0.0 if _settles(objective, channel, before, after, rules) else rules.form_error_across * of.max()
+    least = objective.policy.allowances.unnamed
+    discrepancy = rules.form_error_share * discrepancy_to_noise(objective)[channel]
+    return bool(size[channel] < max(least, rules.form_error_share * of[channel], across, discrepancy))
+
+
+def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fit, rules: SelectionRules) -> bool:
+    """Return whether a fit leaves next to noise in a channel where another leaves much more.
+
+    Notes
+    -----
+    Noise is half the mean square of successive differences (von Neumann, 1941), which what varies slowly hardly
+    adds to.
+    """
+    rows = sum(int(mask.sum()) for mask in objective.keep)
+    left, still = (fit.residuals[: 3 * rows].reshape(rows, 3)[:, channel] for fit in (before, after))
+    noise = 0.5 * np.mean(np.diff(still) ** 2)
+    much, little = np.mean(left**2) - noise, np.mean(still**2) - noise
+    return bool(much > rules.settled_noise * noise and little < (1.0 - rules.settled) * much)
+
+
+def sizes_of_terms(
+    objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]
+) -> np.ndarray:
+    """Return effect-to-noise ratios of terms against those of `without` in v_x, v_y and r, shape (3,)."""
+    size = sizes_in_velocity(objective, terms, without)
+    # An accelerometer's fault moves no prediction of the velocities: it is as large as its witness says.
+    return size if size.any() else np.full(3, objective.witnessed(terms, without))
+
+
+def sizes_in_velocity(
+    objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]
+) -> np.ndarray:
+    """Return the same of the velocities alone: the fault of an accelerometer leaves no model-form error there."""
+    sizes = [
+        effects_to_noise_of(one, one.at[mask], terms, without, partial(objective.carried, one))
+        for one, mask in zip(objective.evidence, objective.keep, strict=True)
+    ]
+    return np.max(sizes, axis=0)
+
+
+def part_sizes(objective: MarginalLikelihood, fit: Fit, k: int) -> np.ndarray:
+    """Return the effect-to-noise ratios of one part of an explanation, the others in place, shape (3,)."""
+    return sizes_of_terms(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
+
+
+def term_size(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
+    """Return the effect-to-noise ratio of one part of an explanation, the others in place."""
+    return float(part_sizes(objective, fit, k).max())
+
+
+def effect_to_noise_of_terms(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> float:
+    """Return the effect-to-noise ratio of terms, in the channel where it is most."""
+    return float(sizes_of_terms(objective, terms, ()).max())
+
+
+def over_allowance(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> float:
+    """Return the size of terms against `without` over what is allowed, in the channel where that is most."""
+    return float(np.max(sizes_of_terms(objective, terms, without) / term_allowances(objective)))
+
+
+def part_over_allowance(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
+    """Return the size of one part of an explanation over what is allowed in its channel [1]."""
+    return over_allowance(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
+
+
+def term_p(
+    objective: MarginalLikelihood,
+    fit: Fit,
+    k: int,
+    saved: float,
+    variance_inflation: float,
+    without: Fit | None = None,
+) -> float:
+    """Return the minimum-effect p value of one part of an explanation that saves `saved`.
+
+    A sensor's fault, where the explanation `without` it is given, is also tested by its witnesses alone, which no
+    model-form error moves: the smaller p value, for two tests, is returned.
+    """
+    candidate, size = fit.parts[k].candidate, part_over_allowance(objective, fit, k)
+    p_value = p_of_effect(objective, candidate, size, saved, variance_inflation)
+    floor = objective.witness_floors.get(candidate.effect)
+    if without is None or floor is None or not fit.parts[k].term.corrects:
+        return p_value
+    told = objective.witnesses_cost(without.residuals) - objective.witnesses_cost(fit.residuals)
+    alone = minimum_effect_p(told, candidate.complexity, size, variance_inflation, floor, allowance=1.0)
+    return min(p_value, 2.0 * alone)
+
+
+def p_of_effect(
+    objective: MarginalLikelihood, candidate: Candidate, size: float, saved: float, variance_inflation: float
+) -> float:
+    """Return the minimum-effect p value of a term of `size`, over what is allowed, that saves `saved`.
+
+    What model-form error may save counts twice, as what it is known to save and as what it adds to chance. A
+    term has to stand against each, so the larger of two is returned; both at once would count it double.
+    """
+    floor = max(
+        objective.policy.allowances.term_floor * objective.shared_cost,
+        objective.term_floors.get(candidate.effect, 0.0),
+    )
+
+    def p_value(freedom: float, widened: float, spared: float) -> float:
+        return minimum_effect_p(saved, freedom, size, widened, spared, allowance=1.0)
+
+    known = p_value(candidate.complexity, variance_inflation, floor)
+    if objective.form_error_inflation <= variance_inflation:
+        return known
+    searched = candidate.complexity + (objective.policy.selection.searched_places if candidate.located else 0.0)
+    return max(known, p_value(searched, objective.form_error_inflation, 0.0))
