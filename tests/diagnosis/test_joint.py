@@ -7,7 +7,14 @@ import pytest
 
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, Prior, fit_parts, fit_with_prior
-from split_cli.diagnosis.search.joint import _blocks, _worth, all_at_once, promised_by_all, without_needless
+from split_cli.diagnosis.search.joint import (
+    _blocks,
+    _worth,
+    all_at_once,
+    cheapest_first,
+    promised_by_all,
+    without_needless,
+)
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
@@ -73,3 +80,15 @@ def test_a_prior_holds_what_the_rows_do_not_tell(explore):
     middle = 0.5 * (1.0 + free.parts[0].values["scale"])
     assert held.parts[0].values["scale"] == pytest.approx(middle, abs=0.2 * abs(middle - 1.0))
     assert both[0, 0] == pytest.approx(2.0 * curvature[0, 0], rel=0.3)
+
+
+def test_parts_are_ordered_by_what_leaving_costs(explore):
+    by_term = {one.term: one for one in reversed(explore.candidates)}
+    none = Part(by_term["rolling_resistance"], {"force": 20.0})
+    parts = [Part(by_term[term], dict(values)) for term, values in TRUE.items()]
+    fit = fit_parts(explore.objective, [parts[0], none, *parts[1:]])
+    order = cheapest_first(explore, fit)
+    assert sorted(order) == [0, 1, 2, 3]
+    costs = [fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :]).cost for k in order]
+    assert order[0] == 1 and costs[0] == min(costs) and costs[-1] == max(costs)
+    assert without_needless(explore, fit).names == tuple(sorted(TRUE))

@@ -17,7 +17,7 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, Prior, fit_parts, fit_with_prior
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["all_at_once", "promised_by_all", "without_needless"]
+__all__ = ["all_at_once", "cheapest_first", "promised_by_all", "without_needless"]
 
 _NEAR_NONE = 0.1  # of a start, where a term that is not in the explanation yet begins
 _NO_EFFECT = 1e-12  # curvature, in chi squared by a step, of what changes nothing
@@ -74,17 +74,21 @@ def without_needless(explore: Explorer, fit: Fit) -> Fit:
     Only those whose leaving costs least by straight lines are tried.
     """
     while len(fit.parts) > 1:
-        parts = fit.parts
-        steps = np.array([part.candidate.ranges[name].step for part in parts for name in part.values])
-        slopes = fit.sensitivity * steps
-        worth = _worth(explore, _blocks(parts), slopes.T @ slopes, np.zeros(len(steps)))
-        tried = np.argsort([one for one, _ in worth])[:_TRIED]
+        parts, tried = fit.parts, cheapest_first(explore, fit)[:_TRIED]
         reduced = [fit_parts(explore.objective, parts[:k] + parts[k + 1 :]) for k in tried]
         best = min(reduced, key=explore.price)
         if explore.price(best) > explore.price(fit):
             break
         fit = best
     return fit
+
+
+def cheapest_first(explore: Explorer, fit: Fit) -> list[int]:
+    """Return the numbers of a fit's parts, by what leaving them costs beyond their price by straight lines."""
+    steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
+    slopes = fit.sensitivity * steps
+    worth = _worth(explore, _blocks(fit.parts), slopes.T @ slopes, np.zeros(len(steps)))
+    return [int(k) for k in np.argsort([one for one, _ in worth])]
 
 
 def _everything(explore: Explorer, current: Fit) -> tuple[Part, ...]:

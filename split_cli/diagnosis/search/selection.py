@@ -14,7 +14,7 @@ from split_cli.diagnosis.search.exchange import merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.form_error import costs_beside_form_error, saved_beside_form_error
-from split_cli.diagnosis.search.joint import all_at_once, promised_by_all
+from split_cli.diagnosis.search.joint import all_at_once, cheapest_first, promised_by_all
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
     is_form_error,
@@ -166,12 +166,15 @@ def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
     if promised_by_all(explore, chosen) < explore.rules.price:
         return None
     fit = all_at_once(explore, base, chosen)
-    while len(fit.parts) > 1:
-        without = without_parts(explore.objective, base, fit)
-        refused = [k for k, rest in enumerate(without) if _refused_last(explore, rest, fit, k)]
-        if not refused:
+    left = len(fit.parts)
+    while left > 1:
+        for k in cheapest_first(explore, fit):
+            rest = fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :])
+            if _refused_last(explore, rest, fit, k):
+                fit, left = rest, left - 1
+                break
+        else:
             break
-        fit = min((without[k] for k in refused), key=explore.price)
     return fit if _is_better_beside_form_error(explore, fit, chosen) else None
 
 
