@@ -11,10 +11,11 @@ from split_cli.errors import DriveError, MapError, nearest_names
 from split_cli.files import sha256_of_file
 from split_cli.logs.clean import join_clock_resets
 from split_cli.logs.consistency import check_consistency
+from split_cli.logs.conversion import RawSeries
 from split_cli.logs.delay import DelayEstimate, estimate_delays
 from split_cli.logs.derive import DERIVATIONS, Derived, Situation, derivation_named
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
-from split_cli.logs.gather import Gathered, RawSeries, gather, topic_of
+from split_cli.logs.gather import Gathered, gather, topic_of
 from split_cli.logs.placing import move_to_cg
 from split_cli.logs.quality import QualityReport
 from split_cli.logs.raw import Clock, RawRecording

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.logs.consistency import Consistency
+from split_cli.logs.conversion import expected_unit
 from split_cli.logs.draft import UNITS_OF, Suggestion
-from split_cli.logs.gather import expected_unit
 from split_cli.logs.trial import Trial
 from split_cli.logs.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit

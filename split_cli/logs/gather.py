@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.errors import LogError, MapError, nearest_names
-from split_cli.logs import transform
+from split_cli.logs.conversion import ConversionNotes, Converter, RawSeries, expected_unit
 from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column
-from split_cli.logs.signal_map import EXTRA_UNITS, ChannelMap, SignalMap, SignalSource
+from split_cli.logs.signal_map import ChannelMap, SignalMap, SignalSource
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
-__all__ = ["Gathered", "RawSeries", "expected_unit", "gather", "row_rate_from_yaw", "topic_of"]
+__all__ = ["Gathered", "gather", "row_rate_from_yaw", "topic_of"]
 
 _TIME_ADVICE = "Name the column as `time: {source: ..., unit: ...}`, or give `time: {period: SECONDS}`."
 _SUFFIXES = {
@@ -22,30 +22,6 @@ _SUFFIXES = {
     "local_x": ("latitude", "longitude"),
     "local_y": ("latitude", "longitude"),
 }
-
-
-@dataclass(frozen=True)
-class RawSeries:
-    """One source of one channel in SI, frame and sign converted, on its own clock.
-
-    Attributes
-    ----------
-    channel : str
-    source : str
-        Recorded name, for messages.
-    time : ndarray, shape (N,)
-        [s], as recorded, in the order of the file; delays not yet applied.
-    values : ndarray, shape (N,)
-        SI unit of the channel; NaN where missing.
-    delay : float
-        As the map gives it [s].
-    """
-
-    channel: str
-    source: str
-    time: np.ndarray
-    values: np.ndarray
-    delay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -85,11 +61,6 @@ class Gathered:
 def topic_of(name: str) -> str:
     """Return the topic of an addressed field, the column itself for a table."""
     return name.rsplit("/", 1)[0] if name.startswith("/") else name
-
-
-def expected_unit(channel: str) -> str | None:
-    """Return the SI unit of a channel known by name, None for others."""
-    return CHANNELS[channel].unit if channel in CHANNELS else EXTRA_UNITS.get(channel)
 
 
 def gather(
@@ -135,11 +106,11 @@ def gather(
     part = signal_map.time.nanoseconds
     clocks = [name for name in (time_column, part) if name]
     signals = recording.read(list(dict.fromkeys([*wanted, *clocks])), chosen)
-    notes = _Notes([], [], [])
+    notes = ConversionNotes([], [], [])
     found, absent = resolver.without_absent_elements(found, signals, needed)
     skipped += absent
     common, origin, words = _common_time(signals, time_column, signal_map, recording, notes)
-    converter = _Converter(recording.name, signal_map, wheel_radius, notes)
+    converter = Converter(recording.name, signal_map, wheel_radius, notes)
     series: dict[str, tuple[RawSeries, ...]] = {}
     maps: dict[str, ChannelMap] = {}
     for channel, names_of_sources in found.items():
@@ -168,13 +139,6 @@ def gather(
         tuple(dict.fromkeys(notes.contradictions)),
         tuple(skipped),
     )
-
-
-@dataclass(frozen=True)
-class _Notes:
-    conversions: list[str]
-    assumed: list[str]
-    contradictions: list[str]
 
 
 def _world_name(channel: str, world: str) -> str:
@@ -325,7 +289,7 @@ def _common_time(
     column: str | None,
     signal_map: SignalMap,
     recording: RawRecording,
-    notes: _Notes,
+    notes: ConversionNotes,
 ) -> tuple[np.ndarray | None, float, str]:
     """Return the clock that a table's columns share [s], what was subtracted, and the clock in words."""
     bare = [signal for signal in signals.values() if signal.time is None]
@@ -399,131 +363,3 @@ def row_rate_from_yaw(yaw: np.ndarray, r: np.ndarray) -> float | None:
         return None
     slope = float(np.sqrt(np.mean(b * b) / np.mean(a * a)))
     return float(f"{slope:.3g}")
-
-
-class _Converter:
-    """Makes SI series of the channel's frame out of raw signals, and says in words what it did."""
-
-    def __init__(self, where: str, signal_map: SignalMap, wheel_radius: float | None, notes: _Notes) -> None:
-        self.where = where
-        self.map = signal_map
-        self.wheel_radius = wheel_radius
-        self.notes = notes
-
-    def _bend(self, channel: str, source: SignalSource, name: str, values: np.ndarray) -> np.ndarray:
-        """Return values on the map's curve; missing where they lie beyond its ends by over a thousandth of it."""
-        if not source.curve:
-            return values
-        at, value = (np.array(side) for side in zip(*source.curve, strict=True))
-        slack = 1e-3 * (at[-1] - at[0])
-        with np.errstate(invalid="ignore"):
-            beyond = (values < at[0] - slack) | (values > at[-1] + slack)
-        told = f"{channel}: {name} by a curve of {len(at)} points from {at[0]:g} to {at[-1]:g}"
-        if beyond.any():
-            told += f"; {int(beyond.sum())} samples beyond its ends are left out"
-        self.notes.conversions.append(told)
-        return np.where(beyond | ~np.isfinite(values), np.nan, np.interp(values, at, value))
-
-    def convert(
-        self, channel: str, source: SignalSource, signals: list[RawSignal], common: np.ndarray | None
-    ) -> RawSeries:
-        name = source.names[0] if len(source.names) == 1 else "+".join(source.names)
-        values, unit = self._combine(channel, source, signals)
-        bent = self._bend(channel, source, name, values * source.scale + source.offset)
-        values = self._to_si(channel, source, bent, unit, signals[0].unit)
-        if source.scale != 1.0 or source.offset != 0.0:
-            self.notes.conversions.append(
-                f"{channel}: {source.scale:g} x {name} {'+' if source.offset >= 0 else '-'} {abs(source.offset):g}"
-            )
-        values = self._to_frame(channel, source, values)
-        time = common if signals[0].time is None else signals[0].time
-        if len(time) != len(values):
-            raise LogError(f"{name} has {len(values)} samples and {len(time)} time stamps", where=self.where)
-        recorded = signals[0].name
-        if source.convert == "yaw_from_quaternion":
-            recorded = recorded.rsplit(".", 1)[0]
-        return RawSeries(channel, recorded, time, values, source.delay or 0.0)
-
-    def _combine(
-        self, channel: str, source: SignalSource, signals: list[RawSignal]
-    ) -> tuple[np.ndarray, str | None]:
-        columns = [signal.values for signal in signals]
-        if source.convert == "yaw_from_quaternion":
-            self.notes.conversions.append(f"{channel}: yaw from the quaternion {source.names[0]}")
-            return transform.yaw_from_quaternion(*columns), "rad"
-        if source.convert in ("local_x", "local_y"):
-            datum = self.map.datum or _first_fix(*columns, where=self.where)
-            east, north = transform.local_tangent_plane(*columns, datum)
-            self.notes.conversions.append(
-                f"{channel}: from latitude and longitude, local plane at {datum[0]:.7f}, {datum[1]:.7f} deg"
-            )
-            return (east if channel == "X" else north), "m"
-        if source.convert == "norm":
-            return np.sqrt(sum(column**2 for column in columns)), signals[0].unit
-        if source.convert in ("pair_sum", "pair_mean"):
-            total = sum(columns)
-            return (total if source.convert == "pair_sum" else total / len(columns)), signals[0].unit
-        return columns[0], signals[0].unit
-
-    def _to_si(
-        self, channel: str, source: SignalSource, values: np.ndarray, unit: str | None, written: str | None
-    ) -> np.ndarray:
-        expected = expected_unit(channel)
-        scaled = source.scale != 1.0 or bool(source.curve)
-        if source.unit and written and not scaled and find_unit(written) not in (None, find_unit(source.unit)):
-            self.notes.contradictions.append(
-                f"{channel}: the file says {written}, the map says {source.unit}; the map was followed"
-            )
-        unit = source.unit or unit
-        if unit is None:
-            if expected is not None:
-                self.notes.assumed.append(f"{channel} in {expected} (neither file nor map says)")
-            return values
-        found = find_unit(unit)
-        if found is None:
-            if expected is None:
-                return values
-            raise MapError(
-                f"{channel}: the file says unit {unit!r}, which is not known",
-                where=self.where,
-                advice="Give `unit:` in the map.",
-            )
-        if found.si == "rad/s" and expected == "m/s" and channel.startswith("wheel_speed"):
-            if not self.wheel_radius:
-                raise MapError(
-                    f"{channel} is in {unit}, its speed takes the wheel radius",
-                    where=self.where,
-                    advice="Give --vehicle.",
-                )
-            self.notes.conversions.append(f"{channel}: {unit} times the wheel radius {self.wheel_radius:g} m")
-            return convert_to_si(values, unit) * self.wheel_radius
-        if expected is not None and found.si != expected:
-            raise MapError(
-                f"{channel} is in {expected}, {source.names[0]} is in {unit}",
-                where=self.where,
-                advice="Give scale, and the unit after scaling, in the map.",
-            )
-        if found.symbol != found.si:
-            self.notes.conversions.append(f"{channel}: {found.symbol} to {found.si}")
-        return convert_to_si(values, unit, where=self.where)
-
-    def _to_frame(self, channel: str, source: SignalSource, values: np.ndarray) -> np.ndarray:
-        frame = source.frame or self.map.frame
-        world = source.world or self.map.world
-        if channel == "yaw" and world == "ned":
-            self.notes.conversions.append("yaw: from clockwise of north to counter-clockwise of east")
-            return transform.yaw_from_ned(values)
-        if channel in ("X", "Y") and world == "ned" and not source.convert:
-            self.notes.conversions.append("X, Y: north and east exchanged")
-        if transform.frame_sign(channel, frame) < 0:
-            self.notes.conversions.append(f"{channel}: sign turned, y right to y left")
-            return -values
-        return values
-
-
-def _first_fix(latitude: np.ndarray, longitude: np.ndarray, *, where: str) -> tuple[float, float]:
-    valid = np.isfinite(latitude) & np.isfinite(longitude) & ((latitude != 0.0) | (longitude != 0.0))
-    if not valid.any():
-        raise LogError("no satellite fix with a finite position", where=where)
-    index = int(np.flatnonzero(valid)[0])
-    return float(latitude[index]), float(longitude[index])

@@ -9,10 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.errors import SplitError
+from split_cli.logs.conversion import expected_unit
 from split_cli.logs.corrections import as_siblings, correct, with_status
 from split_cli.logs.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
 from split_cli.logs.fields import field_candidates
-from split_cli.logs.gather import expected_unit, row_rate_from_yaw
+from split_cli.logs.gather import row_rate_from_yaw
 from split_cli.logs.naming import is_command, meanings, spelled_without_unit, stated_unit
 from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, seconds_and_nanoseconds, time_column
 from split_cli.logs.steering import read_steering

@@ -9,8 +9,8 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.clean import CleanSeries, clean_series
+from split_cli.logs.conversion import RawSeries
 from split_cli.logs.drive import NoiseEstimate
-from split_cli.logs.gather import RawSeries
 from split_cli.logs.noise import estimate_noise, sum_of_noise
 from split_cli.logs.quality import ChannelQuality, source_quality
 from split_cli.logs.resample import (

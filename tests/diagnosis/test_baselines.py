@@ -8,13 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import split_cli.diagnosis.search.baselines as search_module
 from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.objective import build_objective
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.series import build_series
-from split_cli.diagnosis.search.baselines import SearchOutcome, _brings_back, search
+from split_cli.diagnosis.search.baselines import SearchOutcome, _brings_back, search, search_again, settled
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.logs.drive import Drive
@@ -83,22 +82,26 @@ def test_with_a_fixed_baseline_a_fit_is_where_a_scan_finds_the_least(restless):
     assert best == pytest.approx(0.75, abs=0.03)
 
 
-def test_what_brings_reality_back_is_named_where_form_error_is_much(monkeypatch):
+def test_what_brings_reality_back_is_named_where_form_error_is_much(restless):
     never = STANDARD.altered("selection", sure_level=0.0)
-    simulation = recorded(drive(1), 1, restless=0.1)
-    same = searched(recorded(drive(2), 2, restless=0.1), simulation, never)
+    same = searched(recorded(drive(2), 2, restless=0.1), recorded(drive(1), 1, restless=0.1), never)
     assert same.known.ratio > 3.0
     assert not any(same.selection.named)
-    reality = recorded(commanded(drive(2), 0.75), 2, restless=0.1)
-    confirmed = searched(reality, simulation, never)
+    candidates = build_candidates(road_car(), restless.real[0].series)
+    first = search(restless, candidates, reach=0.35)
+    again = search_again(restless, candidates, first.structure.objective, reach=0.35)
     # The second search names it too, and the first one's value stays.
-    assert len(confirmed.objectives) == 2 and not confirmed.structure.objective.fixed_baseline
-    assert [one.id for one in confirmed.selection.terms] == ["steer_gain"]
-    monkeypatch.setattr(search_module, "_ids", lambda selection: {id(selection)})
-    outcome = searched(reality, simulation, never)
-    assert outcome.structure.objective.fixed_baseline
-    assert [one.id for one in outcome.selection.terms] == ["steer_gain"]
-    for one in (confirmed, outcome):
+    confirmed = settled(first, again, STANDARD.selection)
+    assert confirmed.selection is first.selection and len(confirmed.objectives) == 2
+    assert not confirmed.structure.objective.fixed_baseline
+    # Where the first one names nothing, as the fault hides in the discrepancy, the second one's value is taken.
+    nothing_named = replace(
+        first.selection, chosen=first.selection.base, without=(), rivals=(), siblings=(), named=()
+    )
+    taken = settled(replace(first, selection=nothing_named), again, STANDARD.selection)
+    assert taken.structure.objective.fixed_baseline
+    for one in (confirmed, taken):
+        assert [term.id for term in one.selection.terms] == ["steer_gain"]
         assert one.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
 
 
@@ -138,13 +141,15 @@ def test_without_form_error_the_simulation_is_searched_with_a_marginalised_basel
 )
 def test_what_is_believed_with_a_fixed_baseline(names, left, marginalised, p_value, expected):
     def fit(cost: float, terms=()) -> SimpleNamespace:
-        parts = tuple(SimpleNamespace(candidate=SimpleNamespace(term=one)) for one in terms)
-        return SimpleNamespace(cost=cost, parts=parts)
+        parts = tuple(SimpleNamespace(candidate=SimpleNamespace(term=one, variant="")) for one in terms)
+        return SimpleNamespace(cost=cost, parts=parts, residuals=np.zeros(0))
 
     terms = tuple(CATALOGUE[name](dict(CATALOGUE[name].neutral)) for name in names)
     selection = SimpleNamespace(terms=terms, base=fit(1000.0), chosen=fit(left), first_p=p_value)
+    silent = SimpleNamespace(objective=SimpleNamespace(witnesses_cost=lambda residuals: 0.0))
     marginalised = SimpleNamespace(chosen=fit(900.0, marginalised))
-    assert _brings_back(selection, marginalised, STANDARD.selection) is expected
+    again = SimpleNamespace(selection=selection, structure=silent)
+    assert _brings_back(again, marginalised, STANDARD.selection) is expected
 
 
 def test_wide_starts_lie_to_both_sides_and_inside_the_bounds():

@@ -32,7 +32,7 @@ from split_cli.diagnosis.search.running import with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
 from split_cli.diagnosis.statement.separation import exact_mimics
 
-__all__ = ["SearchOutcome", "search"]
+__all__ = ["SearchOutcome", "search", "search_again", "settled"]
 
 
 @dataclass(frozen=True)
@@ -92,26 +92,41 @@ def search(
     known = _known(case, candidates, reach, policy)
     rows = [flexible_rows(one, case.discrepancy) for one in case.real]
     progress("naming")
-    outcome = _search(objective, rows, candidates, known)
-    altering = [alters_inputs(term) for term in outcome.selection.terms]
-    sure = bool(altering) and outcome.selection.first_p < policy.selection.sure_level
+    first = _search(objective, rows, candidates, known)
+    sure = bool(first.selection.terms) and first.selection.first_p < policy.selection.sure_level
     if known.ratio <= policy.selection.much_form_error or sure:
-        return outcome
+        return first
     progress("naming with a fixed baseline")
+    return settled(first, search_again(case, candidates, objective, reach=reach), policy.selection)
+
+
+def search_again(
+    case: DiagnosisCase, candidates: Sequence[Candidate], objective: MarginalLikelihood, *, reach: float
+) -> SearchOutcome:
+    """Search with a fixed baseline on the rows and with the policy of a marginalised objective."""
+    policy = objective.policy
     known = _known(case, candidates, reach, policy, fixed_baseline=True)
+    rows = [flexible_rows(one, case.discrepancy) for one in case.real]
     # The shared discrepancy follows at every step, and costs have more than one valley.
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
     # What is small beside a name is model-form error here, and would share a delay's savings with its like.
     alone = replace(policy, selection=replace(policy.selection, most_nuisances=0))
-    fixed = replace(objective.with_fixed_baseline(), policy=alone)
-    again = _search(fixed, rows, wide, known)
-    kept = outcome
-    if _brings_back(again, outcome.selection, policy.selection):
-        confirmed = bool(altering) and _ids(outcome.selection) <= _ids(again.selection)
-        kept = outcome if confirmed else again
+    return _search(replace(objective.with_fixed_baseline(), policy=alone), rows, wide, known)
+
+
+def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -> SearchOutcome:
+    """Return what is believed of a search with a marginalised baseline and one with a fixed baseline.
+
+    What the second brings back to where the simulation has been is believed; with the values of the first where
+    that named it, too. What the first names of inputs or sensors and the second does not confirm has no name.
+    """
+    altering, kept = [alters_inputs(term) for term in first.selection.terms], first
+    if _brings_back(again, first.selection, rules):
+        confirmed = bool(altering) and _ids(first.selection) <= _ids(again.selection)
+        kept = first if confirmed else again
     elif any(altering):
-        kept = replace(outcome, selection=_without_names(outcome.selection))
-    return replace(kept, objectives=(outcome.structure.objective, again.structure.objective))
+        kept = replace(first, selection=_without_names(first.selection))
+    return replace(kept, objectives=(first.structure.objective, again.structure.objective))
 
 
 def _ids(selection: Selection) -> set[str]:
