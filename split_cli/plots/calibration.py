@@ -6,10 +6,12 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 
 from split_cli.errors import SplitError, nearest_names
 from split_cli.files import atomic_path, refuse_what_cannot_be_written
 from split_cli.vehicle.calibration.calibrate import Calibration
+from split_cli.vehicle.calibration.curve import ForceCurve
 
 __all__ = ["check_figure_path", "plot_calibration"]
 
@@ -35,6 +37,20 @@ def _format_of(path: str | Path) -> str:
     return Path(path).suffix.lstrip(".").lower() or "png"
 
 
+def _draw_side(axis: Axes, curve: ForceCurve, side: float) -> None:
+    """Draw a curve with its bands for one sign of the slip angle; the model is the same for both."""
+    angle, named = side * curve.slip_angle, side > 0.0
+    bands = (
+        ("equally good curves", curve.alike_lower, curve.alike_upper, "C1", 0.25),
+        ("95 % band", curve.lower, curve.upper, "C0", 0.35),
+    )
+    for name, low, high, colour, alpha in bands:
+        label = name if named else None
+        axis.fill_between(angle, side * low, side * high, color=colour, alpha=alpha, lw=0, label=label)
+    axis.plot(angle, side * curve.force, color="C0", label="calibrated" if named else None)
+    axis.axvline(side * curve.covered, color="0.3", ls=":", label="covered by the drives" if named else None)
+
+
 def plot_calibration(calibration: Calibration, path: str | Path) -> None:
     """Draw each axle's curve, its confidence band, all equally good curves and the samples; and the resistance.
 
@@ -58,18 +74,14 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
     for axis, curve in zip(axes, calibration.curves, strict=False):
         slip, force = points[curve.axle]
         stride = max(1, len(slip) // _SHOWN_SAMPLES)
-        axis.plot(np.abs(slip[::stride]), np.sign(slip[::stride]) * force[::stride], ".", ms=1.5, color="0.7")
-        axis.fill_between(
-            curve.slip_angle, curve.alike_lower, curve.alike_upper, color="C1", alpha=0.25, lw=0,
-            label="equally good curves",
-        )  # fmt: skip
-        axis.fill_between(
-            curve.slip_angle, curve.lower, curve.upper, color="C0", alpha=0.35, lw=0, label="95 % band"
-        )
-        axis.plot(curve.slip_angle, curve.force, color="C0", label="calibrated")
-        axis.axvline(curve.covered, color="0.3", ls=":", label="covered by the drives")
-        axis.set(title=f"{curve.axle} axle", xlabel="|slip angle| [rad]", ylabel="lateral force [N]")
-        axis.set_ylim(0.0, 1.6 * max(float(curve.force.max()), 1e-9))
+        axis.plot(slip[::stride], force[::stride], ".", ms=1.5, color="0.7")
+        # Left and right turns apart: a difference between them is seen, not folded away.
+        for side in (1.0, -1.0):
+            _draw_side(axis, curve, side)
+        axis.set(title=f"{curve.axle} axle", xlabel="slip angle, left positive [rad]", ylabel="lateral force [N]")
+        most = 1.3 * max(float(curve.force.max()), 1e-9)
+        axis.set_ylim(-most, most)
+        axis.axhline(0.0, color="0.8", lw=0.6)
         axis.legend(fontsize="small", loc="upper left")
     if calibration.resistance is not None:
         found = calibration.resistance

@@ -67,11 +67,16 @@ def coverage_maps(trained: TrainingSet) -> tuple[list[CellMap], list[CellMap]]:
 def draw_coverage(trained: TrainingSet) -> Figure:
     """Draw which valid cells hold points, and how many."""
     held, valid = coverage_maps(trained)
-    figure = new_figure(3.7)
-    axes = np.atleast_1d(figure.subplots(1, len(held), sharex=True, sharey=True))
+    # Two beside each other: four in a row are too small to see single cells.
+    across = min(2, len(held))
+    down = -(-len(held) // across)
+    figure = new_figure(0.9 + 4.0 * down)
+    axes = np.atleast_2d(figure.subplots(down, across, sharex=True, sharey=True))
+    for spare in axes.flat[len(held) :]:
+        spare.set_visible(False)
     colours = ["#FDE725", "#A0DA39", "#4AC16D", "#1FA187", "#277F8E", "#365C8D", "#440154"]
     norm = BoundaryNorm([*_COUNTS, 1 << 20], len(colours))
-    for axis, points, cells in zip(axes, held, valid, strict=True):
+    for axis, points, cells in zip(axes.flat, held, valid, strict=False):
         empty = np.where((points.values == 0) & (cells.values > 0), 1.0, np.nan)
         _mesh(axis, trained, empty, cmap=ListedColormap([EMPTY]))
         mesh = _mesh(
@@ -91,7 +96,7 @@ def draw_coverage(trained: TrainingSet) -> Figure:
     outside = trained.cell_count - known
     figure.suptitle(
         f"{known} of {len(valid_numbers)} valid cells hold points ({100 * known / len(valid_numbers):.0f} %; "
-        f"grey: none), {trained.size} points in all"
+        f"grey: none), {trained.size} points in all; negative torque brakes, $T_{{max}}$ drives"
         + (f"; {outside} cells with points have their centre outside" if outside else "")
     )
     return figure

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from split_cli.plots.style import STATES, line_styles, new_figure, quiet
+from split_cli.plots.style import PALETTE, STATES, line_styles, new_figure, quiet
 from split_cli.scoring.run import EvaluationRun
 
 __all__ = ["draw_reliability"]
@@ -15,7 +16,7 @@ def draw_reliability(run: EvaluationRun) -> Figure:
     scored = {key: tally for key, tally in run.tallies.items() if tally.probability is not None}
     styles = line_styles(scored)
     first = next(key for key in scored if key[1])
-    figure = new_figure(4.6)
+    figure = new_figure(5.2)
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     for state, axis in enumerate(axes):
         quiet(axis)
@@ -25,6 +26,7 @@ def draw_reliability(run: EvaluationRun) -> Figure:
             axis.plot(100 * promised, 100 * observed[:, state], marker=".", **styles[key])
         inside = 100 * scored[first].probability.coverage[1, state]
         axis.set_title(f"{STATES[state]}: {inside:.0f} % inside the 95 % interval", fontsize="medium")
+        _mark_95(axis, inside)
         axis.set_xlabel("promised [%]")
         axis.set_aspect("equal")
         axis.set(xlim=(0, 100), ylim=(0, 100))
@@ -34,6 +36,14 @@ def draw_reliability(run: EvaluationRun) -> Figure:
     count = scored[first].probability.count
     figure.suptitle(f"{_verdict(run, first)} ({count} test samples)")
     return figure
+
+
+def _mark_95(axis: Axes, inside: float) -> None:
+    """Show in the panel itself how far the 95 % interval is from what it promises."""
+    axis.plot([95, 95], [inside, 95], color=PALETTE[1], linewidth=3.0, solid_capstyle="butt")
+    told = f"95 % promised,\n{inside:.0f} % inside"
+    place = {"xytext": (97, 8), "ha": "right", "fontsize": "small", "color": PALETTE[1]}
+    axis.annotate(told, (95, inside), arrowprops={"arrowstyle": "-", "color": PALETTE[1], "lw": 0.8}, **place)
 
 
 def _verdict(run: EvaluationRun, key: tuple[str, str]) -> str:

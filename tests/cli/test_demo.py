@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -42,6 +43,15 @@ def test_the_pair_has_its_concealed_effect_named(diagnosed):
     # single track's number may lie a few per cent off; driving torque was left alone.
     assert finding["parameters"]["brake_gain"]["value"] == pytest.approx(0.85, abs=0.025)
     assert finding["parameters"]["drive_gain"]["value"] == pytest.approx(1.0, abs=0.015)
+
+
+def test_the_readme_quotes_what_the_demo_says(diagnosed):
+    """Its figures are the program's: every part of the quotation, between the omissions, is in the summary."""
+    readme = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
+    quoted = " ".join(line[2:] for line in readme.splitlines() if line.startswith("> "))
+    summary = json.loads((diagnosed / "diagnosis" / "diagnosis.json").read_text())["summary"]
+    parts = [part.strip() for part in quoted.split("[...]")]
+    assert len(parts) > 1 and all(part and part in summary for part in parts), summary
 
 
 def test_the_last_words_name_it_and_the_report(diagnosed):
