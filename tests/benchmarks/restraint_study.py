@@ -166,8 +166,8 @@ def natural_pairs(datasets: Path, folder: Path) -> Iterator[Pair]:
         yield from halves_of(f"DART, {name}", dart(name), str(DART_CAR), folder)
     for yaw_rate in ("can", "imu"):
         for first, second in KTH:
-            files = kth(first, yaw_rate), kth(second, yaw_rate)
-            yield Pair(f"KTH, {first} → {second}, yaw rate {yaw_rate}", *files, str(KTH_CAR))
+            parts = kth(first, yaw_rate), kth(second, yaw_rate)
+            yield Pair(f"KTH, {first} → {second}, yaw rate {yaw_rate}", *parts, str(KTH_CAR))
 
 
 def lines_of(pair: Pair, trust: list[float], rows: dict) -> list[str]:
