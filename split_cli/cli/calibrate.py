@@ -68,9 +68,9 @@ def command(files, start, output, parts, training_blocks, offsets, measured_ay, 
             figure, convert, kind, as_json) -> None:  # fmt: skip
     """Fit a vehicle file to gentle drives, or convert a foreign one.
 
-    Tyres come from the axles' lateral forces, drag and rolling resistance from the longitudinal balance. Told are
-    the error on held-out blocks of time, the slip angles covered, and how far apart equally good curves are; a
-    coefficient that the drives leave open keeps its given value.
+    Tyres come from the axles' lateral forces, drag and rolling resistance from the longitudinal balance. The
+    report holds the error on held-out blocks of time, the slip angles covered, and how far apart equally good
+    curves are; a coefficient that the drives leave open keeps its given value.
 
     \b
     Example:
