@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -163,6 +164,7 @@ def assemble_drive(
         warnings=(*warnings, *unusable, *(f"{n.where}: {n.count} x {n.what}" for n in recording.notes)),
     )
     paths = getattr(recording, "paths", (recording.path,))
+    quality = replace(quality, unverified=_unverified(recording.path, before))
     metadata = DriveMetadata(
         sources=tuple(
             Source(path.name if len(paths) > 1 else recording.name, sha256_of_file(path) if path.exists() else "")
@@ -177,6 +179,17 @@ def assemble_drive(
         between=_between(channels, made, columns),
     )
     return Assembled(replace(drive, metadata=metadata), quality)
+
+
+_WITH_CHECKSUMS = (".mcap", ".zstd")
+
+
+def _unverified(path: Path, before: DriveMetadata | None) -> str:
+    """Return what to say of a source without checksums; MCAP and drives of ours have them."""
+    if before is not None or not path.exists() or path.suffix.lower() in _WITH_CHECKSUMS or path.is_dir():
+        return ""
+    kind = path.suffix.lower().lstrip(".") or "this"
+    return f"a {kind} file has no checksums: a damaged number is seen only where it contradicts other channels"
 
 
 def _assumed_before(before: DriveMetadata | None) -> tuple[str, ...]:

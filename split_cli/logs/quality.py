@@ -84,6 +84,8 @@ class QualityReport:
     delays : tuple of DelayEstimate
         Estimated, whether applied or refused.
     assumed, contradictions, skipped, warnings : tuple of str
+    unverified : str
+        Why a bit that flipped in the source would go unnoticed; empty where checksums tell.
     """
 
     channels: tuple[ChannelQuality, ...]
@@ -98,6 +100,7 @@ class QualityReport:
     contradictions: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    unverified: str = ""
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the report as plain values for JSON; what is not finite becomes null."""
@@ -178,7 +181,7 @@ def render_quality(report: QualityReport) -> str:
         ("delays", [estimate.statement for estimate in report.delays]),
         ("does not fit together", [finding.text for finding in report.consistency.findings]),
         ("could not be judged", [f"{u.check}: {u.reason}" for u in report.consistency.unjudged]),
-        ("note", report.warnings),
+        ("note", [*report.warnings, *([report.unverified] if report.unverified else [])]),
     ):
         if entries:
             lines.append(f"{title}:")

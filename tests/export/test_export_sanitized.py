@@ -1,0 +1,85 @@
+"""The exported C under address and undefined-behaviour sanitizers at inputs of every kind, and under cppcheck."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from split_cli.errors import ExportError
+from split_cli.export.c_check import build_driver
+from tests.export.export_support import source_of, take_cells
+from tests.export.test_export_finite import fuzz
+
+SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+
+
+def hostile(asked: np.ndarray, real: str, seed: int = 2) -> np.ndarray:
+    """Return the arguments with a tenth of the numbers made NaN, infinite, subnormal or a border's neighbour."""
+    rng = np.random.default_rng(seed)
+    limits = np.finfo(np.float32 if real == "float" else np.float64)
+    kinds = np.array([np.nan, np.inf, -np.inf, float(limits.smallest_subnormal), -float(limits.tiny) / 4, -0.0])
+    spoiled = asked.copy()
+    chosen = rng.random(asked.shape) < 0.1
+    spoiled[chosen] = rng.choice(kinds, int(chosen.sum()))
+    return spoiled
+
+
+@pytest.fixture(scope="module", params=["double", "float"])
+def sanitized(request, small_set, compiler, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sanitized")
+    try:
+        source = source_of(take_cells(small_set, 60), request.param)
+        driver = build_driver(source, folder, compiler, SANITIZERS)
+        driver.answers(0, small_set.z[:1], 6)
+    except ExportError as error:
+        pytest.skip(f"the compiler has no sanitizers here: {error}")
+    return driver, request.param
+
+
+def test_predictions_at_any_input_touch_nothing_they_should_not(sanitized, small_set):
+    driver, real = sanitized
+    width = small_set.z.shape[1]
+    rng = np.random.default_rng(5)
+    edges = np.array(small_set.grid.edges)
+    # Points, and the borders of cells with their neighbours in floating point; then every size, then no numbers.
+    borders = np.round(small_set.z[:300] / edges) * edges
+    asked = [small_set.z[:300], borders, np.nextafter(borders, np.inf), np.nextafter(borders, -np.inf)]
+    asked.append(fuzz(1000, 13, real)[:, :width])
+    finite = np.concatenate(asked)
+    spoiled = hostile(np.concatenate([finite, rng.standard_normal((2000, width))]), real)
+    # Mean and variance, Jacobian, validity.
+    for what, answered in ((0, 6), (5, 3 * width), (11, 1)):
+        assert np.isfinite(driver.answers(what, finite, answered)).all()
+        driver.answers(what, spoiled, answered)
+
+
+def test_the_step_at_any_input(sanitized):
+    driver, real = sanitized
+    asked = fuzz(500, 13, real, seed=3)
+    for what, width in ((1, 8), (2, 8)):
+        driver.answers(what, hostile(asked, real), width)
+
+
+def test_the_sanitizer_sees_a_fault(small_set, compiler, tmp_path):
+    broken = tmp_path / "broken.c"
+    broken.write_text("int main(int n, char **v) { int a[2] = {0}; (void)v; return a[n + 4]; }\n")
+    done = subprocess.run([*compiler.command, *SANITIZERS, str(broken), "-o", str(tmp_path / "broken")],
+                          capture_output=True, check=False)  # fmt: skip
+    if done.returncode:
+        pytest.skip("the compiler has no sanitizers here")
+    assert subprocess.run([str(tmp_path / "broken")], capture_output=True, check=False).returncode != 0
+
+
+@pytest.mark.skipif(shutil.which("cppcheck") is None, reason="cppcheck is not installed (Debian: cppcheck)")
+def test_cppcheck_finds_nothing(small_set, tmp_path):
+    # The code is the same for any number of cells; the checker's time goes with the constants.
+    source = source_of(take_cells(small_set, 20), predictor="rbcm")
+    (tmp_path / "car.h").write_text(source.header)
+    (tmp_path / "car.c").write_text(source.source)
+    kinds = "--enable=warning,performance,portability"
+    command = ["cppcheck", "--std=c99", kinds, "--error-exitcode=1", "--quiet", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr[:2000]
