@@ -135,7 +135,10 @@ def _rivals_and_roads() -> list[Experiment]:
         own = TUNED["nominal" if learner == "none" else "split"]
         found.append(_race("limit", _with(learner, "limit"), learner, own, 0, "limit", laps=laps, **_SMALL))
         # Where the errors come from: the gentle file with its lags, and nothing else of the diagnosis.
-        found.append(_race("lags", _with(learner, "lags"), learner, own, 0, "lags", laps=laps, **_SMALL))
+        slow, few = CAREFUL if learner == "none" else LONG, min(laps, 2)
+        found.append(
+            _race("lags", _with(learner, "lags"), learner, slow, 0, "lags", laps=few, first=CAREFUL, **_SMALL)
+        )
         for group, grip in (("worn", 0.85), ("wet", 0.5)):
             model = "nominal" if learner == "none" else "split"
             tuned = CAREFUL if learner == "none" else LONG
