@@ -106,7 +106,7 @@ def _error_table(group: list[dict]) -> str:
     """
     last = {}
     for race in group:
-        laps = [lap for lap in race["result"]["laps"] if lap["time"] is not None and any(lap["motion_before"])]
+        laps = [lap for lap in race["result"]["laps"] if lap["time"] is not None and any(lap.get("motion_before", ()))]
         if laps:
             last[race["model"], race["settings"]["seed"]] = laps[-1]
     rows = []
