@@ -106,7 +106,8 @@ def _error_table(group: list[dict]) -> str:
     """
     last = {}
     for race in group:
-        laps = [lap for lap in race["result"]["laps"] if lap["time"] is not None and any(lap.get("motion_before", ()))]
+        finished = [lap for lap in race["result"]["laps"] if lap["time"] is not None]
+        laps = [lap for lap in finished if any(lap.get("motion_before", ()))]
         if laps:
             last[race["model"], race["settings"]["seed"]] = laps[-1]
     rows = []
