@@ -37,6 +37,7 @@ _KNOT = 0.2  # [s], between set points of the script
 _RUNS, _SECONDS = 9, 10.0
 _SIGMA = np.array([0.02, 0.02, 0.004])  # of v_x, v_y [m/s] and r [rad/s] for a full-size car
 _CARS = ("av21", "genesis", "tum_sim")
+_REACHED = 1.25  # by how much an effect may miss the bounds of its effect-to-noise ratio
 _DRAWS = 8  # of car and script, until the car does not spin
 _MOST_SIDEWAYS = 0.6  # lateral over longitudinal velocity; a car beyond it spins
 _ROUNDS = 4  # of the search for an effect's size
@@ -206,6 +207,9 @@ def _sized(vehicle: Vehicle, term: str, plan: CasePlan, rng: np.random.Generator
         if abs(np.log(found / target)) < 0.1:
             break
         size *= float(np.clip(target / found, 0.2, 5.0))
+    if not plan.low / _REACHED <= best[1] <= plan.high * _REACHED:
+        # Grip that a script does not use up may be any multiple of itself: another sign, car or script shows it.
+        raise SplitError(f"{term} cannot be made {plan.low:g} to {plan.high:g} times the noise")
     return best
 
 
