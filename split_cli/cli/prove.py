@@ -90,14 +90,23 @@ def score(folder, baselines, markdown, as_json) -> None:
         click.echo(f"case {name} could not be diagnosed: {failure}", err=True)
 
 
+def _numbers(text: str | None) -> list[float]:
+    try:
+        return [float(one) for one in text.split(",")] if text else []
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no list of numbers", param_hint="--multiples") from None
+
+
 @command.command("recording")
 @click.argument("drives", type=existing_file, nargs=-1, required=True)
 @click.option("--vehicle", "vehicle_path", type=existing_file, required=True, help="Vehicle YAML.")
 @click.option("-o", "--output", type=_folder, required=True, help="Folder to write into.")
 @click.option("--faults", help="Only these, separated by commas; a wrong name lists those there are.")
 @click.option("--block", type=float, default=10.0, show_default=True, help="Length of the blocks of time [s].")
+@click.option("--halves", is_flag=True, help="Deal first and second half instead of blocks.")
+@click.option("--multiples", help="Sizes over those promised for the pair without a fault, as 0.5,1,1.5.")
 @json_option
-def recording(drives, vehicle_path, output, faults, block, as_json) -> None:
+def recording(drives, vehicle_path, output, faults, block, halves, multiples, as_json) -> None:
     """Put known faults into real recordings, and see whether they are found.
 
     Blocks of time of a drive are dealt in turn: one half stays as it is and stands for the simulation, the other
@@ -106,8 +115,8 @@ def recording(drives, vehicle_path, output, faults, block, as_json) -> None:
     from split_cli.workflows.prove_recording import prove_recording
 
     rows = prove_recording(
-        drives, vehicle_path, output, only=faults.split(",") if faults else None, block=block,
-        report=_progress("faults"),
+        drives, vehicle_path, output, only=faults.split(",") if faults else None, block=block, halves=halves,
+        multiples=_numbers(multiples), report=_progress("faults"),
     )  # fmt: skip
     _tell_faults(rows, as_json)
 

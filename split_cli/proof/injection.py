@@ -6,16 +6,26 @@ faulty actuator would have needed to do just that is written in place of the one
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from split_cli.errors import DriveError, SplitError
 from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["FAULTS", "InjectedFault", "faults_for", "inject", "require_known", "split_in_blocks"]
+__all__ = [
+    "FAULTS",
+    "InjectedFault",
+    "faults_for",
+    "faults_of_sizes",
+    "inject",
+    "require_known",
+    "split_in_blocks",
+    "split_in_halves",
+]
 
 
 @dataclass(frozen=True)
@@ -77,6 +87,40 @@ def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None
                 parameters += (("brake_gain", value),)
             found.append(InjectedFault(name, term, parameters))
     return found
+
+
+def faults_of_sizes(
+    faults: Iterable[InjectedFault], promised: Mapping[str, float], factors: Sequence[float]
+) -> list[InjectedFault]:
+    """Return each kind of fault in multiples of the size from which on it is promised to be named.
+
+    Parameters
+    ----------
+    faults : iterable of InjectedFault
+        Of each kind one or more; those without a term are returned as they are.
+    promised : mapping of str to float
+        By term, the value of its first parameter; a term without one is left out.
+    factors : sequence of float
+        Multiples of what the fault does to the recording: of a gain, how far one over it lies from 1.
+    """
+    kinds = {fault.term: fault for fault in reversed(list(faults))}
+    found = [fault for term, fault in kinds.items() if not term]
+    for term, fault in reversed(kinds.items()):
+        if not term or term not in promised:
+            continue
+        (name, _), *_ = fault.parameters
+        neutral, value = CATALOGUE[term].neutral[name], promised[term]
+        for factor in factors:
+            ratio = neutral == 1.0
+            size = 1.0 / (1.0 + factor * (1.0 / value - 1.0)) if ratio else neutral + factor * (value - neutral)
+            found.append(replace(fault, parameters=tuple((each, size) for each, _ in fault.parameters)))
+    return found
+
+
+def split_in_halves(drive: Drive) -> tuple[Drive, Drive]:
+    """Return the first and the second half of the time of a drive."""
+    first = drive["t"] - drive["t"][0] < 0.5 * (drive["t"][-1] - drive["t"][0])
+    return drive.select(first), drive.select(~first)
 
 
 def require_known(names: Iterable[str], known: Collection[str]) -> None:

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from split_cli.diagnosis.statement.document import diagnosis_to_mapping
 from split_cli.errors import SplitError
 from split_cli.logs.drive import Drive, read_drive, write_drive
-from split_cli.proof.injection import InjectedFault, faults_for, inject, split_in_blocks
+from split_cli.proof.injection import (
+    InjectedFault,
+    faults_for,
+    faults_of_sizes,
+    inject,
+    split_in_blocks,
+    split_in_halves,
+)
 from split_cli.proof.outcome import Statement, judge
 from split_cli.proof.scoring import named_from, words_of
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
@@ -55,6 +63,8 @@ def prove_recording(
     *,
     only: Sequence[str] | None = None,
     block: float = 10.0,
+    halves: bool = False,
+    multiples: Sequence[float] = (),
     report: Callable[[int, int], None] | None = None,
 ) -> list[InjectionResult]:
     """Put faults into drives and diagnose each.
@@ -70,24 +80,45 @@ def prove_recording(
         Names of `injection.FAULTS`.
     block : float
         Length of the blocks of time that are dealt in turn to reference and fault [s].
+    halves : bool
+        Deal the first half of the time to the reference and the second to the fault instead.
+    multiples : sequence of float
+        Sizes of the faults as multiples of what the pair without a fault promises to name; else three fixed ones.
     """
     vehicle = read_vehicle(vehicle_path)
     output.mkdir(parents=True, exist_ok=True)
     # The vehicle may be one of the library's names; every pair is diagnosed with one file.
     write_vehicle(vehicle, output / "vehicle.yaml")
-    tasks = [(path, fault) for path in drives for fault in faults_for(read_drive(path), vehicle, only)]
     results = []
-    for number, (path, fault) in enumerate(tasks):
-        results.append(_one(Path(path), fault, number, output, block))
-        if report:
-            report(number + 1, len(tasks))
+    length = None if halves else block
+    for path in map(Path, drives):
+        clean, *faults = faults_for(read_drive(path), vehicle, only)
+        done = len(results)
+        results.append(_one(path, clean, done, output, length))
+        if multiples:
+            faults = faults_of_sizes(faults, _promised(output / f"{done + 1:03d}"), multiples)
+        for number, fault in enumerate(faults, start=1):
+            results.append(_one(path, fault, done + number, output, length))
+            if report:
+                report(number, len(faults))
     return results
 
 
-def _one(path: Path, fault: InjectedFault, number: int, output: Path, block: float) -> InjectionResult:
+def _promised(folder: Path) -> Mapping[str, float]:
+    """Return the sizes that a diagnosis promises to name, by term: the first parameter's."""
+    path = folder / "diagnosis" / "diagnosis.json"
+    told = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"detectable": []}
+    values = {one["term"]: [each["value"] for each in one["parameters"].values()] for one in told["detectable"]}
+    return {term: several[0] for term, several in values.items() if several and several[0] is not None}
+
+
+def _one(path: Path, fault: InjectedFault, number: int, output: Path, block: float | None) -> InjectionResult:
     drive = read_drive(path)
-    reference, _ = split_in_blocks(drive, block)
-    _, faulted = split_in_blocks(inject(drive, fault), block)
+
+    def dealt(one: Drive) -> tuple[Drive, Drive]:
+        return split_in_halves(one) if block is None else split_in_blocks(one, block)
+
+    reference, faulted = dealt(drive)[0], dealt(inject(drive, fault))[1]
     said, words = diagnose_pair(output / f"{number + 1:03d}", output / "vehicle.yaml", reference, faulted)
     return injection_result(path.name, fault.name, fault.term, fault.parameters, said, words)
 

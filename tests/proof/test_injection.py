@@ -7,7 +7,7 @@ import pytest
 
 from split_cli.errors import SplitError
 from split_cli.logs.drive import Drive, DriveMetadata
-from split_cli.proof.injection import FAULTS, faults_for, inject, split_in_blocks
+from split_cli.proof.injection import FAULTS, faults_for, faults_of_sizes, inject, split_in_blocks, split_in_halves
 from split_cli.proof.windows import window_errors
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
@@ -62,6 +62,23 @@ def test_blocks_share_no_sample_and_are_far_from_each_other(drive):
     assert not set(even["t"]) & set(odd["t"])
     assert len(even) + len(odd) == len(drive)
     assert len(even.segments()) == 6 and len(odd.segments()) == 6
+
+
+def test_sizes_are_multiples_of_what_a_fault_does(drive):
+    promised = {"steer_gain": 0.8, "steer_offset": 0.01, "drive_gain": 0.5}
+    found = faults_of_sizes(faults_for(drive, VEHICLE), promised, (1.0, 2.0))
+    sizes = {term: [f.value for f in found if f.term == term] for term in {f.term for f in found}}
+    # A command over 0.8 is a quarter more than it was; twice that is a half more.
+    assert sizes["steer_gain"] == pytest.approx([0.8, 1.0 / 1.5])
+    assert sizes["steer_offset"] == pytest.approx([0.01, 0.02])
+    # Nothing was promised of the others; the pair without a fault stays.
+    assert set(sizes) == {"", *promised}
+    assert all(dict(f.parameters)["brake_gain"] == f.value for f in found if f.term == "drive_gain")
+
+
+def test_halves_share_no_sample(drive):
+    first, second = split_in_halves(drive)
+    assert first["t"][-1] < second["t"][0] and len(first) + len(second) == len(drive)
 
 
 def test_unknown_faults_and_short_drives_are_refused(drive):

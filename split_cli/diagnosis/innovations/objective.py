@@ -197,9 +197,18 @@ class MarginalLikelihood:
         moved = [self._kinematic_rows(one, terms) - self._kinematic_rows(one, without) for one in self.kinematics]
         return max((float(np.sqrt(np.mean(rows**2))) for rows in moved if len(rows)), default=0.0)
 
+    def of_witnesses(self, rows: np.ndarray) -> np.ndarray:
+        """Return rows (R, ...) of what a recording knows twice, less the mean of each witness.
+
+        A bias of an accelerometer wanders, and a road that leans is one: only what varies tells an instrument.
+        """
+        sizes = [len(one.begin) for one in self.kinematics]
+        own = np.split(rows[len(rows) - sum(sizes) :], np.cumsum(sizes)[:-1]) if sizes else []
+        return np.concatenate([one - one.mean(axis=0) for one in own]) if own else rows[:0]
+
     def witnesses_cost(self, residuals: np.ndarray) -> float:
         """Return which part of a cost is that of what a recording knows twice; `residuals` has shape (R,)."""
-        own = residuals[len(residuals) - sum(len(one.begin) for one in self.kinematics) :]
+        own = self.of_witnesses(residuals)
         return float(own @ own)
 
     def shift(self, terms: Sequence[Term]) -> np.ndarray:

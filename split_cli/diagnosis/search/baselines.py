@@ -148,6 +148,9 @@ def _brings_back(again: SearchOutcome, marginalised: Selection, rules: Selection
     selection, objective = again.selection, again.structure.objective
     saved = selection.base.cost - selection.chosen.cost
     fair = saved > rules.fixed_share * selection.base.cost
+    if marginalised.terms and not any(map(alters_inputs, marginalised.terms)):
+        # That there is a difference is told already; which of two names it has, the surer one.
+        fair = fair or selection.first_p < min(rules.sure_level, marginalised.first_p)
     if selection.terms and all(term.corrects for term in selection.terms):
         before, after = (objective.witnesses_cost(fit.residuals) for fit in (selection.base, selection.chosen))
         fair = fair or before - after > rules.fixed_share * before

@@ -264,14 +264,14 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
     s = objective.places()
     lap = graded[0].series.lap_length
     terms = {offer.term: 0.0 for offer in offers}
-    witnessed, first = dict(terms), len(residuals) - int(windows.sum())
+    witnessed = dict(terms)
     for offer in offers:
         columns = objective.whiten(offer.columns[chosen])
         if offer.located:
             saved = _best_place(columns[:, 0], residuals, s, offer.located, lap)
         else:
             saved = _saving(columns, residuals)
-            alone = _saving(columns[first:], residuals[first:]) if first < len(residuals) else 0.0
+            alone = _saving(objective.of_witnesses(columns), objective.of_witnesses(residuals))
             witnessed[offer.term] = max(witnessed[offer.term], alone)
         terms[offer.term] = max(terms[offer.term], saved)
     # What the simulation lacks of reality's noise would have added its share.
