@@ -122,8 +122,8 @@ class MarginalLikelihood:
     unnamed_floor : float
         Cost that a flexible fit may save without a difference: what simulation shows against itself, see
         `calibration`.
-    term_floors, witness_floors : mapping of str to float
-        The same for terms, and for terms in what a recording knows twice.
+    term_floors : mapping of str to float
+        The same for terms.
     form_error_inflation : float
         By how much what no dictionary holds widens what a term saves by chance.
     fixed_baseline : bool
@@ -146,7 +146,6 @@ class MarginalLikelihood:
     kinematics: tuple[KinematicResiduals, ...] = ()
     unnamed_floor: float = 0.0
     term_floors: Mapping[str, float] = field(default_factory=dict)
-    witness_floors: Mapping[str, float] = field(default_factory=dict)
     form_error_inflation: float = 1.0
     fixed_baseline: bool = False
     policy: Policy = STANDARD

@@ -56,8 +56,6 @@ class SelfTest:
         Cost that each term saves alone, in its best variant, start and place.
     autocorrelation : float
         How much rows vary together, see `residual_autocorrelation`.
-    witnessed : mapping of str to float
-        Cost that each term saves alone of what a recording knows twice.
     """
 
     rows: int = 0
@@ -65,7 +63,6 @@ class SelfTest:
     unnamed: float = 0.0
     terms: Mapping[str, float] = field(default_factory=dict)
     autocorrelation: float = 1.0
-    witnessed: Mapping[str, float] = field(default_factory=dict)
 
     def allow(self, objective: MarginalLikelihood) -> MarginalLikelihood:
         """Return an objective that forgives as much, with a margin.
@@ -78,16 +75,14 @@ class SelfTest:
         rules = objective.policy.self_test
         rows = sum(int(mask.sum()) for mask in objective.keep)
         scale = float(np.sqrt(max(rows / self.rows, 1.0)))
-
-        def floors(saved: Mapping[str, float]) -> dict[str, float]:
-            least = rules.kindred * max(saved.values(), default=0.0)
-            return {term: rules.term_margin * scale * max(one, least) for term, one in saved.items()}
-
+        most = max(self.terms.values(), default=0.0)
         return replace(
             objective,
             unnamed_floor=rules.unnamed_margin * scale * self.unnamed,
-            term_floors=floors(self.terms),
-            witness_floors=floors(self.witnessed),
+            term_floors={
+                term: rules.term_margin * scale * max(saved, rules.kindred * most)
+                for term, saved in self.terms.items()
+            },
         )
 
     def form_error_inflation_of(self, gap: FlexibleFit, policy: Policy = STANDARD) -> float:
@@ -149,8 +144,8 @@ def self_test(
     sides = _Sides(
         tuple(graded), positions, rows, discrepancy, variance_inflation, reach, posterior is not None, policy
     )
-    first = _every_other_block(graded)
-    halves = [[mask ^ turned for mask in first] for turned in (False, True)]
+    dealings = (_every_other_block(graded), _first_half(graded))
+    halves = [[mask ^ turned for mask in first] for first in dealings for turned in (False, True)]
     tests = together(lambda teaching: _test_half(sides, teaching, offers), halves)
     tests = [test for test in tests if test is not None]
     if not tests:
@@ -162,7 +157,6 @@ def self_test(
         max(test.unnamed for test in tests),
         {term: max(test.terms[term] for test in tests) for term in names},
         max(test.autocorrelation for test in tests),
-        {term: max(test.witnessed[term] for test in tests) for term in names},
     )
 
 
@@ -171,7 +165,8 @@ def _every_other_block(graded: Sequence[Evidence]) -> list[np.ndarray]:
 
     Halves in blocks cover the same ground, as the two drives of a comparison do where rows are compared: the first
     and the second half of a ramp of speed do not. Blocks are as long as leaves eight of them, and no longer than
-    the longest: within a block, rows depend on each other.
+    the longest: within a block, rows depend on each other. What drifts, as the biases of instruments do, differs
+    between the first and the second half alone; so the recording is dealt both ways.
     """
     total = sum(len(one.at) for one in graded)
     length = int(np.clip(total // _LEAST_BLOCKS, 1, round(_LONGEST_BLOCK / ROW_SECONDS)))
@@ -179,6 +174,13 @@ def _every_other_block(graded: Sequence[Evidence]) -> list[np.ndarray]:
     return [
         (before + np.arange(len(one.at))) // length % 2 == 0 for before, one in zip(first, graded, strict=False)
     ]
+
+
+def _first_half(graded: Sequence[Evidence]) -> list[np.ndarray]:
+    """Return the rows in the first half of all driving time, of each recording, shape (G,)."""
+    total = sum(len(one.at) for one in graded)
+    first = np.cumsum([0, *(len(one.at) for one in graded)])
+    return [before + np.arange(len(one.at)) < total / 2 for before, one in zip(first, graded, strict=False)]
 
 
 @dataclass(frozen=True)
@@ -264,15 +266,12 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
     s = objective.places()
     lap = graded[0].series.lap_length
     terms = {offer.term: 0.0 for offer in offers}
-    witnessed = dict(terms)
     for offer in offers:
         columns = objective.whiten(offer.columns[chosen])
         if offer.located:
             saved = _best_place(columns[:, 0], residuals, s, offer.located, lap)
         else:
             saved = _saving(columns, residuals)
-            alone = _saving(objective.of_witnesses(columns), objective.of_witnesses(residuals))
-            witnessed[offer.term] = max(witnessed[offer.term], alone)
         terms[offer.term] = max(terms[offer.term], saved)
     # What the simulation lacks of reality's noise would have added its share.
     quiet = max(0.0, 1.0 - (float(residuals @ residuals) - fit.saved) / max(len(residuals) - fit.freedom, 1.0))
@@ -282,7 +281,6 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
         fit.saved,
         terms,
         residual_autocorrelation(structure, residuals).ratio,
-        witnessed,
     )
 
 

@@ -84,6 +84,12 @@ class Candidate:
 
         return any(ends(name, limit) for name, limit in self.ranges.items() if neutral.get(name) is not None)
 
+    def is_everyday(self, values: Mapping[str, float]) -> bool:
+        """Return whether no value lies beyond what any sound recording may have; most ranges allow for nothing."""
+        neutral = CATALOGUE[self.term].neutral
+        sizes = [name for name in self.ranges if neutral.get(name) is not None]
+        return all(abs(values[name] - neutral[name]) < self.ranges[name].everyday for name in sizes)
+
     def is_another(self, values: Mapping[str, float]) -> bool:
         """Return whether a value lies where the term is another one, which has a name of its own."""
         return any(

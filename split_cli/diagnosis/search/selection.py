@@ -240,11 +240,11 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
     objective, rules = explore.objective, explore.rules
     without = without_parts(objective, base, chosen)
     sure = [
-        term_p(objective, chosen, k, one.cost - chosen.cost, explore.variance_inflation, one)
-        * len(explore.candidates)
+        term_p(objective, chosen, k, one.cost - chosen.cost, explore.variance_inflation) * len(explore.candidates)
         < rules.level
         and is_spread(objective, chosen, k, one, rules)
         and not chosen.parts[k].candidate.at_limit(chosen.parts[k].values)
+        and not chosen.parts[k].candidate.is_everyday(chosen.parts[k].values)
         for k, one in enumerate(without)
     ]
     named = _believed_together(objective, chosen, without, sure, rules)
@@ -353,9 +353,11 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Selectio
             refused = fits[0]
             break
         label, saved = best.parts[-1].candidate.label, price_saved(best)
-        p_value = term_p(objective, best, len(best.parts) - 1, chosen.cost - best.cost, variance_inflation, chosen)
+        p_value = term_p(objective, best, len(best.parts) - 1, chosen.cost - best.cost, variance_inflation)
         p_value *= len(explore.candidates)
-        small, spread = p_value >= rules.level, is_spread(objective, best, len(best.parts) - 1, chosen, rules)
+        last = best.parts[-1]
+        small = p_value >= rules.level or last.candidate.is_everyday(last.values)
+        spread = is_spread(objective, best, len(best.parts) - 1, chosen, rules)
         first_p = min(first_p, p_value if spread else 1.0)
         if small or not spread:
             history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
@@ -466,6 +468,39 @@ def explaining_as_well(
     ]
 
 
+<<<<<<< HEAD
+=======
+def term_p(objective: MarginalLikelihood, fit: Fit, k: int, saved: float, variance_inflation: float) -> float:
+    """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
+    return p_of_effect(
+        objective, fit.parts[k].candidate, _over_allowance(objective, fit, k), saved, variance_inflation
+    )
+
+
+def p_of_effect(
+    objective: MarginalLikelihood, candidate: Candidate, size: float, saved: float, variance_inflation: float
+) -> float:
+    """Return the minimum-effect p value of a term of `size`, over what is allowed, that saves `saved`.
+
+    What model-form error may save counts twice, as what it is known to save and as what it adds to chance. A
+    term has to stand against each, so the larger of two is returned; both at once would count it double.
+    """
+    floor = max(
+        objective.policy.allowances.term_floor * objective.shared_cost,
+        objective.term_floors.get(candidate.effect, 0.0),
+    )
+
+    def p_value(freedom: float, widened: float, spared: float) -> float:
+        return minimum_effect_p(saved, freedom, size, widened, spared, allowance=1.0)
+
+    known = p_value(candidate.complexity, variance_inflation, floor)
+    if objective.form_error_inflation <= variance_inflation:
+        return known
+    searched = candidate.complexity + (objective.policy.selection.searched_places if candidate.located else 0.0)
+    return max(known, p_value(searched, objective.form_error_inflation, 0.0))
+
+
+>>>>>>> c7a45c2 (Clean halves of real recordings get no names: the self-test deals both ways, doubted physics needs the fixed baseline, an accelerometer's everyday bias is no fault)
 def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
     history = []
     while len(fit.parts) > 1:

@@ -21,6 +21,7 @@ __all__ = ["AccelerationBias", "ChannelDelay", "SpeedScale", "VelocityBias", "Ya
 _TURNED = "judgement: a mounting that is off by more than nine degrees is seen"
 _WANDER = "judgement: what turns by half a degree in a second is no sensor of a direction"
 _TILTED = "judgement: an accelerometer tilted by eleven degrees measures a fifth of gravity"
+_CROSSFALL = 0.025 * 9.81  # [m/s^2] gravity across a road that sheds water (AASHTO, 1.5 to 2.5 %): any road does
 _GYRO = "judgement: three degrees a second, beyond any gyroscope that was switched on at rest"
 _WORN = "judgement: wheels wear and gyroscopes age by a few per cent, 15 % is another unit"
 _UNALIGNED = "judgement: filters, buses and clocks that nobody aligned make a channel late by up to 0.6 s"
@@ -135,7 +136,7 @@ class AccelerationBias(_Instrument):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        limits = Range(-2.0, 2.0, 0.01, _TILTED)
+        limits = Range(-2.0, 2.0, 0.01, _TILTED, everyday=_CROSSFALL)
         names = cls.parameter_units(variant)
         return Search(dict.fromkeys(names, limits), (dict.fromkeys(names, 0.05),))
 

@@ -29,6 +29,8 @@ class Range:
         Whether the lower bound is where all there is has been taken off, so that a value there is sound.
     ends_as_another : bool
         Whether the term is another one at the lower bound, so that a value there is no explanation of its own.
+    everyday : float
+        Distance from no effect up to which any sound recording may have it, so that it is no fault, in its unit.
     """
 
     lower: float
@@ -37,6 +39,7 @@ class Range:
     source: str = ""
     ends_at_none: bool = False
     ends_as_another: bool = False
+    everyday: float = 0.0
 
     def times(self, size: float) -> Range:
         """Return the range in another unit."""
