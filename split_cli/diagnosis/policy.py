@@ -316,6 +316,12 @@ class SelfTestRules:
         1.5, "1", "by how much more reality has to show of a term, or of residual autocorrelation", CHOSEN
     )
     kindred: float = number(0.33, "1", "share of the largest term's saving that any term may show", CHOSEN)
+    blocks: int = number(
+        8, "blocks", "blocks of driving time at least that are dealt in turn", JUDGEMENT + "four to either side"
+    )
+    longest_block: float = number(
+        10.0, "s", "length of such a block at most", JUDGEMENT + "as `split prove recording` deals recordings"
+    )
 
 
 @dataclass(frozen=True)

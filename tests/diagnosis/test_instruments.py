@@ -11,11 +11,6 @@ from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.recording.witnesses import build_witnesses, habits_of
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.identifiable import identifiable
-<<<<<<< HEAD
-from split_cli.diagnosis.search.selection import nothing
-from split_cli.diagnosis.search.term_tests import term_p
-=======
->>>>>>> c7a45c2 (Clean halves of real recordings get no names: the self-test deals both ways, doubted physics needs the fixed baseline, an accelerometer's everyday bias is no fault)
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from tests.diagnosis.recordings import driven, noisy, prepared

@@ -71,7 +71,7 @@ BESIDE_THEIR_ALGORITHM = {
     "remainder/spectrum.py": {"_BACKGROUND"},
     "remainder/structure.py": {"_RIDGE_SHARE"},
     "remainder/autocorrelation.py": {"_NEAR_ROWS"},
-    "search/calibration.py": {"_BINS", "_WAVES", "_LEAST_BLOCKS", "_LONGEST_BLOCK"},
+    "search/calibration.py": {"_BINS", "_WAVES"},
     "search/candidates.py": {"_NEAR"},
     "search/fitting.py": {"_ITERATIONS", "_JOINT_ITERATIONS", "_REFRESHES"},
     "search/joint.py": {"_NEAR_NONE", "_NO_EFFECT", "_TRIED"},

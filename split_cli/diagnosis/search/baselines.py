@@ -111,7 +111,6 @@ def search_again(
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
     # What is small beside a name is model-form error here, and would share a delay's savings with its like.
     alone = replace(policy, selection=replace(policy.selection, most_nuisances=0))
-<<<<<<< HEAD
     return _search(replace(objective.with_fixed_baseline(), policy=alone), rows, wide, known)
 
 
@@ -119,26 +118,15 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     """Return what is believed of a search with a marginalised baseline and one with a fixed baseline.
 
     What the second brings back to where the simulation has been is believed; with the values of the first where
-    that named it, too. What the first names of inputs or sensors and the second does not confirm has no name.
+    that named it, too. What the first names in doubt and the second does not confirm has no name.
     """
     altering, kept = [alters_inputs(term) for term in first.selection.terms], first
     if _brings_back(again, first.selection, rules):
         confirmed = bool(altering) and _ids(first.selection) <= _ids(again.selection)
         kept = first if confirmed else again
-    elif any(altering):
+    elif altering:
         kept = replace(first, selection=_without_names(first.selection))
     return replace(kept, objectives=(first.structure.objective, again.structure.objective))
-=======
-    fixed = replace(objective.with_fixed_baseline(), policy=alone)
-    again = _search(fixed, rows, wide, known)
-    kept = outcome
-    if _brings_back(again, outcome.selection, policy.selection):
-        confirmed = bool(altering) and _ids(outcome.selection) <= _ids(again.selection)
-        kept = outcome if confirmed else again
-    elif altering:
-        kept = replace(outcome, selection=_without_names(outcome.selection))
-    return replace(kept, objectives=(outcome.structure.objective, again.structure.objective))
->>>>>>> c7a45c2 (Clean halves of real recordings get no names: the self-test deals both ways, doubted physics needs the fixed baseline, an accelerometer's everyday bias is no fault)
 
 
 def _ids(selection: Selection) -> set[str]:

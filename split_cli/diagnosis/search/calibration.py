@@ -22,7 +22,7 @@ from split_cli.diagnosis.innovations.objective import (
     build_objective,
     learn_discrepancy,
 )
-from split_cli.diagnosis.policy import STANDARD, Policy
+from split_cli.diagnosis.policy import STANDARD, Policy, SelfTestRules
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
@@ -36,8 +36,6 @@ __all__ = ["SelfTest", "self_test"]
 
 _BINS = 40
 _WAVES = 12
-_LEAST_BLOCKS = 8
-_LONGEST_BLOCK = 10.0  # [s], as `split prove recording` deals real recordings
 
 
 @dataclass(frozen=True)
@@ -144,7 +142,7 @@ def self_test(
     sides = _Sides(
         tuple(graded), positions, rows, discrepancy, variance_inflation, reach, posterior is not None, policy
     )
-    dealings = (_every_other_block(graded), _first_half(graded))
+    dealings = (_every_other_block(graded, policy.self_test), _first_half(graded))
     halves = [[mask ^ turned for mask in first] for first in dealings for turned in (False, True)]
     tests = together(lambda teaching: _test_half(sides, teaching, offers), halves)
     tests = [test for test in tests if test is not None]
@@ -160,7 +158,7 @@ def self_test(
     )
 
 
-def _every_other_block(graded: Sequence[Evidence]) -> list[np.ndarray]:
+def _every_other_block(graded: Sequence[Evidence], rules: SelfTestRules) -> list[np.ndarray]:
     """Return the rows in every other block of driving time, of each recording, shape (G,).
 
     Halves in blocks cover the same ground, as the two drives of a comparison do where rows are compared: the first
@@ -169,7 +167,7 @@ def _every_other_block(graded: Sequence[Evidence]) -> list[np.ndarray]:
     between the first and the second half alone; so the recording is dealt both ways.
     """
     total = sum(len(one.at) for one in graded)
-    length = int(np.clip(total // _LEAST_BLOCKS, 1, round(_LONGEST_BLOCK / ROW_SECONDS)))
+    length = int(np.clip(total // rules.blocks, 1, round(rules.longest_block / ROW_SECONDS)))
     first = np.cumsum([0, *(len(one.at) for one in graded)])
     return [
         (before + np.arange(len(one.at))) // length % 2 == 0 for before, one in zip(first, graded, strict=False)

@@ -468,39 +468,6 @@ def explaining_as_well(
     ]
 
 
-<<<<<<< HEAD
-=======
-def term_p(objective: MarginalLikelihood, fit: Fit, k: int, saved: float, variance_inflation: float) -> float:
-    """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
-    return p_of_effect(
-        objective, fit.parts[k].candidate, _over_allowance(objective, fit, k), saved, variance_inflation
-    )
-
-
-def p_of_effect(
-    objective: MarginalLikelihood, candidate: Candidate, size: float, saved: float, variance_inflation: float
-) -> float:
-    """Return the minimum-effect p value of a term of `size`, over what is allowed, that saves `saved`.
-
-    What model-form error may save counts twice, as what it is known to save and as what it adds to chance. A
-    term has to stand against each, so the larger of two is returned; both at once would count it double.
-    """
-    floor = max(
-        objective.policy.allowances.term_floor * objective.shared_cost,
-        objective.term_floors.get(candidate.effect, 0.0),
-    )
-
-    def p_value(freedom: float, widened: float, spared: float) -> float:
-        return minimum_effect_p(saved, freedom, size, widened, spared, allowance=1.0)
-
-    known = p_value(candidate.complexity, variance_inflation, floor)
-    if objective.form_error_inflation <= variance_inflation:
-        return known
-    searched = candidate.complexity + (objective.policy.selection.searched_places if candidate.located else 0.0)
-    return max(known, p_value(searched, objective.form_error_inflation, 0.0))
-
-
->>>>>>> c7a45c2 (Clean halves of real recordings get no names: the self-test deals both ways, doubted physics needs the fixed baseline, an accelerometer's everyday bias is no fault)
 def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
     history = []
     while len(fit.parts) > 1:

@@ -154,27 +154,10 @@ def part_over_allowance(objective: MarginalLikelihood, fit: Fit, k: int) -> floa
     return over_allowance(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 
-def term_p(
-    objective: MarginalLikelihood,
-    fit: Fit,
-    k: int,
-    saved: float,
-    variance_inflation: float,
-    without: Fit | None = None,
-) -> float:
-    """Return the minimum-effect p value of one part of an explanation that saves `saved`.
-
-    A sensor's fault, where the explanation `without` it is given, is also tested by its witnesses alone, which no
-    model-form error moves: the smaller p value, for two tests, is returned.
-    """
-    candidate, size = fit.parts[k].candidate, part_over_allowance(objective, fit, k)
-    p_value = p_of_effect(objective, candidate, size, saved, variance_inflation)
-    floor = objective.witness_floors.get(candidate.effect)
-    if without is None or floor is None or not fit.parts[k].term.corrects:
-        return p_value
-    told = objective.witnesses_cost(without.residuals) - objective.witnesses_cost(fit.residuals)
-    alone = minimum_effect_p(told, candidate.complexity, size, variance_inflation, floor, allowance=1.0)
-    return min(p_value, 2.0 * alone)
+def term_p(objective: MarginalLikelihood, fit: Fit, k: int, saved: float, variance_inflation: float) -> float:
+    """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
+    size = part_over_allowance(objective, fit, k)
+    return p_of_effect(objective, fit.parts[k].candidate, size, saved, variance_inflation)
 
 
 def p_of_effect(
