@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 # Errors that `mypy` finds with the settings of pyproject.toml, rounded up. Whoever mends some lowers the number.
-LEFT = {"signals": 0, "vehicle": 75, "learning": 85, "prediction": 75, "export": 85, "diagnosis": 0}
+LEFT = {"signals": 0, "vehicle": 70, "learning": 76, "prediction": 58, "export": 75, "diagnosis": 0}
 
 
 def test_there_are_no_more_type_errors_than_there_were():

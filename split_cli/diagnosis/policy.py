@@ -54,17 +54,15 @@ class ComparisonRules:
     reach: float = number(
         0.35, "1", "distance in scaled features up to which a real row lies where the simulation has been", CHOSEN
     )
+    far_reach: float = number(
+        0.7, "1", "the same distance where hardly any row is nearer", JUDGEMENT + "twice the usual reach"
+    )
     least_rows: int = number(
         250, "rows of 0.04 s", "evidence below which nothing is decided", JUDGEMENT + "ten seconds of driving"
     )
     least_share: float = number(
         0.1, "1", "compared share of the real drive below which what has no name is not decided", CHOSEN
     )
-
-    @property
-    def far_reach(self) -> float:
-        """The reach where hardly any row lies nearer [1]: twice the usual one."""
-        return 2.0 * self.reach
 
 
 @dataclass(frozen=True)
