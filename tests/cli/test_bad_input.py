@@ -347,8 +347,8 @@ def test_the_log_at_fault_and_its_damage_are_named(here):
         ("simulate", "--track", "small", "--laps", "nan", "-o", "x.csv"),
         ("ingest", "lap.csv", "-o", "o.parquet", "--gap", "nan"),
         ("ingest", "lap.csv", "-o", "o.parquet", "--rate", "1e9"),
-        ("verify", "d0.parquet"),
-        ("verify", "car.yaml"),
+        ("verify", "lap.csv"),
+        ("verify", "no_such_file.split"),
         ("info", "bad\udcff.csv"),
     ],
 )

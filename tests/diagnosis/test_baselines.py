@@ -127,27 +127,35 @@ def test_without_form_error_the_simulation_is_searched_with_a_marginalised_basel
 
 
 @pytest.mark.parametrize(
-    ("names", "left", "marginalised", "p_value", "expected"),
+    ("names", "left", "marginalised", "p_value", "marginalised_p", "expected"),
     [
-        (["steer_gain"], 700.0, [], 1e-3, True),
-        (["steer_gain"], 850.0, [], 1e-3, False),  # too small a share
-        (["tire_stiffness"], 100.0, [], 0.0, False),  # moves nothing back to where the simulation was
-        (["steer_gain", "tire_stiffness"], 100.0, [], 0.0, False),
-        (["tire_stiffness"], 100.0, ["steer_offset", "tire_stiffness"], 0.0, True),  # both readings choose it
-        (["tire_stiffness"], 850.0, ["tire_stiffness"], 0.0, False),
-        (["tire_stiffness"], 100.0, ["tire_stiffness"], 1e-3, False),  # not beyond doubt
-        ([], 100.0, ["tire_stiffness"], 0.0, False),
+        (["steer_gain"], 700.0, [], 1e-3, 0.0, True),
+        (["steer_gain"], 850.0, [], 1e-3, 0.0, False),  # too small a share
+        (["tire_stiffness"], 100.0, [], 0.0, 0.0, False),  # moves nothing back to where the simulation was
+        (["steer_gain", "tire_stiffness"], 100.0, [], 0.0, 0.0, False),
+        (["tire_stiffness"], 100.0, ["steer_offset", "tire_stiffness"], 0.0, 0.0, True),  # both readings choose it
+        (["tire_stiffness"], 850.0, ["tire_stiffness"], 0.0, 0.0, False),
+        (["tire_stiffness"], 100.0, ["tire_stiffness"], 1e-3, 0.0, False),  # not beyond doubt
+        (["steer_gain"], 850.0, ["tire_stiffness"], 0.0, 1e-3, True),  # doubted physics gives way to a sure fault
+        (["steer_gain"], 850.0, ["tire_stiffness"], 0.0, 0.0, False),  # physics that is as sure does not
+        (["steer_gain"], 850.0, ["steer_offset"], 0.0, 1e-3, False),  # nor does another fault of command or sensor
+        ([], 100.0, ["tire_stiffness"], 0.0, 0.0, False),
     ],
 )
-def test_what_is_believed_with_a_fixed_baseline(names, left, marginalised, p_value, expected):
+def test_what_is_believed_with_a_fixed_baseline(names, left, marginalised, p_value, marginalised_p, expected):
     def fit(cost: float, terms=()) -> SimpleNamespace:
         parts = tuple(SimpleNamespace(candidate=SimpleNamespace(term=one, variant="")) for one in terms)
         return SimpleNamespace(cost=cost, parts=parts, residuals=np.zeros(0))
 
-    terms = tuple(CATALOGUE[name](dict(CATALOGUE[name].neutral)) for name in names)
+    def neutral(names):
+        return tuple(CATALOGUE[name](dict(CATALOGUE[name].neutral)) for name in names)
+
+    terms = neutral(names)
     selection = SimpleNamespace(terms=terms, base=fit(1000.0), chosen=fit(left), first_p=p_value)
     silent = SimpleNamespace(objective=SimpleNamespace(witnesses_cost=lambda residuals: 0.0))
-    marginalised = SimpleNamespace(chosen=fit(900.0, marginalised))
+    marginalised = SimpleNamespace(
+        terms=neutral(marginalised), chosen=fit(900.0, marginalised), first_p=marginalised_p
+    )
     again = SimpleNamespace(selection=selection, structure=silent)
     assert _brings_back(again, marginalised, STANDARD.selection) is expected
 

@@ -356,11 +356,11 @@ def test_a_memory_that_no_step_can_keep_is_refused(effects, message):
 def test_the_controllers_interval_decides_how_many_past_commands_there_are(tmp_path):
     write_set(silent_set((effect("steer_delay"),)), tmp_path / "car.split")
     for step, past in ((0.02, 4), (0.08, 1), (0.1, 1), (None, 2)):
-        export_set(tmp_path / "car.split", tmp_path / "out", ["npz"], queries=100, step=step)
+        export_set(tmp_path / "car.split", tmp_path / "out", ["npz"], queries=100, step=step, insist=True)
         memory = json.loads((tmp_path / "out" / "manifest.json").read_text())["memory"]
         assert (memory["step"], len(memory["states"])) == (step or 0.05, past)
     with pytest.raises(ExportError, match="step of"):
-        export_set(tmp_path / "car.split", tmp_path / "out", ["npz"], queries=100, step=-0.02)
+        export_set(tmp_path / "car.split", tmp_path / "out", ["npz"], queries=100, step=-0.02, insist=True)
 
 
 def test_numbers_tell_of_the_memory_and_fit_their_schema(tmp_path):
