@@ -15,8 +15,7 @@ __all__ = ["command"]
 @vehicle_option()
 @click.option("--limit-vehicle", type=existing_file, metavar="FILE", help="Calibrated from tests near the limit.")
 @click.option("--physics-vehicle", type=existing_file, metavar="FILE", help="Corrected by split diagnose.")
-@click.option("--lags-vehicle", type=existing_file, metavar="FILE", help="The given one with lags."
-              )
+@click.option("--lags-vehicle", type=existing_file, metavar="FILE", help="The given one with lags.")
 @click.option("--only", multiple=True, metavar="NAME", help="Run those whose names begin so; repeatable.")
 @click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Fill this page's tables.")
 @output_option("Folder of results.")

@@ -14,6 +14,7 @@ __all__ = ["SLIP_ROWS", "Limits", "slip_limit", "slip_rows"]
 
 SLIP_ROWS = 5
 
+
 @dataclass(frozen=True)
 class Limits:
     """Bounds of the controller, narrower than the region in which samples are learned.

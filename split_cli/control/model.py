@@ -20,6 +20,7 @@ from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = ["ControlModel", "Linearization"]
 
+
 @dataclass(frozen=True)
 class Linearization:
     """The discrete model about N states and inputs, with n = 8 + S states.
@@ -86,9 +87,7 @@ class ControlModel:
     h B_d Phi g, the prediction that labels are made for (docs/nomenclature.md).
     """
 
-    def __init__(
-        self, vehicle: Vehicle, residual: Residual, step: float, *, compile_c: bool = True
-    ) -> None:
+    def __init__(self, vehicle: Vehicle, residual: Residual, step: float, *, compile_c: bool = True) -> None:
         self.vehicle, self.residual, self.step = vehicle, residual, step
         graph = build_nominal(SingleTrack(vehicle), Z2, step)
         where = f"vehicle {vehicle.name}, effects"

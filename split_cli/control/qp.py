@@ -18,7 +18,6 @@ from split_cli.control.policy import FEASIBLE, FREE, MAXIMUM_ITERATIONS, MODES
 __all__ = ["QPData", "QPSolution", "StageQP"]
 
 
-
 @dataclass(frozen=True)
 class QPData:
     """Numbers of one quadratic programme, with N stages, n states, m inputs, g softened rows.
@@ -236,9 +235,7 @@ class StageQP:
         p.lbx[self.u_at], p.ubx[self.u_at] = (np.clip(v, -FREE, FREE) for v in (d.u_lower, d.u_upper))
         p.lbx[self.s_at], p.ubx[self.s_at] = -FREE, FREE
 
-    def _satisfies(
-        self, d: QPData, whole: np.ndarray, x: np.ndarray, u: np.ndarray, slack: np.ndarray
-    ) -> bool:
+    def _satisfies(self, d: QPData, whole: np.ndarray, x: np.ndarray, u: np.ndarray, slack: np.ndarray) -> bool:
         if not np.isfinite(whole).all():
             return False
         before = np.concatenate([np.zeros((1, self.states)), x[:-1]])

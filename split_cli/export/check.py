@@ -169,9 +169,7 @@ def make_oracle(
     kernel = training_set.kernel
     error = max(
         float(np.max(np.abs(answered.mean - expected.mean[finite]) / reference.deviation, initial=0.0)),
-        float(
-            np.max(np.abs(answered.variance - expected.variance[finite]) / kernel.signal_variance, initial=0.0)
-        ),
+        float(np.max(np.abs(answered.variance - expected.variance[finite]) / kernel.signal_variance, initial=0.0)),
     )
     if not error <= TOLERANCE["double"]:
         raise ExportError(

@@ -232,9 +232,7 @@ def document_answer(document: Document) -> ExportAnswer:
     return ExportAnswer(predict)
 
 
-def _trusted(
-    a: dict[str, np.ndarray], mean: np.ndarray, variance: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _trusted(a: dict[str, np.ndarray], mean: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return a["trust"] * mean, a["trust"] ** 2 * variance + a["doubt"]
 
 

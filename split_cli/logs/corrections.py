@@ -30,9 +30,7 @@ _SIBLINGS = {
 _ANGLE_OF_RATE = {"deg/s": "deg", "rad/s": "rad", "deg": "deg/s", "rad": "rad/s"}
 
 
-def correct(
-    chosen: dict[str, Suggestion], trial: Trial
-) -> tuple[dict[str, Suggestion], Consistency]:
+def correct(chosen: dict[str, Suggestion], trial: Trial) -> tuple[dict[str, Suggestion], Consistency]:
     """Set units that nobody states, and signs, as the checks say, until they say nothing more."""
     verdict = trial.judge(chosen)
     for _ in range(4):

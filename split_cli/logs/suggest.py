@@ -83,8 +83,10 @@ def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehic
 
 def _is_bare_topic(info: RawChannelInfo, infos: Sequence[RawChannelInfo]) -> bool:
     """Whether a topic is listed without fields: its type is not defined."""
-    return "/" in info.type_name and not any(other.name.startswith(info.name + "/") for other in infos) and (
-        info.name.count("/") == 1
+    return (
+        "/" in info.type_name
+        and not any(other.name.startswith(info.name + "/") for other in infos)
+        and (info.name.count("/") == 1)
     )
 
 

@@ -162,7 +162,9 @@ MULTIBODY_FAULTS: tuple[MultiBodyFault, ...] = (
     _recorded("velocity moved", "sensor_lever_arm", "dx", 0.3),
     _recorded("clocks shifted", "sensor_delay", "delay", 0.03),
     MultiBodyFault(
-        "speed read 3 % high", "speed_scale", lambda car: (("scale", 1.03),),
+        "speed read 3 % high",
+        "speed_scale",
+        lambda car: (("scale", 1.03),),
         record=_column("vx", lambda vx: 1.03 * vx),
     ),
     MultiBodyFault(

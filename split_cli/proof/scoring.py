@@ -190,16 +190,36 @@ def _targets(scores: Sequence[CaseScore], coverage: Rate, median: float | None) 
 
     singles_wrong = rate("single", "wrong")
     sets = [score for score in scores if score.answer.kind.endswith("set")]
-    entries = [
-        ("sets: effects named, or in class", "at least 95 %", _recall(sets), 0.95, True),
-        ("sets: names that are none of theirs, of all named", "at most 2 %", _strangers_named(sets), 0.02, False),
-        ("sets complete", "at least 80 %", rate_of([s.outcome in ("exact", "class") for s in sets]), 0.80, True),
-    ] if sets else []
+    entries = (
+        [
+            ("sets: effects named, or in class", "at least 95 %", _recall(sets), 0.95, True),
+            (
+                "sets: names that are none of theirs, of all named",
+                "at most 2 %",
+                _strangers_named(sets),
+                0.02,
+                False,
+            ),
+            (
+                "sets complete",
+                "at least 80 %",
+                rate_of([s.outcome in ("exact", "class") for s in sets]),
+                0.80,
+                True,
+            ),
+        ]
+        if sets
+        else []
+    )
     whole = [score for score in scores if score.answer.kind == "whole-car"]
-    entries += [
-        ("whole cars: physics above 0.35 named, or in class", "at least 85 %", _recall(whole), 0.85, True),
-        ("whole cars: names of what is not there, of all named", "none", _strangers_named(whole), 0.0, False),
-    ] if whole else []
+    entries += (
+        [
+            ("whole cars: physics above 0.35 named, or in class", "at least 85 %", _recall(whole), 0.85, True),
+            ("whole cars: names of what is not there, of all named", "none", _strangers_named(whole), 0.0, False),
+        ]
+        if whole
+        else []
+    )
     entries += [
         ("nulls called a mismatch", "at most 2 %", rate("null", "wrong"), 0.02, False),
         ("singles named exactly, realistic", "at least 95 %", rate("single realistic", "exact"), 0.95, True),

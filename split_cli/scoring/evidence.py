@@ -89,6 +89,7 @@ class TrustEvidence:
 #: and wrong in a part of the driving. Means over the interval predicted.
 _CONDITIONS = ("torque rate", "steer rate", "speed", "lateral acceleration", "torque", "time", "drive")
 
+
 def held_out_evidence(
     drives: Sequence[TrainingDrive],
     empty: TrainingSet,

@@ -59,6 +59,7 @@ def estimate_trust(
     doubt = doubt_from(evidence, share, empty.kernel.noise_variance)
     return Trust(tuple(share.tolist()), "held-out", blocks, tuple(doubt.tolist()))
 
+
 def trust_from(evidence: Sequence[TrustEvidence]) -> np.ndarray:
     """Return the trust of each output that the evidence supports, shape (3,).
 

@@ -172,9 +172,7 @@ def _timing_table(races: list[dict]) -> str:
             middle, most, worst = (np.array([lap[name][k] for lap in laps]) for k in range(3))
             cells.append(f"{np.median(middle):.1f} / {most.max():.1f} / {worst.max():.1f}")
         rows.append([race["name"], *cells, str(sum(lap["failures"] for lap in laps))])
-    return _markdown(
-        ["race", "HPIPM ms", "whole step ms", "label and update ms", "failures"], rows
-    )
+    return _markdown(["race", "HPIPM ms", "whole step ms", "label and update ms", "failures"], rows)
 
 
 def _picture(race: dict, vehicle: Vehicle) -> RacePicture:

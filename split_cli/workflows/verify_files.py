@@ -232,4 +232,3 @@ def verify_drives_folder(folder: Path) -> tuple[VerifiedItem, ...]:
         bad = "; ".join(f"{i.check}: {i.detail}" for i in failed)
         items.append(item(name, not failed, "pages, ranges, clock and physics", bad))
     return tuple(items)
-

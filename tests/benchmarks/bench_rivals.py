@@ -422,6 +422,7 @@ def machine() -> dict:
 
 def table_text(rows: list[Row]) -> str:
     """Return the rows as a Markdown table; ratios are to the plain committee in C of the same size."""
+
     def cell(value: object) -> str:
         return "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
 

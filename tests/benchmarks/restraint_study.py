@@ -69,8 +69,16 @@ def main() -> None:
             made = Path(folder) / "a.split"
             split("train", str(pair.trains), "--vehicle", pair.vehicle, "--any-vehicle", "-o", str(made))
             report = json.loads(  # fmt: skip
-                split("evaluate", str(pair.judges), "--set", str(made), "--predictor", PREDICTOR,
-                      "--any-vehicle", "--json")
+                split(
+                    "evaluate",
+                    str(pair.judges),
+                    "--set",
+                    str(made),
+                    "--predictor",
+                    PREDICTOR,
+                    "--any-vehicle",
+                    "--json",
+                )
             )
             trust = report["sets"][0]["trust"]["share"]
             rows = {(c["name"], c["state"], c["horizon"]): c for c in report["comparisons"]}

@@ -137,7 +137,19 @@ def entries(draft: Draft) -> dict[str, str]:
 
 
 FOREIGN = {
-    "kth_s90/S90__038.VBO": {"vx", "vy", "r", "yaw", "ax", "ay", "X", "Y", "T", "throttle", "steering_wheel_angle"},
+    "kth_s90/S90__038.VBO": {
+        "vx",
+        "vy",
+        "r",
+        "yaw",
+        "ax",
+        "ay",
+        "X",
+        "Y",
+        "T",
+        "throttle",
+        "steering_wheel_angle",
+    },
     "genesis_slow/cpg_slow_lap.mat": {"vx", "vy", "r", "yaw", "ax", "ay", "X", "Y", "delta"},
     "av21_lvms/LVMS_23_01_04_B.csv": {"vx", "vy", "r", "yaw", "X", "Y", "delta", "throttle", "brake_pressure"},
     "tum_sim/data_to_run.csv": {"vx", "vy", "r", "ax", "ay", "delta", "T", "brake_pressure"},

@@ -128,9 +128,7 @@ def _seconds(clock: np.ndarray) -> np.ndarray:
     return np.round(time + 86400.0 * midnight, 6)
 
 
-def _without_stray_end(
-    signals: dict[str, RawSignal], path: Path, notes: list[ReadNote]
-) -> dict[str, RawSignal]:
+def _without_stray_end(signals: dict[str, RawSignal], path: Path, notes: list[ReadNote]) -> dict[str, RawSignal]:
     """Leave out a last row that the logger wrote long after the one before it, when recording had ended."""
     if "time" not in signals or len(signals["time"].values) < 20:
         return signals

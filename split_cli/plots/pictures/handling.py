@@ -64,5 +64,3 @@ def _understeer(shown: Sequence[tuple[Subject, Understeer]]) -> Chart:
     words = "; ".join(understeer_words(one.name, found) for one, found in shown)
     note = f"The slope is the understeer gradient, below {shown[0][1].limit:.1f} m/s²: {words}."
     return Chart("understeer", "Understeer gradient", "a_y [m/s²]", "alpha_f − alpha_r [rad]", tuple(series), note)
-
-

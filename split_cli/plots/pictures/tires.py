@@ -123,5 +123,3 @@ def _learned(
     _, half, _ = binned(x[mine], _TWO_SIDED_95 * deviation, width)
     name = f"{'with what was found' if found else 'vehicle file'} and {learned.name}"
     return ChartLine(name, centre, middle, "learned", low=middle - half, high=middle + half)
-
-

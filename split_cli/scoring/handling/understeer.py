@@ -141,9 +141,7 @@ class _Smooth:
         return out
 
 
-def _regress(
-    columns: np.ndarray, target: np.ndarray, block: np.ndarray
-) -> tuple[np.ndarray, tuple[float, float]]:
+def _regress(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
     """Return coefficients, and the 95 % interval of the first from a bootstrap over blocks of time."""
     _, number = np.unique(block, return_inverse=True)
     blocks, width = number.max() + 1, columns.shape[1]
