@@ -23,7 +23,7 @@ from split_cli.diagnosis.verdict.constancy import parameter_drifts
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["describe", "is_autocorrelated", "with_shares"]
+__all__ = ["describe", "is_apart_from_none", "is_autocorrelated", "with_shares"]
 
 _SHOWN_RIVALS = 6
 
@@ -77,12 +77,17 @@ def _told_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> s
 
 
 def _vague(selection: Selection, findings: Sequence[Finding], rules: Abstention) -> set[str]:
-    """Return terms that the data do not single out: many others do as well, or nothing tells where they act."""
+    """Return terms that the data do not single out.
+
+    Many others do as well, nothing tells where they act, or no parameter's interval leaves out no effect at all.
+    """
     ranges = {part.candidate.term: part.candidate.ranges for part in selection.chosen.parts}
     out = set()
     for one in findings:
         exact = exact_mimics(one.term, one.variant)
         if sum(name not in exact for name in one.alternatives) > rules.most_alternatives:
+            out.add(one.term)
+        if not is_apart_from_none(one):
             out.add(one.term)
         for name in ("s_start", "s_end"):
             if name in one.parameters:
@@ -90,6 +95,17 @@ def _vague(selection: Selection, findings: Sequence[Finding], rules: Abstention)
                 if high - low > rules.widest_place * ranges[one.term][name].upper:
                     out.add(one.term)
     return out
+
+
+def is_apart_from_none(finding: Finding) -> bool:
+    """Return whether some parameter's 95 % interval leaves out its neutral value, where the term does nothing."""
+    neutral = CATALOGUE[finding.term].neutral
+    told = [
+        not low <= neutral[name] <= high
+        for name, (low, high) in ((name, one.interval_95) for name, one in finding.parameters.items())
+        if name in neutral
+    ]
+    return any(told) or not told
 
 
 def _is_unexplained(
