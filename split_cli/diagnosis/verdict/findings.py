@@ -56,12 +56,14 @@ def describe(
         kept = {one.term for one in findings if one.gap_explained * explained > remainder.share}
         kept |= _told_by_witnesses(objective, selection)
     kept -= _vague(selection, findings, rules)
-    if len(kept) < len(findings):
+    while len(kept) < len(findings):
+        # Those that stay are fitted again without the others, and asked again.
         unexplained = True
         selection = _only(objective, selection, kept)
         left = residuals_beside_form_error(objective, selection.chosen)
         remainder = _remainder(structure, selection, variance_inflation, left)
         findings = _findings(objective, selection, remainder.share)
+        kept = {one.term for one in findings} - _vague(selection, findings, rules)
     return selection, findings, remainder, unexplained
 
 
