@@ -199,3 +199,15 @@ def test_form_error_widens_chance_and_systematic_error_by_its_root(drive):
 
 def test_no_parameters_no_estimates(nominal_objective):
     assert parameter_estimates(nominal_objective, nothing(nominal_objective)) == ()
+
+
+def test_an_interval_ends_where_no_real_car_lies_beyond(drive):
+    objective = noisy_objective(drive, 3)
+    fit = fitted(objective, "yaw_inertia", TRUTH)
+    physical = fit.parts[0].candidate.ranges["scale"]
+    (known,) = parameter_estimates(objective, fit)
+    assert physical.lower < known["scale"].interval_95[0] < known["scale"].interval_95[1] < physical.upper
+    # With noise that hides the car altogether the data say nothing, and what a car can have is what is left.
+    (unknown,) = parameter_estimates(objective, replace(fit, residuals=fit.residuals * 3000.0))
+    assert unknown["scale"].interval_95 == (physical.lower, physical.upper)
+    assert unknown["scale"].std_error > physical.upper - physical.lower

@@ -8,6 +8,7 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part
 from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.statement.result import ParameterEstimate
+from split_cli.vehicle.effects.search import Range
 
 __all__ = ["parameter_estimates"]
 
@@ -24,7 +25,8 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
     a bootstrap over blocks converges to, with the simulation's uncertainty inside J. Systematic error is added.
     Where model-form error widens what terms save, it widens both by its root: it acts alike in block after block.
     With a fixed baseline J knows nothing of the simulation's uncertainty; what was learned from a recording with
-    as much model-form error is as uncertain as what is found on this one.
+    as much model-form error is as uncertain as what is found on this one. Intervals end where no real car lies
+    beyond: a time constant is not negative, however little is known of it.
     """
     from scipy.stats import t as student
 
@@ -58,10 +60,17 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
                 rise = _CHI2_95 * max(float(np.max(variance / np.maximum(plain, 1e-300))), 1.0)
                 limits = _place_limits(objective, fit, k, name, rise)
                 error = (limits[1] - limits[0]) / (2.0 * wide)
-            residuals[name] = ParameterEstimate(value, error, unit, limits)
+            residuals[name] = ParameterEstimate(
+                value, error, unit, _possible(limits, value, part.candidate.ranges[name])
+            )
             column += 1
         out.append(residuals)
     return tuple(out)
+
+
+def _possible(limits: tuple[float, float], value: float, physical: Range) -> tuple[float, float]:
+    """Return what of an interval a real car can have; the value itself always stays inside."""
+    return min(value, max(limits[0], physical.lower)), max(value, min(limits[1], physical.upper))
 
 
 def _place_limits(objective: MarginalLikelihood, fit: Fit, k: int, name: str, rise: float) -> tuple[float, float]:
