@@ -9,7 +9,6 @@ import math
 import os
 import pty
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -41,6 +40,7 @@ from split_cli.workflows.report.page import report_page
 from split_cli.workflows.report.payload import chart_numbers, embedded_json
 from split_cli.workflows.report.sections import all_sections
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, readable
+from tests.browsers import headless
 
 HOSTILE = "</script><script>window.taken = 1</script><img src=x onerror='window.taken = 2'>\u202e\u2028&\".parquet"
 
@@ -246,31 +246,9 @@ def test_what_a_verdict_may_not_show():
     assert "No term of the catalogue earned its place." in exact
 
 
-def browser_tools():
-    try:
-        from selenium import webdriver
-    except ImportError:
-        pytest.skip("selenium is not installed: pip install 'split-cli[test]'")
-    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not chromium or not chromedriver:
-        pytest.skip("no chromium with chromedriver on the path: apt-get install chromium chromium-driver")
-    return webdriver, chromium, chromedriver
-
-
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    webdriver, chromium, chromedriver = browser_tools()
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for flag in (
-        "headless", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "disable-background-networking",
-        "disable-component-update", "disable-sync", f"user-data-dir={tmp_path_factory.mktemp('profile')}",
-    ):  # fmt: skip
-        options.add_argument(f"--{flag}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver))
-    yield driver
-    driver.quit()
+    yield from headless(tmp_path_factory.mktemp("profile"))
 
 
 def opened(browser, page: str | Path, folder: Path, width: int = 1180) -> None:
