@@ -5,38 +5,53 @@
     python -m tests.studies.policy FOLDER -o rows.csv --table docs/decisions/0031-sensitivity-of-the-policy.md
 
 Rows that are in the file already are not computed again. What counts as a change: another verdict, other names or
-another word about what has no name (a decision), or values that move by more than a tenth of their standard error.
+another word about what has no name (a decision); values that move by more than a tenth of their standard error; or
+anything else that `diagnosis.json` tells. "Never turned": no comparison came out otherwise (`probing.py`).
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.policy import STANDARD, Policy, deciding_numbers
+from split_cli.diagnosis.statement.document import diagnosis_to_text
 from split_cli.diagnosis.together import use_threads
 from split_cli.errors import SplitError
 from split_cli.logs.drive import read_drive
 from split_cli.vehicle.parameters import read_vehicle
+from tests.studies.probing import outcomes
 
 FACTORS = (0.5, 2.0)
-COLUMNS = ("group", "number", "factor", "case", "outcome", "values")
 MOVED = 0.1  # standard errors
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a diagnosis said: `outcome` in words, and value and standard error of every parameter by name."""
+    """What a diagnosis said.
 
-    outcome: str
+    Attributes
+    ----------
+    decision : str
+        Verdict, names, and the word about what has no name.
+    values : dict of str to (float, float)
+        Value and standard error of every parameter, by name.
+    document : str
+        Digest of all of `diagnosis.json` but its settings: places, intervals, alternatives, shares, leads.
+    """
+
+    decision: str
     values: dict[str, tuple[float, float]]
+    document: str
 
 
 def outcome_of(folder: Path, policy: Policy) -> Outcome:
@@ -46,47 +61,64 @@ def outcome_of(folder: Path, policy: Policy) -> Outcome:
     try:
         told = diagnose([read_drive(folder / "real.parquet")], vehicle, simulated, policy=policy)
     except (SplitError, ArithmeticError, ValueError, IndexError) as error:
-        return Outcome(f"error: {type(error).__name__}", {})
+        return Outcome(f"error: {type(error).__name__}", {}, "")
     names = sorted(finding.term for finding in told.findings)
     values = {
-        f"{finding.term}.{name}": (one.value, one.std_error or 0.0)
+        f"{finding.term}.{name}": (float(one.value), float(one.std_error or 0.0))
         for finding in told.findings
         for name, one in finding.parameters.items()
     }
     rest = " and something without a name" if told.unexplained else ""
-    return Outcome(f"{told.verdict}: {', '.join(names) or 'nothing'}{rest}", values)
+    text = diagnosis_to_text(replace(told, settings={}))
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return Outcome(f"{told.verdict}: {', '.join(names) or 'nothing'}{rest}", values, digest)
 
 
-def altered(group: str, name: str, factor: float) -> Policy:
-    """Return the standard policy with one number times a factor; counts stay whole and at least 1."""
-    value = getattr(getattr(STANDARD, group), name)
-    changed = max(1, round(factor * value)) if isinstance(value, int) else factor * value
-    return STANDARD.altered(group, **{name: changed})
+def altered(value: float, factor: float) -> float:
+    """Return a number times a factor; counts stay whole and at least 1."""
+    return max(1, round(factor * value)) if isinstance(value, int) else factor * value
 
 
-def runs(groups: Sequence[str], cases: Sequence[int]) -> Iterator[tuple[str, str, float, int]]:
-    """Yield what is to be run: the standard first, then one number after another."""
-    for case in cases:
-        yield "standard", "", 1.0, case
-    for case in cases:
-        for group, one, _ in deciding_numbers():
-            if group in groups:
-                for factor in FACTORS:
-                    yield group, one.name, factor, case
+def with_numbers(numbers: dict[str, Any]) -> Policy:
+    """Return the standard policy with other numbers, each by the name `group.number`."""
+    policy = STANDARD
+    for name, value in numbers.items():
+        group, _, one = name.partition(".")
+        policy = policy.altered(group, **{one: value})
+    return policy
 
 
 def study(folder: Path, groups: Sequence[str], cases: Sequence[int], rows: Path) -> None:
-    """Run what is not in the file of rows yet, and add to it row by row."""
+    """Run what is not in the file of rows yet, and add to it row by row, each as soon as it is known."""
     done = {tuple(row[:4]) for row in read_rows(rows)}
     with rows.open("a", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        for group, name, factor, case in runs(groups, cases):
-            if (group, name, str(factor), str(case)) in done:
-                continue
-            policy = STANDARD if group == "standard" else altered(group, name, factor)
-            found = outcome_of(folder / "cases" / f"{case:04d}", policy)
-            writer.writerow([group, name, factor, case, found.outcome, json.dumps(found.values)])
+
+        def add(group: str, number: str, factor: float, case: int, outcome: Outcome, how: str) -> None:
+            values = json.dumps(outcome.values)
+            writer.writerow([group, number, factor, case, outcome.decision, values, outcome.document, how])
             file.flush()
+
+        for case in cases:
+            numbers = {
+                f"{group}.{one.name}": {1.0: value, **{factor: altered(value, factor) for factor in left}}
+                for group, one, value in deciding_numbers()
+                if group in groups
+                and (left := [f for f in FACTORS if (group, one.name, str(f), str(case)) not in done])
+            }
+            if not numbers:
+                continue
+            standard, turned = outcomes(
+                lambda numbers, case=case: outcome_of(folder / "cases" / f"{case:04d}", with_numbers(numbers)),
+                numbers,
+                lambda name, factor, outcome, case=case: add(*name.split("."), factor, case, outcome, "run"),
+            )
+            for name, values in numbers.items():
+                for factor in values:
+                    if factor != 1.0 and (name, factor) not in turned:
+                        add(*name.split("."), factor, case, standard, "never turned")
+            if ("standard", "", "1.0", str(case)) not in done:
+                add("standard", "", 1.0, case, standard, "run")
 
 
 def read_rows(path: Path) -> list[list[str]]:
@@ -122,7 +154,10 @@ def table(rows: list[list[str]]) -> str:
             most = max(largest_move(json.loads(standard[row[3]][5]), json.loads(row[5])) for row in mine)
             words = [f"{len(other)} of {len(mine)} decisions"] if other else []
             words += [f"values by {most:.1f} s.e."] if most > MOVED else []
-            cells.append(", ".join(words) or f"nothing in {len(mine)}")
+            told = sum(row[6] != standard[row[3]][6] for row in mine) - len(other)
+            words += [f"something else told in {told}"] if told > 0 and not words else []
+            turned = any(row[7] == "run" for row in mine)
+            cells.append(", ".join(words) or f"{'nothing' if turned else 'never turned'} in {len(mine)}")
             moved = moved or bool(words)
         still += "not run" not in cells and not moved
         origin = one.metadata["origin"].partition(":")[0]
