@@ -9,7 +9,7 @@ import pytest
 
 from split_cli.diagnosis.policy import STANDARD, deciding_numbers
 from tests.studies.policy import altered, with_numbers
-from tests.studies.probing import outcomes
+from tests.studies.probing import outcomes, turned
 
 VALUES = np.linspace(0.0, 3.0, 61)
 NUMBERS = {"level": 1.0, "margin": 2.0, "count": 3, "share": 0.25, "unread": 5.0, "slack": 1e-9, "small": 0.1}
@@ -63,3 +63,17 @@ def test_numbers_are_altered_by_name_and_counts_stay_whole():
     other = with_numbers({f"{group}.{one.name}": 2.0 * value})
     assert getattr(getattr(other, group), one.name) == 2.0 * value
     assert other.altered(group, **{one.name: value}) == STANDARD
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_survey_names_what_may_matter_and_misses_nothing_that_does():
+    numbers = {name: {k: altered(value, k) for k in (1.0, 0.5, 2.0)} for name, value in NUMBERS.items()}
+    plain, differ = turned(procedure, numbers)
+    assert plain == procedure(NUMBERS)
+    changing = {
+        (name, factor)
+        for name, values in numbers.items()
+        for factor in (0.5, 2.0)
+        if procedure({**NUMBERS, name: values[factor]}) != plain
+    }
+    assert changing <= differ and not {name for name, _ in differ} & {"unread", "slack", "small"}

@@ -29,9 +29,10 @@ from split_cli.diagnosis.together import use_threads
 from split_cli.errors import SplitError
 from split_cli.logs.drive import read_drive
 from split_cli.vehicle.parameters import read_vehicle
-from tests.studies.probing import outcomes
+from tests.studies.probing import outcomes, turned
 
 FACTORS = (0.5, 2.0)
+RUN, NEVER_TURNED, TURNED = "run", "never turned", "turned"  # how a row is known; the last has no outcome yet
 MOVED = 0.1  # standard errors
 
 
@@ -88,9 +89,12 @@ def with_numbers(numbers: dict[str, Any]) -> Policy:
     return policy
 
 
-def study(folder: Path, groups: Sequence[str], cases: Sequence[int], rows: Path) -> None:
-    """Run what is not in the file of rows yet, and add to it row by row, each as soon as it is known."""
-    done = {tuple(row[:4]) for row in read_rows(rows)}
+def study(folder: Path, groups: Sequence[str], cases: Sequence[int], rows: Path, follow: bool = True) -> None:
+    """Run what is not in the file of rows yet, and add to it row by row, each as soon as it is known.
+
+    Without `follow` a case is diagnosed once: what turns nothing is known then, and all else is left open.
+    """
+    done = {tuple(row[:4]) for row in read_rows(rows) if row[7] != TURNED or not follow}
     with rows.open("a", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
 
@@ -108,17 +112,25 @@ def study(folder: Path, groups: Sequence[str], cases: Sequence[int], rows: Path)
             }
             if not numbers:
                 continue
-            standard, turned = outcomes(
-                lambda numbers, case=case: outcome_of(folder / "cases" / f"{case:04d}", with_numbers(numbers)),
-                numbers,
-                lambda name, factor, outcome, case=case: add(*name.split("."), factor, case, outcome, "run"),
-            )
+
+            def diagnosed(numbers: dict[str, Any], case: int = case) -> Outcome:
+                return outcome_of(folder / "cases" / f"{case:04d}", with_numbers(numbers))
+
+            def told(name: str, factor: float, outcome: Outcome, case: int = case) -> None:
+                add(*name.split("."), factor, case, outcome, RUN)
+
+            if follow:
+                standard, differ = outcomes(diagnosed, numbers, told)
+            else:
+                standard, differ = turned(diagnosed, numbers)
             for name, values in numbers.items():
                 for factor in values:
-                    if factor != 1.0 and (name, factor) not in turned:
-                        add(*name.split("."), factor, case, standard, "never turned")
+                    if factor != 1.0 and (name, factor) not in differ:
+                        add(*name.split("."), factor, case, standard, NEVER_TURNED)
+                    elif factor != 1.0 and not follow:
+                        add(*name.split("."), factor, case, Outcome("", {}, ""), TURNED)
             if ("standard", "", "1.0", str(case)) not in done:
-                add("standard", "", 1.0, case, standard, "run")
+                add("standard", "", 1.0, case, standard, RUN)
 
 
 def read_rows(path: Path) -> list[list[str]]:
@@ -135,45 +147,46 @@ def largest_move(old: dict[str, list[float]], new: dict[str, list[float]]) -> fl
     return max(moves, default=0.0)
 
 
+def told_of(rows: list[list[str]], standard: dict[str, list[str]]) -> tuple[str, bool]:
+    """Return what an altered number changes in words, and whether it changes something."""
+    known = [row for row in rows if row[7] != TURNED and row[3] in standard]
+    run = [row for row in known if row[7] == RUN]
+    other = [row for row in run if row[4] != standard[row[3]][4]]
+    most = max((largest_move(json.loads(standard[row[3]][5]), json.loads(row[5])) for row in run), default=0.0)
+    elsewhere = sum(row[6] != standard[row[3]][6] for row in run) - len(other)
+    words = [f"{len(other)} of {len(run)} decisions"] if other else []
+    words += [f"values by {most:.1f} s.e."] if most > MOVED else []
+    words += [f"something else told in {elsewhere}"] if elsewhere > 0 and not words else []
+    open_cases = len({row[3] for row in rows} - {row[3] for row in known})
+    said = ", ".join(words) or (f"nothing in {len(run)}" if run else "")
+    still = len(known) - len(run)
+    parts = [said, f"not turned in {still}" if still else "", f"open in {open_cases}" if open_cases else ""]
+    return "; ".join(filter(None, parts)) or "not run", bool(words)
+
+
 def table(rows: list[list[str]]) -> str:
     """Return what changes as a Markdown table, one line a number."""
     standard = {row[3]: row for row in rows if row[0] == "standard"}
     lines = ["| number | value | origin | halved | doubled |", "|---|---|---|---|---|"]
-    still = run = 0
+    never, still, run = 0, 0, 0
     for group, one, value in deciding_numbers():
-        cells, moved, unit = [], False, one.metadata["unit"].removesuffix("1")
-        if not any(row[:2] == [group, one.name] for row in rows):
+        mine = [row for row in rows if row[:2] == [group, one.name]]
+        if not mine:
             continue
         run += 1
-        for factor in FACTORS:
-            mine = [row for row in rows if row[:3] == [group, one.name, str(factor)] and row[3] in standard]
-            if not mine:
-                cells.append("not run")
-                continue
-            other = [row for row in mine if row[4] != standard[row[3]][4]]
-            most = max(largest_move(json.loads(standard[row[3]][5]), json.loads(row[5])) for row in mine)
-            words = [f"{len(other)} of {len(mine)} decisions"] if other else []
-            words += [f"values by {most:.1f} s.e."] if most > MOVED else []
-            told = sum(row[6] != standard[row[3]][6] for row in mine) - len(other)
-            words += [f"something else told in {told}"] if told > 0 and not words else []
-            turned = any(row[7] == "run" for row in mine)
-            cells.append(", ".join(words) or f"{'nothing' if turned else 'never turned'} in {len(mine)}")
-            moved = moved or bool(words)
-        still += "not run" not in cells and not moved
-        origin = one.metadata["origin"].partition(":")[0]
-        lines.append(f"| `{group}.{one.name}` | {value:g} {unit} | {origin} | {' | '.join(cells)} |")
-    said = [f"- case {case}: {row[4]}" for case, row in sorted(standard.items(), key=lambda pair: int(pair[0]))]
+        cells = [told_of([row for row in mine if row[2] == str(factor)], standard) for factor in FACTORS]
+        never += all(row[7] == NEVER_TURNED for row in mine)
+        still += not any(changes for _, changes in cells) and not all(row[7] == NEVER_TURNED for row in mine)
+        origin, unit = one.metadata["origin"].partition(":")[0], one.metadata["unit"].removesuffix("1")
+        said = " | ".join(words for words, _ in cells)
+        lines.append(f"| `{group}.{one.name}` | {value:g} {unit} | {origin} | {said} |")
+    cases = [f"- case {case}: {row[4]}" for case, row in sorted(standard.items(), key=lambda pair: int(pair[0]))]
     total = sum(1 for _ in deciding_numbers())
-    return "\n".join(
-        [
-            "\n".join(said),
-            "",
-            f"Of {total} numbers {run} were run; {still} of these change nothing here.",
-            "",
-            *lines,
-            "",
-        ]
+    count = (
+        f"Of {total} numbers {run} were asked about. {never} never turned a comparison in these cases; "
+        f"{still} more did, and where they were followed to the end nothing changed."
     )
+    return "\n".join(["\n".join(cases), "", count, "", *lines, ""])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -183,12 +196,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, help="what `split prove generate` wrote")
     parser.add_argument("--cases", type=int, nargs="*", default=[])
     parser.add_argument("--groups", nargs="+", choices=names, default=names)
+    parser.add_argument("--survey", action="store_true", help="one diagnosis a case: which numbers turn anything")
     parser.add_argument("-o", "--rows", type=Path, required=True, help="file the rows are kept in")
     parser.add_argument("--table", type=Path, help="page whose part after its line of dashes is written anew")
     asked = parser.parse_args(arguments)
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     use_threads(1)
-    study(asked.folder, asked.groups, asked.cases, asked.rows)
+    study(asked.folder, asked.groups, asked.cases, asked.rows, not asked.survey)
     text = table(read_rows(asked.rows))
     if asked.table:
         before = asked.table.read_text(encoding="utf-8").partition("\n---\n")[0]

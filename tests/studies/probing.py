@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Probe", "outcomes"]
+__all__ = ["Probe", "outcomes", "turned"]
 
 _Key = tuple[str, float]
 
@@ -28,14 +28,18 @@ _Key = tuple[str, float]
 class _Run:
     """One run of a procedure: which alterations ride along, and which one this process has taken."""
 
-    def __init__(self, wanted: set[_Key], save: Callable[[_Key, int], None]) -> None:
+    def __init__(self, wanted: set[_Key], save: Callable[[_Key, int], None] | None) -> None:
         self.riding, self.taken, self.save = set(wanted), None, save
+        self.turned: set[_Key] = set()
 
     def part(self, name: str, factor: float) -> bool:
         """Fork for an alteration that makes a difference; True in the child, where it is what happens."""
         if self.taken is not None or (name, factor) not in self.riding:
             return False
         self.riding.discard((name, factor))
+        self.turned.add((name, factor))
+        if self.save is None:
+            return False
         child = os.fork()
         if child == 0:
             self.taken = (name, factor)
@@ -143,6 +147,18 @@ for _name, _function in (("neg", operator.neg), ("pos", operator.pos), ("abs", a
     setattr(Probe, f"__{_name}__", _computing(_function))
 for _name in ("floor", "ceil", "trunc"):
     setattr(Probe, f"__{_name}__", _computing(getattr(math, _name)))
+
+
+def turned(
+    procedure: Callable[[dict[str, Any]], Any], numbers: Mapping[str, Mapping[float, Any]]
+) -> tuple[Any, set[_Key]]:
+    """Run a procedure once; return its outcome and the alterations that would have changed something on the way.
+
+    Any other alteration changes nothing. Arguments are those of `outcomes`.
+    """
+    wanted = {(name, factor) for name, values in numbers.items() for factor in values if factor != 1.0}
+    run = _Run(wanted, None)
+    return procedure({name: Probe(run, name, values) for name, values in numbers.items()}), run.turned
 
 
 def _alike(a: Any, b: Any) -> bool:
