@@ -36,6 +36,10 @@ LAYERS = {
 }
 # The rooms of the diagnosis, from the ground up: `engine.py` on top, `policy.py` and `together.py` below all.
 ROOMS = ("statement", "recording", "baseline", "innovations", "remainder", "search", "verdict", "engine")
+# The rooms of other layers, from the ground up; files beside them are the ground, which imports no room.
+ROOMS_OF = {
+    "logs": ("readers", "checking", "assembling", "drafting"),
+}
 # diagnosis may see neither the plant that makes test recordings nor the proof that conceals them (one number, so
 # neither may import the other), and the plant nothing but the ground.
 PLANT_MAY_IMPORT = {"plant", "signals", "files", "errors"}
@@ -137,6 +141,20 @@ def test_no_import_points_upward():
     assert not wrong, "\n".join(wrong)
 
 
+def upward_between_rooms(found: Import) -> bool:
+    """Tell whether an import inside a layer with rooms points to a higher room than its own."""
+    here, there = found.file.split("/"), found.module.split(".")
+    rooms = ROOMS_OF.get(here[0], ())
+    if there[:2] != ["split_cli", here[0]] or len(there) < 3 or there[2] not in rooms:
+        return False
+    return here[1] not in rooms or rooms.index(there[2]) > rooms.index(here[1])
+
+
+def test_rooms_of_every_layer_import_one_way():
+    wrong = [f"{found.place} imports {found.module}" for found in ALL if upward_between_rooms(found)]
+    assert not wrong, "\n".join(wrong)
+
+
 def upward_in_diagnosis(found: Import) -> bool:
     """Tell whether an import inside the diagnosis points to its own or a higher room from a lower one."""
     here, there = found.file.split("/"), found.module.split(".")
@@ -155,9 +173,12 @@ def test_rooms_of_the_diagnosis_import_one_way():
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize("room", ROOMS[:-1])
+@pytest.mark.parametrize(
+    "room",
+    [f"diagnosis/{one}" for one in ROOMS[:-1]] + [f"{a}/{one}" for a, rooms in ROOMS_OF.items() for one in rooms],
+)
 def test_a_room_says_in_two_lines_what_lives_there(room):
-    text = ast.get_docstring(ast.parse(SOURCES[f"diagnosis/{room}/__init__.py"]))
+    text = ast.get_docstring(ast.parse(SOURCES[f"{room}/__init__.py"]))
     first, blank, second = text.split("\n")
     assert first.endswith(".") and not blank and second.startswith("May import: ")
 
@@ -242,7 +263,11 @@ def test_the_reader_of_arrows_sees_an_upward_one(file, text, expected):
         ("diagnosis/verdict/findings.py", "from split_cli.diagnosis.search.fitting import Fit", False),
         ("diagnosis/together.py", "from split_cli.diagnosis.statement.result import Diagnosis", True),
         ("diagnosis/recording/series.py", "from split_cli.diagnosis.engine import diagnose", True),
+        ("logs/checking/delay.py", "from split_cli.logs.assembling.derive import derive", True),
+        ("logs/drafting/trial.py", "from split_cli.logs.checking.checks import Check", False),
+        ("logs/drive.py", "from split_cli.logs.checking.checks import Check", True),
     ],
 )
 def test_the_reader_of_arrows_sees_one_between_rooms(file, text, expected):
-    assert any(upward_in_diagnosis(found) for found in imports_of(text, file)) is expected
+    found = imports_of(text, file)
+    assert any(upward_in_diagnosis(one) or upward_between_rooms(one) for one in found) is expected

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.logs.assembling.noise import difference_noise
 from split_cli.logs.drive import Drive
-from split_cli.logs.noise import difference_noise
 from split_cli.proof.library import Library, build_library
 from split_cli.proof.outcome import Named, Statement
 from split_cli.proof.windows import FIRST, HORIZON, window_errors

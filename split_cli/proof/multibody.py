@@ -13,8 +13,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from split_cli.errors import SplitError
+from split_cli.logs.assembling.noise import estimate_noise
 from split_cli.logs.drive import Drive, DriveMetadata
-from split_cli.logs.noise import estimate_noise
 from split_cli.plant.tracks import Track
 from split_cli.vehicle.calibration.calibrate import CalibrationSettings, calibrate_vehicle
 from split_cli.vehicle.calibration.samples import MotionRun

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.logs.assembling.noise import estimate_noise
 from split_cli.logs.drive import Drive, DriveMetadata
-from split_cli.logs.noise import estimate_noise
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.sensors import sensors_of
 from split_cli.plant.simulation import Trajectory, commands_at

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.errors import SplitError
+from split_cli.logs.assembling.noise import estimate_noise
 from split_cli.logs.drive import Drive, DriveMetadata
-from split_cli.logs.noise import estimate_noise
 from split_cli.proof.cases import Answer, Case, ConcealedEffect
 from split_cli.proof.nominal_terms import NOMINAL_TERMS
 from split_cli.proof.plan import CasePlan

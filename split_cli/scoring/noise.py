@@ -8,8 +8,8 @@ import numpy as np
 
 from split_cli.learning.features import place_of
 from split_cli.learning.labels import Labels
+from split_cli.logs.assembling.noise import estimate_noise
 from split_cli.logs.drive import Drive, NoiseEstimate
-from split_cli.logs.noise import estimate_noise
 from split_cli.scoring.application import inputs_along
 from split_cli.scoring.persistence import phi_at
 from split_cli.vehicle.integration import integrate_recorded, substep_count

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 from split_cli.errors import LogError, MapError, SplitError, nearest_names
 from split_cli.files import atomic_directory, refuse_overwriting_inputs
-from split_cli.logs.assemble import Assembled, IngestSettings, assemble_drive
+from split_cli.logs.assembling.assemble import Assembled, IngestSettings, assemble_drive
+from split_cli.logs.assembling.gather import topic_of
+from split_cli.logs.assembling.quality import QualityReport, render_quality
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
-from split_cli.logs.gather import topic_of
 from split_cli.logs.presets import preset_abouts
-from split_cli.logs.quality import QualityReport, render_quality
 from split_cli.logs.raw import RawChannelInfo, RawRecording
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
@@ -341,7 +341,7 @@ def suggest_map_for(
     vehicle_path: str | Path | None = None,
 ) -> str:
     """Return a draft of a signal map for a recording, as YAML: each channel with its evidence or left open."""
-    from split_cli.logs.suggest import suggest_map
+    from split_cli.logs.drafting.suggest import suggest_map
 
     vehicle = read_vehicle(vehicle_path) if vehicle_path is not None else None
     return suggest_map(open_logs(log, message_paths), row_rate=row_rate, vehicle=vehicle)

@@ -13,7 +13,7 @@ from typing import Any
 from split_cli import __version__
 from split_cli.errors import SplitError
 from split_cli.files import atomic_write_text, sha256_of_file
-from split_cli.logs.assemble import IngestSettings
+from split_cli.logs.assembling.assemble import IngestSettings
 from split_cli.logs.signal_map import SignalMap
 from split_cli.vehicle.parameters import Vehicle
 

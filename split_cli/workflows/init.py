@@ -10,7 +10,7 @@ from typing import Any
 
 from split_cli.errors import SplitError
 from split_cli.files import atomic_path
-from split_cli.logs.suggest import Draft, draft_map, render_draft
+from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.workflows.ingest import open_logs
 

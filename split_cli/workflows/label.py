@@ -13,8 +13,8 @@ from split_cli.learning.features import parse_features
 from split_cli.learning.label_file import write_labels
 from split_cli.learning.labels import DEFAULT_HORIZON, compute_labels
 from split_cli.learning.region import Region, build_grid
+from split_cli.logs.assembling.quality import stored_findings
 from split_cli.logs.drive import Drive, read_drive, untold_inputs
-from split_cli.logs.quality import stored_findings
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.recordings import RecordingCorrection
 

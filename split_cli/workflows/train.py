@@ -21,7 +21,7 @@ from split_cli.learning.labels import DEFAULT_HORIZON
 from split_cli.learning.region import Region
 from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
 from split_cli.learning.trust import Trust
-from split_cli.logs.quality import stored_faults
+from split_cli.logs.assembling.quality import stored_faults
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.labelled_drives import LabelledDrives, Labelling, drive_digest
 from split_cli.workflows.laps import LapRow, lap_rows

@@ -15,7 +15,7 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.label_file import read_labels
-from split_cli.logs.consistency import check_consistency
+from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.logs.signal_map import read_map
 from split_cli.signals import CHANNELS

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from split_cli.diagnosis.statement.result import Diagnosis
-from split_cli.logs.assemble import IngestSettings
+from split_cli.logs.assembling.assemble import IngestSettings
 from split_cli.logs.drive import Drive, read_drive, write_drive
 from split_cli.proof.injection import split_in_blocks
 from split_cli.workflows.diagnose import diagnose_files

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from split_cli.errors import LogError
-from split_cli.logs.clean import clean_series, join_clock_resets, longest_repeat
-from split_cli.logs.conversion import RawSeries
+from split_cli.logs.assembling.clean import clean_series, join_clock_resets, longest_repeat
+from split_cli.logs.assembling.conversion import RawSeries
 
 
 def series(time, values, channel="vx", delay=0.0) -> RawSeries:

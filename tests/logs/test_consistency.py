@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.logs.assemble import IngestSettings, assemble_drive
-from split_cli.logs.consistency import Consistency
+from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.checking.consistency import Consistency
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
 DEGREES = 180.0 / np.pi

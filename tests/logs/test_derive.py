@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from split_cli.errors import MapError
-from split_cli.logs.assemble import IngestSettings, assemble_drive
-from split_cli.logs.derive import (
+from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.assembling.derive import (
     _third_difference_bands,
     derivation_named,
     derivative,

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from split_cli.logs.assemble import IngestSettings, assemble_drive
+from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
-from split_cli.logs.suggest import draft_map, render_draft
 from tests.logs.planted import PlantedDrive
 
 SHARES = {

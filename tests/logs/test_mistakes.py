@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from split_cli.logs.consistency import ConsistencyFinding, check_consistency
+from split_cli.logs.checking.consistency import ConsistencyFinding, check_consistency
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.ingest import ingest_logs

@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from split_cli.logs.noise import difference_noise, estimate_noise, sum_of_noise
-from split_cli.logs.resample import make_grid, resample_continuous
+from split_cli.logs.assembling.noise import difference_noise, estimate_noise, sum_of_noise
+from split_cli.logs.assembling.resample import make_grid, resample_continuous
 
 T = np.arange(0.0, 100.0, 0.01)
 MOTION = 10.0 + 3.0 * np.sin(0.5 * T) + 0.3 * np.sin(4.0 * T)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.errors import LogError, MapError
-from split_cli.logs.assemble import IngestSettings, assemble_drive
+from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
 from tests.logs.planted import UNITS, PlantedDrive, planted_map

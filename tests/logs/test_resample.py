@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from split_cli.logs.resample import (
+from split_cli.logs.assembling.resample import (
     SampleClock,
     is_sampled_and_held,
     make_grid,

@@ -9,11 +9,11 @@ import pytest
 import yaml
 
 from split_cli.errors import MapError
-from split_cli.logs.gather import gather
+from split_cli.logs.assembling.gather import gather
+from split_cli.logs.drafting.suggest import suggest_map
 from split_cli.logs.presets import preset_abouts, preset_names
 from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.signal_map import map_from_mapping, read_map
-from split_cli.logs.suggest import suggest_map
 
 N = 60
 TIME = np.arange(N) * 0.01

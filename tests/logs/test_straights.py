@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.logs.assemble import IngestSettings, assemble_drive
+from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.checking.straights import Stretch, course_of
 from split_cli.logs.drive import write_drive
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import read_map
-from split_cli.logs.straights import Stretch, course_of
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
 DERIVE = IngestSettings(derive=("lateral-velocity-from-straights",))

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 import yaml
 
-from split_cli.logs.assemble import IngestSettings, assemble_drive
+from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.drafting.suggest import draft_map, render_draft
+from split_cli.logs.drafting.vocabulary import read_concepts, tokens_of
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping, read_map
-from split_cli.logs.suggest import draft_map, render_draft
-from split_cli.logs.vocabulary import read_concepts, tokens_of
 from tests.logs.planted import PlantedDrive
 
 DEG = 180.0 / np.pi

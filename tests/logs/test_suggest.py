@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from split_cli.logs.drafting.suggest import Draft, Suggestion, draft_map, render_draft
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
 from split_cli.logs.signal_map import map_from_mapping, read_map
-from split_cli.logs.suggest import Draft, Suggestion, draft_map, render_draft
 from split_cli.signals import find_unit
 from tests.logs.planted import PlantedDrive
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from split_cli.logs import transform
+from split_cli.logs.assembling import transform
 
 
 def test_yaw_of_a_quaternion_is_the_azimuth_of_the_forward_axis_at_any_roll_and_pitch():

@@ -75,7 +75,7 @@ def test_drives_of_a_case_hide_what_is_in_them(case):
 
 
 def test_the_real_drive_holds_the_noise_that_severity_is_measured_by(case):
-    from split_cli.logs.noise import difference_noise
+    from split_cli.logs.assembling.noise import difference_noise
 
     for name, sigma in zip(("vx", "vy", "r"), case.noise, strict=True):
         # Third differences of some 8,000 samples are known to 2 %; motion adds a little.

@@ -83,7 +83,7 @@ def test_a_set_that_corrects_nothing_or_has_seen_nothing_is_not_exported_unasked
 
 
 def test_clauses_leave_figures_and_advice_away():
-    from split_cli.logs.quality import stored_faults, stored_findings
+    from split_cli.logs.assembling.quality import stored_faults, stored_findings
 
     quality = {"consistency": {"findings": [FINDING, MINOR]}}
     bias = "v_y reads +0.100 +- 0.010 m/s on straights at a median 14 m/s"

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from split_cli.diagnosis.recording.screening import torque_is_derived
+from split_cli.logs.assembling.noise import difference_noise
 from split_cli.logs.drive import INPUT_CHANNELS, Drive
-from split_cli.logs.noise import difference_noise
 from split_cli.vehicle.effects import Recording, Term, build_terms
 from split_cli.vehicle.effects.recording import over_samples
 from split_cli.vehicle.flow import Flow

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import MapError, nearest_names
-from split_cli.logs.kinematics import Kinematics
-from split_cli.logs.straights import course_of, straight_rows, straight_stretches
+from split_cli.logs.checking.kinematics import Kinematics
+from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
 from split_cli.vehicle.tire import lateral_force

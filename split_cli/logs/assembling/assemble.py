@@ -10,19 +10,14 @@ import numpy as np
 
 from split_cli.errors import DriveError, MapError, nearest_names
 from split_cli.files import sha256_of_file
-from split_cli.logs.clean import join_clock_resets
-from split_cli.logs.consistency import check_consistency
-from split_cli.logs.conversion import RawSeries
-from split_cli.logs.delay import DelayEstimate, estimate_delays
-from split_cli.logs.derive import DERIVATIONS, Derived, Situation, derivation_named
-from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
-from split_cli.logs.gather import Gathered, gather, topic_of
-from split_cli.logs.placing import move_to_cg
-from split_cli.logs.quality import QualityReport
-from split_cli.logs.raw import Clock, RawRecording
-from split_cli.logs.resample import SampleClock
-from split_cli.logs.signal_map import SignalMap, TimeBase
-from split_cli.logs.synchronize import (
+from split_cli.logs.assembling.clean import join_clock_resets
+from split_cli.logs.assembling.conversion import RawSeries
+from split_cli.logs.assembling.derive import DERIVATIONS, Derived, Situation, derivation_named
+from split_cli.logs.assembling.gather import Gathered, gather, topic_of
+from split_cli.logs.assembling.placing import move_to_cg
+from split_cli.logs.assembling.quality import QualityReport
+from split_cli.logs.assembling.resample import SampleClock
+from split_cli.logs.assembling.synchronize import (
     Channels,
     clean_channels,
     judge_sources,
@@ -33,7 +28,12 @@ from split_cli.logs.synchronize import (
     sum_sources,
     without_missing,
 )
-from split_cli.logs.trim import trim
+from split_cli.logs.assembling.trim import trim
+from split_cli.logs.checking.consistency import check_consistency
+from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
+from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
+from split_cli.logs.raw import Clock, RawRecording
+from split_cli.logs.signal_map import SignalMap, TimeBase
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.conversion import RawSeries
+from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.signals import CHANNELS
 
 __all__ = ["CleanSeries", "Drop", "clean_series", "join_clock_resets", "longest_repeat"]

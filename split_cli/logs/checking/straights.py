@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.logs.kinematics import Kinematics
+from split_cli.logs.checking.kinematics import Kinematics
 
 __all__ = ["Direction", "Stretch", "course_of", "straight_rows", "straight_stretches"]
 

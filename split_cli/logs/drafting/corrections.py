@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.logs.consistency import Consistency
-from split_cli.logs.conversion import expected_unit
-from split_cli.logs.draft import UNITS_OF, Suggestion
-from split_cli.logs.trial import Trial
-from split_cli.logs.vocabulary import concepts_of, tokens_of
+from split_cli.logs.assembling.conversion import expected_unit
+from split_cli.logs.checking.consistency import Consistency
+from split_cli.logs.drafting.draft import UNITS_OF, Suggestion
+from split_cli.logs.drafting.trial import Trial
+from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit
 
 __all__ = ["as_siblings", "correct", "with_status"]

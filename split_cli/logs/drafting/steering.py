@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from split_cli.logs.kinematics import fit_slope
+from split_cli.logs.checking.kinematics import fit_slope
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
 

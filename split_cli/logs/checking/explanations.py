@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from split_cli.logs.kinematics import Slope
-from split_cli.logs.mistakes import COMMON, Mistake, known_mistakes
+from split_cli.logs.checking.kinematics import Slope
+from split_cli.logs.checking.mistakes import COMMON, Mistake, known_mistakes
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["ConsistencyFinding", "Explanation", "Plausible", "Relation", "explain"]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.errors import LogError, MapError, nearest_names
-from split_cli.logs.conversion import ConversionNotes, Converter, RawSeries, expected_unit
+from split_cli.logs.assembling.conversion import ConversionNotes, Converter, RawSeries, expected_unit
 from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column
 from split_cli.logs.signal_map import ChannelMap, SignalMap, SignalSource
 from split_cli.signals import CHANNELS, convert_to_si, find_unit

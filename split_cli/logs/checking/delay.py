@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.logs.kinematics import Kinematics
-from split_cli.logs.lag import LagFit, fit_lag, is_sure
+from split_cli.logs.checking.kinematics import Kinematics
+from split_cli.logs.checking.lag import LagFit, fit_lag, is_sure
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["DelayEstimate", "estimate_delays"]

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from split_cli.logs.clean import CleanSeries, Drop
-from split_cli.logs.consistency import Consistency
-from split_cli.logs.delay import DelayEstimate
+from split_cli.logs.assembling.clean import CleanSeries, Drop
+from split_cli.logs.checking.consistency import Consistency
+from split_cli.logs.checking.delay import DelayEstimate
 
 __all__ = [
     "ChannelQuality",

@@ -9,16 +9,16 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.errors import SplitError
-from split_cli.logs.conversion import expected_unit
-from split_cli.logs.corrections import as_siblings, correct, with_status
-from split_cli.logs.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
-from split_cli.logs.fields import field_candidates
-from split_cli.logs.gather import row_rate_from_yaw
-from split_cli.logs.naming import is_command, meanings, spelled_without_unit, stated_unit
+from split_cli.logs.assembling.conversion import expected_unit
+from split_cli.logs.assembling.gather import row_rate_from_yaw
+from split_cli.logs.drafting.corrections import as_siblings, correct, with_status
+from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
+from split_cli.logs.drafting.fields import field_candidates
+from split_cli.logs.drafting.naming import is_command, meanings, spelled_without_unit, stated_unit
+from split_cli.logs.drafting.steering import read_steering
+from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
+from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, seconds_and_nanoseconds, time_column
-from split_cli.logs.steering import read_steering
-from split_cli.logs.trial import Trial, TrialCandidate, names_of
-from split_cli.logs.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
 

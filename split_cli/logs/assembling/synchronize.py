@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.clean import CleanSeries, clean_series
-from split_cli.logs.conversion import RawSeries
-from split_cli.logs.drive import NoiseEstimate
-from split_cli.logs.noise import estimate_noise, sum_of_noise
-from split_cli.logs.quality import ChannelQuality, source_quality
-from split_cli.logs.resample import (
+from split_cli.logs.assembling.clean import CleanSeries, clean_series
+from split_cli.logs.assembling.conversion import RawSeries
+from split_cli.logs.assembling.noise import estimate_noise, sum_of_noise
+from split_cli.logs.assembling.quality import ChannelQuality, source_quality
+from split_cli.logs.assembling.resample import (
     HIGHEST_RATE,
     Resampled,
     SampleClock,
@@ -23,6 +22,7 @@ from split_cli.logs.resample import (
     resample_held,
     runs_of,
 )
+from split_cli.logs.drive import NoiseEstimate
 from split_cli.logs.signal_map import ChannelMap
 from split_cli.signals import CHANNELS
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from split_cli.logs.conversion import expected_unit
+from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.signals import REQUIRED_CHANNELS
 
 __all__ = ["UNITS_OF", "Draft", "Suggestion", "quoted", "render_draft"]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.errors import MapError
-from split_cli.logs.conversion import RawSeries
+from split_cli.logs.assembling.conversion import RawSeries
 
 __all__ = ["trim"]
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.errors import MapError
-from split_cli.logs import transform
-from split_cli.logs.derive import derivative
+from split_cli.logs.assembling import transform
+from split_cli.logs.assembling.derive import derivative
+from split_cli.logs.assembling.noise import sum_of_noise
 from split_cli.logs.drive import NoiseEstimate
-from split_cli.logs.noise import sum_of_noise
 from split_cli.logs.signal_map import ChannelMap, Position
 from split_cli.vehicle.parameters import Vehicle
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from split_cli.logs.checking.explanations import ConsistencyFinding, Plausible, Relation
+from split_cli.logs.checking.kinematics import Kinematics, Slope, block_interval, fit_slope
+from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.logs.drive import Drive
-from split_cli.logs.explanations import ConsistencyFinding, Plausible, Relation
-from split_cli.logs.kinematics import Kinematics, Slope, block_interval, fit_slope
-from split_cli.logs.straights import course_of, straight_rows, straight_stretches
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from split_cli.logs.drafting.vocabulary import concepts_of, read_concepts, tokens_of
 from split_cli.logs.raw import RawChannelInfo
-from split_cli.logs.vocabulary import concepts_of, read_concepts, tokens_of
 from split_cli.signals import find_unit
 
 __all__ = ["Meaning", "is_command", "meanings", "spelled_without_unit", "stated_unit", "words_of"]

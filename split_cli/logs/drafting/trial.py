@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.logs.checks import NO_CAR_EXCEEDS
-from split_cli.logs.consistency import Consistency, check_consistency
-from split_cli.logs.draft import Suggestion
+from split_cli.logs.assembling.transform import local_tangent_plane, yaw_from_quaternion
+from split_cli.logs.checking.checks import NO_CAR_EXCEEDS
+from split_cli.logs.checking.consistency import Consistency, check_consistency
+from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drive import Drive
 from split_cli.logs.raw import RawSignal
-from split_cli.logs.transform import local_tangent_plane, yaw_from_quaternion
 from split_cli.signals import REQUIRED_CHANNELS, find_unit
 from split_cli.vehicle.parameters import Vehicle
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.errors import LogError, MapError
-from split_cli.logs import transform
+from split_cli.logs.assembling import transform
 from split_cli.logs.raw import RawSignal
 from split_cli.logs.signal_map import EXTRA_UNITS, SignalMap, SignalSource
 from split_cli.signals import CHANNELS, convert_to_si, find_unit

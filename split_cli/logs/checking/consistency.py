@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from split_cli.logs.checks import ACROSS, Checks, Unjudged
+from split_cli.logs.checking.checks import ACROSS, Checks, Unjudged
+from split_cli.logs.checking.explanations import ConsistencyFinding, Relation, explain
 from split_cli.logs.drive import Drive
-from split_cli.logs.explanations import ConsistencyFinding, Relation, explain
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Consistency", "ConsistencyFinding", "Unjudged", "check_consistency"]
