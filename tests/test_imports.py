@@ -39,6 +39,7 @@ ROOMS = ("statement", "recording", "baseline", "innovations", "remainder", "sear
 # The rooms of other layers, from the ground up; files beside them are the ground, which imports no room.
 ROOMS_OF = {
     "logs": ("readers", "checking", "assembling", "drafting"),
+    "workflows": ("ingesting", "training", "verifying", "proving", "racing", "race_report"),
 }
 # diagnosis may see neither the plant that makes test recordings nor the proof that conceals them (one number, so
 # neither may import the other), and the plant nothing but the ground.

@@ -186,7 +186,7 @@ def command(drives, vehicle_path, set_path, output, as_json, select, **settings)
 
 def _select(drives, vehicle_path, set_path, output, as_json, tried: dict, settings: dict) -> None:
     from split_cli.scoring.selection import SelectionSettings
-    from split_cli.workflows.select import select_files
+    from split_cli.workflows.training.select import select_files
 
     if vehicle_path is None or set_path is not None:
         raise click.UsageError("--select trains sets of its own: give --vehicle, and no --set")

@@ -31,8 +31,8 @@ def command(vehicle_path, limit_vehicle, physics_vehicle, lags_vehicle, only, pa
       split experiments --vehicle road_car.yaml -o results/ --page docs/experiments.md
     """
     from split_cli.vehicle.parameters import read_vehicle
-    from split_cli.workflows.experiments import run_experiments, stored
-    from split_cli.workflows.experiments_page import fill_page
+    from split_cli.workflows.racing.experiments import run_experiments, stored
+    from split_cli.workflows.racing.experiments_page import fill_page
 
     given = {"gentle": vehicle_path, "limit": limit_vehicle, "physics": physics_vehicle,
              "lags": lags_vehicle}  # fmt: skip

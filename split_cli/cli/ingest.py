@@ -106,7 +106,7 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
           --derive torque-from-acceleration -o genesis.parquet
     """
     from split_cli.workflows.engine import open_engine
-    from split_cli.workflows.ingest import IngestSettings, ingest_logs
+    from split_cli.workflows.ingesting.ingest import IngestSettings, ingest_logs
 
     if options["list_maps"]:
         return _list_maps(as_json)
@@ -176,7 +176,7 @@ def _show(run, as_json: bool) -> None:
 
 
 def _list_maps(as_json: bool) -> int:
-    from split_cli.workflows.ingest import list_maps
+    from split_cli.workflows.ingesting.ingest import list_maps
 
     if as_json:
         print_json(list_maps())
@@ -187,7 +187,7 @@ def _list_maps(as_json: bool) -> int:
 
 
 def _look_at(logs, message_paths, options, vehicle_path, as_json: bool) -> int:
-    from split_cli.workflows.ingest import list_channels, suggest_map_for
+    from split_cli.workflows.ingesting.ingest import list_channels, suggest_map_for
 
     described = []
     for log in [tuple(logs)] if options["together"] else logs:

@@ -31,7 +31,7 @@ def command(logs, output, together, row_rate, databases, message_paths, as_json)
     Example:
       split init lap.csv -o car/
     """
-    from split_cli.workflows.init import init_project
+    from split_cli.workflows.ingesting.init import init_project
 
     made = init_project(
         logs, output or Path("."), together=together, row_rate=row_rate, message_paths=(*message_paths, *databases)

@@ -60,7 +60,7 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
       split maneuver iso3888-1 --vehicle road_car.yaml -o run1.parquet --set run1.split
       split maneuver iso3888-1 --vehicle road_car.yaml --start-set run1.split --speed 16 --speed 17 --grip 0.5
     """
-    from split_cli.workflows.maneuver import ManeuverSettings, run_maneuvers
+    from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 
     settings = ManeuverSettings(scenario=scenario, delay=not no_delay, **options)
     result = run_maneuvers(

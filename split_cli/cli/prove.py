@@ -46,7 +46,7 @@ def command() -> None:
 @json_option
 def generate(folder, seed, cases, kinds, sets, jobs, as_json) -> None:
     """Write cases, seal their answers, and print the seal."""
-    from split_cli.workflows.prove import generate_cases
+    from split_cli.workflows.proving.prove import generate_cases
 
     kinds = "set,nominal-set" if sets else kinds
     seal = generate_cases(folder, seed, cases, jobs=jobs, kinds=tuple(kinds.split(",")), report=_progress("cases"))
@@ -60,7 +60,7 @@ def generate(folder, seed, cases, kinds, sets, jobs, as_json) -> None:
 @json_option
 def identify(folder, limit, jobs, as_json) -> None:
     """Diagnose the cases that have no result yet; the seal of the answers is printed first."""
-    from split_cli.workflows.prove import check_seal, identify_cases
+    from split_cli.workflows.proving.prove import check_seal, identify_cases
 
     _tell_seal(check_seal(folder), as_json)
     identify_cases(folder, jobs=jobs, limit=limit, report=_progress("identified"))
@@ -74,7 +74,7 @@ def identify(folder, limit, jobs, as_json) -> None:
 def score(folder, baselines, markdown, as_json) -> None:
     """Unseal the answers and score what was identified."""
     from split_cli.proof.tables import markdown_of, target_rows
-    from split_cli.workflows.prove import score_cases
+    from split_cli.workflows.proving.prove import score_cases
 
     result = score_cases(folder, with_baselines=baselines, report=_progress("scored"))
     if markdown:
@@ -112,7 +112,7 @@ def recording(drives, vehicle_path, output, faults, block, halves, multiples, as
     Blocks of time of a drive are dealt in turn: one half stays as it is and stands for the simulation, the other
     gets the fault. One more pair has no fault.
     """
-    from split_cli.workflows.prove_recording import prove_recording
+    from split_cli.workflows.proving.prove_recording import prove_recording
 
     rows = prove_recording(
         drives, vehicle_path, output, only=faults.split(",") if faults else None, block=block, halves=halves,
@@ -147,7 +147,7 @@ def multibody(seed, car, model, output, faults, as_json) -> None:
       split prove multibody --model drift --faults all -o drift
     """
     from split_cli.diagnosis.statement.document import diagnosis_to_text
-    from split_cli.workflows.prove_multibody import prove_multibody, prove_multibody_faults
+    from split_cli.workflows.proving.prove_multibody import prove_multibody, prove_multibody_faults
 
     if faults:
         only = None if faults == "all" else faults.split(",")

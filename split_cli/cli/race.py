@@ -104,7 +104,7 @@ def command(
     """
     from split_cli.control.limits import Limits
     from split_cli.control.mpcc import MpccSettings
-    from split_cli.workflows.race import run_race
+    from split_cli.workflows.racing.race import run_race
     from split_cli.workflows.racing.settings import RaceSettings
 
     if len(learners) > 1 and (output or set_output):

@@ -93,7 +93,7 @@ def command(drives, vehicle_path, output, append, per_lap, as_json, **settings) 
       split train lap1.parquet lap2.parquet --vehicle car.yaml -o car.split
       split train lap3.parquet --vehicle car.yaml -o car.split --append
     """
-    from split_cli.workflows.train import TrainSettings, train_set
+    from split_cli.workflows.training.train import TrainSettings, train_set
 
     progress = StepBar()
     try:

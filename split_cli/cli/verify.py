@@ -27,7 +27,7 @@ def command(path, as_json) -> None:
     Example:
       split verify controller/
     """
-    from split_cli.workflows.verify import verify
+    from split_cli.workflows.verifying.verify import verify
 
     result = verify(path)
     if as_json:

@@ -28,7 +28,7 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def markdown_of(result) -> str:
-    """Return all tables of a `workflows.prove.CaseSetScore` as Markdown."""
+    """Return all tables of a `workflows.proving.prove.CaseSetScore` as Markdown."""
     score: CaseSetScore = result.diagnosis
     lines = [
         f"Seal of the answers: `{result.seal.sha256}` (seed {result.seal.seed}, {result.seal.cases} cases, "

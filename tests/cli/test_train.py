@@ -25,7 +25,7 @@ from split_cli.learning.labels import compute_labels
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
-from split_cli.workflows.train import TrainSettings, train_set
+from split_cli.workflows.training.train import TrainSettings, train_set
 from tests.factories import MissingForce, make_drive, road_car
 
 TERM = MissingForce({"front_grip_loss": 0.1, "front_lateral": 150.0})

@@ -14,7 +14,7 @@ from split_cli.control.scenarios import CONE_RADIUS, build_scenario, cones_hit
 from split_cli.errors import SplitError
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import read_drive
-from split_cli.workflows.race import run_race
+from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.settings import RaceSettings
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,9 +7,9 @@ import pytest
 
 from split_cli.errors import SplitError
 from split_cli.vehicle.parameters import read_vehicle
-from split_cli.workflows.experiments import PLAN
-from split_cli.workflows.experiments_page import fill_page, tables
-from split_cli.workflows.maneuver import ManeuverSettings
+from split_cli.workflows.racing.experiments import PLAN
+from split_cli.workflows.racing.experiments_page import fill_page, tables
+from split_cli.workflows.racing.maneuver import ManeuverSettings
 
 
 def lap(number: int, time: float | None, outside: float = 0.0) -> dict:

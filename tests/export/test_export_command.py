@@ -17,7 +17,7 @@ from split_cli.export.verify import verify_folder
 from split_cli.files import sha256_of_file
 from split_cli.learning.training_set import write_set
 from split_cli.workflows.export import export_set
-from split_cli.workflows.verify import verify, verify_set
+from split_cli.workflows.verifying.verify import verify, verify_set
 
 
 @pytest.fixture(scope="session")

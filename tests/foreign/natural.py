@@ -20,7 +20,7 @@ from split_cli.logs.assembling.assemble import IngestSettings
 from split_cli.logs.drive import Drive, read_drive, write_drive
 from split_cli.proof.injection import split_in_blocks
 from split_cli.workflows.diagnose import diagnose_files
-from split_cli.workflows.ingest import ingest_logs
+from split_cli.workflows.ingesting.ingest import ingest_logs
 
 __all__ = ["EXPERIMENTS", "dart_drive", "run", "saturated_acceleration"]
 

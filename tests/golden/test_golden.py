@@ -20,7 +20,7 @@ from split_cli.logs.drive import read_drive
 from split_cli.logs.signal_map import read_map
 from split_cli.prediction import make_predictor
 from split_cli.vehicle.parameters import read_vehicle
-from split_cli.workflows.verify import verify
+from split_cli.workflows.verifying.verify import verify
 from tests.golden.make import MAP
 
 FILES = Path(__file__).parent / "files"

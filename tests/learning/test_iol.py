@@ -17,7 +17,7 @@ from split_cli.learning.reference import PrintedLearner
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import write_drive
 from split_cli.vehicle.parameters import write_vehicle
-from split_cli.workflows.verify import verify_set
+from split_cli.workflows.verifying.verify import verify_set
 from tests.factories import make_drive, make_labels, make_training_set, road_car, smooth_residual, valid_features
 
 

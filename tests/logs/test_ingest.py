@@ -17,7 +17,7 @@ from split_cli.cli.ingest import command
 from split_cli.errors import LogError, MapError, SplitError
 from split_cli.logs.drive import read_drive
 from split_cli.vehicle.parameters import write_vehicle
-from split_cli.workflows.ingest import IngestSettings, ingest_logs
+from split_cli.workflows.ingesting.ingest import IngestSettings, ingest_logs
 from tests.logs.planted import PlantedDrive
 
 CHANNELS = ("X", "Y", "yaw", "vx", "vy", "r", "T", "delta", "ax", "ay")

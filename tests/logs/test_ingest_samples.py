@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from split_cli.logs.drive import Drive, read_drive
-from split_cli.workflows.ingest import IngestResult, IngestSettings, ingest_logs
+from split_cli.workflows.ingesting.ingest import IngestResult, IngestSettings, ingest_logs
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
 
 # Of the model car's instruments (split_cli/plant/sensors.py): white noise and resolution/sqrt(12).

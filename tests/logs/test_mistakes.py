@@ -11,7 +11,7 @@ import pytest
 from split_cli.logs.checking.consistency import ConsistencyFinding, check_consistency
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
-from split_cli.workflows.ingest import ingest_logs
+from split_cli.workflows.ingesting.ingest import ingest_logs
 
 DEGREES = 180.0 / np.pi
 STANDARD_GRAVITY = 9.80665

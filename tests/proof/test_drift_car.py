@@ -10,7 +10,7 @@ import pytest
 from split_cli.cli.prove import multibody
 from split_cli.proof.drift_car import load_drift_car
 from split_cli.proof.multibody import MULTIBODY_STATE as AT
-from split_cli.workflows.prove_multibody import FOREIGN_MODELS
+from split_cli.workflows.proving.prove_multibody import FOREIGN_MODELS
 
 std = pytest.importorskip("vehiclemodels.vehicle_dynamics_std")
 

@@ -13,7 +13,7 @@ from split_cli.errors import SplitError
 from split_cli.proof.generate import generate_cases
 from split_cli.proof.store import check_seal, read_answer, read_heldout, shown_cases
 from split_cli.vehicle.parameters import read_vehicle
-from split_cli.workflows import prove
+from split_cli.workflows.proving import prove
 
 
 @pytest.fixture(scope="module")

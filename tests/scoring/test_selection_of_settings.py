@@ -14,7 +14,7 @@ from split_cli.logs.drive import write_drive
 from split_cli.prediction import make_predictor
 from split_cli.scoring.selection import SelectionSettings, SetCandidate, choose, relative_error
 from split_cli.vehicle.parameters import write_vehicle
-from split_cli.workflows.select import _fold, _parts, learn, select
+from split_cli.workflows.training.select import _fold, _parts, learn, select
 from tests.factories import MissingForce, make_drive, road_car
 
 

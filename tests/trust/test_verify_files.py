@@ -15,7 +15,7 @@ from split_cli.cli.verify import command
 from split_cli.errors import SplitError
 from split_cli.files import sha256_of_file
 from split_cli.logs.drive import Source, read_drive, write_drive
-from split_cli.workflows.verify import verify
+from split_cli.workflows.verifying.verify import verify
 
 FILES = Path(__file__).parents[1] / "golden" / "files"
 

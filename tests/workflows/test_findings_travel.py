@@ -15,7 +15,7 @@ from split_cli.scoring.report import EvaluationSettings
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.evaluate import evaluate_files
 from split_cli.workflows.export import export_doubts, export_set
-from split_cli.workflows.train import TrainSettings, train_set
+from split_cli.workflows.training.train import TrainSettings, train_set
 from tests.factories import make_drive, make_training_set, road_car
 
 FINDING = {"check": "scale", "channel": "r", "measured": 57.3, "error": 0.1,

@@ -11,8 +11,8 @@ import pytest
 
 from split_cli.errors import SplitError
 from split_cli.workflows.engine import open_engine
-from split_cli.workflows.ingest import ingest_logs
-from split_cli.workflows.ingest_manifest import MANIFEST_NAME
+from split_cli.workflows.ingesting.ingest import ingest_logs
+from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
 from split_cli.workflows.sources import find_sources
 
@@ -70,7 +70,7 @@ def test_only_what_is_new_or_changed_is_read_again(archive, tmp_path, keep_going
     # A drive that went missing or was altered is made again, and other settings make all again.
     (drives / "a.parquet").write_bytes(b"x")
     assert [r.log for r in ingest_logs([archive], drives, keep_going=keep_going).results] == ["a.csv"]
-    from split_cli.workflows.ingest import IngestSettings
+    from split_cli.workflows.ingesting.ingest import IngestSettings
 
     assert len(ingest_logs([archive], drives, settings=IngestSettings(rate=20.0)).results) == 4
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
-from split_cli.workflows.train import TrainSettings, train_set
+from split_cli.workflows.training.train import TrainSettings, train_set
 
 ROOT = Path(__file__).resolve().parents[2]
 

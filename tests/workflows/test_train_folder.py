@@ -10,7 +10,7 @@ import pytest
 from split_cli.errors import SetError
 from split_cli.logs.drive import write_drive
 from split_cli.vehicle.parameters import write_vehicle
-from split_cli.workflows.train import TrainSettings, train_set
+from split_cli.workflows.training.train import TrainSettings, train_set
 from tests.factories import MissingForce, make_drive, road_car
 
 

@@ -13,9 +13,9 @@ from split_cli.errors import DriveError, SetError
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
-from split_cli.workflows import labelled_drives
 from split_cli.workflows.label import label_drive
-from split_cli.workflows.train import TrainSettings, train_set
+from split_cli.workflows.training import labelled_drives
+from split_cli.workflows.training.train import TrainSettings, train_set
 from tests.factories import MissingForce, make_drive, road_car
 
 QUICK = TrainSettings(hyperparameters="default", trust="full")

@@ -1,4 +1,4 @@
-"""A race by its parts: settings, what is refused, driving, learning from lap 0, sums over a lap, results.
+"""Closed loop: races by their parts, manoeuvres, and the experiments of the paper run once and kept.
 
-May import control, plant, learning, prediction, logs and vehicle, as `workflows` may.
+May import: the ground of `workflows`, and every package but cli.
 """

@@ -21,7 +21,7 @@ from split_cli.logs.drive import write_drive
 from split_cli.plant.cars import find_car
 from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.workflows.closed_loop import World, body_width
+from split_cli.workflows.racing.closed_loop import World, body_width
 from split_cli.workflows.racing.entry import check_settings, check_trusted, find_path
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.racing.settings import RaceSettings

@@ -12,7 +12,7 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.plant.tracks import TRACK_NAMES, find_track
 from split_cli.prediction import PREDICTORS
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.workflows.closed_loop import path_of
+from split_cli.workflows.racing.closed_loop import path_of
 from split_cli.workflows.racing.settings import LEARNERS, RaceSettings
 
 __all__ = ["check_settings", "check_trusted", "find_path"]

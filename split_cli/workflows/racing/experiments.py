@@ -13,8 +13,8 @@ from split_cli.control.limits import Limits
 from split_cli.control.mpcc import MpccSettings
 from split_cli.errors import SplitError, nearest_names
 from split_cli.files import atomic_path, atomic_write_text
-from split_cli.workflows.maneuver import ManeuverSettings, run_maneuvers
-from split_cli.workflows.race import run_race
+from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
+from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.settings import RaceSettings
 
 __all__ = ["PLAN", "Experiment", "ExperimentPlan", "run_experiments", "stored"]

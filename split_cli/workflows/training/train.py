@@ -23,10 +23,10 @@ from split_cli.learning.training_set import SetSource, TrainingSet, read_set, wr
 from split_cli.learning.trust import Trust
 from split_cli.logs.assembling.quality import stored_faults
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
-from split_cli.workflows.labelled_drives import LabelledDrives, Labelling, drive_digest
-from split_cli.workflows.laps import LapRow, lap_rows
-from split_cli.workflows.new_set import create_set
 from split_cli.workflows.sources import DRIVE_SUFFIXES, find_sources
+from split_cli.workflows.training.labelled_drives import LabelledDrives, Labelling, drive_digest
+from split_cli.workflows.training.laps import LapRow, lap_rows
+from split_cli.workflows.training.new_set import create_set
 
 __all__ = ["TrainResult", "TrainRow", "TrainSettings", "train_set"]
 

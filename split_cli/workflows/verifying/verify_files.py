@@ -20,8 +20,8 @@ from split_cli.logs.drive import Drive, read_drive
 from split_cli.logs.signal_map import read_map
 from split_cli.signals import CHANNELS
 from split_cli.vehicle.parameters import read_vehicle
-from split_cli.workflows.ingest_manifest import IngestManifest
-from split_cli.workflows.verification import VerifiedItem, item
+from split_cli.workflows.ingesting.ingest_manifest import IngestManifest
+from split_cli.workflows.verifying.verification import VerifiedItem, item
 from split_cli.yaml_file import read_yaml_mapping
 
 __all__ = [

@@ -17,7 +17,7 @@ from split_cli.proof.multibody_faults import multibody_faults
 from split_cli.proof.tracks import random_track
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
-from split_cli.workflows.prove_recording import InjectionResult, diagnose_pair, injection_result
+from split_cli.workflows.proving.prove_recording import InjectionResult, diagnose_pair, injection_result
 
 __all__ = ["FOREIGN_MODELS", "prove_multibody", "prove_multibody_faults"]
 

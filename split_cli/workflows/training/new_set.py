@@ -25,7 +25,7 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.trust import estimate_trust
-from split_cli.workflows.labelled_drives import LabelledDrives
+from split_cli.workflows.training.labelled_drives import LabelledDrives
 
 __all__ = ["create_set", "parse_trust", "trust_notes"]
 

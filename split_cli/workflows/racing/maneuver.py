@@ -29,7 +29,7 @@ from split_cli.plant.cars import CarParameters, find_car
 from split_cli.plant.recording import write_mcap
 from split_cli.prediction import make_predictor
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
-from split_cli.workflows.closed_loop import World, body_ends, body_width
+from split_cli.workflows.racing.closed_loop import World, body_ends, body_width
 from split_cli.workflows.racing.entry import check_trusted
 
 __all__ = ["ManeuverResult", "ManeuverRun", "ManeuverSettings", "run_maneuvers"]

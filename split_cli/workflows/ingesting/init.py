@@ -12,7 +12,7 @@ from split_cli.errors import SplitError
 from split_cli.files import atomic_path
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
 from split_cli.signals import REQUIRED_CHANNELS
-from split_cli.workflows.ingest import open_logs
+from split_cli.workflows.ingesting.ingest import open_logs
 
 __all__ = ["InitResult", "init_project"]
 

@@ -10,9 +10,9 @@ from split_cli.errors import SplitError
 from split_cli.files import sha256_of_file
 from split_cli.learning.kernel import correlation
 from split_cli.learning.training_set import TrainingSet, read_set
-from split_cli.workflows.verification import Verification, VerifiedItem
-from split_cli.workflows.verification import item as _item
-from split_cli.workflows.verify_files import (
+from split_cli.workflows.verifying.verification import Verification, VerifiedItem
+from split_cli.workflows.verifying.verification import item as _item
+from split_cli.workflows.verifying.verify_files import (
     is_diagnosis,
     verify_diagnosis,
     verify_drives_folder,

@@ -22,7 +22,7 @@ from split_cli.logs.signal_map import SignalMap, read_map
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import Engine
-from split_cli.workflows.ingest_manifest import IngestManifest, settings_digest
+from split_cli.workflows.ingesting.ingest_manifest import IngestManifest, settings_digest
 from split_cli.workflows.sources import SourceFile, find_sources, is_remote
 
 __all__ = [
