@@ -10,6 +10,7 @@ import numpy as np
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.tire import TireParameters
 from split_cli.proof.world import ProofWorld, road_of
+from split_cli.vehicle.effects.body import inertia_range, least_mass
 
 __all__ = ["EFFECTS", "Concealed", "draw_effect"]
 
@@ -327,17 +328,19 @@ def _steer_backlash(rng, world):
 
 def _mass(rng, world):
     sign = rng.choice((-1.0, 1.0, 1.0))
+    most = 0.4 if sign > 0.0 else 0.95 * (1.0 - least_mass(world.car))
     return Concealed(
-        "mass", lambda w, size: _car(w, mass=w.car.mass * (1.0 + sign * size)), 0.08, 0.4,
+        "mass", lambda w, size: _car(w, mass=w.car.mass * (1.0 + sign * size)), 0.08, most,
         known=lambda w, size: {"scale": 1.0 + sign * size},
     )  # fmt: skip
 
 
 def _yaw_inertia(rng, world):
     sign = rng.choice((-1.0, 1.0))
+    lower, upper = inertia_range(world.car)
     return Concealed(
         "yaw_inertia", lambda w, size: _car(w, yaw_inertia=w.car.yaw_inertia * float(np.exp(sign * size))),
-        0.2, 0.9,
+        0.2, 0.95 * float(np.log(upper) if sign > 0.0 else -np.log(lower)),
         known=lambda w, size: {"scale": float(np.exp(sign * size))},
     )  # fmt: skip
 

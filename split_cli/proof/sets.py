@@ -23,6 +23,7 @@ from split_cli.proof.truth import severity
 from split_cli.proof.windows import window_errors
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from split_cli.vehicle.effects.recording import play_response
+from split_cli.vehicle.effects.search import Course
 from split_cli.vehicle.integration import integrate_with_memory
 from split_cli.vehicle.library import library_path
 from split_cli.vehicle.parameters import MagicFormula, Vehicle, read_vehicle
@@ -210,7 +211,17 @@ def _sized(vehicle: Vehicle, term: str, plan: CasePlan, rng: np.random.Generator
     if not plan.low / _REACHED <= best[1] <= plan.high * _REACHED:
         # Grip that a script does not use up may be any multiple of itself: another sign, car or script shows it.
         raise SplitError(f"{term} cannot be made {plan.low:g} to {plan.high:g} times the noise")
+    if not _is_possible(vehicle, best[0]):
+        raise SplitError(f"no real car has {term} of {dict(best[0].parameters)}")
     return best
+
+
+def _is_possible(vehicle: Vehicle, term: Term) -> bool:
+    """Return whether a term's values lie within what a real car of that size can have."""
+    kind = type(term)
+    search = kind.search(vehicle, Course(_RUNS * _SECONDS, 1.0), term.variant)
+    ranges = search.times(kind.sizes(vehicle)).ranges if search is not None else {}
+    return all(limit.lower <= term.parameters[name] <= limit.upper for name, limit in ranges.items())
 
 
 def _severity(vehicle: Vehicle, term: Term, seed: int) -> float:

@@ -62,7 +62,8 @@ def _rear_steer(rng, world):
 def _hot_tires(rng, world):
     """Tyres that lose grip as they slide and get it back as they cool."""
     car = world.car
-    power = 0.015 * car.mass * 9.81 * 18.0 * (car.wheelbase / 2.7) ** 0.5
+    # Sliding sideways takes up to some m g in power; with a quarter of that they were as hot as can be all along.
+    power = 0.06 * car.mass * 9.81 * 18.0 * (car.wheelbase / 2.7) ** 0.5
     seconds = float(rng.uniform(2.0, 5.0))
     return Concealed(
         "hot_tires",

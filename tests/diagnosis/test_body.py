@@ -18,10 +18,12 @@ from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import EffectSpec
 from tests.diagnosis.test_calibration import drive, recorded
+from tests.diagnosis.recordings import driven, prepared
 from tests.factories import road_car
 
 FORCES = np.random.default_rng(5).standard_normal((40, 3)) * 1000.0
 SCALE, TURN, AHEAD = 1.2, 1.3, 0.08
+BODIES = ("yaw_inertia", "mass")
 
 
 def term(name: str, variant: str = "", **values: float) -> Term:
@@ -86,3 +88,18 @@ def test_an_inertia_is_found_beside_much_that_the_nominal_lacks(monkeypatch):
     assert fitted() == pytest.approx(1.2, abs=0.02)
     monkeypatch.setattr(objective_module, "at_another_body", lambda rates, vehicle, terms: rates)
     assert abs(fitted() - 1.2) > 0.05
+
+
+@pytest.mark.parametrize("gyration", [0.35, 0.6, 1.0, 1.25])
+def test_a_body_stays_one_that_a_car_can_have(gyration):
+    """The radius of gyration squared is at most 1.3 l_f l_r, whatever a file says, which may be wrong by 15 %."""
+    plain = road_car()
+    arms = plain.cg_to_front_axle * plain.cg_to_rear_axle
+    car = replace(plain, yaw_inertia=gyration * plain.mass * arms)
+    series = prepared(driven(3, runs=1))
+    ranges = {one.term: one.ranges["scale"] for one in build_candidates(car, series) if one.term in BODIES}
+    inertia, mass = (ranges[name] for name in BODIES)
+    assert inertia.upper == pytest.approx(max(min(1.3 / gyration, 2.5), 1.15))
+    assert inertia.lower == pytest.approx(max(0.2 / gyration, 0.4))
+    assert mass.lower == pytest.approx(max(0.55, min(gyration / 1.3, 1.0 / 1.15)))
+    assert mass.lower < 1.0 < inertia.upper and inertia.lower < 1.0 < mass.upper

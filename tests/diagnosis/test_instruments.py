@@ -22,6 +22,7 @@ PLANTED = [
     ("acceleration_bias", "", {"ax": 0.3, "ay": -0.5}),
     ("yaw_rate_bias", "", {"r": 0.01}),
     ("speed_scale", "", {"scale": 1.04}),
+    ("speed_scale", "vx", {"scale": 1.04}),
     ("yaw_rate_scale", "", {"scale": 0.96}),
     ("channel_delay", "r", {"r": 0.06}),
     ("channel_delay", "velocity", {"vx": 0.08, "vy": 0.08}),

@@ -351,6 +351,8 @@ def test_hot_tires_lose_grip_only_after_sliding(world):
         warm[k] = warm[k - 1] + 2e-3 / with_.faults.tire_heat_time * (
             sliding[k - 1] / with_.faults.tire_heat_power - warm[k - 1]
         )
+    # Tyres that were as hot as can be all along would just have less grip, which has a name.
+    assert (warm[seen.rows] < 1.0).mean() > 0.5
     loss = 0.2 * np.minimum(warm[seen.rows], 1.0)
     lost = -loss / (1.0 - loss) * seen.fy.sum(axis=1) / world.car.mass
     slope = float(lost @ seen.lack[:, 1] / (lost @ lost))

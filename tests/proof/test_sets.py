@@ -69,3 +69,15 @@ def test_hard_pairs_are_pairs_of_small_effects():
     hard = [plan for plan in plans if plan.kind == "hard-pair"]
     assert len(hard) == 4 and {plan.kind for plan in plans} == {"pair", "hard-pair"}
     assert all((plan.low, plan.high) == (0.12, 0.35) and len(set(plan.terms)) == 2 for plan in hard)
+
+
+def test_no_set_has_what_no_real_car_has():
+    """By hand: I_z/(m l_f l_r) of the Genesis is 1.05, and 1.3 is the most; a grip of 5.6 is beyond any tyre."""
+    car = read_vehicle(library_path("genesis"))
+
+    def possible(term: str, **values: float) -> bool:
+        return sets._is_possible(car, CATALOGUE[term](values))
+
+    assert possible("yaw_inertia", scale=1.2) and not possible("yaw_inertia", scale=1.3)
+    assert possible("mass", scale=0.83) and not possible("mass", scale=0.78)
+    assert possible("friction_scale", scale=1.2) and not possible("friction_scale", scale=5.6)

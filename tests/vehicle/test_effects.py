@@ -77,6 +77,7 @@ EXAMPLES = {
     ("acceleration_bias", "ay"): {"ay": -0.3},
     ("yaw_rate_bias", ""): {"r": 0.01},
     ("speed_scale", ""): {"scale": 1.03},
+    ("speed_scale", "vx"): {"scale": 1.03},
     ("yaw_rate_scale", ""): {"scale": 0.97},
     ("channel_delay", "r"): {"r": 0.04},
     ("channel_delay", "vx"): {"vx": 0.04},

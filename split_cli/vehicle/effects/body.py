@@ -12,7 +12,7 @@ from split_cli.vehicle.effects.wording import Estimates, amount, scaled
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["CgShift", "Mass", "YawInertia"]
+__all__ = ["CgShift", "Mass", "YawInertia", "gyration", "inertia_range", "least_mass"]
 
 # In wheelbases.
 _MOVED, _FURTHEST = 0.17, 0.75
@@ -20,11 +20,40 @@ _PLACE = (
     "judgement: people and luggage move the CG by less than 0.17 wheelbases, and no axle carries more than three "
     "quarters of a car"
 )
-_MASS = "judgement: a payload of 70 % of the kerb mass is beyond any car, as is one that lacks 45 %"
-_INERTIA = (
-    "Heydinger et al. (1999): I_z/(m l_f l_r) of cars lies within 0.8 and 1.2; a file may have guessed it by a "
-    "factor of two"
+_MASS = (
+    "judgement: a payload of 70 % of the kerb mass is beyond any car, as is one that lacks 45 %, or so much that "
+    "the file's yaw inertia were more than 1.3 m l_f l_r"
 )
+_INERTIA = (
+    "Heydinger et al. (1999), SAE 1999-01-1336: I_z/(m l_f l_r) of cars lies within 0.8 and 1.2; judgement: 1.3, "
+    "and 0.2 for mass that is carried between the axles"
+)
+# I_z/(m l_f l_r), the squared radius of gyration over the product of the arms.
+_LEAST_GYRATION, _MOST_GYRATION = 0.2, 1.3
+_ANY_FILE = 1.15  # by how much a file may be wrong whatever it says
+
+
+def gyration(vehicle: Vehicle) -> float:
+    """Return I_z/(m l_f l_r) of a vehicle file [1]."""
+    arms = vehicle.cg_to_front_axle * vehicle.cg_to_rear_axle
+    return vehicle.yaw_inertia / (vehicle.mass * arms)
+
+
+def inertia_range(vehicle: Vehicle) -> tuple[float, float]:
+    """Return the least and the most of the file's yaw inertia that a real car can have with its mass and arms [1].
+
+    A file may have guessed the inertia, so what bounds it is where a car carries its mass, whatever the file says.
+    """
+    known = gyration(vehicle)
+    return (
+        min(max(_LEAST_GYRATION / known, 0.4), 1.0 / _ANY_FILE),
+        max(min(_MOST_GYRATION / known, 2.5), _ANY_FILE),
+    )
+
+
+def least_mass(vehicle: Vehicle) -> float:
+    """Return the least of the file's mass that a real car with its yaw inertia and arms can have [1]."""
+    return max(0.55, min(gyration(vehicle) / _MOST_GYRATION, 1.0 / _ANY_FILE))
 
 
 class Mass(Term):
@@ -54,7 +83,7 @@ class Mass(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"scale": Range(0.55, 1.7, 0.01, _MASS)}, ({"scale": 1.03},))
+        return Search({"scale": Range(least_mass(vehicle), 1.7, 0.01, _MASS)}, ({"scale": 1.03},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -95,7 +124,8 @@ class YawInertia(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"scale": Range(0.4, 2.5, 0.01, _INERTIA)}, ({"scale": 1.03},))
+        lower, upper = inertia_range(vehicle)
+        return Search({"scale": Range(lower, upper, 0.01, _INERTIA)}, ({"scale": 1.03},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:

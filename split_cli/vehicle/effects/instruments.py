@@ -198,20 +198,24 @@ class _Scale(_Instrument):
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
-        return f"{cls.subject} reads {scaled(p['scale'], 'too much', 'too little')}"
+        subject = _WORDS[variant] if variant else cls.subject
+        return f"{subject} reads {scaled(p['scale'], 'too much', 'too little')}"
 
     def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
         factor = self.parameters["scale"] ** sign
-        return {**columns, **{name: factor * columns[name] for name in self.channels}}
+        channels = (self.variant,) if self.variant else self.channels
+        return {**columns, **{name: factor * columns[name] for name in channels}}
 
 
 class SpeedScale(_Scale):
-    """A speed out of scale: recorded v_x and v_y are `scale` times the true ones, as by a worn wheel.
+    """A speed out of scale: recorded v_x and v_y are `scale` times the true ones, as of one sensor for both.
 
+    Variant ``vx``: v_x alone, as by a worn wheel beside another source of v_y.
     Source: v = omega r_e with a radius that is off. Witness: the way between positions.
     """
 
     id = "speed_scale"
+    variants: ClassVar = ("", "vx")
     channels = ("vx", "vy")
     subject = "the velocity"
     mimics: ClassVar = (
