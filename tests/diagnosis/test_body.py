@@ -17,8 +17,8 @@ from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import EffectSpec
-from tests.diagnosis.test_calibration import drive, recorded
 from tests.diagnosis.recordings import driven, prepared
+from tests.diagnosis.test_calibration import drive, recorded
 from tests.factories import road_car
 
 FORCES = np.random.default_rng(5).standard_normal((40, 3)) * 1000.0
