@@ -18,7 +18,7 @@ from split_cli.learning.features import Z2, FeatureSet
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["ControlModel", "Linearization"]
+__all__ = ["ControlModel", "Linearization", "check_features"]
 
 
 @dataclass(frozen=True)
@@ -99,12 +99,7 @@ class ControlModel:
             raise VehicleError(
                 "an effect depends on time or track position, which a controller here does not know", where=where
             )
-        foreign = build_nominal(SingleTrack(vehicle), residual.features, step).foreign_features
-        if foreign:
-            raise VehicleError(
-                f"the residual asks for {', '.join(foreign)}, which no state of the controller determines",
-                where=where,
-            )
+        check_features(vehicle, residual.features, step)
         self.start = graph.start
         self.memory = graph.rates.size1_in(0) - 6
         self.states = 8 + self.memory
@@ -166,6 +161,23 @@ class ControlModel:
         f[:, moving] = rates
         A[:, moving, 2:] = jacobian
         return f, A
+
+
+def check_features(vehicle: Vehicle, features: FeatureSet, step: float) -> None:
+    """Refuse features that no state of a controller determines.
+
+    Raises
+    ------
+    VehicleError
+        Naming them.
+    """
+    foreign = build_nominal(SingleTrack(vehicle), features, step).foreign_features
+    if foreign:
+        raise VehicleError(
+            f"the residual asks for {', '.join(foreign)}, which no state of the controller determines",
+            where=f"vehicle {vehicle.name}",
+            advice="Name features that a controller knows: z2, z1, vx, vy, r, delta, T.",
+        )  # fmt: skip
 
 
 def _stage_function(vehicle: Vehicle, features: FeatureSet, step: float) -> casadi.Function:

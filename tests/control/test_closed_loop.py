@@ -10,10 +10,13 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.main import group
+from split_cli.control.limits import Limits
+from split_cli.control.mpcc import MpccSettings
 from split_cli.control.scenarios import CONE_RADIUS, build_scenario, cones_hit
 from split_cli.errors import SplitError
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import read_drive
+from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.settings import RaceSettings
 
@@ -94,11 +97,43 @@ def test_a_cone_is_hit_when_the_body_reaches_it():
         ({"laps": -1}, "number of laps"),
         ({"grip": 0.0}, "positive"),
         ({"track": "small", "width": 9.0}, "wide at"),
+        ({"told_grip": 0.0}, "positive"),
+        ({"max_torque": -5.0}, "positive"),
+        ({"seed": -1}, "from 0"),
+        ({"features": "alpha_f,warp"}, "warp"),
+        ({"hyperparameters": "nowhere.yaml"}, "nowhere.yaml"),
+        ({"car": "f1tenth_car"}, "wheelbase"),
+        ({"settings": MpccSettings(limits=Limits(p_ellipse=1.2))}, "share of the peak"),
+        ({"settings": MpccSettings(margin=-1.0)}, "negative"),
+        ({"settings": MpccSettings(margin=4.0)}, "beside the car"),
     ],
 )
 def test_what_cannot_be_driven_is_refused_before_the_first_step(options, says):
     with pytest.raises(SplitError, match=says):
         run_race(RaceSettings(**options), CAR)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"speeds": (-3.0,)}, "--speed: must be positive"),
+        ({"p_ellipse": 1.5}, "share of the peak"),
+        ({"car": "f1tenth_car"}, "wheelbase"),
+        ({"seed": -2}, "from 0"),
+        ({"scenario": "moose"}, "moose"),
+    ],
+)
+def test_manoeuvres_that_cannot_be_driven_are_refused(options, says):
+    with pytest.raises(SplitError, match=says):
+        run_maneuvers(ManeuverSettings(**options), CAR)
+
+
+def test_a_start_that_is_not_on_the_track_is_refused(tmp_path):
+    angle = np.arange(80) * 2 * np.pi / 80
+    rows = [f"{60 * np.cos(a):.3f},{40 * np.sin(a):.3f},6.0,0.3" for a in angle]
+    (tmp_path / "aside.csv").write_text("\n".join(rows))
+    with pytest.raises(SplitError, match=r"0\.30 m from the centre line at the start"):
+        run_race(RaceSettings(track=str(tmp_path / "aside.csv")), CAR)
 
 
 def test_a_set_of_another_vehicle_is_refused(tmp_path):

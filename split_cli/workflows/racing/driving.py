@@ -10,19 +10,20 @@ import numpy as np
 
 from split_cli.control.grip import learned_grip
 from split_cli.control.learner import Learner, NoLearner
-from split_cli.control.model import ControlModel
+from split_cli.control.model import ControlModel, check_features
 from split_cli.control.mpcc import Mpcc
 from split_cli.control.path import check_path, contour_and_lag
 from split_cli.control.receding import Actuators, ControllerLost, StepInfo
 from split_cli.errors import SplitError
 from split_cli.learning.cells import warm_up
+from split_cli.learning.features import parse_features
 from split_cli.learning.training_set import TrainingSet, read_set, write_set
 from split_cli.logs.drive import write_drive
 from split_cli.plant.cars import find_car
 from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.racing.closed_loop import World, body_width
-from split_cli.workflows.racing.entry import check_settings, check_trusted, find_path
+from split_cli.workflows.racing.entry import check_car, check_settings, check_start, check_trusted, find_path
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.racing.settings import RaceSettings
 from split_cli.workflows.racing.study import blank_header, make_learner, studied_header
@@ -66,9 +67,14 @@ class Race:
         self.settings, self.vehicle, self.set_output, self.say = settings, vehicle, set_output, say
         check_settings(settings)
         self.car = find_car(settings.car)
+        check_car(vehicle, self.car)
+        check_features(vehicle, parse_features(settings.features), settings.settings.step)
         self.width = settings.width or body_width(self.car)
         self.path = find_path(settings.track)
         check_path(self.path, self.width)
+        self.start = -min(RUN_UP_SHARE * self.path.length, LONGEST_RUN_UP)
+        for one in (settings.settings, settings.first or settings.settings):
+            check_start(self.path, self.start, self.width, one.margin)
         self.mpcc = replace(settings.settings, max_speed=settings.max_speed)
         torque = settings.max_torque or vehicle.max_torque
         self.actuators = Actuators(min(torque, vehicle.max_torque), vehicle.max_brake_torque)
@@ -89,7 +95,6 @@ class Race:
         warm_up()
         s = self.settings
         speed = min(0.5 * s.max_speed, self._speed_at_start())
-        self.start = -min(RUN_UP_SHARE * self.path.length, LONGEST_RUN_UP)
         self.world = World(
             self.car, self.path, speed, self.start, s.grip, None if s.exact_sensors else s.seed
         )  # fmt: skip

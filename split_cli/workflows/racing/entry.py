@@ -8,17 +8,24 @@ import numpy as np
 
 from split_cli.control.path import Path, read_centerline
 from split_cli.errors import SetError, SplitError, nearest_names
+from split_cli.learning.features import parse_features
+from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.training_set import TrainingSet
+from split_cli.plant.cars import CarParameters
 from split_cli.plant.tracks import TRACK_NAMES, find_track
 from split_cli.prediction import PREDICTORS
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.racing.closed_loop import path_of
 from split_cli.workflows.racing.settings import LEARNERS, RaceSettings
 
-__all__ = ["check_settings", "check_trusted", "find_path"]
+__all__ = ["check_car", "check_settings", "check_start", "check_trusted", "find_path"]
 
 LARGEST_LABEL = 30.0
 """Three times gravity [m/s^2]: no tyre force, and so no model of one, is wrong by more."""
+
+LARGEST_LIKENESS = 1.5
+"""Between the wheelbase of the vehicle file and that of the plant's car [1]: a file that is more wrong than that
+describes another car."""
 
 
 def check_settings(settings: RaceSettings) -> None:
@@ -36,9 +43,10 @@ def check_settings(settings: RaceSettings) -> None:
         )  # fmt: skip
     if settings.laps < 0:
         raise SplitError(f"a number of laps from 0 was expected, got {settings.laps}", where="--laps")
-    for name, value in (("--max-speed", settings.max_speed), ("--grip", settings.grip)):
-        if not 0.0 < value < 1e3:
-            raise SplitError(f"must be positive, got {value:g}", where=name)
+    _check_numbers(settings)
+    features = parse_features(settings.features)
+    if settings.hyperparameters not in ("fit", "default"):
+        read_kernel(settings.hyperparameters, features)
     if settings.predictor not in PREDICTORS:
         advice = nearest_names(settings.predictor, PREDICTORS)
         raise SplitError(f"no predictor {settings.predictor!r}", where="--predictor", advice=advice)
@@ -46,6 +54,81 @@ def check_settings(settings: RaceSettings) -> None:
         raise SplitError(
             "the dictionary of iol begins empty", where="--start-set", advice="Use --learner none or split."
         )
+
+
+def _check_numbers(settings: RaceSettings) -> None:
+    """Refuse numbers out of their range, naming the option."""
+    inner = [settings.settings] + ([settings.first] if settings.first is not None else [])
+    positive = [
+        ("--max-speed", settings.max_speed),
+        ("--grip", settings.grip),
+        ("--told-grip", settings.told_grip),
+    ]
+    positive += [(name, v) for name, v in (("--max-torque", settings.max_torque), ("--width", settings.width))
+                 if v is not None]  # fmt: skip
+    positive += [("--p-long", one.limits.p_long) for one in inner]
+    for name, value in positive:
+        if not 0.0 < value < 1e6:
+            raise SplitError(f"must be positive, got {value:g}", where=name)
+    shares = [(name, v) for one in inner for name, v in (("--p-ellipse", one.limits.p_ellipse),
+              ("--p-unknown", one.limits.p_unknown)) if v is not None]  # fmt: skip
+    for name, value in shares:
+        if not 0.0 < value < 1.0:
+            raise SplitError(f"a share of the peak between 0 and 1 was expected, got {value:g}", where=name)
+    for name, value in [("--tightening", settings.tightening), *(("--margin", one.margin) for one in inner)]:
+        if not 0.0 <= value < 1e3:
+            raise SplitError(f"must not be negative, got {value:g}", where=name)
+    if settings.seed < 0:
+        raise SplitError(f"a whole number from 0 was expected, got {settings.seed}", where="--seed")
+
+
+def check_car(vehicle: Vehicle, car: CarParameters) -> None:
+    """Refuse a vehicle file that describes another car than the plant's.
+
+    Raises
+    ------
+    SplitError
+        If the wheelbases differ by more than `LARGEST_LIKENESS`.
+    """
+    ratio = vehicle.wheelbase / car.wheelbase
+    if not 1.0 / LARGEST_LIKENESS <= ratio <= LARGEST_LIKENESS:
+        raise SplitError(
+            f"{car.name} has a wheelbase of {car.wheelbase:.2f} m, the vehicle file {vehicle.name} says "
+            f"{vehicle.wheelbase:.2f} m", where="--car", advice="Name the vehicle file of the car that is driven.",
+        )  # fmt: skip
+
+
+def check_start(path: Path, start: float, width: float, margin: float) -> None:
+    """Refuse a track that leaves no room for car and margin, and a start at which the car is not on the track.
+
+    Parameters
+    ----------
+    path : Path
+    start : float
+        Arc length, on the centre line [m].
+    width, margin : float
+        Of the car, and kept from its side to the border [m].
+
+    Raises
+    ------
+    SplitError
+        Saying where, and how much there is.
+    """
+    room = path.left + path.right - width
+    tightest = int(np.argmin(room))
+    if room[tightest] <= 2.0 * margin:
+        raise SplitError(
+            f"leaves {room[tightest]:.2f} m beside the car at {tightest * path.spacing:.0f} m, less than twice "
+            f"the margin of {margin:g} m", where=path.name, advice="Lower --margin, or widen the track.",
+        )  # fmt: skip
+    here = path.at(np.array([start]))
+    nearest = float(min(here.left[0], here.right[0]))
+    if nearest < 0.5 * width:
+        raise SplitError(
+            f"the border is {nearest:.2f} m from the centre line at the start ({start % path.length:.0f} m), "
+            f"where half the car is {0.5 * width:.2f} m wide", where=path.name,
+            advice="Move the centre line to the middle of the track there, or let the file begin elsewhere.",
+        )  # fmt: skip
 
 
 def find_path(name: str) -> Path:

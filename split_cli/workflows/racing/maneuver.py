@@ -30,7 +30,7 @@ from split_cli.plant.recording import write_mcap
 from split_cli.prediction import make_predictor
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.racing.closed_loop import World, body_ends, body_width
-from split_cli.workflows.racing.entry import check_trusted
+from split_cli.workflows.racing.entry import check_car, check_trusted
 
 __all__ = ["ManeuverResult", "ManeuverRun", "ManeuverSettings", "run_maneuvers"]
 
@@ -177,9 +177,9 @@ def run_maneuvers(
         if path is not None:
             refuse_overwriting_inputs(path, (vehicle_path, settings.start_set or vehicle_path))
             refuse_what_cannot_be_written(path)
-    if not 0.0 < settings.grip < 10.0:
-        raise SplitError(f"must be positive, got {settings.grip:g}", where="--grip")
+    _check(settings)
     vehicle, car = read_vehicle(vehicle_path), find_car(settings.car)
+    check_car(vehicle, car)
     residual, model = _residual(settings, vehicle)
     width = settings.width or body_width(car)
     scenarios = [build_scenario(settings.scenario, width, v) for v in settings.speeds or (None,)]
@@ -198,6 +198,23 @@ def run_maneuvers(
         width=width, runs=tuple(runs), highest_passed=_highest(runs),
         output=None if output is None else str(output), set_path=None if set_output is None else str(set_output),
     )  # fmt: skip
+
+
+def _check(settings: ManeuverSettings) -> None:
+    """Refuse numbers that no manoeuvre can be driven with, naming the option."""
+    positive = [("--grip", settings.grip), ("--p-long", settings.p_long)]
+    positive += [("--speed", speed) for speed in settings.speeds]
+    optional = ("--max-torque", settings.max_torque), ("--width", settings.width)
+    positive += [(name, value) for name, value in optional if value is not None]
+    for name, value in positive:
+        if not 0.0 < value < 1e6:
+            raise SplitError(f"must be positive, got {value:g}", where=name)
+    if not 0.0 < settings.p_ellipse < 1.0:
+        raise SplitError(
+            f"a share of the peak between 0 and 1 was expected, got {settings.p_ellipse:g}", where="--p-ellipse"
+        )
+    if settings.seed < 0:
+        raise SplitError(f"a whole number from 0 was expected, got {settings.seed}", where="--seed")
 
 
 def _highest(runs: Sequence[ManeuverRun]) -> float | None:
