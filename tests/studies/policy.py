@@ -168,23 +168,25 @@ def table(rows: list[list[str]]) -> str:
     """Return what changes as a Markdown table, one line a number."""
     standard = {row[3]: row for row in rows if row[0] == "standard"}
     lines = ["| number | value | origin | halved | doubled |", "|---|---|---|---|---|"]
-    never, still, run = 0, 0, 0
+    asked, never, followed, change = 0, 0, 0, 0
     for group, one, value in deciding_numbers():
         mine = [row for row in rows if row[:2] == [group, one.name]]
         if not mine:
             continue
-        run += 1
         cells = [told_of([row for row in mine if row[2] == str(factor)], standard) for factor in FACTORS]
+        asked += 1
         never += all(row[7] == NEVER_TURNED for row in mine)
-        still += not any(changes for _, changes in cells) and not all(row[7] == NEVER_TURNED for row in mine)
+        followed += any(row[7] == RUN for row in mine)
+        change += any(changes for _, changes in cells)
         origin, unit = one.metadata["origin"].partition(":")[0], one.metadata["unit"].removesuffix("1")
         said = " | ".join(words for words, _ in cells)
         lines.append(f"| `{group}.{one.name}` | {value:g} {unit} | {origin} | {said} |")
     cases = [f"- case {case}: {row[4]}" for case, row in sorted(standard.items(), key=lambda pair: int(pair[0]))]
     total = sum(1 for _ in deciding_numbers())
     count = (
-        f"Of {total} numbers {run} were asked about. {never} never turned a comparison in these cases; "
-        f"{still} more did, and where they were followed to the end nothing changed."
+        f"Of {total} numbers {asked} were asked about. {never} never turned a comparison in these cases and "
+        f"change nothing there. {followed} were followed to the end in some case; {change} of these changed "
+        "something. Open: the number turned a comparison, and what came of it was not run."
     )
     return "\n".join(["\n".join(cases), "", count, "", *lines, ""])
 
