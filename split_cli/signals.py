@@ -255,7 +255,7 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
     """
     text = header.strip().lstrip("#").strip().strip('"').strip()
     match = _BRACKETED.match(text)
-    if match and match["name"]:
+    if match and match["name"] and match["unit"].strip().lower() not in ("x", "y", "z"):
         unit = find_unit(match["unit"]) if match["unit"].strip() else None
         return match["name"].strip(' "'), unit.symbol if unit else (match["unit"].strip() or None)
     lowered = text.lower()

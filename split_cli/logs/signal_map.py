@@ -25,7 +25,7 @@ __all__ = [
     "read_map",
 ]
 
-CONVERSIONS = ("yaw_from_quaternion", "local_x", "local_y", "norm", "pair_sum", "pair_mean")
+CONVERSIONS = ("yaw_from_quaternion", "local_x", "local_y", "norm", "pair_sum", "pair_mean", "signed")
 """What may be computed from several fields of one message, before scale, offset and unit."""
 
 EXTRA_UNITS: dict[str, str] = {

@@ -100,3 +100,21 @@ def test_a_relation_that_nothing_explains_silences_no_other(sample):
     findings = told(replace(drive, columns=columns), vehicle)
     assert {f.channel for f in findings} == {"r", "ax"}
     assert any("is in deg/s" in f.text for f in findings)
+
+
+def test_accelerations_along_each_others_axes_are_told_so(sample):
+    drive, vehicle = sample
+    columns = {**drive.columns, "ax": drive.columns["ay"], "ay": drive.columns["ax"]}
+    findings = told(replace(drive, columns=columns), vehicle)
+    assert {(f.check, f.channel) for f in findings} == {("swapped", "ax"), ("swapped", "ay")}
+
+
+def test_what_every_story_says_is_corrected_though_they_differ_in_another_channel(sample):
+    # Without a path, nothing tells the hand of r and a_y together; their units are sure.
+    drive, vehicle = sample
+    wrong = with_mistakes(drive, "yaw rate in deg/s", "a_y in g")
+    columns = {name: wrong.columns[name] for name in ("t", "vx", "vy", "r", "T", "delta", "ax", "ay")}
+    kinds = {**drive.metadata.kinds, "vy": "derived: nothing", "delta": "derived: nothing"}
+    found = check_consistency(replace(wrong, columns=columns), vehicle, kinds)
+    assert found.factors["r"] == pytest.approx(DEGREES)
+    assert found.factors["ay"] == pytest.approx(1.0 / STANDARD_GRAVITY)

@@ -340,3 +340,26 @@ def test_without_asammdf_the_extra_is_named(tmp_path):
         [sys.executable, "-c", code, tmp_path / "a.mf4"], capture_output=True, text=True, check=True
     )
     assert "split-cli[mf4]" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("14-Mar-2026 23:59:59.500", "15-Mar-2026 00:00:00.000"),
+        ("3 March 2026 08:00:00.25", "3 March 2026 08:00:00.75"),
+        ("11:59:59.500 AM", "12:00:00.000 PM"),
+        ("03/14/2026 11:59:59.75 pm", "03/15/2026 12:00:00.25 am"),
+    ],
+)
+def test_months_by_name_and_halves_of_the_day_are_read(tmp_path, first, second):
+    (tmp_path / "lap.csv").write_text(f"time,vx\n{first},1.0\n{second},2.0\n")
+    read = open_recording(tmp_path / "lap.csv").read(["time"])["time"]
+    assert np.diff(read.values) == pytest.approx(0.5, abs=1e-6)
+
+
+def test_runs_of_blanks_part_columns_only_where_nothing_else_does(tmp_path):
+    (tmp_path / "aligned.txt").write_text("   t     vx    vy\n" + "".join(f"  {0.01 * i:5.2f}  {i:4d}  -0.5\n" for i in range(20)))
+    aligned = open_recording(tmp_path / "aligned.txt").read(["t", "vx", "vy"])
+    assert aligned["vx"].values == pytest.approx(np.arange(20.0)) and aligned["t"].values[-1] == pytest.approx(0.19)
+    (tmp_path / "dated.csv").write_text("time,vx\n" + "".join(f"2026-03-14 10:00:{i:02d},{i}\n" for i in range(20)))
+    assert [info.name for info in open_recording(tmp_path / "dated.csv").channels()] == ["time", "vx"]

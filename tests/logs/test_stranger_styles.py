@@ -44,6 +44,9 @@ class Style:
     mark: bytes = b""
     rows: Callable[[int], np.ndarray] | None = None
     tolerances: Mapping[str, float] = field(default_factory=dict)
+    encoding: str = "utf-8"
+    quoted: bool = False
+    units: tuple[str, ...] = ()
 
 
 def held(values: np.ndarray, every: int) -> np.ndarray:
@@ -207,6 +210,76 @@ STYLES = {
         "GyroZ_dps": c["r"] * DEG, "YawAngle_deg": c["yaw"] * DEG, "LocalX_m": c["X"], "LocalY_m": c["Y"],
         "RoadWheelAngle_deg": c["delta"] * DEG, "DriveTorque_Nm": c["T"],
     }),
+    "blanks between columns, as NumPy saves": Style(lambda t, c: {
+        "# t": t, "X": c["X"], "Y": c["Y"], "phi": c["yaw"], "vx": c["vx"], "vy": c["vy"], "omega": c["r"],
+        "delta": c["delta"], "torque": c["T"],
+    }, separator="  "),
+    "decimal commas in quotes between commas": Style(lambda t, c: {
+        "Time": t, "vx [m/s]": c["vx"], "vy [m/s]": c["vy"], "yaw_rate [deg/s]": c["r"] * DEG,
+        "delta [deg]": c["delta"] * DEG, "T [Nm]": c["T"],
+    }, decimal=",", quoted=True),
+    "spreadsheet in German, another code page": Style(lambda t, c: {
+        "Zeit [s]": t, "v [km/h]": c["vx"] * 3.6, "v_quer [km/h]": c["vy"] * 3.6, "Gierrate [°/s]": c["r"] * DEG,
+        "Lenkwinkel [°]": c["delta"] * DEG, "Querbeschl. [g]": c["ay"] / G, "Radmoment [Nm]": c["T"],
+        "Fahrer": np.full(len(t), "Müller"),
+    }, separator=";", decimal=",", before="sep=;\n", encoding="cp1252"),
+    "UTF-16, tabs": Style(lambda t, c: {
+        "Time (s)": t, "Speed (mph)": c["vx"] / 0.44704, "Lateral speed (mph)": c["vy"] / 0.44704,
+        "Yaw Rate [deg/s]": c["r"] * DEG, "Lat Acc (g)": c["ay"] / G, "Road wheel angle (deg)": c["delta"] * DEG,
+        "Torque (Nm)": c["T"],
+    }, separator="\t", encoding="utf-16"),
+    "French": Style(lambda t, c: {
+        "Temps (s)": t, "Vitesse (km/h)": c["vx"] * 3.6, "Vitesse de lacet (°/s)": c["r"] * DEG,
+        "Accélération latérale (m/s²)": c["ay"], "Accélération longitudinale (m/s²)": c["ax"],
+        "Angle volant (°)": c["delta"] * 15.0 * DEG, "Angle de braquage (°)": c["delta"] * DEG,
+        "Couple roue (Nm)": c["T"], "Vitesse latérale (m/s)": c["vy"],
+    }, separator=";", decimal=","),
+    "Spanish": Style(lambda t, c: {
+        "Tiempo [s]": t, "Velocidad [km/h]": c["vx"] * 3.6, "Velocidad lateral [km/h]": c["vy"] * 3.6,
+        "Velocidad de guiñada [°/s]": c["r"] * DEG, "Ángulo de dirección [°]": c["delta"] * DEG, "Par [Nm]": c["T"],
+    }, separator=";", decimal=","),
+    "week and second of the satellites, to the right": Style(lambda t, c: {
+        "GPS_Week": 2400.0 + 0.0 * t, "GPS_TOW": 345600.0 + t, "Lat_deg": degrees_of(c)[0], "Lon_deg": degrees_of(c)[1],
+        "Vel_fwd_mps": c["vx"], "Vel_right_mps": -c["vy"], "AngRate_z_dps": -c["r"] * DEG, "Accel_x_mps2": c["ax"],
+        "Accel_y_mps2": -c["ay"], "Heading_deg": bearing(c), "steer_rad": c["delta"],
+    }, tolerances={"X": 2.0, "Y": 2.0}),
+    "epoch in milliseconds under a name of its own": Style(lambda t, c: {
+        "capture": np.round(1.76e12 + t * 1e3), "pos_x": c["X"], "pos_y": c["Y"], "v_lon": c["vx"], "v_lat": c["vy"],
+        "yaw_deg": np.mod(c["yaw"] * DEG + 180.0, 360.0) - 180.0, "yaw_rate_dps": c["r"] * DEG,
+        "steering_deg": c["delta"] * DEG, "throttle_pct": np.clip(c["T"] / 3000.0, 0.0, 1.0) * 100.0,
+    }, tolerances={"throttle": 1e9}),
+    "sizes with signs in columns of their own": Style(lambda t, c: {
+        "timestamp": t, "ESP_v_Signal": c["vx"] * 3.6, "ESP_Gierrate": np.abs(c["r"]) * DEG,
+        "ESP_VZ_Gierrate": (c["r"] < 0.0) * 1.0, "LWI_Lenkradwinkel": np.abs(c["delta"]) * 15.0 * DEG,
+        "LWI_VZ_Lenkradwinkel": (c["delta"] < 0.0) * 1.0, "ESP_Querbeschleunigung": c["ay"] / G,
+        "ESP_Laengsbeschl": c["ax"],
+    }, frozenset({"delta"})),
+    "no units at all, mph, degrees and g": Style(lambda t, c: {
+        "time": t, "speed": c["vx"] / 0.44704, "lat_speed": c["vy"] / 0.44704, "yawrate": c["r"] * DEG,
+        "steer": c["delta"] * DEG, "torque": c["T"], "ay": c["ay"] / G, "ax": c["ax"] / G,
+    }),
+    "x is north, y is east": Style(lambda t, c: {
+        "t [s]": t, "x_N [m]": c["Y"], "y_E [m]": c["X"], "psi [rad]": np.angle(np.exp(1j * (0.5 * np.pi - c["yaw"]))),
+        "u [m/s]": c["vx"], "v [m/s]": -c["vy"], "r [rad/s]": -c["r"], "delta [rad]": -c["delta"], "torque [Nm]": c["T"],
+    }),
+    "a game, x to the right": Style(lambda t, c: {
+        "iCurrentTime": np.round(t * 1e3), "speedKmh": c["vx"] * 3.6, "localVelocity_x": -c["vy"],
+        "localVelocity_y": 0.0 * t, "localVelocity_z": c["vx"], "localAngularVelocity_y": -c["r"],
+        "steerAngle": -c["delta"] * 15.0 / 7.85,
+    }, frozenset({"vy", "delta"})),
+    "held at 10 Hz, required ones too": Style(lambda t, c: {
+        "t": t, "gps_speed [m/s]": held(c["vx"], 10), "gps_heading [deg]": held(bearing(c), 10),
+        "lat": held(degrees_of(c)[0], 10), "lon": held(degrees_of(c)[1], 10), "imu_yaw_rate [rad/s]": c["r"],
+        "steer_angle [rad]": c["delta"], "vy_est [m/s]": c["vy"], "torque [Nm]": c["T"],
+    }, tolerances={"X": 2.0, "Y": 2.0}),
+    "phone, months by name": Style(lambda t, c: {
+        "Device Time": text_times(t, "%d-%b-%Y %H:%M:%S.%f"), "Longitude": degrees_of(c)[1], "Latitude": degrees_of(c)[0],
+        "GPS Speed (Meters/second)": c["vx"], "Bearing": bearing(c), "G(x)": c["ay"] / G, "G(y)": c["ax"] / G,
+    }, frozenset({"course"}), tolerances={"X": 2.0, "Y": 2.0}),
+    "units in a row, driver's wheel": Style(lambda t, c: {
+        "Time": t, "Vehicle Speed": c["vx"] * 3.6, "Lateral Velocity": c["vy"], "Yaw Rate": c["r"] * DEG,
+        "Steering Wheel Angle": c["delta"] * 15.0 * DEG, "Lateral Acceleration": c["ay"] / G, "Wheel Torque": c["T"],
+    }, frozenset({"delta"}), units=("s", "km/h", "m/s", "deg/s", "deg", "g", "Nm")),
 }  # fmt: skip
 
 
@@ -225,8 +298,11 @@ def written(style: Style, planted: PlantedDrive, path) -> None:
              if v.dtype.kind in "fi" else v for v in columns.values()]  # fmt: skip
     if style.decimal != ".":
         cells = [np.char.replace(column, ".", style.decimal) for column in cells]
-    lines = [style.separator.join(columns), *(style.separator.join(row) for row in np.stack(cells, 1)[rows])]
-    path.write_bytes(style.mark + (style.before + "\n".join(lines) + "\n").encode())
+    if style.quoted:
+        cells = [np.char.add(np.char.add('"', column), '"') for column in cells]
+    heads = [style.separator.join(row) for row in (columns, style.units) if row]
+    lines = [*heads, *(style.separator.join(row) for row in np.stack(cells, 1)[rows])]
+    path.write_bytes(style.mark + (style.before + "\n".join(lines) + "\n").encode(style.encoding))
 
 
 @pytest.mark.parametrize("name", STYLES)
@@ -289,6 +365,7 @@ def compare_mapped(draft, recording, planted: PlantedDrive, style: Style) -> Non
         content["channels"]["delta"] = {"source": steer.sources[0], "unit": "deg", "scale": scale}
     content["channels"].setdefault("delta", {**nothing, "unit": "rad"})
     content["channels"].setdefault("vy", {**nothing, "unit": "m/s"})
+    content["channels"].setdefault("r", {**nothing, "unit": "rad/s"})
     derive = () if "T" in have else ("torque-from-acceleration",)
     made = assemble_drive(recording, map_from_mapping(content), planted.vehicle, IngestSettings(derive=derive))
     compare(made.drive.columns, planted, style, have & set(TOLERANCES))

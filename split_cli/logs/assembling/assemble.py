@@ -39,6 +39,8 @@ from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Assembled", "IngestSettings", "assemble_drive"]
 
+_USUAL_GAP = 0.1
+"""Longest step that is interpolated unless said otherwise [s]."""
 _DELAY_PASSES = 6
 """At most so many; identities of three channels are right only once all three are in time."""
 
@@ -51,8 +53,9 @@ class IngestSettings:
     ----------
     clock : str or None
         ``header``, ``publish`` or ``log``.
-    gap : float
-        Nothing is interpolated across a longer step; a new segment starts there [s].
+    gap : float or None
+        Nothing is interpolated across a longer step; a new segment starts there [s]. None takes 0.1 s, and two and
+        a half samples of a needed channel that comes at about 10 Hz.
     rate : float or None
         Of the drive [Hz]; None takes the slowest continuous required channel's, at most 100 Hz.
     delays : mapping of str to float
@@ -69,7 +72,7 @@ class IngestSettings:
     """
 
     clock: Clock | None = None
-    gap: float = 0.1
+    gap: float | None = None
     rate: float | None = None
     delays: Mapping[str, float] | None = None
     estimate_delays: bool = False
@@ -112,8 +115,9 @@ def assemble_drive(
         If nothing usable remains.
     """
     settings = settings or IngestSettings()
-    if not settings.gap > 0:
-        raise MapError(f"the gap is {settings.gap:g} s, it must be positive", advice="Give --gap in seconds.")
+    gap = _USUAL_GAP if settings.gap is None else settings.gap
+    if not gap > 0:
+        raise MapError(f"the gap is {gap:g} s, it must be positive", advice="Give --gap in seconds.")
     if settings.row_rate is not None:
         if not settings.row_rate > 0:
             raise MapError(f"the row rate is {settings.row_rate:g} Hz", advice="Give --row-rate in rows a second.")
@@ -128,10 +132,10 @@ def assemble_drive(
         needed=needed,
     )
     _check_required(gathered, derivations, signal_map, recording.name)
-    series, joined = join_clock_resets(_with_delays(gathered, settings), settings.gap)
-    series, trimmed = trim(series, settings.start, settings.end, settings.cuts, settings.gap)
+    series, joined = join_clock_resets(_with_delays(gathered, settings), gap)
+    series, trimmed = trim(series, settings.start, settings.end, settings.cuts, gap)
     channels, unusable = clean_channels(
-        series, gathered.maps, needed, gap=settings.gap, despike=signal_map.despike
+        series, gathered.maps, needed, gap=gap, despike=signal_map.despike, widened=settings.gap is None
     )
     estimates: tuple[DelayEstimate, ...] = ()
     if settings.estimate_delays:
@@ -161,7 +165,7 @@ def assemble_drive(
         assumed=(*_assumed_before(before), *gathered.assumed),
         contradictions=gathered.contradictions,
         skipped=gathered.skipped,
-        warnings=(*warnings, *unusable, *(f"{n.where}: {n.count} x {n.what}" for n in recording.notes)),
+        warnings=(*warnings, *channels.bridged(), *unusable, *(f"{n.where}: {n.count} x {n.what}" for n in recording.notes)),
     )
     paths = getattr(recording, "paths", (recording.path,))
     quality = replace(quality, unverified=_unverified(recording.path, before))

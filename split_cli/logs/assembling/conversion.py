@@ -118,6 +118,13 @@ class Converter:
         if source.convert in ("pair_sum", "pair_mean"):
             total = sum(columns)
             return (total if source.convert == "pair_sum" else total / len(columns)), signals[0].unit
+        if source.convert == "signed":
+            if len(columns) != 2:
+                raise MapError(
+                    f"{channel}: signed takes a size and a column that is 1 where it is negative", where=self.where
+                )
+            self.notes.conversions.append(f"{channel}: negative where {source.names[1]} is 1")
+            return transform.signed(*columns), signals[0].unit
         return columns[0], signals[0].unit
 
     def _to_si(

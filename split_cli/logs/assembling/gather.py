@@ -261,7 +261,7 @@ def _extra_columns(infos: Mapping, found: Mapping, signal_map: SignalMap) -> lis
     if any(name.startswith("/") for name in infos):
         return []
     taken = {*CHANNELS, "segment", *found}
-    return [name for name in infos if name not in mapped and name not in taken]
+    return [name for name in infos if name not in mapped and name not in taken and infos[name].type_name != "text"]
 
 
 def _time_column(infos: Mapping, signal_map: SignalMap, recording: RawRecording) -> str | None:

@@ -27,6 +27,7 @@ from split_cli.logs.signal_map import ChannelMap
 from split_cli.signals import CHANNELS
 
 __all__ = [
+    "SLOWEST_PERIOD",
     "Channels",
     "clean_channels",
     "judge_sources",
@@ -37,6 +38,11 @@ __all__ = [
     "sum_sources",
     "without_missing",
 ]
+
+
+SLOWEST_PERIOD = 0.125
+"""Of a needed channel that is bridged over two and a half samples unasked [s]: 10 Hz, the rate of satellite
+receivers and of many loggers, with a quarter for jitter. What is slower misses the car's own motion."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +60,8 @@ class Channels:
         Channels without which a row is not kept.
     gap : float
         Longest step that is bridged [s].
+    widened : bool
+        Whether a needed channel that comes more slowly is bridged over more, see `SLOWEST_PERIOD`.
     """
 
     clean: Mapping[str, list[CleanSeries]]
@@ -61,13 +69,27 @@ class Channels:
     maps: Mapping[str, ChannelMap]
     needed: tuple[str, ...]
     gap: float
+    widened: bool = False
 
     def gap_of(self, channel: str, index: int) -> float:
         """Return the longest step of a source that is bridged [s]; more for commands and slow optional ones."""
         period = self.clean[channel][index].period
         if self.modes[channel][index] == "held":
             return max(self.gap, 5.0 * period)
-        return self.gap if channel in self.needed else max(self.gap, 2.5 * period)
+        if channel in self.needed and not (self.widened and period <= SLOWEST_PERIOD):
+            return self.gap
+        return max(self.gap, 2.5 * period)
+
+    def bridged(self) -> list[str]:
+        """Return in words which needed channels come so slowly that more than the gap is bridged."""
+        told = []
+        for channel in self.needed:
+            for index, part in enumerate(self.clean[channel]):
+                gap = self.gap_of(channel, index)
+                if self.modes[channel][index] != "held" and gap > self.gap:
+                    rate = f"{1.0 / part.period:.3g} Hz"
+                    told.append(f"{channel} comes at {rate}: steps up to {gap:.2g} s are bridged (--gap)")
+        return told
 
 
 def clean_channels(
@@ -77,6 +99,7 @@ def clean_channels(
     *,
     gap: float,
     despike: bool,
+    widened: bool = False,
 ) -> tuple[Channels, list[str]]:
     """Clean every source; an optional channel that holds nothing usable is left out, and said.
 
@@ -105,7 +128,7 @@ def clean_channels(
             continue
         clean[channel] = cleaned
         modes[channel] = [_mode(channel, entry, part) for part in cleaned]
-    return Channels(clean, modes, {name: maps[name] for name in clean}, tuple(needed), gap), left_out
+    return Channels(clean, modes, {name: maps[name] for name in clean}, tuple(needed), gap, widened), left_out
 
 
 def _unwrapped(angle: np.ndarray) -> np.ndarray:

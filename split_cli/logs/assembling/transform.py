@@ -9,6 +9,7 @@ __all__ = [
     "frame_sign",
     "local_tangent_plane",
     "position_of_cg",
+    "signed",
     "velocity_at_cg",
     "yaw_from_ned",
     "yaw_from_quaternion",
@@ -47,6 +48,11 @@ def yaw_from_quaternion(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarr
     norm = x * x + y * y + z * z + w * w
     yaw = np.arctan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z)
     return np.where(norm > 1e-6, yaw, np.nan)
+
+
+def signed(size: np.ndarray, negative: np.ndarray) -> np.ndarray:
+    """Return sizes, negative where `negative` is above a half, shapes (N,); missing where either is."""
+    return np.where(np.isfinite(negative), np.where(negative > 0.5, -size, size), np.nan)
 
 
 def local_tangent_plane(

@@ -104,6 +104,30 @@ class Checks:
             ratio,
         )
 
+    def axes(self) -> list[ConsistencyFinding]:
+        """Return accelerations that do not go with their own motion and do with the other's."""
+        if not self.usable("ax", "r"):
+            return []
+        inertial = self.k.rate("vx") - self._carried()
+        turning = self.k.columns["vx"] * self.k.columns["r"]
+        motions = {"ax": (inertial, "dv_x/dt - v_y r"), "ay": (turning, "v_x r")}
+        found = []
+        for channel, other in (("ax", "ay"), ("ay", "ax")):
+            if not self.usable(channel):
+                continue
+            signal = self.k.signal(channel)
+            own, across = (fit_slope(signal, motions[c][0], self.k.moving) for c in (channel, other))
+            if own is None or across is None or abs(across.correlation) < LEAST_CORRELATION:
+                continue
+            if abs(own.correlation) < abs(across.correlation) - 0.5:
+                text = (
+                    f"{channel[0]}_{channel[1]} goes with {motions[other][1]} (correlation {across.correlation:.2f}), "
+                    f"not with {motions[channel][1]} ({own.correlation:.2f}): it is along the other axis. Exchange "
+                    "the sources of a_x and a_y in the map."
+                )
+                found.append(ConsistencyFinding("swapped", channel, text, across.correlation))
+        return found
+
     def magnitudes(self) -> list[Plausible]:
         """Return what the 99 % quantiles of channels reach, with what no car reaches."""
         k, found = self.k, []

@@ -78,7 +78,8 @@ def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str,
         corrected = Checks(_corrected(drive.columns, factors, vy_judged), drive, vehicle, kinds)
         corrected.unjudged, finer = finer.unjudged, corrected
     wrong = {finding.channel for finding in found} - set(factors) - ({"X"} if "hand" in factors else set())
-    findings = [*constant, *found]
+    exchanged = finer.axes()
+    findings = [*constant, *found, *exchanged]
     if not {"vx", "r"} & wrong:
         placed = finer.sideslip_place()
         if "vx" in factors and not vy_judged and placed:
@@ -88,6 +89,9 @@ def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str,
         findings += [*finer.straight_line(), *placed, *finer.grip()]
     if not {"X", "Y", "yaw"} & wrong:
         findings += finer.direction_of_travel()
+    # Along another axis, an acceleration tells nothing of a tilt or a bias.
+    along = {finding.channel for finding in exchanged}
+    findings = [f for f in findings if f in exchanged or f.channel not in along or f.check == "constant"]
     unjudged = dict.fromkeys([*checks.unjudged, *finer.unjudged])
     # The functions were for the search; results travel between processes.
     relations = tuple(replace(relation, corrected=None) for relation in checks.relations)

@@ -20,7 +20,7 @@ _EDGE = 2.0
 _RIVAL = 1.5
 """Explanations less than this dearer than the best are told beside it: odds of less than 5 to 1."""
 _SAME_UNIT = 1.0
-"""Cost of v_y or a wheel speed in the wrong unit that v_x is in too: all come from one logger."""
+"""Cost of v_y or a wheel speed in the wrong unit that v_x is in too, and of a_y in that of a_x: of one logger."""
 _ONE_MORE_WHEEL = 0.25
 _BEYOND_PHYSICS = 4.0
 """Cost of a magnitude e times what a car can reach."""
@@ -219,7 +219,7 @@ def explain(
     # More than the best says is no rival to it.
     rivals = [s for s in stories[1:] if s.cost < best.cost + _RIVAL and not s.blamed >= best.blamed]
     told = _told(best, rivals, relations, beyond)
-    sure = {m.channel for m in best.mistakes} if not rivals else set()
+    sure = {m.channel for m in best.mistakes if all(m in rival.mistakes for rival in rivals)}
     doubtful = {leaf.relation.leaf for leaf in best.leaves if leaf.rivals}
     factors = {
         m.channel: m.factor
@@ -272,13 +272,20 @@ def _story(
         leaves = [_leaf(relation, factors, shared, vehicle, plausible) for relation in mirrored]
     cost = sum(mistake.cost for mistake in shared) + sum(leaf.cost for leaf in leaves)
     cost += sum(p.cost(factors) for p in plausible if set(p.powers) <= set(_SHARED))
-    cost -= _shared_wheel_costs(leaves)
+    cost -= _shared_wheel_costs(leaves) + _shared_acceleration_cost(leaves)
     body = [leaf for leaf in leaves if leaf.relation.leaf in _OF_THE_BODY]
     if world:
         cost -= COMMON - _SAME_AXES  # one mistake, not two
     elif any(m.channel == "r" and m.turned for m in shared) and body and _all_turned(body):
-        cost -= len(body) * COMMON - _SAME_AXES
+        cost -= sum(_cost_of_sign(leaf) for leaf in body) - _SAME_AXES
     return _Story(shared, tuple(leaves), cost)
+
+
+def _cost_of_sign(leaf: _Leaf) -> float:
+    """Return what the turned sign of a leaf was charged, without the unit that may be wrong beside it."""
+    mistake = leaf.mistake
+    plain = mistake is not None and mistake.low == mistake.high == 1.0
+    return leaf.charged if plain else max(leaf.charged - COMMON, 0.0)
 
 
 def _turned(leaves: Sequence[_Leaf]) -> set[str]:
@@ -297,6 +304,14 @@ def _shared_wheel_costs(leaves: Sequence[_Leaf]) -> float:
         if leaf.mistake is not None and leaf.relation.leaf.startswith("wheel_speed"):
             costs.setdefault(leaf.mistake.what, []).append(leaf.charged - _ONE_MORE_WHEEL)
     return sum(sum(same[1:]) for same in costs.values())
+
+
+def _shared_acceleration_cost(leaves: Sequence[_Leaf]) -> float:
+    """Return what a unit that both accelerations are in costs too much."""
+    units = {leaf.mistake.channel: leaf for leaf in leaves if leaf.mistake is not None and leaf.mistake.unit}
+    both = [units[channel] for channel in ("ax", "ay") if channel in units]
+    same = len(both) == 2 and both[0].mistake.unit == both[1].mistake.unit
+    return max(both[1].charged - _SAME_UNIT, 0.0) if same else 0.0
 
 
 def _leaf(
@@ -345,10 +360,12 @@ def _told(
     others = list(dict.fromkeys(others))[:3]
     alternative = f" Or: {'; or '.join(others)}: nothing recorded decides." if others else ""
     reach = [f"{m.name} reaches {m.value:.3g} {m.unit}, no car's exceeds {m.high:g}" for m in beyond]
-    found = [_finding(mistake, broken, alternative, (), reach) for mistake in best.shared]
+    # What every story says is not in doubt.
+    doubt = {m: "" if all(m in rival.mistakes for rival in rivals) else alternative for m in best.mistakes}
+    found = [_finding(mistake, broken, doubt[mistake], (), reach) for mistake in best.shared]
     for leaf in best.leaves:
         if leaf.mistake is not None:
-            found.append(_finding(leaf.mistake, [leaf.relation], alternative, leaf.rivals))
+            found.append(_finding(leaf.mistake, [leaf.relation], doubt[leaf.mistake], leaf.rivals))
         elif leaf.unknown:
             found.append(_unexplained(leaf, alternative))
     left_over = {m.channel: m.high for m in best.mistakes}
@@ -366,7 +383,7 @@ def _in_words(story: _Story) -> str:
     wheels = dict.fromkeys(m.what for m in story.mistakes if m not in plain)
     parts += [f"the wheel speeds: each {what}" for what in wheels]
     parts += [f"{leaf.relation.name} is off by a factor not known" for leaf in story.leaves if leaf.unknown]
-    return " and ".join(parts)
+    return " and ".join(parts) or "nothing is wrong"
 
 
 def _finding(

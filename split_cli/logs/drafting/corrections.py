@@ -27,6 +27,8 @@ _SIBLINGS = {
     "vy": ("vx",), "vx": ("vy",), "ay": ("ax",), "ax": ("ay",), "yaw": ("r",), "r": ("yaw",),
     "sideslip": ("yaw", "r"),
 }  # fmt: skip
+_SYMBOLS = {"ax": "a_x against", "ay": "a_y against", "r": "r against", "vx": "v_x against"}
+"""How checks that judge a channel begin."""
 _ANGLE_OF_RATE = {"deg/s": "deg", "rad/s": "rad", "deg": "deg/s", "rad": "rad/s"}
 
 
@@ -109,8 +111,10 @@ def _other_hand(chosen: dict[str, Suggestion], trial: Trial) -> dict[str, Sugges
 
 
 def _are_east_and_north(chosen: Mapping[str, Suggestion]) -> bool:
-    words = [concepts_of(tokens_of(chosen[c].sources[0]))[0] for c in "XY"]
-    return "east" in words[0] and "north" in words[1]
+    words = [tokens_of(chosen[c].sources[0]) for c in "XY"]
+    named = [concepts_of(w)[0] | {{"e": "east", "n": "north", "pe": "east", "pn": "north"}.get(w[-1], "")}
+             if w else set() for w in words]  # fmt: skip
+    return "east" in named[0] and "north" in named[1]
 
 
 def _is_heading(s: Suggestion, trial: Trial) -> bool:
@@ -162,4 +166,6 @@ def with_status(s: Suggestion, verdict: Consistency) -> Suggestion:
         return replace(s, reason=f"{'; ' + s.reason if s.reason else ''}")
     unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
     assumed = "unit not stated" if s.unit else f"unit not stated, {unit} assumed"
-    return replace(s, unit=unit, reason=f"{told}{assumed}, and nothing judges it")
+    tried = next((u for u in verdict.unjudged if u.check.startswith(_SYMBOLS.get(s.channel, "-"))), None)
+    judge = f"not judged ({tried.check}: {tried.reason})" if tried is not None else "nothing judges it"
+    return replace(s, unit=unit, reason=f"{told}{assumed}, and {judge}")

@@ -124,7 +124,7 @@ def _entry(s: Suggestion) -> str:
     parts = [f"source: {source}"]
     if s.convert:
         parts.append(f"convert: {s.convert}")
-    if not s.convert or s.convert == "pair_mean":
+    if s.convert in ("", "pair_mean", "signed"):
         unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel)
         parts += [f"unit: {quoted(unit)}"] if unit else []
     if s.scale != 1.0:

@@ -14,7 +14,7 @@ from split_cli.logs.assembling.gather import row_rate_from_yaw
 from split_cli.logs.drafting.corrections import as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.fields import field_candidates
-from split_cli.logs.drafting.naming import is_command, meanings, spelled_without_unit, stated_unit
+from split_cli.logs.drafting.naming import is_command, meanings, spelled_without_unit, stated_unit, words_of
 from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
@@ -60,12 +60,15 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
             opened.append(Suggestion(candidate.channel, candidate.sources, status="open", reason=reason))
         else:
             usable.setdefault(candidate.channel, []).append(candidate)
+    opened += _not_forward(usable, trial)
     chosen = _choose(usable, trial)
     corrected, consistency = correct(chosen, trial)
     corrected = as_siblings(corrected, consistency)
     suggestions = [with_status(s, consistency) for s in corrected.values()]
     suggestions = [s for s in suggestions if s.channel not in ("delta", "steering_wheel_angle", *_HELPERS)]
-    steering = read_steering(corrected, trial.columns(corrected), vehicle, Suggestion)
+    in_doubt = {s.channel for s in suggestions if s.status == "open"}
+    clear = {c: values for c, values in trial.columns(corrected).items() if c not in in_doubt}
+    steering = read_steering(corrected, clear, vehicle, Suggestion)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
     suggestions += [replace(s, status="open", reason=hand) if hand and s.status != "open" else s for s in steering]
     taken = {name for s in suggestions for name in s.sources}
@@ -120,7 +123,38 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
             # Beside a u, v is the lateral velocity of the textbooks.
             found = [c for c in found if c.sources != (bare[v].name,)]
             found.append(TrialCandidate("vy", (bare[v].name,), 2, stated_unit(bare[v])))
-    return [*found, *_fixes(found)]
+    lowered = {"_".join(words_of(info.name)): info for info in infos if info.type_name != "text"}
+    for north, east in (("x_n", "y_e"), ("pos_n", "pos_e"), ("p_n", "p_e"), ("pn", "pe")):
+        if north in lowered and east in lowered:
+            # y_E alone may be an error; beside x_N it is east.
+            pair = {"X": lowered[east], "Y": lowered[north]}
+            found = [c for c in found if c.sources[0] not in {info.name for info in pair.values()}]
+            found += [TrialCandidate(c, (info.name,), 3, info.unit) for c, info in pair.items()]
+    fix = {c.channel: c.sources for c in reversed(found) if c.channel in ("latitude", "longitude")}
+    if len(fix) == 2:
+        # Beside a latitude, lon is no longitudinal acceleration.
+        found = [c for c in found if c.channel in fix or c.sources not in fix.values()]
+    return [*_signed(found, infos), *_fixes(found)]
+
+
+_SIGN_WORDS = frozenset({"vz", "vorzeichen", "sign", "sgn"})
+
+
+def _signed(found: Sequence[TrialCandidate], infos: Sequence[RawChannelInfo]) -> list[TrialCandidate]:
+    """Join a size with the column of its sign: named alike but for a word that says sign, as CAN data bases do."""
+    signs = {}
+    for info in infos:
+        words = tokens_of(info.name)
+        if _SIGN_WORDS & set(words):
+            signs[tuple(w for w in words if w not in _SIGN_WORDS)] = info.name
+    made = []
+    for c in found:
+        sign = signs.get(tuple(tokens_of(c.sources[0]))) if not c.convert and len(c.sources) == 1 else None
+        if sign is None or sign == c.sources[0]:
+            made.append(c)
+        else:
+            made.append(replace(c, sources=(c.sources[0], sign), convert="signed"))
+    return made
 
 
 def _fixes(found: Sequence[TrialCandidate]) -> list[TrialCandidate]:
@@ -193,6 +227,9 @@ def _time(
     clocks = [found] if found is not None else [i for i in infos if re.search("time|stamp", i.name, re.IGNORECASE)]
     clocks = clocks or [i for i in infos if getattr(find_unit(stated_unit(i) or ""), "si", "") == "s"]
     rising = [i for i in clocks if i.name in signals and _rises(signals[i.name].values)]
+    if not rising:
+        # Whatever it is called: what counts evenly since 1970 is a clock.
+        rising = [i for i in infos if i.name in signals and _counts_since_1970(signals[i.name].values)]
     if rising and row_rate is None:
         info = rising[0]
         values = signals[info.name].values
@@ -215,6 +252,14 @@ def _time(
 def _rises(values: np.ndarray) -> bool:
     step = np.diff(values[np.isfinite(values)])
     return len(step) > 10 and np.mean(step > 0) > 0.95
+
+
+def _counts_since_1970(values: np.ndarray) -> bool:
+    """Whether values rise evenly between the years 2001 and 2100, in s, ms, us or ns."""
+    if not _rises(values):
+        return False
+    first = float(values[np.isfinite(values)][0])
+    return any(1e9 <= first * unit <= 4.1e9 for unit in (1.0, 1e-3, 1e-6, 1e-9))
 
 
 def _unit_of_time(values: np.ndarray) -> str:
@@ -242,9 +287,34 @@ def _first_guess(candidate: TrialCandidate, trial: Trial) -> Suggestion:
         steps = np.abs(np.diff(values[np.isfinite(values)]))
         if candidate.channel == "yaw" and np.any((steps > 300.0) & (steps < 420.0)):
             unit = "deg"
+    to_the_right = candidate.channel in ("vy", "ay") and not candidate.convert and (
+        "right" in concepts_of(tokens_of(candidate.sources[0]))[0])  # fmt: skip
     return Suggestion(candidate.channel, candidate.sources, unit, convert=candidate.convert,
+                      scale=-1.0 if to_the_right else 1.0, reason="to the right by its name" if to_the_right else "",
                       status="stated" if candidate.unit else "assumed",
                       command=all(is_command(name) for name in candidate.sources))  # fmt: skip
+
+
+_FORWARD_SHARE = 0.2
+"""Of the speed, below which a velocity is not the forward one [1]: less than a wrong unit makes (1/3.6)."""
+
+
+def _not_forward(usable: dict[str, list[TrialCandidate]], trial: Trial) -> list[Suggestion]:
+    """Take out velocities along x that are small beside the recorded speed: x is another axis there, as in games."""
+    sizes = {}
+    for candidate in usable.get("vx", []):
+        column = trial.column(_first_guess(candidate, trial))
+        if column is not None:
+            sizes[candidate] = float(np.sqrt(np.nanmean(column**2)))
+    speeds = [c for c in sizes if "long" not in concepts_of(tokens_of(c.sources[0]))[0] and c.unit is not None]
+    told = []
+    for candidate, size in sizes.items():
+        speed = next((c for c in speeds if size < _FORWARD_SHARE * sizes[c]), None)
+        if speed is not None:
+            usable["vx"].remove(candidate)
+            why = f"{size / sizes[speed]:.2g} of {speed.sources[0]}: not along the car"
+            told.append(Suggestion("vx", candidate.sources, status="open", reason=why))
+    return told
 
 
 def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[str, Suggestion]:

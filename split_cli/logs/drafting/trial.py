@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.logs.assembling.transform import local_tangent_plane, yaw_from_quaternion
+from split_cli.logs.assembling.transform import local_tangent_plane, signed, yaw_from_quaternion
 from split_cli.logs.checking.checks import NO_CAR_EXCEEDS
 from split_cli.logs.checking.consistency import Consistency, check_consistency
 from split_cli.logs.drafting.draft import Suggestion
@@ -85,6 +85,9 @@ class Trial:
             return f"torque of {len(self.wheel_torques)} wheel(s): those of two or four wheels make T"
         if np.ptp(finite) == 0.0:
             return f"never changes ({finite[0]:g})"
+        beyond = self._beyond_the_globe(candidate)
+        if beyond:
+            return beyond
         unit = find_unit(candidate.unit) if candidate.unit else None
         reach = float(np.quantile(np.abs(finite), 0.99)) * (unit.factor if unit is not None else 0.0)
         limit, si = NO_CAR_EXCEEDS.get(candidate.channel, (np.inf, ""))
@@ -92,6 +95,19 @@ class Trial:
             return f"reaches {reach:.3g} {si} in the unit that the file states, no car's exceeds {limit:g}"
         if candidate.channel == "course":
             return "direction of travel over ground: yaw plus sideslip, not yaw"
+        return ""
+
+    def _beyond_the_globe(self, candidate: TrialCandidate) -> str:
+        """Return which coordinate of a fix is none in degrees, empty where both may be."""
+        names = {"latitude": candidate.sources[:1], "longitude": (None, *candidate.sources[:1])}.get(
+            candidate.channel, candidate.sources if candidate.convert in ("local_x", "local_y") else ())
+        for name, limit in zip(names, (90.0, 180.0), strict=False):
+            if name is None:
+                continue
+            values = self.signals[name].values
+            largest = float(np.quantile(np.abs(values[np.isfinite(values)]), 0.99))
+            if largest > limit:
+                return f"{name} reaches {largest:.4g}, no angle on the globe exceeds {limit:g} deg: arc minutes?"
         return ""
 
     def column(self, s: Suggestion) -> np.ndarray | None:
@@ -127,6 +143,8 @@ class Trial:
                 return np.full(len(values[0]), np.nan)
             plane = local_tangent_plane(*values, (values[0][finite[0]], values[1][finite[0]]))
             return plane[0] if s.convert == "local_x" else plane[1]
+        if s.convert == "signed":
+            return signed(*values)
         if s.convert == "pair_mean":
             return np.mean(values, axis=0)
         return np.sum(values, axis=0) if s.convert == "sum" else values[0]

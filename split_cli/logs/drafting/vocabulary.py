@@ -1,4 +1,4 @@
-"""What the words of a recorded name mean together: quantity, direction, object, in English, German and shorthand.
+"""What the words of a recorded name mean together: quantity, direction, object, in several languages and in shorthand.
 
 A name is taken apart into words, compounds too (``WhlSpdFL``, ``Querbeschleunigung``). Each word stands for a
 concept; the set of concepts decides the channel. Words that say who measured, where or how well are neutral.
@@ -7,6 +7,7 @@ concept; the set of concepts decides the channel. Words that say who measured, w
 from __future__ import annotations
 
 import re
+import unicodedata
 from functools import lru_cache
 
 __all__ = ["concepts_of", "read_concepts", "tokens_of"]
@@ -16,24 +17,26 @@ _WORDS: dict[str, str] = {
         "v vel velo velocity velocities velocidad velocita speed speeds spd vitesse geschwindigkeit "
         "geschw fahrgeschwindigkeit"
     ),
-    "acceleration": "a acc accel accelerometer acceleration accelerations beschleunigung beschl gforce",
+    "acceleration": (
+        "a acc accel accelerometer acceleration accelerations beschleunigung beschl gforce aceleracion accelerazione"
+    ),
     "rate": "rate rates rt rot rotation rotationrate gyro gyroscope omega dot drehrate geschwindigkeitsrate",
     "angular": "angular",
-    "yaw": "yaw psi heading hdg gier",
-    "angle": "angle angles ang winkel",
+    "yaw": "yaw psi heading hdg gier lacet guinada imbardata",
+    "angle": "angle angles ang winkel angulo angolo",
     "position": "pose pos posn position loc location coordinate coord",
-    "long": "x long longi longitudinal lng lngt lgt fwd forward forwards inline laengs",
-    "lat": "y lat lateral side sideways quer transverse transversal",
+    "long": "x long longi longitudinal longitudinale lng lngt lgt fwd forward forwards inline laengs",
+    "lat": "y lat lateral laterale side sideways quer transverse transversal transversale trasversale",
     "up": "z vert vertical up hoch",
     "linear": "linear lin",
-    "steer": "steer steered steering str strg lenk lenkung",
-    "handwheel": "handwheel lenkrad stw swa sw",
-    "wheel": "wheel wheels whl whls roadwheel",
+    "steer": "steer steered steering str strg lenk lenkung braquage direccion sterzo sterzata",
+    "handwheel": "handwheel lenkrad stw swa sw volant volante",
+    "wheel": "wheel wheels whl whls roadwheel roue roues rueda ruedas ruota ruote",
     "road": "road tire tyre",
-    "torque": "torque torques trq tq moment mom drehmoment",
-    "brake": "brake brakes braking brk brems bremse",
-    "pressure": "pressure press pres prs druck",
-    "throttle": "throttle thr thrt gas accelerator app tps fahrpedal gaspedal",
+    "torque": "torque torques trq tq moment mom drehmoment couple par coppia",
+    "brake": "brake brakes braking brk brems bremse frein freins freno freni",
+    "pressure": "pressure press pres prs druck pression presion pressione",
+    "throttle": "throttle thr thrt gas accelerator app tps fahrpedal gaspedal accelerateur acelerador acceleratore",
     "pedal": "pedal ped",
     "engine": "engine eng motor mot kurbelwelle",
     "current": "current curr strom",
@@ -56,7 +59,7 @@ _WORDS: dict[str, str] = {
     ),
     "other": (
         "std stddev sigma cov covariance var variance err error accuracy quality status valid validity "
-        "flag count cnt counter id seq index min max limit bias temp temperature lap age confidence jerk "
+        "flag sign vorzeichen vz count cnt counter id seq index min max limit bias temp temperature lap age confidence jerk "
         "roll rolling pitch pitching tilt bank bearing course slope grade altitude height kappa curvature "
         "radius distance dist combined combo gear ratio level battery voltage power fuel lean satellites "
         "sats hdop residual steps engine_speed orientation quaternion quat"
@@ -67,6 +70,7 @@ _WORDS: dict[str, str] = {
     "acceleration long": "ax along alon algt",
     "acceleration lat": "ay alat",
     "yaw rate": "wz psip yr yawrate psidot dpsi",
+    "torque wheel": "radmoment radmomente raddrehmoment",
     "position long": "px xpos",
     "position lat": "py ypos",
     "": (
@@ -74,23 +78,24 @@ _WORDS: dict[str, str] = {
         "estimated estimate filt filtered filter raw ins imu gps gnss dgps odo odom odometry vbox ecu can "
         "obd esp abs1 state states signal sig value val fused kf ekf ukf local frame field header twist "
         "msg fahrzeug ist corr corrected mti oxts novatel vicon optitrack mocap rt3000 of in the at from "
-        "to s sm tm ii 2d 3d dev device coor sys e1 sim simulated model true truth gt log data input "
+        "to s de del des di du la le della sm tm ii 2d 3d dev device coor sys e1 sim simulated model true truth gt log data input "
         "output stellung stand"
     ),
 }
 _CONCEPT = {word: concept for concept, words in _WORDS.items() for word in words.split()}
 _CORNERS = ("fl", "fr", "rl", "rr")
 _FOLD = str.maketrans({
-    "ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "é": "e", "è": "e", "á": "a", "à": "a", "í": "i", "ó": "o",
-    "ú": "u", "ñ": "n", "ç": "c", "ψ": "psi", "β": "beta", "δ": "delta",
+    "ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ψ": "psi", "β": "beta", "δ": "delta",
 })  # fmt: skip
 _PARTS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+_SIDES = ("left", "right")
 _AXES = ("x", "y", "z")
 
 
 def tokens_of(name: str) -> list[str]:
     """Return the words of a name in lower case; compounds of known words are parted, others stay whole."""
     folded = re.sub(r"[ÄÖÜ]", lambda m: {"Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}[m[0]], name).translate(_FOLD)
+    folded = "".join(ch for ch in unicodedata.normalize("NFKD", folded) if not unicodedata.combining(ch))
     found: list[str] = []
     for piece in re.split(r"[^A-Za-z0-9]+", folded):
         # L1 is a wheel and FL a corner: what is a word as it stands is not parted at its capitals.
@@ -177,7 +182,7 @@ def _motion(c: set[str]) -> tuple[str, int] | None:
     if "acceleration" in c:
         if "angular" in c or "yaw" in c or "up" in c:
             return None
-        return ("ax", 3) if "long" in c else ("ay", 3) if "lat" in c else None
+        return ("ax", 3) if "long" in c else ("ay", 3) if c & {"lat", *_SIDES} else None
     if turning and c & {"rate", "velocity", "angular"}:
         return ("r", 3) if not c & {"long", "lat"} else None
     if "yaw" in c:
@@ -202,7 +207,7 @@ def _velocity(c: set[str]) -> tuple[str, int] | None:
         return None  # along the axes of the world, not the car's
     if "long" in c:
         return "vx", 3
-    if "lat" in c:
+    if c & {"lat", *_SIDES}:
         return "vy", 3
     return ("vx", 1) if "velocity" in c and "world" not in c else None
 

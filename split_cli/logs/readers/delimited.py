@@ -103,7 +103,9 @@ def _number(cell: str, decimal: str) -> float:
         return _seconds(cell)
 
 
-_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+)?)$")
+_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+)?)(?:\s*([AaPp])\.?[Mm]\.?)?$")
+_MONTH = re.compile(r"(\d{1,2})([-/. ])([A-Za-z]{3})[a-z]*\2(\d{2,4})")
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _DATE = re.compile(r"(\d{1,4})([./-])(\d{1,2})\2(\d{1,4})[ T]+(.+)$")
 
 
@@ -111,16 +113,23 @@ def _seconds(cell: str) -> float:
     """Return a time written in words as seconds, else NaN.
 
     ISO 8601 counts from 1970, in UTC where it names no zone. A date in another order does so too; its day comes
-    first where both readings are possible. A clock without a date (``10:15:03.25``, ``1:03.25``) counts from 0.
+    first where both readings are possible; its month may be a name (``14-Mar-2026``). A clock without a date
+    (``10:15:03.25``, ``1:03.25``, ``10:15:03 PM``) counts from 0.
     """
     from datetime import UTC, datetime
 
     clock = _CLOCK.match(cell)
     if clock:
-        hours, minutes, seconds = clock.groups()
-        return 3600.0 * float(hours or 0) + 60.0 * float(minutes) + float(seconds.replace(",", "."))
+        hours, minutes, seconds, half = clock.groups()
+        hour = float(hours or 0)
+        if half:
+            hour = hour % 12.0 + (12.0 if half in "Pp" else 0.0)
+        return 3600.0 * hour + 60.0 * float(minutes) + float(seconds.replace(",", "."))
     if len(cell) < 14:
         return float("nan")
+    named = _MONTH.match(cell)
+    if named and named[3].lower() in _MONTHS:
+        cell = f"{named[1]}/{_MONTHS.index(named[3].lower()) + 1}/{named[4]}{cell[named.end() :]}"
     try:
         moment = datetime.fromisoformat(cell.replace("/", "-").replace(",", "."))
     except ValueError:
@@ -188,12 +197,12 @@ def _read_table(path: Path, dialect: Dialect, width: int, indices: list[int], ki
     with path.open("rb") as stream:
         stream.seek(dialect.offset)
         table = arrow_csv.read_csv(
-            _unquoted(stream, dialect) if dialect.quoted_whole else stream,
+            _rewritten(stream, dialect),
             read_options=arrow_csv.ReadOptions(
                 column_names=names, encoding=dialect.encoding, block_size=_BLOCK_BYTES
             ),
             parse_options=arrow_csv.ParseOptions(
-                delimiter=dialect.separator, invalid_row_handler=skip, newlines_in_values=False
+                delimiter="\t" if dialect.separator == " " else dialect.separator, invalid_row_handler=skip, newlines_in_values=False
             ),
             convert_options=arrow_csv.ConvertOptions(
                 column_types=dict.fromkeys(names, kind),
@@ -207,10 +216,16 @@ def _read_table(path: Path, dialect: Dialect, width: int, indices: list[int], ki
     return table, ragged["rows"]
 
 
-def _unquoted(stream: BinaryIO, dialect: Dialect) -> io.BytesIO:
-    """Return the rest of a file whose lines are quoted whole, without those quotes."""
-    lines = stream.read().decode(dialect.encoding, errors="replace").splitlines(keepends=True)
-    return io.BytesIO("".join(unwrapped(line) for line in lines).encode(dialect.encoding))
+def _rewritten(stream: BinaryIO, dialect: Dialect) -> BinaryIO:
+    """Return the rest of a file without quotes around whole lines, and with one tab for each run of blanks."""
+    if not dialect.quoted_whole and dialect.separator != " ":
+        return stream
+    text = stream.read().decode(dialect.encoding, errors="replace")
+    if dialect.quoted_whole:
+        text = "".join(unwrapped(line) for line in text.splitlines(keepends=True))
+    if dialect.separator == " ":
+        text = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", text))
+    return io.BytesIO(text.encode(dialect.encoding))
 
 
 def _numbers(column: Any, decimal: str) -> tuple[np.ndarray, int]:

@@ -16,6 +16,7 @@ __all__ = ["Dialect", "Sniffed", "sniff", "unwrapped"]
 
 _SAMPLE_BYTES = 1 << 18
 _SEPARATORS = (",", ";", "\t", "|")
+_BLANKS = " "
 _CHECKED_ROWS = 200
 _CONFIRMING_ROWS = 3
 _MARKS = (
@@ -35,7 +36,7 @@ class Dialect:
     Attributes
     ----------
     separator, decimal : str
-        One character each.
+        One character each; a separator that is a blank stands for any run of blanks.
     encoding : str
     offset : int
         Byte at which the first row of values begins.
@@ -106,7 +107,7 @@ def sniff(path: Path) -> Sniffed:
     raise LogError(
         "is no table of numbers: no rows of numbers were found in its beginning",
         where=path.name,
-        advice="Values are expected in columns, separated by comma, semicolon or tab.",
+        advice="Values are expected in columns, separated by comma, semicolon, tab or blanks.",
     )
 
 
@@ -144,22 +145,31 @@ def _candidates(lines: list[str]) -> list[tuple[str, str]]:
     """Return separators with decimal marks, the most plausible first, judged by the last lines of the sample."""
     tail = [line for line in lines if line.strip()][-_CHECKED_ROWS:]
     scored = []
-    for separator in _SEPARATORS:
-        for decimal in (".",) if separator == "," else (".", ","):
+    for separator in (*_SEPARATORS, _BLANKS):
+        # A decimal comma between commas can be told only where cells stand in quotes.
+        quoted = any('"' in line for line in tail)
+        for decimal in (".",) if separator == "," and not quoted else (".", ","):
             rows = [_split(line, separator) for line in tail]
             widths = Counter(map(len, rows))
             width = max(widths, key=lambda w: (widths[w], w), default=0)
             cells = [cell for row in rows if len(row) == width for cell in row]
             numbers = sum(_is_number(cell, decimal) for cell in cells)
             # Weighed by their share: 0,1;2,5 holds two numbers between commas as well, and a remnant.
-            scored.append((width > 1, numbers * numbers / max(len(cells), 1), (separator, decimal)))
+            weight = numbers * numbers / max(len(cells), 1)
+            # Blanks stand inside dates and beside other separators: they part columns where nothing else does.
+            told = separator == _BLANKS and any(entry[0] and entry[1] > 0.0 for entry in scored)
+            scored.append((width > 1 and not told, weight, (separator, decimal)))
     # A column of integers reads the same with either mark; the point, listed first, then wins.
     scored.sort(key=lambda entry: entry[:2], reverse=True)
     return [entry[2] for entry in scored]
 
 
 def _split(line: str, separator: str) -> list[str]:
-    return next(csv.reader([line.rstrip("\r\n")], delimiter=separator), [])
+    if separator != _BLANKS:
+        return next(csv.reader([line.rstrip("\r\n")], delimiter=separator), [])
+    cells = line.split()
+    # NumPy and gnuplot mark the line of titles.
+    return cells[1:] if cells and cells[0] in ("#", "%") else cells
 
 
 def _is_number(cell: str, decimal: str) -> bool:
