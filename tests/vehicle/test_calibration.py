@@ -84,11 +84,14 @@ def test_a_gentle_drive_gives_back_the_covered_curve_and_says_that_the_peak_is_o
 
 
 def test_slopes_stay_exact_when_the_peak_is_given(road_car, gentle_run):
-    # The given peak is friction times static load, here deliberately a third too high.
+    # The given peak is friction times static load, here deliberately so high that the drive contradicts it.
     start = replace(a_guess(road_car), yaw_inertia=road_car.yaw_inertia, friction_coefficient=1.5)
     found = calibrate_vehicle([gentle_run], start)
     tire = found.vehicle.front_tire
-    np.testing.assert_allclose(tire.D, 1.5 * road_car.static_load_front, rtol=1e-5)
+    bound = found.curves[0].peak[1]
+    assert bound < 1.5 * road_car.static_load_front
+    np.testing.assert_allclose(tire.D, bound, rtol=1e-5)
+    assert any("contradicts that" in remark for remark in found.curves[0].remarks)
     # The wrong curvature that comes with a wrong peak moves the slope by little over the covered angles.
     assert tire.cornering_stiffness == pytest.approx(road_car.front_tire.cornering_stiffness, rel=0.02)
 
@@ -237,6 +240,29 @@ def test_a_peak_given_far_too_low_is_found_out():
     curve = fit_force_curve("front", slip, force, block, tire, given_peak=6000.0, static_load=6000.0, draws=0)
     assert curve.tire.D > 7000.0
     assert "D" in curve.determined
+
+
+@pytest.mark.parametrize("reach", [0.02, 0.05, 0.12])
+@pytest.mark.parametrize("given", [0.3, 0.8, 1.0, 1.7, 3.5])
+def test_the_peak_returned_lies_within_the_bounds_that_are_told(reach, given):
+    # From gentle driving (no upper bound) to sliding tyres (bounded on both sides), given peaks from far off to right.
+    rng = np.random.default_rng(5)
+    tire = MagicFormula(12.0, 1.5, 6000.0)
+    slip = reach * np.sin(np.linspace(0.0, 60.0, 3000))
+    force = lateral_force(tire.B, tire.C, tire.D, slip) + 60.0 * rng.standard_normal(3000)
+    start, block = MagicFormula(8.0, 1.3, given * 6000.0), np.arange(3000) // 100
+    curve = fit_force_curve(
+        "rear", slip, force, block, start, given_peak=given * 6000.0, static_load=7000.0, draws=0
+    )
+    low, high = curve.peak
+    # A 95 % interval of one draw of the noise.
+    assert 0.97 * low <= 6000.0 <= 1.03 * high
+    assert low * (1.0 - 1e-9) <= curve.tire.D <= high * (1.0 + 1e-9)
+    if low <= given * 6000.0 <= high and "D" not in curve.determined:
+        assert curve.tire.D == given * 6000.0
+    if reach == 0.12:
+        # Where the tyres slide, no given peak matters.
+        assert pytest.approx(6000.0, rel=0.03) == curve.tire.D
 
 
 def test_outliers_of_a_kerb_hardly_move_the_curve():

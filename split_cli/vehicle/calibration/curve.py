@@ -236,7 +236,7 @@ def fit_force_curve(
     width = alike.max(axis=0) - alike.min(axis=0)
     inside = grid <= covered
     tire = _tire(chosen.parameters)
-    if "D" not in determined:
+    if "D" not in determined and profile.holds(given_peak):
         # What is given stays as it was, to the last digit.
         tire = MagicFormula(tire.cornering_stiffness / (tire.C * given_peak), tire.C, given_peak)
     return ForceCurve(
@@ -268,9 +268,18 @@ def _curve(p: np.ndarray, grid: np.ndarray) -> np.ndarray:
 
 
 def _best_fit(problem: _Problem, start: MagicFormula, given_peak: float) -> LeastSquaresFit:
-    """Fit from several peaks, since a flat valley can hold an iteration where it started."""
+    """Fit from several peaks, since a flat valley can hold an iteration where it started.
+
+    One start is what the samples show by themselves: the slope of a line through the lesser half of the forces, and
+    the largest force as the peak.
+    """
     begin = _start(start)
     begins = [begin, *(np.array([begin[0], np.log(given_peak * f), 1.4, 0.0]) for f in (0.6, 1.0, 1.6))]
+    size = np.abs(problem.force)
+    gentle = size <= np.median(size)
+    slope = float(problem.slip[gentle] @ problem.force[gentle] / max(float(np.sum(problem.slip[gentle] ** 2)), 1e-12))
+    shown = np.log(np.maximum([slope, float(np.quantile(size, 0.995))], 1e-9))
+    begins.append(np.clip([*shown, 1.4, 0.0], problem.lower, problem.upper))
     scale = problem.fit(begin).scale
     return min((problem.fit(p, scale=scale) for p in begins), key=lambda fit: fit.cost)
 
@@ -292,6 +301,14 @@ class _Profile:
     interval: tuple[float, float]
     alike: tuple[np.ndarray, ...]
     threshold: float
+
+    def holds(self, peak: float) -> bool:
+        """Whether a peak [N] lies where curves fit equally well."""
+        return self.interval[0] <= peak <= self.interval[1]
+
+    def nearest(self, peak: float) -> float:
+        """Return the peak nearest to one that is given [N] that the data do not contradict."""
+        return min(max(peak, self.interval[0]), self.interval[1])
 
 
 def _profile(problem: _Problem, best: LeastSquaresFit) -> _Profile:
@@ -340,20 +357,21 @@ def _settle(
     if narrow and reached >= 0.85 * estimate:
         return best, ("B", "C", "D"), []
     limit = "no upper limit" if np.isinf(high) else f"at most {high:.4g} N"
+    peak = profile.nearest(given_peak)
+    kept = f"D = {given_peak:.4g} N is given, the slope B C D is fitted"
+    if peak != given_peak:
+        kept = f"D = {given_peak:.4g} N is given and contradicts that: D = {peak:.4g} N is taken"
     remarks = [
         f"{axle}: the peak is not identified: forces reach {reached:.4g} N, D is at least {low:.4g} N with "
-        f"{limit}; D = {given_peak:.4g} N is given, the slope B C D is fitted"
+        f"{limit}; {kept}"
     ]
     others = problem.free[problem.free != 1]
-    held = problem.fit(_with_peak(best.parameters, np.log(given_peak)), free=others, scale=best.scale)
+    held = problem.fit(_with_peak(best.parameters, np.log(peak)), free=others, scale=best.scale)
     error = np.sqrt(np.diag(held.covariance(problem.block))[list(held.free).index(2)])
     settled = error < 0.1 and held.parameters[2] not in _C_BOUNDS
     if settled and held.cost <= profile.threshold:
         return held, ("B", "C"), remarks
-    if held.cost > profile.threshold and reached >= 0.85 * given_peak:
-        remarks.append(f"{axle}: the given peak contradicts the data: the fitted D = {estimate:.4g} N is taken")
-        return best, ("B", "C", "D"), remarks
-    fixed = _with_peak(best.parameters, np.log(given_peak))
+    fixed = _with_peak(best.parameters, np.log(peak))
     fixed[2] = np.clip(start.C, *_C_BOUNDS)
     slope_only = problem.fit(fixed, free=others[others != 2], scale=best.scale)
     chosen, determined = (held, ("B", "C")) if settled else (slope_only, ("B",))
