@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 
 import click
 
 from split_cli.cli.options import existing_file, held_option, json_option, print_table, vehicle_option
+from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
 
+_BEGINS = {
+    "smoothing": 0.0, "whitening": 0.02, "comparing": 0.05, "naming": 0.15, "naming with a fixed baseline": 0.45,
+    "sizing": 0.75, "judging": 0.85, "writing": 0.95,
+}  # fmt: skip
+"""Share of the whole time at which each step begins [1]."""
 _CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
 
 
@@ -37,17 +42,9 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, held, as_
     from split_cli.diagnosis.statement.document import diagnosis_to_text
     from split_cli.workflows.diagnose import diagnose_files
 
-    def note(text: str) -> None:
-        click.echo(f"note: {text}", err=True)
-
-    begin, watched = time.monotonic(), is_watched()
-
-    def progress(step: str) -> None:
-        if watched:
-            click.echo(f"{time.monotonic() - begin:5.1f} s  {step}", err=True)
-
     files = {"simulated": simulated, "holdout": holdout, "held": held}
-    result = diagnose_files(real, vehicle_path, output, **files, progress=progress, note=note)
+    with StepBar(shares=_BEGINS) as progress:
+        result = diagnose_files(real, vehicle_path, output, **files, progress=progress, note=progress.note)
     if as_json:
         click.echo(diagnosis_to_text(result), nl=False)
     else:
@@ -100,8 +97,3 @@ def _with_intervals(errors, stage: str) -> list[str]:
     if not intervals:
         return [f"{value:.3g}" for value in values]
     return [f"{v:.3g} ({low:.3g} to {high:.3g})" for v, (low, high) in zip(values, intervals, strict=True)]
-
-
-def is_watched() -> bool:
-    """Return whether someone watches stderr; progress is for them alone."""
-    return sys.stderr.isatty()

@@ -14,6 +14,7 @@ from split_cli.cli.options import (
     print_table,
     vehicle_option,
 )
+from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
 
@@ -63,10 +64,8 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
     from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 
     settings = ManeuverSettings(scenario=scenario, delay=not no_delay, **options)
-    result = run_maneuvers(
-        settings, vehicle_path, output=output, set_output=set_output,
-        progress=lambda text: click.echo(f"maneuver: {text}", err=True),
-    )  # fmt: skip
+    with StepBar(max(len(settings.speeds), 1)) as bar:
+        result = run_maneuvers(settings, vehicle_path, output=output, set_output=set_output, progress=bar)
     if as_json:
         print_json(result.summary())
         return

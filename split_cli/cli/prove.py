@@ -190,11 +190,14 @@ def _tell_seal(seal, as_json: bool) -> None:
 
 def _progress(what: str):
     """Return a function that tells progress on stderr, where someone watches."""
-    if not sys.stderr.isatty():
-        return None
+    from split_cli.cli.voice import StepBar
+
+    bar = StepBar()
+    bar.text = what
 
     def told(done: int, total: int) -> None:
-        end = "\n" if done == total else ""
-        click.echo(f"\r{what}: {done} of {total}{end}", err=True, nl=False)
+        bar.count(done, total)
+        if done == total:
+            bar.close()
 
     return told

@@ -14,6 +14,7 @@ from split_cli.cli.options import (
     print_table,
     vehicle_option,
 )
+from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
 
@@ -120,10 +121,12 @@ def command(
             settings=MpccSettings(limits=limits, margin=margin), first=first, **options,
         )  # fmt: skip
         say = f"race, {learner}" if len(learners) > 1 else "race"
-        results.append(
-            run_race(settings, vehicle_path, output=output, set_output=set_output,
-                     progress=lambda text, say=say: click.echo(f"{say}: {text}", err=True))
-        )  # fmt: skip
+        with StepBar(settings.laps + 1) as bar:
+            # "lap 3" begins a lap; "lap 3: 34.76 s" tells of one and stays.
+            results.append(
+                run_race(settings, vehicle_path, output=output, set_output=set_output,
+                         progress=lambda text, say=say, bar=bar: bar.say(f"{say}: {text}") if ":" in text else bar(text))
+            )  # fmt: skip
     if report is not None:
         from split_cli.files import atomic_write_text
         from split_cli.workflows.race_report.page import race_page

@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import re
 import sys
+import threading
 import time
+from collections.abc import Mapping
 from typing import TextIO
 
 import click
@@ -57,40 +59,108 @@ class Loud(io.TextIOBase):
 
 
 class StepBar:
-    """Progress of steps on stderr: one line that is drawn anew, where someone watches.
+    """Progress of steps on stderr: a bar, a count and the time that remains, where someone watches.
+
+    On a terminal it is one line, drawn anew each second and with every step; for ``--verbose`` a line a step.
 
     Parameters
     ----------
     total : int, optional
         Steps there will be; a text that begins with ``[3/7]`` says so itself.
+    shares : mapping of str to float, optional
+        Text of a step to the share of the whole time at which it begins [1], where steps take unequal times.
     """
 
-    def __init__(self, total: int = 0) -> None:
+    def __init__(self, total: int = 0, shares: Mapping[str, float] | None = None) -> None:
         self._total, self._done, self._begin = total, 0, time.monotonic()
+        self._shares, self._share, self.text = shares or {}, 0.0, ""
         self._watched = sys.stderr.isatty()
         self._in_place = self._watched and not isinstance(sys.stderr, Loud)
+        self._drawn, self._counted_from = (0, True), (0.0, 0.0)
+        self._over = threading.Event()
+        self._drawing = threading.Lock()
+        self._clock: threading.Thread | None = None
+
+    def __enter__(self) -> StepBar:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def __call__(self, text: str) -> None:
         """Tell that a step begins."""
         counted = _COUNT.match(text)
         if counted:
-            self._done, self._total, text = int(counted[1]) - 1, int(counted[2]), text[counted.end() :]
-        if self._watched:
-            line = self.line(text, time.monotonic() - self._begin)
-            click.echo(f"\r\x1b[K{line}" if self._in_place else line, err=True, nl=not self._in_place)
+            self._recount(int(counted[1]) - 1, int(counted[2]))
+            text = text[counted.end() :]
+        self._share = max(self._share, self._shares.get(text, 0.0))
+        self.text = text
+        self._draw()
         self._done += 1
 
-    def line(self, text: str, elapsed: float) -> str:
-        """Return what is shown after `elapsed` seconds, as step `text` begins."""
-        done, total = self._done, max(self._total, self._done + 1)
-        if not self._total:
+    def count(self, done: int, total: int) -> None:
+        """Tell how many of `total` are done."""
+        self._recount(done, total)
+        self._draw(begun=False)
+
+    def note(self, text: str) -> None:
+        """Print a note that stays, above the bar."""
+        self.say(f"note: {text}")
+
+    def say(self, text: str) -> None:
+        """Print a line that stays, above the bar."""
+        with self._drawing:
+            self._wipe()
+            click.echo(text, err=True)
+
+    def line(self, text: str, elapsed: float, begun: bool = True) -> str:
+        """Return what is shown after `elapsed` seconds, as a step begins, or (not `begun`) as one has ended."""
+        return self._line(text, elapsed, self._done, begun)
+
+    def _line(self, text: str, elapsed: float, done: int, begun: bool) -> str:
+        total = max(self._total, done + begun)
+        share = self._share if self._shares else done / total if total else 0.0
+        spent, gone = self._counted_from
+        if not total or not (self._total or self._shares):
             return f"{elapsed:5.0f} s  {text}"
-        filled = round(_WIDTH * done / total)
-        left = f", about {_span(elapsed / done * (total - done))} left" if done else ""
-        return f"{'█' * filled}{'░' * (_WIDTH - filled)} {done + 1}/{total}  {_span(elapsed)}{left}  {text}"
+        filled = round(_WIDTH * share)
+        pace = (elapsed - spent) / (share - gone) if share > gone else 0.0
+        left = f", about {_span(pace * (1.0 - share))} left" if pace and share < 1.0 else ""
+        count = "" if self._shares else f" {done + begun}/{total}"
+        return f"{'█' * filled}{'░' * (_WIDTH - filled)}{count}  {_span(elapsed)}{left}  {text}"
 
     def close(self) -> None:
         """Take the line away."""
+        self._over.set()
+        with self._drawing:
+            self._wipe()
+
+    def _recount(self, done: int, total: int) -> None:
+        """Take a count; one that begins anew says nothing of the time before it."""
+        if total != self._total or done < self._done - 1:
+            self._counted_from = (time.monotonic() - self._begin, done / total if total else 0.0)
+        self._done, self._total = done, total
+
+    def _draw(self, begun: bool = True) -> None:
+        if not self._watched:
+            return
+        with self._drawing:
+            self._drawn = (self._done, begun)
+            line = self._line(self.text, time.monotonic() - self._begin, *self._drawn)
+            click.echo(f"\r\x1b[K{line}" if self._in_place else line, err=True, nl=not self._in_place)
+        if self._in_place and self._clock is None:
+            self._clock = threading.Thread(target=self._tick, daemon=True)
+            self._clock.start()
+
+    def _tick(self) -> None:
+        """Draw the time anew each second, between steps as well."""
+        while not self._over.wait(1.0):
+            with self._drawing:
+                if not self._over.is_set():
+                    shown = self._line(self.text, time.monotonic() - self._begin, *self._drawn)
+                    click.echo(f"\r\x1b[K{shown}", err=True, nl=False)
+
+    def _wipe(self) -> None:
         if self._in_place:
             click.echo("\r\x1b[K", err=True, nl=False)
 

@@ -256,7 +256,7 @@ def _train_set(
         drive = drives.drive(number)
         labels = drives.labels(number, drive)
         drives.remark(labels, drive)
-        say(f"learning {labels.drive}")
+        say(f"[{number + 1}/{len(drives)}] learning {labels.drive}")
         if per_lap and drive is not None and trained.learner != LEARNER:
             laps += lap_rows(drive, labels, trained)
         start = time.perf_counter()
