@@ -58,6 +58,11 @@ class Loud(io.TextIOBase):
         return True
 
 
+def is_watched() -> bool:
+    """Return whether someone watches stderr; progress is for them alone."""
+    return sys.stderr.isatty()
+
+
 class StepBar:
     """Progress of steps on stderr: a bar, a count and the time that remains, where someone watches.
 
@@ -74,7 +79,7 @@ class StepBar:
     def __init__(self, total: int = 0, shares: Mapping[str, float] | None = None) -> None:
         self._total, self._done, self._begin = total, 0, time.monotonic()
         self._shares, self._share, self.text = shares or {}, 0.0, ""
-        self._watched = sys.stderr.isatty()
+        self._watched = is_watched()
         self._in_place = self._watched and not isinstance(sys.stderr, Loud)
         self._drawn, self._counted_from = (0, True), (0.0, 0.0)
         self._over = threading.Event()

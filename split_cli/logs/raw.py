@@ -33,7 +33,8 @@ TIME_COLUMNS = (
     "t", "time", "timestamp", "timestamps", "time_s", "time_sec", "t_s", "time_ms", "t_ms", "time_ns", "time_us",
     "timestamp_ns", "timestamp_us", "timestamp_ms", "elapsed_time", "sec", "seconds", "__time", "%time",
     "ts", "ts_ms", "ts_us", "ts_ns", "gps_tow", "tow", "itow", "gps_itow", "gps_time", "time_of_week", "sow",
-    "logmonotime", "tempo", "zeit", "zeit_s", "zeit_ms", "zeitstempel", "temps", "tiempo", "unix_time", "epoch", "utc", "utc_time",
+    "logmonotime", "tempo",
+    "zeit", "zeit_s", "zeit_ms", "zeitstempel", "temps", "tiempo", "unix_time", "epoch", "utc", "utc_time",
     "time_utc", "elapsed", "elapsed_s", "elapsed_ms", "datetime", "date_time", "date/time", "stamp",
 )  # fmt: skip
 """Names of columns that hold the time, in lower case, blanks as underscores."""

@@ -44,7 +44,7 @@ def run(monkeypatch, verdict: str, *options: str, watched: bool = False):
         return VERDICTS[verdict]
 
     monkeypatch.setattr(workflow, "diagnose_files", known)
-    monkeypatch.setattr("split_cli.cli.diagnose.is_watched", lambda: watched)
+    monkeypatch.setattr("split_cli.cli.voice.is_watched", lambda: watched)
     return CliRunner().invoke(group, ["diagnose", *ARGUMENTS, *options])
 
 
@@ -69,10 +69,11 @@ def test_json_alone_is_on_stdout(monkeypatch, verdict, watched):
     assert json.loads(told.stdout)["verdict"] == verdict
 
 
-def test_progress_is_a_line_a_step_where_someone_watches_and_nothing_in_a_pipe(monkeypatch):
+def test_progress_is_one_line_drawn_anew_where_someone_watches_and_nothing_in_a_pipe(monkeypatch):
     watched = run(monkeypatch, "match", "--json", watched=True).stderr
-    assert [line.split()[-1] for line in watched.splitlines()] == ["smoothing", "naming"]
-    assert "\r" not in watched and "\x1b" not in watched
+    drawn = [line for line in watched.split("\r\x1b[K") if line]
+    assert [line.split()[-1] for line in drawn] == ["smoothing", "naming"]
+    assert "░" in watched and "\n" not in watched and watched.endswith("\r\x1b[K")
     assert run(monkeypatch, "match", "--json").stderr == ""
 
 

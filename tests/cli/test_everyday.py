@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import click
@@ -141,6 +142,30 @@ class TestVoice:
         assert "about 10 min left" in bar.line("x", 600.0)
         # Without a number of steps there is nothing to promise.
         assert StepBar().line("reading", 3.2) == "    3 s  reading"
+
+    def test_a_count_that_begins_late_says_nothing_of_the_time_before(self):
+        bar = StepBar()
+        bar("reading")
+        bar._begin -= 100.0
+        bar.count(0, 4)
+        bar.count(1, 4)
+        # A quarter in 20 s, after 100 s of something else.
+        assert bar.line("cases", 120.0, begun=False) == "█████" + "░" * 15 + " 1/4  2 min, about 60 s left  cases"
+
+    def test_steps_of_unequal_length_are_weighed(self):
+        bar = StepBar(shares={"reading": 0.0, "fitting": 0.25, "writing": 0.9})
+        bar("reading")
+        bar("fitting")
+        assert bar.line("fitting", 10.0) == "█████" + "░" * 15 + "  10 s, about 30 s left  fitting"
+
+    def test_the_time_goes_on_between_steps_and_notes_stand_above(self, monkeypatch, capsys):
+        monkeypatch.setattr("split_cli.cli.voice.is_watched", lambda: True)
+        with StepBar(2) as bar:
+            bar("slow")
+            time.sleep(1.3)
+            bar.note("heard")
+        told = capsys.readouterr().err
+        assert told.count("1/2") >= 2 and "\r\x1b[Knote: heard\n" in told and told.endswith("\r\x1b[K")
 
     def test_a_text_that_counts_is_believed(self):
         bar = StepBar()

@@ -358,8 +358,14 @@ def test_months_by_name_and_halves_of_the_day_are_read(tmp_path, first, second):
 
 
 def test_runs_of_blanks_part_columns_only_where_nothing_else_does(tmp_path):
-    (tmp_path / "aligned.txt").write_text("   t     vx    vy\n" + "".join(f"  {0.01 * i:5.2f}  {i:4d}  -0.5\n" for i in range(20)))
+    (tmp_path / "aligned.txt").write_text(
+        "   t     vx    vy\n" + "".join(f"  {0.01 * i:5.2f}  {i:4d}  -0.5\n" for i in range(20))
+    )
     aligned = open_recording(tmp_path / "aligned.txt").read(["t", "vx", "vy"])
-    assert aligned["vx"].values == pytest.approx(np.arange(20.0)) and aligned["t"].values[-1] == pytest.approx(0.19)
-    (tmp_path / "dated.csv").write_text("time,vx\n" + "".join(f"2026-03-14 10:00:{i:02d},{i}\n" for i in range(20)))
+    assert aligned["vx"].values == pytest.approx(np.arange(20.0)) and aligned["t"].values[-1] == pytest.approx(
+        0.19
+    )
+    (tmp_path / "dated.csv").write_text(
+        "time,vx\n" + "".join(f"2026-03-14 10:00:{i:02d},{i}\n" for i in range(20))
+    )
     assert [info.name for info in open_recording(tmp_path / "dated.csv").channels()] == ["time", "vx"]

@@ -165,7 +165,12 @@ def assemble_drive(
         assumed=(*_assumed_before(before), *gathered.assumed),
         contradictions=gathered.contradictions,
         skipped=gathered.skipped,
-        warnings=(*warnings, *channels.bridged(), *unusable, *(f"{n.where}: {n.count} x {n.what}" for n in recording.notes)),
+        warnings=(
+            *warnings,
+            *channels.bridged(),
+            *unusable,
+            *(f"{n.where}: {n.count} x {n.what}" for n in recording.notes),
+        ),
     )
     paths = getattr(recording, "paths", (recording.path,))
     quality = replace(quality, unverified=_unverified(recording.path, before))

@@ -290,7 +290,8 @@ def _first_guess(candidate: TrialCandidate, trial: Trial) -> Suggestion:
     to_the_right = candidate.channel in ("vy", "ay") and not candidate.convert and (
         "right" in concepts_of(tokens_of(candidate.sources[0]))[0])  # fmt: skip
     return Suggestion(candidate.channel, candidate.sources, unit, convert=candidate.convert,
-                      scale=-1.0 if to_the_right else 1.0, reason="to the right by its name" if to_the_right else "",
+                      scale=-1.0 if to_the_right else 1.0,
+                      reason="to the right by its name" if to_the_right else "",
                       status="stated" if candidate.unit else "assumed",
                       command=all(is_command(name) for name in candidate.sources))  # fmt: skip
 
@@ -300,7 +301,7 @@ _FORWARD_SHARE = 0.2
 
 
 def _not_forward(usable: dict[str, list[TrialCandidate]], trial: Trial) -> list[Suggestion]:
-    """Take out velocities along x that are small beside the recorded speed: x is another axis there, as in games."""
+    """Take out velocities along x that are small beside the recorded speed: in games x is another axis."""
     sizes = {}
     for candidate in usable.get("vx", []):
         column = trial.column(_first_guess(candidate, trial))

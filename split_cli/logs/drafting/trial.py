@@ -100,7 +100,8 @@ class Trial:
     def _beyond_the_globe(self, candidate: TrialCandidate) -> str:
         """Return which coordinate of a fix is none in degrees, empty where both may be."""
         names = {"latitude": candidate.sources[:1], "longitude": (None, *candidate.sources[:1])}.get(
-            candidate.channel, candidate.sources if candidate.convert in ("local_x", "local_y") else ())
+            candidate.channel, candidate.sources if candidate.convert in ("local_x", "local_y") else ()
+        )
         for name, limit in zip(names, (90.0, 180.0), strict=False):
             if name is None:
                 continue

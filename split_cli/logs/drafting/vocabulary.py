@@ -1,4 +1,4 @@
-"""What the words of a recorded name mean together: quantity, direction, object, in several languages and in shorthand.
+"""What the words of a recorded name mean together: quantity, direction, object, in several languages.
 
 A name is taken apart into words, compounds too (``WhlSpdFL``, ``Querbeschleunigung``). Each word stands for a
 concept; the set of concepts decides the channel. Words that say who measured, where or how well are neutral.
@@ -18,7 +18,8 @@ _WORDS: dict[str, str] = {
         "geschw fahrgeschwindigkeit"
     ),
     "acceleration": (
-        "a acc accel accelerometer acceleration accelerations beschleunigung beschl gforce aceleracion accelerazione"
+        "a acc accel accelerometer acceleration "
+        "accelerations beschleunigung beschl gforce aceleracion accelerazione"
     ),
     "rate": "rate rates rt rot rotation rotationrate gyro gyroscope omega dot drehrate geschwindigkeitsrate",
     "angular": "angular",
@@ -36,7 +37,9 @@ _WORDS: dict[str, str] = {
     "torque": "torque torques trq tq moment mom drehmoment couple par coppia",
     "brake": "brake brakes braking brk brems bremse frein freins freno freni",
     "pressure": "pressure press pres prs druck pression presion pressione",
-    "throttle": "throttle thr thrt gas accelerator app tps fahrpedal gaspedal accelerateur acelerador acceleratore",
+    "throttle": (
+        "throttle thr thrt gas accelerator app tps fahrpedal gaspedal accelerateur acelerador acceleratore"
+    ),
     "pedal": "pedal ped",
     "engine": "engine eng motor mot kurbelwelle",
     "current": "current curr strom",
@@ -59,7 +62,8 @@ _WORDS: dict[str, str] = {
     ),
     "other": (
         "std stddev sigma cov covariance var variance err error accuracy quality status valid validity "
-        "flag sign vorzeichen vz count cnt counter id seq index min max limit bias temp temperature lap age confidence jerk "
+        "flag sign vorzeichen vz count cnt counter id seq index "
+        "min max limit bias temp temperature lap age confidence jerk "
         "roll rolling pitch pitching tilt bank bearing course slope grade altitude height kappa curvature "
         "radius distance dist combined combo gear ratio level battery voltage power fuel lean satellites "
         "sats hdop residual steps engine_speed orientation quaternion quat"
@@ -78,7 +82,8 @@ _WORDS: dict[str, str] = {
         "estimated estimate filt filtered filter raw ins imu gps gnss dgps odo odom odometry vbox ecu can "
         "obd esp abs1 state states signal sig value val fused kf ekf ukf local frame field header twist "
         "msg fahrzeug ist corr corrected mti oxts novatel vicon optitrack mocap rt3000 of in the at from "
-        "to s de del des di du la le della sm tm ii 2d 3d dev device coor sys e1 sim simulated model true truth gt log data input "
+        "to s de del des di du la le della sm tm ii 2d "
+        "3d dev device coor sys e1 sim simulated model true truth gt log data input "
         "output stellung stand"
     ),
 }

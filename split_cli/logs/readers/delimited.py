@@ -202,7 +202,9 @@ def _read_table(path: Path, dialect: Dialect, width: int, indices: list[int], ki
                 column_names=names, encoding=dialect.encoding, block_size=_BLOCK_BYTES
             ),
             parse_options=arrow_csv.ParseOptions(
-                delimiter="\t" if dialect.separator == " " else dialect.separator, invalid_row_handler=skip, newlines_in_values=False
+                delimiter="\t" if dialect.separator == " " else dialect.separator,
+                invalid_row_handler=skip,
+                newlines_in_values=False,
             ),
             convert_options=arrow_csv.ConvertOptions(
                 column_types=dict.fromkeys(names, kind),

@@ -270,14 +270,16 @@ def _curve(p: np.ndarray, grid: np.ndarray) -> np.ndarray:
 def _best_fit(problem: _Problem, start: MagicFormula, given_peak: float) -> LeastSquaresFit:
     """Fit from several peaks, since a flat valley can hold an iteration where it started.
 
-    One start is what the samples show by themselves: the slope of a line through the lesser half of the forces, and
-    the largest force as the peak.
+    One start is what the samples show by themselves: the slope of a line through the lesser half of the forces,
+    and the largest force as the peak.
     """
     begin = _start(start)
     begins = [begin, *(np.array([begin[0], np.log(given_peak * f), 1.4, 0.0]) for f in (0.6, 1.0, 1.6))]
     size = np.abs(problem.force)
     gentle = size <= np.median(size)
-    slope = float(problem.slip[gentle] @ problem.force[gentle] / max(float(np.sum(problem.slip[gentle] ** 2)), 1e-12))
+    slope = float(
+        problem.slip[gentle] @ problem.force[gentle] / max(float(np.sum(problem.slip[gentle] ** 2)), 1e-12)
+    )
     shown = np.log(np.maximum([slope, float(np.quantile(size, 0.995))], 1e-9))
     begins.append(np.clip([*shown, 1.4, 0.0], problem.lower, problem.upper))
     scale = problem.fit(begin).scale
