@@ -122,8 +122,8 @@ class Checks:
             if abs(own.correlation) < abs(across.correlation) - 0.5:
                 text = (
                     f"{channel[0]}_{channel[1]} goes with {motions[other][1]} (correlation "
-                    f"{across.correlation:.2f}), not with {motions[channel][1]} ({own.correlation:.2f}): it is along "
-                    "the other axis. Exchange the sources of a_x and a_y in the map."
+                    f"{across.correlation:.2f}), not with {motions[channel][1]} ({own.correlation:.2f}): it is "
+                    "along the other axis. Exchange the sources of a_x and a_y in the map."
                 )
                 found.append(ConsistencyFinding("swapped", channel, text, across.correlation))
         return found
