@@ -142,8 +142,8 @@ class StepBar:
 
     def _recount(self, done: int, total: int) -> None:
         """Take a count; one that begins anew says nothing of the time before it."""
-        if total != self._total or done < self._done - 1:
-            self._counted_from = (time.monotonic() - self._begin, done / total if total else 0.0)
+        if done == 0 and (total != self._total or self._done > 1):
+            self._counted_from = (time.monotonic() - self._begin, 0.0)
         self._done, self._total = done, total
 
     def _draw(self, begun: bool = True) -> None:
