@@ -159,7 +159,7 @@ def evaluate(
 ) -> EvaluationResult:
     """Score predictors on drives; settings are those of `EvaluationSettings`, as `split evaluate` takes them."""
     several = [drives] if isinstance(drives, Drive) else list(drives)
-    car = vehicle or (trained.vehicle if trained is not None else None)
+    car = vehicle or (trained.nominal_vehicle if trained is not None else None)
     if car is None:
         raise SplitError("needs a vehicle or a trained set")
     return EvaluationResult(evaluate_drives(several, car, EvaluationSettings(**settings), trained))

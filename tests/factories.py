@@ -16,7 +16,7 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects.term import Term
 from split_cli.vehicle.flow import Flow
-from split_cli.vehicle.integration import integrate_recorded
+from split_cli.vehicle.integration import integrate_with_memory
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
@@ -83,11 +83,11 @@ def make_drive(
     steer = np.array([np.interp(fine, np.arange(knots), row) for row in steer])
     torque = np.array([np.interp(fine, np.arange(knots), row) for row in torque])
     state = np.stack([speed, np.zeros(segments), np.zeros(segments)], axis=1)
-    states = [state]
+    states, memory = [state], None
     for k in range(len(fine) - 1):
         window = slice(k, k + 2)
-        state = integrate_recorded(
-            model, state, torque[:, window], steer[:, window], period, round(period / 1.25e-3)
+        state, memory = integrate_with_memory(
+            model, state, torque[:, window], steer[:, window], period, round(period / 1.25e-3), term_states=memory
         )
         states.append(state)
     velocity = np.stack(states, axis=1)

@@ -34,8 +34,9 @@ class ModelNode : public rclcpp::Node {
     const auto & q = odometry.pose.pose.orientation;
     const double yaw = std::atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z));
     const auto & twist = odometry.twist.twist;
-    const std::array<double, MY_CAR_STATES> state = {
+    std::array<double, MY_CAR_STATES> state = {
         position.x, position.y, yaw, twist.linear.x, twist.linear.y, twist.angular.z, total_torque_, delta_};
+    my_car_start(state.data());  // states of lags, where the model has any: settled
     const std::array<double, MY_CAR_INPUTS> input = {0.0, 0.0};  // commands held, until the next ones come
     std::array<double, MY_CAR_STATES> next{};
     my_car_step(state.data(), input.data(), kAhead, next.data());

@@ -68,6 +68,11 @@ class TimeSpan(click.ParamType):
     metavar="held-out|full|VX,VY,R",
     help="Share of each correction to apply; default: what held-out blocks show. full: the paper's way.",
 )
+@click.option(
+    "--lag",
+    type=click.Choice(["held-out", "none"]),
+    help="A torque that arrives late: put into the set where held-out blocks gain by it (default), or not.",
+)
 @click.option("--any-vehicle", is_flag=True, help="Warn, do not refuse, where a drive contradicts the vehicle.")
 @click.option(
     "--exclude",

@@ -268,7 +268,12 @@ def memory_parts(memory: Memory | None) -> tuple[str, ...]:
 def _memory_values(graph: NominalGraph, memory: Memory | None, name: str, real: str) -> dict[str, str]:
     """Return what the templates say of states beyond the first eight; nothing where there are none."""
     if memory is None:
-        return {"STATES": "8", "MEMORY_TEXT": "", "MEMORY_ENUM": "", "MEMORY_MACRO": ""}
+        # A controller written for any set calls it, whether training found a lag or not.
+        start = (
+            "\n/* There are no states beyond the first eight to fill. */"
+            f"\nstatic inline void {name}_start({name}_real *x)\n{{\n    (void)x;\n}}\n"
+        )
+        return {"STATES": "8", "MEMORY_TEXT": "", "MEMORY_ENUM": "", "MEMORY_MACRO": start}
     upper, delayed = name.upper(), memory.line > 0
     arriving = f", const {name}_real *arrived" if delayed else ""
     text = "".join(f"\n *   x[{8 + k}]  {label}" for k, label in enumerate(memory.labels))

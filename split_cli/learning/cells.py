@@ -95,10 +95,11 @@ def empty_set(
 def without_points(training_set: TrainingSet) -> TrainingSet:
     """Return an empty set with the settings and the kernel of another."""
     s = training_set
-    return empty_set(
+    empty = empty_set(
         s.vehicle, s.features, s.region, s.grid, s.kernel, horizon=s.horizon, capacity=s.capacity,
         threshold=s.threshold, forgetting=s.forgetting, plain=s.plain,
     )  # fmt: skip
+    return replace(empty, found_effects=s.found_effects)
 
 
 def learn(

@@ -53,6 +53,7 @@ def check_header(described: Mapping[str, Any], features: Sequence[str], vehicle_
     for source in described["sources"]:
         for name in _COUNTS:
             _whole(f"{name} of source {source['name']!r}", source[name], 0, np.inf)
+    _whole("found_effects", described.get("found_effects", 0), 0, len(described["vehicle"].get("effects") or ()))
     if described["vehicle_digest"] != vehicle_digest:
         raise ValueError("the digest of its vehicle is not that of the vehicle in it")
 

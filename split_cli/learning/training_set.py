@@ -18,7 +18,7 @@ from split_cli.learning.kernel import OUTPUTS, Kernel
 from split_cli.learning.region import Grid, Region, valid_cells
 from split_cli.learning.set_limits import check_header, check_points
 from split_cli.learning.trust import Trust
-from split_cli.vehicle.parameters import Vehicle, vehicle_from_mapping, vehicle_to_mapping
+from split_cli.vehicle.parameters import EffectSpec, Vehicle, vehicle_from_mapping, vehicle_to_mapping
 
 __all__ = ["CellPoints", "SetFile", "SetSource", "TrainingSet", "read_set", "write_set"]
 
@@ -109,6 +109,8 @@ class TrainingSet:
         What chose the points: cells by themselves, or one dictionary of `capacity` points (learning/iol.py).
     trust : Trust
         How far each output is believed; every predictor and every export applies it.
+    found_effects : int
+        How many effects, the last of `vehicle`, training found beyond the vehicle file (scoring/torque_lag.py).
     """
 
     vehicle: Vehicle
@@ -132,6 +134,18 @@ class TrainingSet:
     plain: bool = False
     learner: str = "split"
     trust: Trust = field(default_factory=Trust.full)
+    found_effects: int = 0
+
+    @property
+    def nominal_vehicle(self) -> Vehicle:
+        """The vehicle of the file that the set was trained with, without what training found beyond it."""
+        effects = self.vehicle.effects
+        return replace(self.vehicle, effects=effects[: len(effects) - self.found_effects])
+
+    @property
+    def found(self) -> tuple[EffectSpec, ...]:
+        """Effects that training found beyond the vehicle file; the set corrects the model with them."""
+        return self.vehicle.effects[len(self.vehicle.effects) - self.found_effects :]
 
     @property
     def size(self) -> int:
@@ -364,6 +378,7 @@ def _describe(training_set: TrainingSet) -> dict:
         "threshold": s.threshold,
         "forgetting": s.forgetting,
         **({} if s.learner == "split" else {"learner": s.learner}),
+        **({"found_effects": s.found_effects} if s.found_effects else {}),
         "counts": {"points": s.size, "cells": s.cell_count},
         "sources": [_described_source(source) for source in s.sources],
     }
@@ -399,6 +414,7 @@ def _header_from(described: Mapping) -> TrainingSet:
         kernel=Kernel(**described["kernel"]),
         **{name: described[name] for name in ("horizon", "capacity", "threshold", "forgetting", "plain")},
         learner=described.get("learner", "split"),
+        found_effects=described.get("found_effects", 0),
         cell_numbers=np.empty(0, dtype=np.int64),
         offsets=np.zeros(1, dtype=np.int64),
         z=np.empty((0, len(features.names))),

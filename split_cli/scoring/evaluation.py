@@ -240,7 +240,8 @@ def rollout_trajectories(
         Says which rows test.
     model : SingleTrack
     predictors : dict
-        (Name, features) to the drive as the predictor's features see it, and the predictor.
+        (Name, features) to the drive as the predictor's features see it, and the predictor. What its set found
+        beyond the vehicle file is part of its model.
     steps : int
         Steps of h.
     """
@@ -254,5 +255,7 @@ def rollout_trajectories(
     for key, (own, predictor) in predictors.items():
         residual = correction_from(predictor, own.drive, own.z, starts)
         correction = Correction(own.labels.features, own.z, residual)
-        trajectories[key] = roll_out(model, held.drive, starts, steps, window, correction)
+        known = predictor.training_set
+        learned = SingleTrack(known.vehicle) if known.found_effects else model
+        trajectories[key] = roll_out(learned, held.drive, starts, steps, window, correction)
     return starts, trajectories

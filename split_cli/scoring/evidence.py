@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from split_cli.learning.cells import extend
-from split_cli.learning.labels import Labels
+from split_cli.learning.labels import Labels, nominal_errors
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.prediction import Predictor, make_predictor
@@ -60,7 +60,7 @@ class TrustEvidence:
     horizon : float
         [s]; 0 stands for one step, in label units.
     error : ndarray, shape (N,)
-        Recorded less nominal.
+        Recorded less predicted by the set's vehicle without correction.
     change : ndarray, shape (N, 3)
         What the correction of each output alone adds to the nominal prediction.
     movement : ndarray, shape (N,)
@@ -72,6 +72,8 @@ class TrustEvidence:
         The process's latent variance; for one step.
     rivals : ndarray, shape (N, K), or None
         Signals outside the features that may be what the correction stands in for: see `_rivals`; for one step.
+    nominal : ndarray, shape (N,), or None
+        Recorded less predicted by the vehicle file, where the set's vehicle holds effects beyond it; else `error`.
     """
 
     state: int
@@ -83,6 +85,12 @@ class TrustEvidence:
     conditions: np.ndarray
     variance: np.ndarray | None = None
     rivals: np.ndarray | None = None
+    nominal: np.ndarray | None = None
+
+    @property
+    def file_error(self) -> np.ndarray:
+        """Recorded less predicted by the vehicle file, shape (N,)."""
+        return self.error if self.nominal is None else self.nominal
 
 
 #: Conditions no state may be made worse in: features need not tell them, so a correction can be right on average
@@ -102,7 +110,8 @@ def held_out_evidence(
     total = 1 + max((int(block.max(initial=-1)) for block in numbered), default=-1)
     if total < FEWEST_BLOCKS:
         return (), total
-    model = SingleTrack(empty.vehicle)
+    models = SingleTrack(empty.vehicle), SingleTrack(empty.nominal_vehicle) if empty.found_effects else None
+    model = models[0]
     features = [empty.features.compute(model, part.drive) for part in drives]
     conditions = [_conditions(part.drive, number, model) for number, part in enumerate(drives)]
     parts: list[TrustEvidence] = []
@@ -115,8 +124,8 @@ def held_out_evidence(
         learned = make_predictor(predictor, extend(empty, [labels for labels in kept if len(labels)]))
         for part, test, block, z, at in zip(drives, tests, numbered, features, conditions, strict=True):
             if test.any():
-                parts += _one_step(part, test, block, z, at, learned, model)
-                parts += _rolled_out(part, test, block, z, at, learned, model)
+                parts += _one_step(part, test, block, z, at, learned, models)
+                parts += _rolled_out(part, test, block, z, at, learned, models)
     seen = {int(b) for part in parts for b in np.unique(part.block)}
     return tuple(_joined(parts)), len(seen)
 
@@ -194,8 +203,9 @@ def _one_step(
     z: np.ndarray,
     at: np.ndarray,
     learned: Predictor,
-    model: SingleTrack,
+    models: tuple[SingleTrack, SingleTrack | None],
 ) -> list[TrustEvidence]:
+    model, of_file = models
     labels = part.labels.within(test)
     labels = labels.take(np.isfinite(labels.y).all(axis=1))
     if not len(labels):
@@ -203,12 +213,16 @@ def _one_step(
     told = predict_rows(learned, part.drive, z, labels.row)
     movement = velocity_persistence_errors(model, part.drive, labels)
     situation, rivals = _means(at, labels.row, labels.window), _rivals(part.drive, labels)
+    nominal = None
+    if of_file is not None:
+        nominal = nominal_errors(of_file, part.drive, labels.row, labels.window, plain=labels.plain)
     found = []
     for state in range(3):
         change = np.zeros((len(labels), 3))
         change[:, state] = told.mean[:, state]
         error, moved = labels.y[:, state], movement[:, state]
         rest = (block[labels.row], situation, told.variance[:, state], rivals)
+        rest = (*rest, None if nominal is None else nominal[:, state])
         found.append(TrustEvidence(state, 0.0, error, change, moved, *rest))
     return found
 
@@ -236,10 +250,10 @@ def _rolled_out(
     z: np.ndarray,
     at: np.ndarray,
     learned: Predictor,
-    model: SingleTrack,
+    models: tuple[SingleTrack, SingleTrack | None],
 ) -> list[TrustEvidence]:
     """Return errors of rollouts that stay inside one held-out block, as long as blocks allow."""
-    drive, labels = part.drive, part.labels
+    drive, labels, (model, of_file) = part.drive, part.labels, models
     window, speed = labels.window, labels.region.minimum_speed
     found: list[TrustEvidence] = []
     for horizon in HORIZONS[::-1]:
@@ -253,6 +267,7 @@ def _rolled_out(
             continue
         rolled = _with_each_output(model, drive, starts, steps, labels, z, learned)
         nominal = rolled[0]
+        by_file = nominal if of_file is None else roll_out(of_file, drive, starts, steps, window)[..., -3:]
         change = np.stack([corrected - nominal for corrected in rolled[1:]], axis=-1)
         for asked in [h for h in HORIZONS if h <= horizon]:
             step = max(1, round(asked / labels.horizon)) - 1
@@ -261,7 +276,8 @@ def _rolled_out(
                 np.stack([drive[name][at_rows] for name in _STATES], axis=1) for at_rows in (starts, rows)
             )
             error = end - nominal[:, step]
-            good = np.isfinite(error).all(axis=1) & np.isfinite(change[:, step]).all(axis=(1, 2))
+            file_error = end - by_file[:, step]
+            good = np.isfinite(error + file_error).all(axis=1) & np.isfinite(change[:, step]).all(axis=(1, 2))
             situation = _means(at, starts, (step + 1) * window)
             found += [
                 TrustEvidence(
@@ -272,6 +288,7 @@ def _rolled_out(
                     (end - begin)[good, s],
                     block[starts[good]],
                     situation[good],
+                    nominal=None if of_file is None else file_error[good, s],
                 )
                 for s in range(3)
             ]
@@ -304,7 +321,8 @@ def _joined(parts: Sequence[TrustEvidence]) -> list[TrustEvidence]:
         columns = (np.concatenate([getattr(p, name) for p in same]) for name in
                    ("error", "change", "movement", "block", "conditions"))  # fmt: skip
         one_step = (
-            [getattr(p, name) for p in same if getattr(p, name) is not None] for name in ("variance", "rivals")
+            [getattr(p, name) for p in same if getattr(p, name) is not None]
+            for name in ("variance", "rivals", "nominal")
         )
         joined.append(TrustEvidence(*key, *columns, *(np.concatenate(v) if v else None for v in one_step)))
     return joined

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from split_cli.learning.labels import Labels
@@ -9,7 +11,7 @@ from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["late_inputs"]
+__all__ = ["late_inputs", "torque_delay"]
 
 #: Correlation from which a label is said to go with an input's rate [1]; judgement: a tenth of its variance.
 _LEAST_CORRELATION = 0.3
@@ -41,24 +43,13 @@ def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle) -> tuple[str, ..
     nominal model. tau is the least-squares slope, its error the jackknife's over blocks of time. A lag and a delay
     look alike to first order, and so does a late time stamp: the diagnosis tells them apart.
     """
-    model = SingleTrack(vehicle)
     used = labels.take(labels.accepted)
-    if len(used) < _FEWEST:
-        return ()
-    first, last = used.row, used.row + used.window
-    state = [np.asarray(drive[name], dtype=float)[first] for name in ("vx", "vy", "r")]
-    inputs = {name: np.asarray(drive[name], dtype=float) for name in ("T", "delta")}
     told = []
     for name, output, label, rate, what, term in _INPUTS:
-        change = (inputs[name][last] - inputs[name][first]) / used.horizon
-        missing = -_slope(model, state, inputs, first, name, output) * change
-        y = used.y[:, output]
-        if not np.any(missing):
-            continue
-        correlation = float(np.corrcoef(missing, y)[0, 1])
-        delay, error = _fit(missing, y)
-        sure = correlation > _LEAST_CORRELATION and delay > _CLEAR * error
-        if sure and _RANGE[0] < delay < _RANGE[1]:
+        missing = _missing(drive, used, vehicle, name, output)
+        found = _late(missing, used.y[:, output])
+        if found is not None:
+            delay, error, correlation = found
             told.append(
                 f"{drive.name}: labels of {label} go with {rate} (correlation {-correlation:.2f}): the {what} "
                 f"seems to arrive {delay:.3f} s late (+- {error:.1g}), which features of the moment cannot tell. "
@@ -66,6 +57,33 @@ def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle) -> tuple[str, ..
                 f"{term}"
             )
     return tuple(told)
+
+
+def torque_delay(drives: Sequence[Drive], labels: Sequence[Labels], vehicle: Vehicle) -> float | None:
+    """Return by how much the torque of all drives together arrives late [s]; None where that is not clear."""
+    used = [part.take(part.accepted) for part in labels]
+    missing = [_missing(drive, part, vehicle, "T", 0) for drive, part in zip(drives, used, strict=True)]
+    found = _late(np.concatenate(missing), np.concatenate([part.y[:, 0] for part in used])) if used else None
+    return None if found is None else found[0]
+
+
+def _missing(drive: Drive, used: Labels, vehicle: Vehicle, name: str, output: int) -> np.ndarray:
+    """Return what a label lacks for every second that an input is late, shape (N,)."""
+    first, last = used.row, used.row + used.window
+    state = [np.asarray(drive[channel], dtype=float)[first] for channel in ("vx", "vy", "r")]
+    inputs = {channel: np.asarray(drive[channel], dtype=float) for channel in ("T", "delta")}
+    change = (inputs[name][last] - inputs[name][first]) / used.horizon
+    return -_slope(SingleTrack(vehicle), state, inputs, first, name, output) * change
+
+
+def _late(missing: np.ndarray, y: np.ndarray) -> tuple[float, float, float] | None:
+    """Return delay and error [s] and the correlation behind them [1]; None where they are not beyond chance."""
+    if len(y) < _FEWEST or not np.any(missing):
+        return None
+    correlation = float(np.corrcoef(missing, y)[0, 1])
+    delay, error = _fit(missing, y)
+    sure = correlation > _LEAST_CORRELATION and delay > _CLEAR * error
+    return (delay, error, correlation) if sure and _RANGE[0] < delay < _RANGE[1] else None
 
 
 def _slope(

@@ -11,6 +11,7 @@ from split_cli.learning.trust import Trust
 from split_cli.scoring.evaluation import Score
 from split_cli.scoring.noise import NoiseFloor
 from split_cli.scoring.verdict import Comparison
+from split_cli.vehicle.parameters import EffectSpec
 
 __all__ = [
     "EVALUATION_FORMAT",
@@ -100,13 +101,14 @@ class DriveFacts:
 
 @dataclass(frozen=True)
 class SetFacts:
-    """A trained set that was scored: its features, points, cells, kernel and trust."""
+    """A trained set that was scored: its features, points, cells, kernel, trust, and effects found in training."""
 
     features: str
     points: int
     cells: int
     kernel: Kernel
     trust: Trust
+    found: tuple[EffectSpec, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
 from split_cli.scoring.evidence import FEWEST_BLOCKS, TrainingDrive, TrustEvidence, held_out_evidence
 
-__all__ = ["doubt_from", "estimate_trust", "own_shares", "trust_from"]
+__all__ = ["best_trust", "doubt_from", "estimate_trust", "judge_correction", "own_shares", "trust_from"]
 
 #: One-sided level of 95 %: a gain within chance is not believed. Of Student's t with many blocks; with few blocks
 #: the quantile of their own degrees of freedom is taken.
@@ -52,16 +52,43 @@ def estimate_trust(
         ``unjudged`` and 0 when the drives are too short for five blocks: what no held-out driving speaks for is
         not applied.
     """
+    return judge_correction(drives, empty, predictor, say)[0]
+
+
+def judge_correction(
+    drives: Sequence[TrainingDrive],
+    empty: TrainingSet,
+    predictor: str = "rbcm",
+    say: Callable[[str], None] = lambda text: None,
+    most: Sequence[float] = (1.0, 1.0, 1.0),
+) -> tuple[Trust, float]:
+    """Return the trust of each output and its gain, as `best_trust` counts it.
+
+    Parameters as of `estimate_trust`; no output is trusted beyond `most`.
+    """
     evidence, blocks = held_out_evidence(drives, empty, predictor, say)
     if blocks < FEWEST_BLOCKS:
-        return Trust((0.0, 0.0, 0.0), "unjudged", blocks)
-    share = trust_from(evidence)
+        return Trust((0.0, 0.0, 0.0), "unjudged", blocks), -np.inf
+    share, gain = best_trust(evidence, most)
     doubt = doubt_from(evidence, share, empty.kernel.noise_variance)
-    return Trust(tuple(share.tolist()), "held-out", blocks, tuple(doubt.tolist()))
+    return Trust(tuple(share.tolist()), "held-out", blocks, tuple(doubt.tolist())), gain
 
 
 def trust_from(evidence: Sequence[TrustEvidence]) -> np.ndarray:
-    """Return the trust of each output that the evidence supports, shape (3,).
+    """Return the trust of each output that the evidence supports, shape (3,): see `best_trust`."""
+    return best_trust(evidence)[0]
+
+
+def best_trust(
+    evidence: Sequence[TrustEvidence], most: Sequence[float] = (1.0, 1.0, 1.0)
+) -> tuple[np.ndarray, float]:
+    """Return the trust of each output that the evidence supports, shape (3,), and its gain over the vehicle file.
+
+    Parameters
+    ----------
+    evidence : sequence of TrustEvidence
+    most : sequence of float, shape (3,)
+        Largest trust of each output.
 
     Notes
     -----
@@ -73,12 +100,15 @@ def trust_from(evidence: Sequence[TrustEvidence]) -> np.ndarray:
     (95 %, one-sided), is largest in sum over states and horizons. No trust gains nothing: where the data show no
     gain beyond chance it is taken.
 
+    Where the set's vehicle holds effects beyond the vehicle file, those act whatever the trust, and everything is
+    judged against the file: no trust may then be allowed, not even none, and the gain is minus infinity.
+
     Two cautions are for the next drive, which is driven otherwise. No third may be made worse even by 1.5 times
     the correction. And no output is trusted beyond its `own_shares`: what a late torque or the speed explains as
     well goes with slip and torque in one style of driving only.
     """
     shares = np.stack(np.meshgrid(_GRID, _GRID, _GRID, indexing="ij"), axis=-1).reshape(-1, 3)
-    shares = shares[(shares <= own_shares(evidence) + 1e-9).all(axis=1)]
+    shares = shares[(shares <= np.minimum(own_shares(evidence), most) + 1e-9).all(axis=1)]
     gain = np.zeros(len(shares))
     for part in evidence:
         everything = np.ones(len(part.error), dtype=bool)
@@ -87,7 +117,7 @@ def trust_from(evidence: Sequence[TrustEvidence]) -> np.ndarray:
             worse, error = _increase(part, everything, shares)
             gain -= (worse + _quantile(len(np.unique(part.block))) * error) / (base + unnoticed)
             gain[worse > _NEGLIGIBLE * base + unnoticed] = -np.inf
-    # Trust of nothing gains nothing and is always allowed; what gains less need not be looked at.
+    # The file as it is gains nothing and is always allowed; what gains less need not be looked at.
     kept = np.flatnonzero(gain >= 0.0)
     shares, gain = shares[kept], gain[kept]
     for part in evidence:
@@ -96,7 +126,9 @@ def trust_from(evidence: Sequence[TrustEvidence]) -> np.ndarray:
             worse, error = _increase(part, inside, _MARGIN * shares)
             allowed = worse <= _NEGLIGIBLE_IN_A_THIRD * base + unnoticed + error
             shares, gain = shares[allowed], gain[allowed]
-    return shares[int(np.argmax(gain))]
+    if not len(gain):
+        return np.zeros(3), -np.inf
+    return shares[int(np.argmax(gain))], float(gain.max())
 
 
 def own_shares(evidence: Sequence[TrustEvidence]) -> np.ndarray:
@@ -165,7 +197,7 @@ def doubt_from(evidence: Sequence[TrustEvidence], share: np.ndarray, noise_varia
 def _sizes(part: TrustEvidence, inside: np.ndarray) -> tuple[float, float]:
     """Return the nominal sum of squared errors, and the sum of squares that nobody would notice."""
     moved = _NEGLIGIBLE_MOVEMENT * part.movement[inside]
-    return float(np.square(part.error[inside]).sum()), float(np.square(moved).sum())
+    return float(np.square(part.file_error[inside]).sum()), float(np.square(moved).sum())
 
 
 def _increase(part: TrustEvidence, inside: np.ndarray, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -176,7 +208,8 @@ def _increase(part: TrustEvidence, inside: np.ndarray, shares: np.ndarray) -> tu
     products = np.concatenate([error[:, None] * change, *(change[:, i, None] * change for i in range(3))], axis=1)
     sums = np.zeros((len(numbers), products.shape[1]))
     np.add.at(sums, member, products)
-    by_block = terms @ sums.T
+    before = np.square(error) - np.square(part.file_error[inside])
+    by_block = terms @ sums.T + np.bincount(member, before)
     total, count = by_block.sum(axis=1), len(numbers)
     spread = by_block - by_block.mean(axis=1, keepdims=True)
     return total, np.sqrt(count / max(count - 1, 1) * np.square(spread).sum(axis=1))

@@ -223,20 +223,29 @@ def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     return tuple(told)
 
 
-def one_step_errors(held: HeldOutSamples, model: SingleTrack, mean: np.ndarray, block: np.ndarray) -> BlockErrors:
+def one_step_errors(
+    nominal: HeldOutSamples, model: SingleTrack, held: HeldOutSamples, mean: np.ndarray, block: np.ndarray
+) -> BlockErrors:
     """Return the errors over one step on a drive's test samples, in label units.
 
     Parameters
     ----------
-    held : HeldOutSamples
+    nominal : HeldOutSamples
+        As the nominal model labels the drive.
     model : SingleTrack
+        The nominal one.
+    held : HeldOutSamples
+        As the model of the set labels it: the same, but for what training found beyond the vehicle file.
     mean : ndarray, shape (N, 3)
-        Predicted residual of the test samples, in their order.
+        Predicted residual of the test samples of `held`, in their order.
     block : ndarray of int, shape (rows of the drive,)
     """
-    tested = held.labels.take(held.tested)
-    persistence = velocity_persistence_errors(model, held.drive, tested)
-    return BlockErrors(0.0, tested.y - mean, tested.y, persistence, block[tested.row])
+    tested, own = nominal.labels.take(nominal.tested), held.labels.take(held.tested)
+    # A label may be finite with one model and not with the other.
+    _, ours, theirs = np.intersect1d(own.row, tested.row, assume_unique=True, return_indices=True)
+    tested = tested.take(theirs)
+    persistence = velocity_persistence_errors(model, nominal.drive, tested)
+    return BlockErrors(0.0, own.y[ours] - mean[ours], tested.y, persistence, block[tested.row])
 
 
 def rollout_errors(

@@ -43,7 +43,8 @@ from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings,
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
-from split_cli.scoring.trust import estimate_trust
+from split_cli.scoring.torque_lag import beside_a_lag, fit_torque_lag
+from split_cli.scoring.trust import judge_correction
 from split_cli.scoring.verdict import (
     BlockErrors,
     Comparison,
@@ -57,6 +58,7 @@ from split_cli.scoring.verdict import (
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import drive_notes
+from split_cli.workflows.new_set import lag_note
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
 __all__ = ["PLAIN", "evaluate", "evaluate_files", "train_in_memory"]
@@ -84,8 +86,8 @@ def evaluate_files(
     trained = read_set(set_path) if set_path else None
     if vehicle is None and trained is None:
         raise SplitError("needs a vehicle or a trained set", advice="Give --vehicle or --set.")
-    car = read_vehicle(vehicle) if vehicle else trained.vehicle
-    if trained is not None and trained.vehicle.digest() != car.digest():
+    car = read_vehicle(vehicle) if vehicle else trained.nominal_vehicle
+    if trained is not None and trained.nominal_vehicle.digest() != car.digest():
         raise SetError(
             f"was trained for another vehicle than {car.name!r}",
             where=str(set_path),
@@ -107,6 +109,7 @@ def evaluate(
     ----------
     drives : sequence of Drive
     vehicle : Vehicle
+        The nominal model; what a set found beyond it (`TrainingSet.found`) corrects like the residual does.
     settings : EvaluationSettings
     trained : TrainingSet, optional
         Scored on the whole of every drive. Without one, sets are trained on the training blocks, with
@@ -126,31 +129,34 @@ def evaluate(
     drives = [correct(drive) for drive in drives]
     doubts = vehicle_doubts(drives, vehicle, settings.any_vehicle)
     model = SingleTrack(vehicle)
-    contestants = []
+    contestants, nominal = [], []
     for features in settings.features:
         say(f"{features}: labels and training")
         held = _hold_out(drives, vehicle, parse_features(features), settings, trained)
+        nominal = nominal or held
         own = trained or _train(held, vehicle, settings)
+        if own.found_effects:
+            held = _hold_out(drives, own.vehicle, parse_features(features), settings, trained)
         contestants.append((features, held, own))
-    _require_samples(contestants[0][1])
-    baseline_variance = np.mean(np.square(contestants[0][2].y), axis=0) if contestants[0][2].size else None
-    baselines = [baseline_tallies(h, model, baseline_variance) for h in contestants[0][1]]
+    _require_samples(nominal)
+    baselines = [baseline_tallies(h, model, _variance_of(nominal, contestants[0][2])) for h in nominal]
     scores, traces, tallies, predictors = _score_predictors(contestants, baselines, settings, say)
     say("rollouts")
-    rollouts, rollout_scores, rolled = _rollouts(contestants[0][1], model, predictors, settings)
-    comparisons, verdicts = _comparisons(model, traces, rolled, settings)
-    sizes = _sizes(contestants, vehicle, baselines, settings, say)
+    rollouts, rollout_scores, rolled = _rollouts(nominal, model, predictors, settings)
+    comparisons, verdicts = _comparisons(model, nominal, traces, rolled, settings)
+    sizes = _sizes(contestants, baselines, settings, say)
     say("noise floor")
-    facts = tuple(_facts(h, model, trained) for h in contestants[0][1])
+    facts = tuple(_facts(h, model, trained) for h in nominal)
     report = Evaluation(
         settings=settings,
         vehicle=vehicle.name,
         drives=facts,
         sets=tuple(
-            SetFacts(name, own.size, own.cell_count, own.kernel, own.trust) for name, _, own in contestants
+            SetFacts(name, own.size, own.cell_count, own.kernel, own.trust, own.found)
+            for name, _, own in contestants
         ),
         scores=tuple(scores),
-        noise_floor=pooled_noise_floor(model, contestants[0][1]),
+        noise_floor=pooled_noise_floor(model, nominal),
         rollouts=tuple(rollout_scores),
         sizes=tuple(sizes),
         comparisons=comparisons,
@@ -159,6 +165,7 @@ def evaluate(
             *doubts,
             *_notes(facts, contestants[0][1], settings, rollout_scores),
             *correct.notes,
+            *(lag_note(own) for *_, own in contestants if own.found),
             *warnings_of([c for c in comparisons if c.name in settings.predictors]),
         ),
     )
@@ -174,7 +181,30 @@ def _train(held: Sequence[HeldOutSamples], vehicle: Vehicle, settings: Evaluatio
     if settings.trust == "full" or settings.protocol == "paper":
         return trained
     parts = [TrainingDrive(h.drive, own) for h, own in zip(held, labels, strict=True)]
-    return replace(trained, trust=estimate_trust(parts, without_points(trained)))
+    trust, gain = judge_correction(parts, without_points(trained))
+    trained = replace(trained, trust=trust)
+    late = fit_torque_lag(parts, vehicle) if trust.origin == "held-out" else None
+    if late is None:
+        return trained
+    again = [
+        compute_labels(h.drive, late, own.features, own.region, horizon=settings.horizon)
+        for h, own in zip(held, labels, strict=True)
+    ]
+    again = [_training(replace(h, labels=made)) for h, made in zip(held, again, strict=True)]
+    other = replace(train_in_memory(again, late), found_effects=1)
+    parts = [TrainingDrive(h.drive, own) for h, own in zip(held, again, strict=True)]
+    other_trust, other_gain = judge_correction(parts, without_points(other), most=beside_a_lag(trust))
+    return replace(other, trust=other_trust) if other_gain > gain else trained
+
+
+def _variance_of(nominal: Sequence[HeldOutSamples], trained: TrainingSet) -> np.ndarray | None:
+    """Return the mean square of training labels of the nominal model, shape (3,), or of the set's points."""
+    if not trained.size:
+        return None
+    if not trained.found_effects:
+        return np.mean(np.square(trained.y), axis=0)
+    labels = [_training(h) for h in nominal]
+    return np.mean(np.square(np.concatenate([part.y[part.accepted] for part in labels])), axis=0)
 
 
 def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
@@ -341,7 +371,11 @@ def _rollouts(
 
 
 def _comparisons(
-    model: SingleTrack, traces: Sequence[Trace], rolled: Sequence[Rolled], settings: EvaluationSettings
+    model: SingleTrack,
+    nominal: Sequence[HeldOutSamples],
+    traces: Sequence[Trace],
+    rolled: Sequence[Rolled],
+    settings: EvaluationSettings,
 ) -> tuple[tuple[Comparison, ...], tuple[str, ...]]:
     """Return every contestant beside the nominal model and persistence, and a verdict on each in words."""
     blocks: dict[int, np.ndarray] = {}
@@ -352,11 +386,12 @@ def _comparisons(
             blocks[id(drive)] = number_blocks(drive["t"], drive.segment, first)
         return blocks[id(drive)]
 
+    by_file = {id(held.drive): held for held in nominal}
     comparisons: list[Comparison] = []
     verdicts = []
     for key in dict.fromkeys((trace.name, trace.features) for trace in traces):
         parts: list[BlockErrors] = [
-            one_step_errors(t.held, model, t.prediction.mean, block_of(t.held.drive))
+            one_step_errors(by_file[id(t.held.drive)], model, t.held, t.prediction.mean, block_of(t.held.drive))
             for t in traces
             if (t.name, t.features) == key
         ]
@@ -379,7 +414,6 @@ def _same_interval(held: HeldOutSamples, first: HeldOutSamples) -> bool:
 
 def _sizes(
     contestants: list[tuple[str, list[HeldOutSamples], TrainingSet]],
-    vehicle: Vehicle,
     baselines: list[dict[str, ScoreTally]],
     settings: EvaluationSettings,
     say: Callable[[str], None],
@@ -390,7 +424,7 @@ def _sizes(
     scores = []
     for features, held, training_set in contestants if asked else ():
         candidates = _concatenate([_training(h) for h in held])
-        for size, chosen in informative_sets(vehicle, candidates, training_set.kernel, asked):
+        for size, chosen in informative_sets(training_set.vehicle, candidates, training_set.kernel, asked):
             say(f"{features}: full on the {chosen.size} most informative samples")
             predictor = make_predictor("full", chosen)
             tally = _sum([predictor_tally(h, predictor)[0] for h in held])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +57,10 @@ def describe_file(path: str | Path) -> FileDescription:
     return _recording(path)
 
 
+def _numbers(parameters: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
+
+
 def _trained_set(path: Path) -> FileDescription:
     from split_cli.learning.region import valid_cell_count
     from split_cli.learning.training_set import read_set
@@ -74,6 +79,7 @@ def _trained_set(path: Path) -> FileDescription:
         ("cell edges", ", ".join(f"{edge:g}" for edge in trained.grid.edges)),
         ("label interval", f"{trained.horizon:g} s"),
         ("trust", trained.trust.words()),
+        *((f"found beyond the file: {effect.term}", _numbers(effect.parameters)) for effect in trained.found),
         ("length scales", ", ".join(f"{v:.4g}" for v in kernel.length_scales) + f" ({kernel.origin})"),
         ("signal deviation", ", ".join(f"{v:.4g}" for v in np.sqrt(kernel.signal_variance))),
         ("noise deviation", ", ".join(f"{v:.4g}" for v in np.sqrt(kernel.noise_variance))),

@@ -57,6 +57,7 @@ EXAMPLES = {
     ("drive_delay", ""): {"delay": 0.06},
     ("drive_gain", ""): {"drive_gain": 0.9, "brake_gain": 0.8},
     ("drive_lag", ""): {"tau": 0.15},
+    ("drive_lag", "along"): {"tau": 0.15},
     ("steer_backlash", ""): {"width": 0.01},
     ("steer_delay", ""): {"delay": 0.06},
     ("steer_gain", ""): {"gain": 0.92},

@@ -114,9 +114,14 @@ class DriveGain(Term):
 
 
 class DriveLag(Term):
-    """Torque that builds up: tau T' = T_command - T, steady at each start."""
+    """Torque that builds up: tau T' = T_command - T, steady at each start.
+
+    The variant ``along`` lets only the force along the car lag, F_x = (T - T_command)/r_e beside the plain model.
+    Training puts it into a set (scoring/torque_lag.py), whose lateral corrections are learned beside the command.
+    """
 
     id = "drive_lag"
+    variants: ClassVar = ("", "along")
     units: ClassVar = {"tau": "s"}
     neutral: ClassVar = {"tau": 0.0}
     family = "along"
@@ -138,7 +143,7 @@ class DriveLag(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return LAG_SEARCH
+        return LAG_SEARCH if variant == "" else None
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -151,7 +156,16 @@ class DriveLag(Term):
 
     def actuate(self, flow: Flow) -> None:
         """Let the torque follow its command."""
-        flow.T = self.first_order(flow, "torque", flow.T, 1.0 / _positive(self.parameters["tau"]))
+        if not self.variant:
+            flow.T = self._arrived(flow)
+
+    def external(self, flow: Flow) -> None:
+        """Let the force along the car alone follow the command."""
+        if self.variant == "along":
+            flow.force_x = flow.force_x + (self._arrived(flow) - flow.T) / flow.vehicle.wheel_radius
+
+    def _arrived(self, flow: Flow) -> Any:
+        return self.first_order(flow, "torque", flow.T, 1.0 / _positive(self.parameters["tau"]))
 
 
 class SteerDelay(Term):

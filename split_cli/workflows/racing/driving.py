@@ -104,7 +104,7 @@ class Race:
         else:
             self.header = self.start_set
             self.learner = make_learner(s, self.start_set)
-        self.model = ControlModel(self.vehicle, self.learner.residual, self.mpcc.step)
+        self.model = ControlModel(self.header.vehicle, self.learner.residual, self.mpcc.step)
         if self.model.not_compiled:
             self.notes.append(f"the model's functions are interpreted, not compiled: {self.model.not_compiled}")
         first = self.mpcc if s.first is None or self.start_set is not None else replace(
@@ -150,7 +150,7 @@ class Race:
         self.header, labels = studied_header(self.header, lap, self.settings, self.notes)
         self._learn_grip(labels.z[labels.accepted], labels.y[labels.accepted])
         self.learner = make_learner(self.settings, self.header)
-        self.model = ControlModel(self.vehicle, self.learner.residual, self.mpcc.step)
+        self.model = ControlModel(self.header.vehicle, self.learner.residual, self.mpcc.step)
         self.controller.model, self.controller.limits = self.model, self.mpcc.limits
         self.controller.half_width = 0.5 * self.width + self.mpcc.margin
 

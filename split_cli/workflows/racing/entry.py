@@ -147,7 +147,7 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
     SetError
         If it is of another vehicle, holds plain differences, or labels beyond what any model gets wrong.
     """
-    if training_set.vehicle.digest() != vehicle.digest():
+    if training_set.nominal_vehicle.digest() != vehicle.digest():
         raise SetError(
             f"was trained for another vehicle ({training_set.vehicle.name}) than {vehicle.name}", where=str(where),
             advice="Train a set for this vehicle, or name the vehicle file the set was trained with.",

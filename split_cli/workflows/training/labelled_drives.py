@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,17 @@ class LabelledDrives:
 
     def __len__(self) -> int:
         return len(self._sources)
+
+    def labelled_for(self, vehicle: Vehicle) -> LabelledDrives:
+        """Return the same drives labelled for another vehicle, notes and all; files of labels are not of it.
+
+        Only for drives of which all recordings are given.
+        """
+        other = copy.copy(self)
+        other.labelling = replace(self.labelling, vehicle=vehicle)
+        other._sources = [replace(source, labels=None) for source in self._sources]
+        other._kept, other._seconds, other._bytes, other._scratch = {}, {}, 0, None
+        return other
 
     @property
     def notes(self) -> tuple[str, ...]:

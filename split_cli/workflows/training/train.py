@@ -64,6 +64,9 @@ class TrainSettings:
     trust : str or None
         ``held-out`` (default): found on held-out blocks of the drives; ``full``: the plain method; or three
         numbers from 0 to 1 for v_x, v_y and r, separated by commas. Only for a new set.
+    lag : str or None
+        ``held-out`` (default): a lag of the torque that labels show is put into the set's model where held-out
+        blocks gain by it; ``none``: the vehicle file as it is. Only for a new set whose trust is held-out.
     any_vehicle : bool
         Learn drives that contradict the vehicle all the same, with a warning.
     """
@@ -81,6 +84,7 @@ class TrainSettings:
     learner: str | None = None
     held: tuple[str, ...] = ()
     trust: str | None = None
+    lag: str | None = None
     any_vehicle: bool = False
 
 
@@ -250,7 +254,9 @@ def _train_set(
     if per_lap and drives.without_recording():
         raise SetError(f"{drives.without_recording()[0]} holds labels only: laps need the drive")
     warm_up()
-    trained, fit = (known, None) if known is not None else _create(drives, settings)
+    trained, fit = known, None
+    if trained is None:
+        trained, fit, drives = _create(drives, settings)
     seconds, table, laps = 0.0, [], []
     for number in range(len(drives)):
         drive = drives.drive(number)
@@ -284,6 +290,7 @@ def _train_set(
 def _labelling(vehicle: Vehicle, settings: TrainSettings, known: TrainingSet | None) -> Labelling:
     """Return how drives are labelled: as the set says that is continued, else as asked for."""
     if known is not None:
+        vehicle = known.vehicle
         features, region, plain, usual = known.features, known.region, known.plain, known.horizon
     else:
         features = parse_features("z2" if settings.features is None else settings.features)
@@ -301,11 +308,14 @@ def _labelling(vehicle: Vehicle, settings: TrainSettings, known: TrainingSet | N
     )
 
 
-def _create(drives: LabelledDrives, settings: TrainSettings) -> tuple[TrainingSet, KernelFit | None]:
+def _create(
+    drives: LabelledDrives, settings: TrainSettings
+) -> tuple[TrainingSet, KernelFit | None, LabelledDrives]:
     return create_set(
         drives,
         hyperparameters=settings.hyperparameters or "fit",
         trust=settings.trust,
+        lag=settings.lag,
         dictionary=settings.learner == LEARNER,
         capacity=settings.capacity,
         threshold=settings.threshold,
@@ -338,9 +348,10 @@ def _row(
 
 def _check_continues(known: TrainingSet, vehicle: Vehicle, settings: TrainSettings, where: str) -> None:
     """Refuse to continue a set with another car or other settings."""
-    if known.vehicle.digest() != vehicle.digest():
+    nominal = known.nominal_vehicle
+    if nominal.digest() != vehicle.digest():
         raise SetError(
-            f"was trained for the vehicle {known.vehicle.name!r} (physics {known.vehicle.digest()[:12]}), not for "
+            f"was trained for the vehicle {nominal.name!r} (physics {nominal.digest()[:12]}), not for "
             f"{vehicle.name!r} ({vehicle.digest()[:12]})",
             where=where,
             advice="Give the vehicle file it was trained with, or train a set of its own.",
@@ -364,6 +375,12 @@ def _check_continues(known: TrainingSet, vehicle: Vehicle, settings: TrainSettin
             advice="Leave out --trust, or train anew with all drives.",
         )
     asked = parse_features(settings.features).names if settings.features is not None else known.features.names
+    if settings.lag is not None:
+        raise SetError(
+            "keeps the lag of its torque, found or none, when appended to",
+            where=where,
+            advice="Leave out --lag, or train anew with all drives.",
+        )
     for what, theirs, ours in (
         ("features", asked, known.features.names),
         ("capacity", settings.capacity, known.capacity),
