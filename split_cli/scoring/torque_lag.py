@@ -34,8 +34,9 @@ _LATE = ("drive_lag", "drive_delay", "sensor_delay")
 def may_show_a_lag(drives: Sequence[TrainingDrive], vehicle: Vehicle) -> bool:
     """Tell whether labels can show a lag between command and torque.
 
-    Only a command shows one: a torque that was measured, or derived from an acceleration, has arrived. A drive
-    that says nothing of its torque may be a command's.
+    Only a command shows one: a torque that was measured, or derived from an acceleration, has arrived. Of a torque
+    derived in another way, from a throttle by a motor's map say, nobody knows. A drive that says nothing of its
+    torque may be a command's.
     """
     kinds = [part.drive.metadata.kinds.get("T", "") for part in drives]
     arrived = any(word in kind for kind in kinds for word in ("measured", "derived"))
