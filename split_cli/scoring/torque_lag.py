@@ -12,13 +12,14 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from split_cli.learning.labels import nominal_errors
+from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
 from split_cli.scoring.evidence import TrainingDrive
 from split_cli.scoring.hints import torque_delay
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["beside_a_lag", "fit_torque_lag", "may_show_a_lag"]
+__all__ = ["beside_a_lag", "fit_torque_lag", "lag_note", "may_show_a_lag"]
 
 #: Labels that the time constant is fitted to, spread over the drives [1]; judgement: with the 4,000 of two laps
 #: the first-order estimate has an error of 0.3 ms, and that falls with their root.
@@ -100,3 +101,12 @@ def beside_a_lag(without: Trust) -> tuple[float, float, float]:
 def lagging(vehicle: Vehicle, tau: float) -> Vehicle:
     """Return a vehicle whose longitudinal force follows its command with the time constant `tau` [s]."""
     return vehicle.with_effects(EffectSpec("drive_lag", {"tau": tau}, "along"))
+
+
+def lag_note(training_set: TrainingSet) -> str:
+    """Return what the reader of a training must know of the lag that it found."""
+    tau = training_set.found[-1].parameters["tau"]
+    return (
+        f"torque follows its command {tau:.3f} s late: the set holds drive_lag beyond the vehicle file, since "
+        "held-out blocks gain more with it; --lag none leaves the file as it is, `split diagnose` settles it"
+    )

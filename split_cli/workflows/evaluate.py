@@ -43,7 +43,7 @@ from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings,
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
-from split_cli.scoring.torque_lag import beside_a_lag, fit_torque_lag
+from split_cli.scoring.torque_lag import beside_a_lag, fit_torque_lag, lag_note
 from split_cli.scoring.trust import judge_correction
 from split_cli.scoring.verdict import (
     BlockErrors,
@@ -58,7 +58,6 @@ from split_cli.scoring.verdict import (
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import drive_notes
-from split_cli.workflows.new_set import lag_note
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
 __all__ = ["PLAIN", "evaluate", "evaluate_files", "train_in_memory"]

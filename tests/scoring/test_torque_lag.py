@@ -20,7 +20,7 @@ from split_cli.scoring.torque_lag import fit_torque_lag
 from split_cli.scoring.trust import best_trust
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.workflows.evaluate import evaluate
-from split_cli.workflows.train import TrainSettings, train_set
+from split_cli.workflows.training.train import TrainSettings, train_set
 from tests.factories import MissingForce, make_drive, make_training_set, road_car
 
 TAU = 0.06

@@ -24,12 +24,12 @@ from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
-from split_cli.scoring.torque_lag import beside_a_lag, fit_torque_lag
+from split_cli.scoring.torque_lag import beside_a_lag, fit_torque_lag, lag_note
 from split_cli.scoring.trust import judge_correction
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.training.labelled_drives import LabelledDrives
 
-__all__ = ["create_set", "lag_note", "parse_trust", "trust_notes"]
+__all__ = ["create_set", "parse_trust", "trust_notes"]
 
 
 def create_set(
@@ -204,15 +204,6 @@ def parse_trust(text: str) -> Trust:
             f"the trust {text!r} cannot be read",
             advice="Give held-out, full, or three numbers from 0 to 1 for v_x, v_y and r, such as 0.5,0.8,1.",
         ) from None
-
-
-def lag_note(training_set: TrainingSet) -> str:
-    """Return what the reader of a training must know of the lag that it found."""
-    tau = training_set.found[-1].parameters["tau"]
-    return (
-        f"torque follows its command {tau:.3f} s late: the set holds drive_lag beyond the vehicle file, since "
-        "held-out blocks gain more with it; --lag none leaves the file as it is, `split diagnose` settles it"
-    )
 
 
 def trust_notes(trust: Trust) -> list[str]:
