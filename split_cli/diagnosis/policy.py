@@ -3,7 +3,7 @@
 One frozen `Policy` is passed down. Numbers that only set how finely something is computed stand beside the
 algorithm they belong to. The origin of a number is ``theory`` (it follows from a formula or a definition),
 ``study`` (a command of this project measured it) or ``judgement`` (somebody chose it, and nobody has measured a
-better one).
+better one). `policy_numbers.KINDS` tells numbers that decide from guards, computing time and what is only told.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import Field, asdict, dataclass, fields, replace
 from typing import Any
 
-from split_cli.diagnosis.policy_numbers import CHOSEN, JUDGEMENT, THEORY, number
+from split_cli.diagnosis.policy_numbers import CHOSEN, JUDGEMENT, THEORY, kind_of, number
 from split_cli.diagnosis.policy_recordings import Believing, Screening, Unnamed
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "SelfTestRules",
     "Unnamed",
     "deciding_numbers",
+    "numbers_by_kind",
 ]
 
 
@@ -48,14 +49,16 @@ class ComparisonRules:
     holdout_share: float = number(
         0.25,
         "1",
-        "share of the real drives' time kept out, at the end, when no drive is given for it",
+        "share of the real drives' time kept out, at the end, when no drive is given for it; and of `least_rows`, "
+        "rows kept out below which no share of the gap is told",
         JUDGEMENT + "a quarter is the usual share of a hold-out",
     )
     reach: float = number(
-        0.35, "1", "distance in scaled features up to which a real row lies where the simulation has been", CHOSEN
-    )
-    far_reach: float = number(
-        0.7, "1", "the same distance where hardly any row is nearer", JUDGEMENT + "twice the usual reach"
+        0.35,
+        "1",
+        "distance in scaled features up to which a real row lies where the simulation has been; twice as far "
+        "where hardly any row is nearer",
+        CHOSEN,
     )
     least_rows: int = number(
         250, "rows of 0.04 s", "evidence below which nothing is decided", JUDGEMENT + "ten seconds of driving"
@@ -172,11 +175,12 @@ class SelectionRules:
     swaps: int = number(
         2, "swaps", "rounds in which a rival may take a term's place", JUDGEMENT + "computing time"
     )
-    least_swap: float = number(
+    tie: float = number(
         1.0,
         "chi squared",
-        "cost that a rival has to save to take a term's place",
-        JUDGEMENT + "terms that tie stay",
+        "cost, after variance inflation, up to which explanations tie: those of the same terms are one, and a "
+        "rival takes no term's place",
+        JUDGEMENT + "what one parameter saves by chance",
     )
     beginnings: int = number(
         2, "searches", "other first terms from which the search begins anew", JUDGEMENT + "computing time"
@@ -186,12 +190,6 @@ class SelectionRules:
         "1",
         "level of the tests of a name, after counting the terms tried, and of what is left without one",
         JUDGEMENT + "a usual level",
-    )
-    same_cost: float = number(
-        0.5,
-        "chi squared",
-        "cost up to which two explanations of the same terms are one, before variance inflation",
-        JUDGEMENT + "a half of what one parameter saves by chance",
     )
     searched_places: float = number(
         14.0,
@@ -254,19 +252,14 @@ class Abstention:
         "alternatives, exact degeneracies not counted, above which none of them is named",
         JUDGEMENT + "a list of more helps nobody",
     )
-    lead_share: float = number(
+    greater_part: float = number(
         0.5,
         "1",
-        "share of what the best explanation saves, from which on one that no real car has is reported as a lead",
+        "share from which on it is the greater part: of what the best explanation saves, for one that no real "
+        "car has to be a lead; of the track, for the interval of a stretch's end to leave its place open",
         JUDGEMENT + "a half",
     )
     most_leads: int = number(2, "leads", "leads that are reported", JUDGEMENT + "a list of more helps nobody")
-    widest_place: float = number(
-        0.5,
-        "1",
-        "share of the track that the interval of a stretch's end may cover",
-        JUDGEMENT + "half the track",
-    )
 
 
 @dataclass(frozen=True)
@@ -332,9 +325,6 @@ class Reporting:
         "systematic error of a parameter: what one term may take of another",
         CHOSEN,
     )
-    least_heldout: int = number(
-        60, "rows of 0.04 s", "rows kept out below which no share of the gap is reported", CHOSEN
-    )
     least_dependence: float = number(
         0.15, "1", "share of the gap that a variable explains from which on a region of it is reported", CHOSEN
     )
@@ -348,7 +338,6 @@ class Reporting:
         JUDGEMENT + "it tells nobody where to look",
     )
     local_gap: float = number(0.3, "1", "share of the gap that a place or a time has to hold", CHOSEN)
-    local_samples: float = number(0.4, "1", "share of the samples that it may hold at most", CHOSEN)
     local_ratio: float = number(2.0, "1", "the share of the gap over that of the samples", CHOSEN)
     stable: float = number(
         0.7,
@@ -412,3 +401,12 @@ def deciding_numbers(policy: Policy = STANDARD) -> Iterator[tuple[str, Field[Any
         numbers = getattr(policy, group.name)
         for one in fields(numbers):
             yield group.name, one, getattr(numbers, one.name)
+
+
+def numbers_by_kind(policy: Policy = STANDARD) -> dict[str, list[str]]:
+    """Return the names `group.number` of all numbers by what they decide on, see `policy_numbers.KINDS`."""
+    out: dict[str, list[str]] = {}
+    for group, one, _ in deciding_numbers(policy):
+        name = f"{group}.{one.name}"
+        out.setdefault(kind_of(name), []).append(name)
+    return out

@@ -1,16 +1,66 @@
-"""How a number that decides is written down: value, unit, meaning, origin."""
+"""How a number that decides is written down: value, unit, meaning, origin; and on what it decides."""
 
 from __future__ import annotations
 
 from dataclasses import field
 from typing import Any
 
-__all__ = ["CHOSEN", "JUDGEMENT", "THEORY", "number"]
+__all__ = ["CHOSEN", "DECIDES", "JUDGEMENT", "KINDS", "THEORY", "kind_of", "number"]
 
 THEORY, JUDGEMENT = "theory: ", "judgement: "
 CHOSEN = JUDGEMENT + "chosen while developing on cases of `split prove`, without a study of its own"
+
+#: What is no decision on the two drives, by name (a group stands for all of its numbers that no other kind names):
+#: guards refuse a recording or leave rows out; effort bounds computing time; telling chooses what a report says of
+#: a gap that has been found. All else decides: whether there is a difference, its name, or its size.
+KINDS = {
+    "guards": (
+        "screening",
+        "comparison.least_rows",
+        "comparison.least_share",
+        "self_test.least_rows",
+        "believing.rolling_share",
+        "believing.lost_share",
+        "believing.rolling_seconds",
+        "believing.least_rolling",
+        "believing.cycling_seconds",
+        "believing.cycling_share",
+        "unnamed.fewest",
+    ),
+    "effort": (
+        "selection.full_fits",
+        "selection.followed",
+        "selection.considered",
+        "selection.rounds",
+        "selection.swaps",
+        "selection.beginnings",
+    ),
+    "telling": (
+        "abstention.most_leads",
+        "reporting.least_dependence",
+        "reporting.clearly_more",
+        "reporting.everywhere",
+        "reporting.local_gap",
+        "reporting.local_ratio",
+        "reporting.stable",
+        "reporting.formula_terms",
+        "reporting.much_slipping",
+        "reporting.least_compared",
+    ),
+}
+DECIDES = "decides"
+# A sensor out of scale is a difference, whatever the drives show otherwise.
+_SCALES = ("screening.least_scale_error", "screening.sure_scale_error")
 
 
 def number(default: float, unit: str, meaning: str, origin: str) -> Any:
     """Return a field of a policy whose metadata hold what a reader asks of a number."""
     return field(default=default, metadata={"unit": unit, "meaning": meaning, "origin": origin})
+
+
+def kind_of(name: str) -> str:
+    """Return on what a number decides, by its name `group.number`: a key of `KINDS`, or `DECIDES`."""
+    if name in _SCALES:
+        return DECIDES
+    group = name.partition(".")[0]
+    return next((kind for kind, names in KINDS.items() if name in names or group in names), DECIDES)

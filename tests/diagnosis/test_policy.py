@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from split_cli.diagnosis.policy import STANDARD, deciding_numbers
+from split_cli.diagnosis.policy import STANDARD, deciding_numbers, numbers_by_kind
+from split_cli.diagnosis.policy_numbers import DECIDES, KINDS
 
 ROOT = Path(__file__).resolve().parents[2] / "split_cli" / "diagnosis"
 
@@ -38,6 +39,22 @@ def test_a_diagnosis_lists_every_number_once():
     described = STANDARD.described()
     assert len(described) == len(names) and described["level"] == STANDARD.comparison.level
     assert described["selection_price"] == STANDARD.selection.price
+
+
+#: Numbers of each kind at most. They only fall: who adds one takes one out, or says here why not.
+MOST = {DECIDES: 59, "guards": 26, "effort": 6, "telling": 10}
+
+
+def test_numbers_of_every_kind_only_fall():
+    counts = {kind: len(names) for kind, names in numbers_by_kind().items()}
+    assert sum(counts.values()) == len(STANDARD.described())
+    assert all(counts[kind] <= most for kind, most in MOST.items()), counts
+
+
+def test_every_name_that_has_a_kind_is_a_number_or_a_group():
+    known = {f"{group}.{one.name}" for group, one, _ in deciding_numbers()}
+    groups = {name.partition(".")[0] for name in known}
+    assert not [name for names in KINDS.values() for name in names if name not in known | groups]
 
 
 def test_every_number_is_read_somewhere():

@@ -240,7 +240,7 @@ def _interval(x: np.ndarray, size: np.ndarray) -> tuple[float, float, float, flo
 def _local(found: tuple[float, float, float, float], rules: Reporting):
     """Return an interval and its shares, or two None where the gap is not much larger there than elsewhere."""
     low, high, gap, samples = found
-    if gap > rules.local_ratio * samples and samples < rules.local_samples and gap > rules.local_gap:
+    if gap > rules.local_ratio * samples and gap > rules.local_gap:
         return (low, high), (gap, samples)
     return None, None
 

@@ -54,7 +54,7 @@ class Explorer:
     def __call__(self, current: Fit) -> list[Fit]:
         """Return the promising candidates fitted together with an explanation, best first; one fit a variant."""
         for known, fits in self._explored:
-            close = abs(known.cost - current.cost) < self.rules.same_cost * self.variance_inflation
+            close = abs(known.cost - current.cost) < self.rules.tie * self.variance_inflation
             if close and _labels(known) == _labels(current):
                 return fits
         fits = self._followed(self._fits(current))

@@ -185,7 +185,7 @@ def _is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool
     """
     rules, more = explore.rules, len(fit.parts) > len(than.parts)
     # Of explanations that are as good, the one with fewer terms stays.
-    least = rules.same_excess if more else rules.least_swap
+    least = rules.same_excess if more else rules.tie
     if explore.price(fit) > explore.price(than) - least:
         return False
     there, here = costs_beside_form_error(explore.objective, [than, fit])
@@ -206,7 +206,7 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
         # A variant was chosen before what was found later; it may be another now.
         rivals = [several[0] for several in (*selection.rivals, *selection.siblings) if several]
         better = min(rivals, key=lambda one: one.excess, default=None)
-        if len(selection.chosen.parts) < 2 or better is None or better.excess > -rules.least_swap:
+        if len(selection.chosen.parts) < 2 or better is None or better.excess > -rules.tie:
             break
         history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
         selection, exchanged = _examined(explore, base, better.fit), True

@@ -94,7 +94,7 @@ def _vague(selection: Selection, findings: Sequence[Finding], rules: Abstention)
         for name in ("s_start", "s_end"):
             if name in one.parameters:
                 low, high = one.parameters[name].interval_95
-                if high - low > rules.widest_place * ranges[one.term][name].upper:
+                if high - low > rules.greater_part * ranges[one.term][name].upper:
                     out.add(one.term)
     return out
 

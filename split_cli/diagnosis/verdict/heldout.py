@@ -76,7 +76,8 @@ def hold_out(
     if not others:
         pairs = [(one, mask & held[one.at]) for one, mask, held in zip(real, keep, masks, strict=True)]
     pairs = [(one, mask) for one, mask in pairs if mask.any()]
-    if sum(int(mask.sum()) for _, mask in pairs) < policy.reporting.least_heldout:
+    rules = policy.comparison
+    if sum(int(mask.sum()) for _, mask in pairs) < rules.holdout_share * rules.least_rows:
         return HeldOut(training, None, masks)
     testing = objective_of([one for one, _ in pairs], [mask for _, mask in pairs])
     return HeldOut(training, testing, masks)

@@ -38,12 +38,12 @@ def find_leads(objective: MarginalLikelihood, selection: Selection) -> tuple[Lea
             bounded.setdefault(part.candidate.term, fit)
     leads = []
     for fit in bounded.values():
-        if selection.base.cost - fit.cost < 0.5 * rules.lead_share * whole:
+        if selection.base.cost - fit.cost < 0.5 * rules.greater_part * whole:
             continue
         part = fit.parts[-1]
         free = fit_parts(objective, (Part(part.candidate.unlimited(), dict(part.values)),))
         saved = selection.base.cost - free.cost
-        if saved >= rules.lead_share * whole:
+        if saved >= rules.greater_part * whole:
             leads.append(_lead(objective, selection, fit, free, saved / max(saved, whole)))
     return tuple(sorted(leads, key=lambda one: -one.share)[: rules.most_leads])
 
