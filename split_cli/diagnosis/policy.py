@@ -49,8 +49,7 @@ class ComparisonRules:
     holdout_share: float = number(
         0.25,
         "1",
-        "share of the real drives' time kept out, at the end, when no drive is given for it; and of `least_rows`, "
-        "rows kept out below which no share of the gap is told",
+        "share of the real drives' time kept out, at the end, when no drive is given for it",
         JUDGEMENT + "a quarter is the usual share of a hold-out",
     )
     reach: float = number(
@@ -61,7 +60,10 @@ class ComparisonRules:
         CHOSEN,
     )
     least_rows: int = number(
-        250, "rows of 0.04 s", "evidence below which nothing is decided", JUDGEMENT + "ten seconds of driving"
+        250,
+        "rows of 0.04 s",
+        "evidence below which nothing is decided; a quarter of it kept out for a share of the gap",
+        JUDGEMENT + "ten seconds of driving",
     )
     least_share: float = number(
         0.1, "1", "compared share of the real drive below which what has no name is not decided", CHOSEN

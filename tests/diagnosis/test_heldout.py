@@ -105,7 +105,7 @@ def test_recordings_named_for_it_are_kept_out_whole(paired):
 
 
 def test_nothing_is_said_where_too_little_is_kept_out(paired):
-    # 70 s hold some 1,500 rows of 0.04 s; sixty are asked for.
+    # 70 s hold some 1,500 rows of 0.04 s; 62 are asked for.
     split = split_of(paired, share=0.01)
     assert split.testing is None
     assert explained_shares(split, fitted(split.training, "aero_drag")) is None
