@@ -8,13 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.optional import needed
+
 
 def headless(profile: Path, downloads: Path | None = None) -> Iterator:
     """Yield a driver of Chromium; skip where there is none, saying how to get it."""
-    try:
-        from selenium import webdriver
-    except ImportError:
-        pytest.skip("selenium is not installed: pip install 'split-cli[test]'")
+    webdriver = needed("selenium.webdriver")
     chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
     if not chromium or not chromedriver:
         pytest.skip("no chromium with chromedriver on the path: apt-get install chromium chromium-driver")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ import pytest
 from split_cli.control.path import resampled
 from split_cli.workflows.race_report.page import race_page
 from split_cli.workflows.racing.result import Lap, RaceResult
+from tests.browsers import headless
 
 HOSTILE = "</script><script>window.taken = 1</script>"
 
@@ -58,22 +58,7 @@ def test_a_name_cannot_act():
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    try:
-        from selenium import webdriver
-    except ImportError:
-        pytest.skip("selenium is not installed: pip install 'split-cli[test]'")
-    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not chromium or not chromedriver:
-        pytest.skip("no chromium with chromedriver on the path: apt-get install chromium chromium-driver")
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for flag in ("headless", "no-sandbox", "disable-gpu", "no-first-run", "disable-background-networking",
-                 f"user-data-dir={tmp_path_factory.mktemp('profile')}"):  # fmt: skip
-        options.add_argument(f"--{flag}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver))
-    yield driver
-    driver.quit()
+    yield from headless(tmp_path_factory.mktemp("profile"))
 
 
 def test_laps_are_chosen_compared_and_played_in_a_browser(browser, tmp_path):

@@ -22,6 +22,7 @@ from split_cli.prediction import make_predictor
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.verifying.verify import verify
 from tests.golden.make import MAP
+from tests.optional import needed
 
 FILES = Path(__file__).parent / "files"
 DIGESTS = {
@@ -96,7 +97,7 @@ def test_yaml_files():
 
 
 def test_a_diagnosis_is_of_its_schema():
-    jsonschema = pytest.importorskip("jsonschema")
+    jsonschema = needed("jsonschema")
     root = Path(__file__).parents[2]
     schema = json.loads((root / "split_cli" / "diagnosis" / "diagnosis.schema.json").read_text())
     told = json.loads((FILES / "diagnosis-1" / "diagnosis.json").read_text())

@@ -10,6 +10,7 @@ from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
+from tests.optional import needed
 
 VBO = """File created on 12/09/2018 @ 12:47
 
@@ -114,8 +115,8 @@ BO_ 257 Motion: 8 ECU
 
 @pytest.fixture
 def can_log(tmp_path, request):
-    can = pytest.importorskip("can")
-    cantools = pytest.importorskip("cantools")
+    can = needed("can")
+    cantools = needed("cantools")
     (tmp_path / "car.dbc").write_text(DBC)
     database = cantools.database.load_file(str(tmp_path / "car.dbc"))
     path = tmp_path / f"drive.{request.param}"
@@ -155,7 +156,7 @@ def test_can_frames_are_decoded_with_a_dbc_and_refused_without(can_log):
 
 @pytest.mark.parametrize("can_log", ["mf4"], indirect=True)
 def test_bus_logging_in_mf4_is_decoded_with_a_dbc(can_log):
-    pytest.importorskip("asammdf")
+    needed("asammdf")
     path, database = can_log
     recording = open_recording(path, message_paths=[database])
     name = next(info.name for info in recording.channels() if info.name.endswith("SteeringWheelAngle"))

@@ -14,6 +14,7 @@ import pytest
 import tests.logs.readers_support as support
 from split_cli.errors import LogError
 from split_cli.logs.readers import open_recording
+from tests.optional import needed
 
 COUNT = 400
 
@@ -277,7 +278,7 @@ def test_simulink_structures_keep_their_own_clocks(tmp_path, planted, version):
 
 @pytest.mark.parametrize(("version", "suffix"), [("4.10", "mf4"), ("4.11", "dat"), ("3.30", "mdf")])
 def test_mdf_channels_have_their_own_clocks(tmp_path, planted, version, suffix):
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     table = table_of(planted)
     t, path = table["t"], tmp_path / f"drive.{suffix}"
     signal = asammdf.Signal
@@ -305,7 +306,7 @@ def test_mdf_channels_have_their_own_clocks(tmp_path, planted, version, suffix):
 
 
 def test_damaged_mdf_gives_an_error_or_values_and_prints_nothing(tmp_path, planted, capfd):
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     path = tmp_path / "drive.mf4"
     with asammdf.MDF(version="4.10") as file:
         file.append([asammdf.Signal(planted.vx, table_of(planted)["t"], name="vx", unit="m/s")])

@@ -7,6 +7,7 @@ import pytest
 
 from split_cli.proof.baselines import Regression, greedy_bic, sequentially_thresholded, stlsq
 from split_cli.proof.library import Library, greedy_selection
+from tests.optional import needed
 
 
 @pytest.fixture
@@ -35,7 +36,7 @@ def test_both_say_match_where_there_is_noise_only(planted):
 
 
 def test_thresholding_is_that_of_pysindy(planted):
-    sindy = pytest.importorskip("pysindy")
+    sindy = needed("pysindy", in_tests=False)
     optimizer = sindy.STLSQ(threshold=0.1, alpha=0.05)
     optimizer.fit(planted.library.matrix, planted.target[:, None])
     ours = sequentially_thresholded(planted.library.matrix, planted.target, 0.1, 0.05)

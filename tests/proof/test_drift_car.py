@@ -11,8 +11,9 @@ from split_cli.cli.prove import multibody
 from split_cli.proof.drift_car import load_drift_car
 from split_cli.proof.multibody import MULTIBODY_STATE as AT
 from split_cli.workflows.proving.prove_multibody import FOREIGN_MODELS
+from tests.optional import needed
 
-std = pytest.importorskip("vehiclemodels.vehicle_dynamics_std")
+std = needed("vehiclemodels.vehicle_dynamics_std")
 
 
 def stepped(derivative, x: np.ndarray, inputs, parameters, step: float) -> np.ndarray:

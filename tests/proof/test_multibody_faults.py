@@ -15,6 +15,7 @@ from split_cli.proof.outcome import Statement
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.workflows.proving.prove_recording import injection_result
 from tests.factories import make_drive
+from tests.optional import needed
 
 FAULTS = {fault.name: fault for fault in MULTIBODY_FAULTS}
 
@@ -106,7 +107,7 @@ def test_a_wrong_name_lists_those_there_are():
 
 
 def test_the_foreign_car_feels_them():
-    pytest.importorskip("vehiclemodels")
+    needed("vehiclemodels")
     car = load_car(2)
     p = car.parameters
     state = list(car.initial([0.0, 0.0, 0.0, 20.0, 0.0, 0.0, 0.0], p))

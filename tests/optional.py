@@ -1,0 +1,29 @@
+"""Modules that some tests need and not every installation has: skipped at home, missed where all should be."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from types import ModuleType
+
+import pytest
+
+#: Set by `.ci/run`: what `pip install 'split-cli[test]'` brings has to be there.
+COMPLETE = "SPLIT_TESTS_COMPLETE"
+
+
+def needed(name: str, *, in_tests: bool = True) -> ModuleType:
+    """Return a module; where it is missing, skip the test, or fail if the installation should be complete.
+
+    Parameters
+    ----------
+    name : str
+    in_tests : bool
+        Whether the extra ``test`` brings it.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        if in_tests and os.environ.get(COMPLETE):
+            pytest.fail(f"{name} should be installed where {COMPLETE} is set: {error}", pytrace=False)
+        pytest.skip(f"{name} is not installed: pip install 'split-cli[test]'", allow_module_level=True)

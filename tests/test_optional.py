@@ -1,0 +1,25 @@
+"""A module that a test needs and that is missing: a skip at home, a failure where all should be installed."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.optional import COMPLETE, needed
+
+ABSENT = "a_module_that_nobody_has"
+
+
+def test_a_module_that_is_there_is_returned():
+    assert needed("json") is json
+
+
+@pytest.mark.parametrize(
+    ("complete", "in_tests", "outcome"),
+    [("", True, pytest.skip.Exception), ("1", True, pytest.fail.Exception), ("1", False, pytest.skip.Exception)],
+)
+def test_a_module_that_is_missing_fails_only_where_all_should_be_there(monkeypatch, complete, in_tests, outcome):
+    monkeypatch.setenv(COMPLETE, complete)
+    with pytest.raises(outcome, match=ABSENT):
+        needed(ABSENT, in_tests=in_tests)
