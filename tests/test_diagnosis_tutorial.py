@@ -88,7 +88,7 @@ def test_the_trained_set_improves_the_corrected_vehicle_as_told(followed):
     (said,) = (output for line, output in followed[1] if line.startswith("split evaluate"))
     rows = {line.split()[0]: line for line in reversed(said.splitlines()) if line[:7] in ("nominal", "bcm    ")}
     text = re.sub(r"\s+", " ", PAGE)
-    for model, words in (("nominal", "corrected vehicle is"), ("bcm", "trained set")):
+    for model, words in (("nominal", "corrected vehicle is"), ("bcm", "trained set it is")):
         stated = [float(x) for x in re.search(words + r" ([\d.]+)[^,]*, ([\d.]+).*? and ([\d.]+)", text).groups()]
         found = [float(x) for x in re.findall(r"\b\d+\.\d+\b", rows[model])[1:4]]
         # Rounded to two decimals on the page; BLAS may move a trained set in the third digit.

@@ -81,7 +81,7 @@ def test_a_drive_is_labelled_once_and_not_at_all_beside_its_labels(folder, tmp_p
 
 def test_labels_beyond_the_memory_kept_give_the_same_set(folder, tmp_path, monkeypatch):
     trained(folder, tmp_path / "kept.split", "a", "b")
-    monkeypatch.setattr(labelled_drives, "_MOST_BYTES", 1)
+    monkeypatch.setattr(labelled_drives, "KEPT_BYTES", 1)
     trained(folder, tmp_path / "spilled.split", "a", "b")
     assert (tmp_path / "kept.split").read_bytes() == (tmp_path / "spilled.split").read_bytes()
 

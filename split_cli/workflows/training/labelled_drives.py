@@ -23,10 +23,10 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.label import drive_notes
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
-__all__ = ["LabelledDrives", "Labelling", "drive_digest"]
+__all__ = ["KEPT_BYTES", "LabelledDrives", "Labelling", "drive_digest"]
 
 #: Labels kept in memory [bytes]; those beyond wait in a temporary folder, so that an archive of any size trains.
-_MOST_BYTES = 256 * 2**20
+KEPT_BYTES = 256 * 2**20
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class LabelledDrives:
 
     def _keep(self, number: int, labels: Labels) -> None:
         self._bytes += labels.nbytes
-        if self._bytes <= _MOST_BYTES:
+        if self._bytes <= KEPT_BYTES:
             self._kept[number] = labels
             return
         self._scratch = self._scratch or tempfile.TemporaryDirectory(prefix="split-labels-")
