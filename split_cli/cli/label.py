@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from split_cli.cli.options import (
+    engine_options,
     existing_file,
     held_option,
     json_option,
@@ -13,14 +14,15 @@ from split_cli.cli.options import (
     print_table,
     vehicle_option,
 )
+from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
 
 
 @click.command("label")
-@click.argument("drive", type=existing_file, metavar="DRIVE")
+@click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE|FOLDER...")
 @vehicle_option()
-@output_option("Label file to write (Parquet).")
+@output_option("Label file to write (Parquet); a folder, where several drives are given.")
 @click.option("--features", default="z2", show_default=True, help="z2, z1, or a comma-separated list of names.")
 @click.option("--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h.")
 @click.option("--stride", type=int, metavar="N", help="Samples between labels; default: the horizon.")
@@ -28,8 +30,11 @@ __all__ = ["command"]
     "--plain-labels", "plain", is_flag=True, help="The paper's plain difference, damped; for reproduction."
 )
 @held_option
+@engine_options
 @json_option
-def command(drive, vehicle_path, output, features, horizon, stride, plain, held, as_json) -> None:
+def command(
+    drives, vehicle_path, output, features, horizon, stride, plain, held, engine, scheduler, jobs, as_json
+) -> None:
     """Compute what the nominal model gets wrong, sample by sample.
 
     A label is the rate of v_x, v_y and r that the nominal model leaves out over h, integrated over the recorded
@@ -38,23 +43,30 @@ def command(drive, vehicle_path, output, features, horizon, stride, plain, held,
     \b
     Example:
       split label lap.parquet --vehicle car.yaml -o labels.parquet
+      split label drives/ --vehicle car.yaml -o labels/ --jobs 2
     """
-    from split_cli.workflows.label import label_drive
+    from split_cli.workflows.engine import open_engine
+    from split_cli.workflows.label import label_drive, label_drives
 
-    result = label_drive(
-        drive, vehicle_path, output, features=features, horizon=horizon, stride=stride, plain=plain, held=held
-    )
-    for note in result.notes:
+    settings = {"features": features, "horizon": horizon, "stride": stride, "plain": plain, "held": held}
+    several = len(drives) > 1 or drives[0].is_dir()
+    if several:
+        with open_engine(engine, jobs=jobs, scheduler=scheduler) as where, StepBar() as bar:
+            results = label_drives(drives, vehicle_path, output, engine=where, progress=bar, **settings)
+    else:
+        results = (label_drive(drives[0], vehicle_path, output, **settings),)
+    for note in dict.fromkeys(note for result in results for note in result.notes):
         click.echo(f"note: {note}", err=True)
     if as_json:
-        print_json(result)
+        print_json(list(results) if several else results[0])
         return
-    rejected = dict(result.rejected)
-    print_table(
-        ["drive", "samples", "accepted", *rejected],
-        [[result.drive, result.samples, result.accepted, *rejected.values()]],
-    )
+    reasons = dict.fromkeys(name for result in results for name, _ in result.rejected)
+    rows = [
+        [r.drive, r.samples, r.accepted, *(dict(r.rejected).get(reason, 0) for reason in reasons)] for r in results
+    ]
+    print_table(["drive", "samples", "accepted", *reasons], rows)
+    result = results[0]
     click.echo(f"\nhorizon {result.horizon:g} s, {result.window} samples")
-    if result.rms:
+    if result.rms and not several:
         values = zip(("v_x", "v_y", "r"), result.rms, ("m/s^2", "m/s^2", "rad/s^2"), strict=True)
         click.echo("label rms: " + ", ".join(f"{name} {value:.4g} {unit}" for name, value, unit in values))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 
+from split_cli.errors import SplitError
 from split_cli.files import refuse_overwriting_inputs
 from split_cli.learning.features import parse_features
 from split_cli.learning.label_file import write_labels
@@ -16,9 +18,11 @@ from split_cli.learning.region import Region, build_grid
 from split_cli.logs.assembling.quality import stored_findings
 from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.engine import Engine
 from split_cli.workflows.recordings import RecordingCorrection
+from split_cli.workflows.sources import find_sources
 
-__all__ = ["LabelResult", "drive_notes", "label_drive"]
+__all__ = ["LabelResult", "drive_notes", "label_drive", "label_drives"]
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,62 @@ def label_drive(
         rms=tuple(np.sqrt(np.mean(accepted**2, axis=0)).tolist()) if len(accepted) else None,
         notes=(*untold_inputs([drive]), *drive_notes(drive), *correct.notes),
     )
+
+
+def label_drives(
+    addresses: Sequence[str | Path],
+    vehicle_path: str | Path,
+    folder: str | Path,
+    *,
+    engine: Engine | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+    **settings: Any,
+) -> tuple[LabelResult, ...]:
+    """Label several drives, or folders of them, each in a process of the engine; the files are the same for any.
+
+    Parameters
+    ----------
+    addresses : sequence of path-like or str
+        Drives, folders, globs.
+    vehicle_path : path
+    folder : path
+        The labels of ``a/lap.parquet`` become ``lap.labels.parquet`` in it, those of a drive in a folder below one
+        that is given stand in the same folder below this one.
+    engine : Engine, optional
+        Where the work is done; by default in this process.
+    progress : callable
+        Takes ``[3/7] name`` as each is done.
+    settings
+        As for `label_drive`.
+
+    Raises
+    ------
+    SplitError
+        If two drives would have one label file, or a drive cannot be labelled.
+    """
+    sources = [
+        s for s in find_sources(addresses, (".parquet",), what="drive") if ".labels" not in Path(s.place).name
+    ]
+    targets = [Path(folder) / PurePosixPath(s.place).with_suffix(".labels.parquet") for s in sources]
+    twice = next((target for number, target in enumerate(targets) if target in targets[:number]), None)
+    if twice is not None:
+        raise SplitError(
+            "two drives have this name", where=str(twice), advice="Label them into folders of their own."
+        )
+    for target in targets:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    jobs = [(s.address, vehicle_path, target, settings) for s, target in zip(sources, targets, strict=True)]
+    apply = engine.map if engine is not None else map
+    made = []
+    for number, result in enumerate(apply(_label_one, jobs), 1):
+        progress(f"[{number}/{len(jobs)}] {result.drive}")
+        made.append(result)
+    return tuple(made)
+
+
+def _label_one(job: tuple[str, str | Path, Path, Mapping[str, Any]]) -> LabelResult:
+    address, vehicle_path, target, settings = job
+    return label_drive(address, vehicle_path, target, **settings)
 
 
 def drive_notes(drive: Drive) -> tuple[str, ...]:

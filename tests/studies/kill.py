@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -51,11 +51,18 @@ class Outcome:
     broken: list[str] = field(default_factory=list)
 
 
+RACE = ("race", "--vehicle", "road_car.yaml", "--laps", "1", "--max-speed", "11", "-o", "race.parquet")
 CASES = (
     Case("ingest", ("ingest", "lap.csv", "-o", "lap.parquet", "--rate", "40"), "lap.parquet"),
     Case("ingest folder", ("ingest", "archive", "-o", "drives", "--rate", "40"), "drives"),
     Case("train", ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "a.split", "--capacity", "5"), "a.split"),
     Case("append", ("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "b.split", "--append"), "b.split"),
+    Case(
+        "diagnose",
+        ("diagnose", "--real", "d1.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"),
+        "diagnosis",
+    ),
+    Case("race", RACE, "race.parquet"),
     Case("export", ("export", "new.split", "--target", "json", "-o", "export"), "export"),
 )
 
@@ -70,12 +77,13 @@ def run(folder: Path, arguments: Sequence[str]) -> subprocess.Popen:
     )
 
 
-def prepare(folder: Path) -> None:
-    """Write inputs, and an old output of every case."""
+def prepare(folder: Path, names: Collection[str]) -> None:
+    """Write inputs, and an old output of every case of `names`."""
     from split_cli.workflows.simulate import SimulateSettings, simulate_log
 
     car = road_car()
     write_vehicle(car, folder / "car.yaml")
+    shutil.copy(Path(__file__).parents[2] / "sample_logs" / "road_car.yaml", folder)
     for seed in range(2):
         terms = [MissingForce({"front_lateral": 150.0})]
         drive = make_drive(seed, segments=10, seconds=3.0, vehicle=car, terms=terms, name=f"d{seed}.parquet")
@@ -92,6 +100,12 @@ def prepare(folder: Path) -> None:
         (*train, "b.split"),
         (*train, "new.split", "--capacity", "6"),
         ("export", "a.split", "--target", "json", "-o", "export"),
+        *(
+            (("diagnose", "--real", "d0.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"),)
+            if "diagnose" in names
+            else ()
+        ),
+        *(((*RACE, "--seed", "2"),) if "race" in names else ()),
     )
     for arguments in old:
         if run(folder, arguments).wait() != 0:
@@ -153,16 +167,18 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=200, help="over all commands")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", help="commands whose name holds this")
     given = parser.parse_args()
+    cases = [case for case in CASES if given.only in case.name]
     broken = 0
     with tempfile.TemporaryDirectory() as name:
         ready = Path(name) / "ready"
         ready.mkdir()
-        prepare(ready)
+        prepare(ready, {case.name for case in cases})
         print(f"{'command':14} {'kills':>6} {'old':>6} {'new':>6} {'broken':>7}")
-        for case in CASES:
+        for case in cases:
             rng = random.Random(f"{given.seed} {case.name}")
-            outcome = try_case(case, ready, given.kills // len(CASES), rng)
+            outcome = try_case(case, ready, given.kills // len(cases), rng)
             broken += len(outcome.broken)
             counts = f"{outcome.kills:6} {outcome.old:6} {outcome.new:6} {len(outcome.broken):7}"
             print(f"{case.name:14} {counts}", flush=True)
