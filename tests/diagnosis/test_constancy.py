@@ -8,8 +8,11 @@ from scipy.stats import chi2
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Part, fit_parts
-from split_cli.diagnosis.search.selection import nothing
-from split_cli.diagnosis.verdict.constancy import parameter_drifts
+from split_cli.diagnosis.search.form_error import form_error_columns
+from split_cli.diagnosis.search.selection import nothing, select_terms
+from split_cli.diagnosis.verdict import constancy
+from split_cli.diagnosis.verdict.constancy import bends, parameter_drifts
+from split_cli.diagnosis.verdict.findings import _is_bent
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
 
@@ -83,3 +86,63 @@ def test_savings_are_those_of_least_squares():
 
 def test_nothing_fitted_drifts_nowhere(nominal_objective):
     assert parameter_drifts(nominal_objective, nothing(nominal_objective)) == ()
+
+
+SLOW = Drifting(lambda flow: 0.9 + 0.001 * (flow.t - 48.0))
+SIDED = Drifting(lambda flow: 0.9 + 0.04 * np.sign(flow.r))
+CONSTANT = CATALOGUE["steer_gain"]({"gain": 0.9})
+
+
+@pytest.mark.parametrize(
+    ("term", "variable", "size"),
+    # Of a tenth less steering: 0.001 times the spread of 96 s evenly, 28 s, and 0.04 to either side.
+    [(SLOW, "time", 0.28), (SIDED, "the side of the turn", 0.4)],
+)
+def test_a_term_that_stands_for_what_changes_bends_with_it(term, variable, size):
+    objective = objective_of(term)
+    first, *_ = bends(objective, fit_of(objective), (True,), 1.5)
+    assert (first.term, first.variable) == ("steer_gain", variable) and first.p_value < 1e-6
+    # Rows count by how much they are steered, and part of a change with time is one with the operating point.
+    assert 0.6 * size < first.size < 1.4 * size
+    assert bends(objective, fit_of(objective), (False,), 1.5) == ()
+
+
+def test_what_a_single_track_gets_wrong_is_no_bend():
+    """A constant gain bends with nothing, and one that is another by a tenth of itself may be by chance."""
+    for term in (CONSTANT, Drifting(lambda flow: 0.9 + 0.008 * np.sign(flow.r))):
+        objective = objective_of(term)
+        found = bends(objective, fit_of(objective), (True,), 1.5)
+        assert {one.variable for one in found} >= {"time", "heat of sliding", "heat of braking", "heat of work"}
+        assert min(one.p_value for one in found) * len(found) > 0.01
+
+
+def test_a_bend_is_that_of_generalised_least_squares():
+    """Parameters and model-form error stand beside the bend as ridge columns in one dense problem."""
+    objective = objective_of(SLOW)
+    fit, noise = fit_of(objective), 1.5
+    (told,) = (one for one in bends(objective, fit, (True,), noise) if one.variable == "time")
+    (part,) = fit.parts
+    step = part.candidate.ranges["gain"].step
+    moved = objective.residual((part.candidate.build({"gain": part.values["gain"] + step}),))
+    effect = (moved - objective.residual(fit.terms)) * (part.values["gain"] - 1.0) / step
+    columns = effect[:, None] * constancy._histories(objective)["time"]
+    ridged = np.hstack(
+        [1e3 * effect[:, None] / np.linalg.norm(effect), form_error_columns(objective, fit) / noise**0.5]
+    )
+    both = np.hstack([columns, ridged])
+    stacked = np.vstack([both, np.hstack([np.zeros((ridged.shape[1], 4)), np.eye(ridged.shape[1])])])
+    target = np.append(fit.residuals, np.zeros(ridged.shape[1]))
+    weights, squares = np.linalg.lstsq(stacked, target, rcond=None)[:2]
+    without = np.linalg.lstsq(stacked[:, 4:], target, rcond=None)[1]
+    bent = columns @ weights[:4]
+    bent -= effect * (effect @ bent) / (effect @ effect)
+    share = 1.0 - noise * 4 / float(without[0] - squares[0])
+    assert told.size == pytest.approx(np.linalg.norm(bent) / np.linalg.norm(effect) * share**0.5, rel=1e-3)
+
+
+def test_a_selection_that_bends_is_not_all():
+    for term, bent in ((SLOW, True), (CONSTANT, False)):
+        objective = objective_of(term)
+        selection = select_terms(objective, candidates_of(objective, "steer_gain"), 1.5)
+        assert [one.id for one in selection.terms] == ["steer_gain"]
+        assert _is_bent(objective, selection, 1.5) is bent

@@ -17,7 +17,12 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.vehicle.effects import Term
 
-__all__ = ["costs_beside_form_error", "residuals_beside_form_error", "saved_beside_form_error"]
+__all__ = [
+    "costs_beside_form_error",
+    "form_error_columns",
+    "residuals_beside_form_error",
+    "saved_beside_form_error",
+]
 
 
 def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
@@ -53,11 +58,16 @@ def residuals_beside_form_error(objective: MarginalLikelihood, fit: Fit) -> np.n
     -----
     e - M (I + M^T M)^-1 M^T e, with M as in `costs_beside_form_error`.
     """
-    form_error = _columns(objective, [(fit.terms, k) for k in range(len(fit.parts))])
+    form_error = form_error_columns(objective, fit)
     if not form_error.shape[1]:
         return fit.residuals
     normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
     return fit.residuals - form_error @ np.linalg.solve(normal, form_error.T @ fit.residuals)
+
+
+def form_error_columns(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
+    """Return M of an explanation's parts, shape (R, 18 a part), see `costs_beside_form_error`."""
+    return _columns(objective, [(fit.terms, k) for k in range(len(fit.parts))])
 
 
 def _columns(objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]]) -> np.ndarray:

@@ -2,19 +2,32 @@
 
 A term of the catalogue that stands in for something else has to bend: its parameter drifts with what the something
 depends on. Few parameters are tested, so the test sees what a flexible fit of the remainder loses in its freedom.
+
+A single track is wrong about a term by operating point. It is not by the side of the turn, by time, or by how hot
+what slides, brakes or works has become: a term that bends with these by more than it may be wrong is another one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.discrepancy import features
+from split_cli.diagnosis.baseline.discrepancy import features, scaled_features
+from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.search.fitting import Fit, raw_slopes
+from split_cli.diagnosis.remainder.structure import minimum_effect_p
+from split_cli.diagnosis.search.fitting import Fit, Part, raw_slopes
+from split_cli.diagnosis.search.form_error import form_error_columns
+from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects.recording import first_order_response
 
-__all__ = ["Drift", "parameter_drifts"]
+__all__ = ["Bend", "Drift", "bends", "parameter_drifts"]
+
+_WAVES = 4  # half waves over a recording
+_HEAT_SECONDS = (2.0, 6.0, 20.0)  # in which something heats and cools, those of the flexible fit's memory
+_FREE = 1e6  # variance of what the parameters themselves may take, in units of what noise leaves
 
 
 @dataclass(frozen=True)
@@ -55,6 +68,122 @@ def parameter_drifts(objective: MarginalLikelihood, fit: Fit) -> tuple[Drift, ..
         basis = _orthonormal(columns)
         out.append(Drift(name, float(np.sum((basis.T @ left) ** 2)), basis.shape[1]))
     return tuple(sorted(out, key=lambda drift: -drift.saved))
+
+
+@dataclass(frozen=True)
+class Bend:
+    """How much of what one term does has to change with something that its parameters cannot depend on.
+
+    Attributes
+    ----------
+    term, variable : str
+    size : float
+        What changes over what the term does, root mean square on whitened rows [1].
+    p_value : float
+        Of a change no larger than what a single track gets wrong of a term.
+    """
+
+    term: str
+    variable: str
+    size: float
+    p_value: float
+
+
+def bends(
+    objective: MarginalLikelihood, fit: Fit, named: Sequence[bool], variance_inflation: float
+) -> tuple[Bend, ...]:
+    """Return how the named parts of a fit bend with the side of the turn, time, and heat, surest first.
+
+    Parameters
+    ----------
+    objective : MarginalLikelihood
+    fit : Fit
+    named : sequence of bool, length of the parts
+    variance_inflation : float
+
+    Notes
+    -----
+    With E what a part does to first order, W the columns E f of the functions f of one variable, and S the
+    covariance v I + A A^T of noise, of the parts' own parameters (next to free) and of their model-form error by
+    operating point, the bend is W g with g = (W^T S^-1 W)^-1 W^T S^-1 e, e the residuals. It saves e^T S^-1 W g,
+    tested against a bend of `form_error_share` of E, see `minimum_effect_p`.
+    """
+    if not any(named):
+        return ()
+    share = objective.policy.selection.form_error_share
+    noise = max(variance_inflation, objective.form_error_inflation)
+    slopes = raw_slopes(objective, fit.parts)
+    own = objective.whiten(slopes)
+    own = own / (np.linalg.norm(own, axis=0) + 1e-300)
+    free = np.hstack([np.sqrt(_FREE) * own, form_error_columns(objective, fit) / np.sqrt(noise)])
+    normal = np.eye(free.shape[1]) + free.T @ free
+
+    def cleared(rows: np.ndarray) -> np.ndarray:
+        return rows - free @ np.linalg.solve(normal, free.T @ rows)
+
+    left, variables, out, first = cleared(fit.residuals), _histories(objective), [], 0
+    for part, is_named in zip(fit.parts, named, strict=True):
+        effect = slopes[:, first : first + len(part.values)] @ _steps_from_none(part)
+        first += len(part.values)
+        whole = objective.whiten(effect)
+        if not is_named or not whole.any():
+            continue
+        for name, functions in variables.items():
+            columns = objective.whiten(effect[:, None] * functions)
+            normal_of = columns.T @ cleared(columns)
+            ridge = 1e-6 * np.trace(normal_of) * np.eye(len(normal_of))
+            weights = np.linalg.solve(normal_of + ridge, columns.T @ left)
+            saved, freedom = float(left @ (columns @ weights)), functions.shape[1]
+            bent = columns @ weights
+            bent -= whole * (whole @ bent) / (whole @ whole)
+            # What a fit makes of noise is no bend.
+            sure = max(1.0 - noise * freedom / max(saved, 1e-9), 0.0)
+            size = float(np.linalg.norm(bent) / np.linalg.norm(whole) * np.sqrt(sure))
+            p_value = minimum_effect_p(saved, freedom, size, noise, allowance=share)
+            out.append(Bend(part.candidate.term, name, size, p_value))
+    return tuple(sorted(out, key=lambda bend: bend.p_value))
+
+
+def _steps_from_none(part: Part) -> np.ndarray:
+    """Return how many steps the parameters are from no effect, 0 for those that no effect leaves open."""
+    neutral, ranges = CATALOGUE[part.candidate.term].neutral, part.candidate.ranges
+    return np.array([
+        0.0 if neutral.get(name) is None else (value - neutral[name]) / ranges[name].step
+        for name, value in part.values.items()
+    ])  # fmt: skip
+
+
+def _histories(objective: MarginalLikelihood) -> dict[str, np.ndarray]:
+    """Return functions (R, F) of what no operating point tells, about within [-1, 1], by the variable."""
+    tables = [_histories_of(one) for one in objective.evidence]
+    extra = sum(len(one.begin) for one in objective.kinematics)
+    out = {}
+    for name in tables[0]:
+        rows = [np.repeat(t[name][keep], 3, axis=0) for t, keep in zip(tables, objective.keep, strict=True)]
+        out[name] = np.concatenate([*rows, np.zeros((extra, tables[0][name].shape[1]))])
+    return out
+
+
+def _histories_of(one: Evidence) -> dict[str, np.ndarray]:
+    series = one.series
+    a, b, torque, speed = scaled_features(series, one.vehicle).T
+    share = series.t / max(float(series.t[-1]), 1e-9)
+    powers = {
+        "sliding": a * a + b * b,
+        "work": np.abs(torque) * speed,
+        "braking": np.maximum(-torque, 0.0) * speed,
+    }
+
+    def heats(power: np.ndarray) -> np.ndarray:
+        warm = [first_order_response(power, 1.0 / tau, series.recording) for tau in _HEAT_SECONDS]
+        return np.stack([one / max(float(np.quantile(np.abs(one), 0.98)), 1e-9) for one in warm], axis=1)
+
+    functions = {
+        "the side of the turn": np.sign(series.smooth[:, 2])[:, None],
+        "time": np.cos(np.pi * share[:, None] * np.arange(1, _WAVES + 1)),
+        **{f"heat of {name}": heats(power) for name, power in powers.items()},
+    }
+    return {name: np.clip(values, -1.5, 1.5)[one.at] for name, values in functions.items()}
 
 
 def _orthonormal(columns: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
 from split_cli.diagnosis.statement.separation import exact_mimics
-from split_cli.diagnosis.verdict.constancy import parameter_drifts
+from split_cli.diagnosis.verdict.constancy import bends, parameter_drifts
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -46,7 +46,11 @@ def describe(
     remainder = _remainder(structure, selection, variance_inflation, left)
     findings = _findings(objective, selection, remainder.share)
     autocorrelation = residual_autocorrelation(structure, left)
-    unexplained = not findings or _is_unexplained(findings, remainder, autocorrelation, outcome, rules)
+    unexplained = (
+        not findings
+        or _is_unexplained(findings, remainder, autocorrelation, outcome, rules)
+        or _is_bent(objective, selection, variance_inflation)
+    )
     kept = {one.term for one in findings}
     if contradicted:
         unexplained, kept = True, {one.term for one in findings if not one.exported}
@@ -65,6 +69,12 @@ def describe(
         findings = _findings(objective, selection, remainder.share)
         kept = {one.term for one in findings} - _vague(selection, findings, rules)
     return selection, findings, remainder, unexplained
+
+
+def _is_bent(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> bool:
+    """Return whether a named term has to change with time, heat or side: then something else acts as well."""
+    found = bends(objective, selection.chosen, selection.named, variance_inflation)
+    return bool(found) and found[0].p_value * len(found) < objective.policy.selection.level
 
 
 def _told_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> set[str]:
