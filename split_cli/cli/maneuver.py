@@ -36,6 +36,8 @@ __all__ = ["command"]
 @click.option("--grip", type=float, default=1.0, show_default=True, help="Of the road: 1 dry, 0.5 wet.")
 @click.option("--p-ellipse", type=float, default=0.95, show_default=True, help="Share of the axles' peak allowed.")
 @click.option("--p-long", type=float, default=0.9, show_default=True, help="Weight of braking force in it.")
+@click.option("--guarded", is_flag=True, help="Limits that move with the load that braking shifts, a bound of the "
+              "torque, and with a set the peaks that its labels tell.")  # fmt: skip
 @click.option("--max-torque", type=float, metavar="NM", help="Cap of driving torque  [default: the vehicle's].")
 @click.option("--width", type=float, metavar="M", help="Of the car's body  [default: 1.15 of its track].")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")

@@ -67,6 +67,8 @@ __all__ = ["command"]
 @click.option("--margin", type=float, default=0.3, show_default=True, metavar="M", help="Kept from the car's side "
               "to the border.")  # fmt: skip
 @click.option("--p-long", type=float, default=1.1, show_default=True, help="Weight of braking force in it.")
+@click.option("--guarded", is_flag=True, help="Limits that move with the load that braking shifts, a bound of the "
+              "torque, and learned peaks where nothing else is known.")  # fmt: skip
 @click.option("--features", default="z2", show_default=True, help="z2, z1 or a list such as z2's and vx.")
 @click.option("--hyperparameters", default="fit", show_default=True, help="fit (to lap 0), default, or YAML.")
 @click.option(
@@ -88,8 +90,8 @@ __all__ = ["command"]
 @output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
 def command(
-    vehicle_path, output, set_output, report, p_ellipse, p_ellipse_lap0, p_unknown, margin, p_long, no_delay,
-    iol_update, learners, as_json, **options,
+    vehicle_path, output, set_output, report, p_ellipse, p_ellipse_lap0, p_unknown, guarded, margin, p_long,
+    no_delay, iol_update, learners, as_json, **options,
 ) -> None:  # fmt: skip
     """Race the double-track plant with a contouring controller that learns while it drives.
 
@@ -103,6 +105,8 @@ def command(
       split race --vehicle road_car.yaml --learner none --learner iol --learner split --laps 1 --report laps.html
       split race --vehicle road_car.yaml --track monza.csv --learner none --json
     """
+    from dataclasses import replace
+
     from split_cli.control.limits import Limits
     from split_cli.control.mpcc import MpccSettings
     from split_cli.workflows.racing.race import run_race
@@ -110,10 +114,10 @@ def command(
 
     if len(learners) > 1 and (output or set_output):
         raise click.UsageError("-o and --set take the drive and the set of one learner; name one.")
-    limits = Limits(p_long=p_long, p_ellipse=p_ellipse, p_unknown=p_unknown)
+    limits = Limits(p_long=p_long, p_ellipse=p_ellipse, p_unknown=p_unknown, guarded=guarded)
     first = None
     if p_ellipse_lap0 is not None:
-        first = MpccSettings(limits=Limits(p_long=p_long, p_ellipse=p_ellipse_lap0), margin=margin)
+        first = MpccSettings(limits=replace(limits, p_ellipse=p_ellipse_lap0, p_unknown=None), margin=margin)
     results = []
     for learner in learners:
         settings = RaceSettings(

@@ -1,4 +1,7 @@
-"""Where the tyres' peaks are, as labels tell it: the vehicle file assumes them, gentle tests leave them open."""
+"""Where the tyres' peaks are, as labels tell it: the vehicle file assumes them, gentle tests leave them open.
+
+The peaks bound the slip angles, and they are the prior mean of a residual: what it says where it has no data.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,18 @@ from split_cli.control.policy import GRIP_DOUBT, GRIP_RANGE, GRIP_STEP, GRIP_TOR
 from split_cli.learning.features import FeatureSet
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
-from split_cli.vehicle.tire import lateral_force
+from split_cli.vehicle.tire import lateral_force, lateral_force_slope
 
-__all__ = ["learned_grip"]
+__all__ = ["PeakShift", "learned_grip", "tells_peaks"]
+
+
+def tells_peaks(vehicle: Vehicle, features: FeatureSet) -> bool:
+    """Return whether labels of these features can tell where the peaks are.
+
+    Slip angles have to be among them, and no term of the vehicle may alter the tyres, since it says itself what it
+    knows.
+    """
+    return {"alpha_f", "alpha_r"} <= set(features.names) and _as_filed(vehicle)
 
 
 def learned_grip(vehicle: Vehicle, features: FeatureSet, z: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -27,8 +39,7 @@ def learned_grip(vehicle: Vehicle, features: FeatureSet, z: np.ndarray, y: np.nd
     Returns
     -------
     ndarray, shape (2,)
-        1 where the labels do not contradict it: where no axle came near its peak, where terms of the vehicle alter
-        the tyres and so say themselves what they know, or where slip angles are not among the features.
+        1 where the labels do not contradict it: where no axle came near its peak, or where `tells_peaks` is false.
 
     Notes
     -----
@@ -38,7 +49,7 @@ def learned_grip(vehicle: Vehicle, features: FeatureSet, z: np.ndarray, y: np.nd
     within `GRIP_DOUBT` of the best by least squares, the one nearest to 1 is taken.
     """
     names = features.names
-    if not {"alpha_f", "alpha_r"} <= set(names) or not len(z) or not _as_filed(vehicle):
+    if not len(z) or not tells_peaks(vehicle, features):
         return np.ones(2)
     if "torque_ratio" in names:
         light = np.abs(z[:, names.index("torque_ratio")]) < GRIP_TORQUE
@@ -51,6 +62,50 @@ def learned_grip(vehicle: Vehicle, features: FeatureSet, z: np.ndarray, y: np.nd
     tires = vehicle.front_tire, vehicle.rear_tire
     alphas = z[:, names.index("alpha_f")], z[:, names.index("alpha_r")]
     return np.array([_scale(*one) for one in zip(tires, alphas, missing, strict=True)])
+
+
+class PeakShift:
+    """The rates that a vehicle's model leaves out when its tyres' peaks are others than the file's.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    features : FeatureSet
+        Slip angles are among them.
+    grip : ndarray, shape (2,)
+        Peak of front and rear over the file's [1], as `learned_grip` returns it.
+    """
+
+    def __init__(self, vehicle: Vehicle, features: FeatureSet, grip: np.ndarray) -> None:
+        m, inertia = vehicle.mass, vehicle.yaw_inertia
+        arms = vehicle.cg_to_front_axle, -vehicle.cg_to_rear_axle
+        names = features.names
+        self._axles = [
+            (names.index(name), tire, float(scale), np.array([0.0, 1.0 / m, arm / inertia]))
+            for name, tire, scale, arm in zip(
+                ("alpha_f", "alpha_r"), (vehicle.front_tire, vehicle.rear_tire), grip, arms, strict=True
+            )
+        ]
+
+    def at(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return rates, shape (N, 3), of v_x, v_y [m/s^2] and r [rad/s^2] at features `z`, shape (N, D), and their
+        Jacobian, shape (N, 3, D).
+
+        Notes
+        -----
+        dF = s D sin(C atan(B alpha/s)) - D sin(C atan(B alpha)) of each axle, turned into rates as `learned_grip`
+        turns labels into forces: cos(delta) is 1, and what a steered wheel takes from v_x is left out.
+        """
+        mean, slope = np.zeros((len(z), 3)), np.zeros((len(z), 3, z.shape[1]))
+        for column, tire, s, rates in self._axles:
+            alpha = z[:, column]
+            force, steepness = (
+                s * law(tire.B / s, tire.C, tire.D, alpha) - law(tire.B, tire.C, tire.D, alpha)
+                for law in (lateral_force, lateral_force_slope)
+            )
+            mean += force[:, None] * rates
+            slope[:, :, column] += steepness[:, None] * rates
+        return mean, slope
 
 
 def _scale(tire, alpha: np.ndarray, missing: np.ndarray) -> float:

@@ -66,7 +66,7 @@ class DictionaryResidual(Residual):
         self._inverse = np.array([np.linalg.inv(correlation + r * np.eye(len(z))) for r in ratio])
         self._weights = np.einsum("oij,jo->io", self._inverse, y)
 
-    def along(self, z: np.ndarray) -> ResidualValues:
+    def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return mean, slope and variance at features `z`, shape (N, D)."""
         scaled = z / self.kernel.length_scales
         gap = self._z[None] - scaled[:, None]

@@ -9,8 +9,10 @@ import numpy as np
 from split_cli.control.model import Linearization
 from split_cli.control.policy import ALPHA_MAX, DALPHA_MAX, LEAST_SIDE, P_ELLIPSE, P_LONG, SATURATED
 from split_cli.control.residual import ResidualValues
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["SLIP_ROWS", "Limits", "slip_limit", "slip_rows"]
+__all__ = ["SLIP_ROWS", "Limits", "load_shift", "slip_limit", "slip_rows", "torque_limit"]
 
 SLIP_ROWS = 5
 
@@ -27,6 +29,10 @@ class Limits:
         Slip angle and difference of slip angles [rad].
     p_unknown : float or None
         Ellipse where the residual knows nothing [1]; as `p_ellipse` when it is None.
+    guarded : bool
+        Whether the slip limits move with the load that driving and braking shift (`load_shift`), the torque is
+        bounded by the ellipse (`torque_limit`), and learned peaks speak where the residual knows nothing
+        (`PeakShift`).
     """
 
     p_long: float = P_LONG
@@ -34,6 +40,7 @@ class Limits:
     alpha_max: float = ALPHA_MAX
     dalpha_max: float = DALPHA_MAX
     p_unknown: float | None = None
+    guarded: bool = False
 
     def ellipse(self, residual: ResidualValues) -> np.ndarray:
         """Return the share of the axles' peak that may be used at N places, shape (N,).
@@ -50,8 +57,53 @@ class Limits:
         return self.p_unknown + known * (self.p_ellipse - self.p_unknown)
 
 
+def load_shift(vehicle: Vehicle) -> np.ndarray:
+    """Return by which share each axle's load grows with the whole longitudinal force, shape (2,) [1/N].
+
+    Notes
+    -----
+    Braking moves h/L F_x from the rear axle to the front one, and the peak with it. The nominal single track
+    leaves that out of its forces; its limits need not. Zeros where the file has no height of the centre of
+    gravity, and where a term of the vehicle moves the peaks with the torque by itself.
+    """
+    if vehicle.cg_height is None:
+        return np.zeros(2)
+    model = SingleTrack(vehicle)
+    free, braked = (model.flow(20.0, 0.0, 0.0, torque, 0.0) for torque in (0.0, -0.2 * vehicle.max_brake_torque))
+    if free.front.D != braked.front.D or free.rear.D != braked.rear.D:
+        return np.zeros(2)
+    moved = vehicle.cg_height / vehicle.wheelbase
+    return np.array([-moved / vehicle.static_load_front, moved / vehicle.static_load_rear])
+
+
+def torque_limit(
+    limits: Limits, found: Linearization, vehicle: Vehicle, grip: np.ndarray | float = 1.0,
+    shift: np.ndarray | float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Return the largest braking and driving torque [N m], both positive, shape (N,), that the ellipse allows.
+
+    Notes
+    -----
+    p_long |F_x| = p_ellipse D of the axle that comes to it first. At this force the slip limit has shrunk to its
+    floor and no longer tells that less force would open it, so the force itself is bounded. `grip` and `shift` are
+    as of `slip_limit`.
+    """
+    peak = limits.ellipse(found.residual)[:, None] * found.curve[:, :, 2] * _scale(found, grip, shift)
+    shares = (np.array([split, 1.0 - split]) for split in (vehicle.brake_split_front, vehicle.drive_split_front))
+    braking, driving = (
+        (vehicle.wheel_radius * np.sqrt(SATURATED) * peak / (limits.p_long * np.maximum(share, 1e-9))).min(axis=1)
+        for share in shares
+    )
+    return braking, driving
+
+
+def _scale(found: Linearization, grip: np.ndarray | float, shift: np.ndarray | float) -> np.ndarray:
+    """Return by what the axles' peaks are moved, shape (N, 2)."""
+    return grip * np.maximum(1.0 + shift * found.force.sum(axis=1)[:, None], LEAST_SIDE)
+
+
 def slip_limit(
-    limits: Limits, found: Linearization, grip: np.ndarray | float = 1.0
+    limits: Limits, found: Linearization, grip: np.ndarray | float = 1.0, shift: np.ndarray | float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest slip angle of front and rear [rad], shape (N, 2), and its slope by the state (N, 2, n).
 
@@ -60,24 +112,30 @@ def slip_limit(
     SPLIT paper, the tire forces constraint, solved for the slip angle:
     |alpha| <= tan(asin(sqrt(p_ellipse^2 - (p_long F_x/D)^2))/C)/B. As a force the constraint's slope changes sign
     past the peak, and a linearised controller then steers into the slide instead of out of it. B, C, D are taken
-    as they are at the point; only the force moves with the state. `grip`, shape (2,), moves the peaks of front and
-    rear: grip D, B/grip (see `learned_grip`).
+    as they are at the point; only the forces move with the state. A scale s moves the peaks of front and rear, s D
+    and B/s: `grip`, shape (2,) (see `learned_grip`), times 1 + `shift` F_x, shape (2,) (see `load_shift`).
     """
     ellipse = limits.ellipse(found.residual)[:, None]
-    B, C, D = found.curve[:, :, 0] / grip, found.curve[:, :, 1], found.curve[:, :, 2] * grip
+    scale = _scale(found, grip, shift)
+    B, C, D = found.curve[:, :, 0] / scale, found.curve[:, :, 1], found.curve[:, :, 2] * scale
     used = limits.p_long * found.force / D
     left = np.sqrt(np.maximum(ellipse**2 - used**2, (LEAST_SIDE * ellipse) ** 2))
     angle = np.arcsin(left) / C
     alpha = np.tan(angle) / B
     inside = (used**2 < SATURATED * ellipse**2) & (alpha < limits.alpha_max)
-    by_force = -used * limits.p_long / D / left / np.sqrt(1.0 - left**2) / C / np.cos(angle) ** 2 / B
-    slope = np.where(inside, by_force, 0.0)[:, :, None] * found.force_slope
+    by_left = 1.0 / np.sqrt(1.0 - left**2) / C / np.cos(angle) ** 2 / B
+    by_force = np.where(inside, -used * limits.p_long / D / left * by_left, 0.0)
+    by_scale = np.where(inside, alpha / scale + used**2 / scale / left * by_left, 0.0)
+    of_whole = by_scale * grip * shift
+    slope = by_force[:, :, None] * found.force_slope
+    slope += of_whole[:, :, None] * found.force_slope.sum(axis=1)[:, None, :]
     return np.minimum(alpha, limits.alpha_max), slope
 
 
 def slip_rows(
-    limits: Limits, found: Linearization, free: float, grip: np.ndarray | float = 1.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    limits: Limits, found: Linearization, free: float, grip: np.ndarray | float = 1.0,
+    shift: np.ndarray | float = 0.0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Return rows C (N, 5, n) of a step dx, with lower and upper bounds (N, 5).
 
     Two rows an axle (alpha - limit <= 0 and alpha + limit >= 0), one for the difference of slip angles.
@@ -88,10 +146,10 @@ def slip_rows(
     found : Linearization
     free : float
         What stands for no bound.
-    grip : ndarray, shape (2,)
-        Peak of front and rear over the model's [1].
+    grip, shift : ndarray, shape (2,)
+        As of `slip_limit`.
     """
-    bound, slope = slip_limit(limits, found, grip)
+    bound, slope = slip_limit(limits, found, grip, shift)
     count, n = found.slip_slope.shape[0], found.slip_slope.shape[2]
     C = np.zeros((count, SLIP_ROWS, n))
     lower, upper = np.full((count, SLIP_ROWS), -free), np.full((count, SLIP_ROWS), free)

@@ -150,6 +150,14 @@ class Mpc(RecedingController):
             B[:, :, 0] = 0.0
         return A, B, c
 
+    def bounds(self, found: Linearization) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the commands' bounds; with the steering alone the torque stays where it is, wherever that is."""
+        x_lower, x_upper, u_lower, u_upper = super().bounds(found)
+        if self.settings.steering_alone:
+            now = self.plan.x[0, 6]
+            x_lower[:, 6], x_upper[:, 6] = np.minimum(x_lower[:, 6], now), np.maximum(x_upper[:, 6], now)
+        return x_lower, x_upper, u_lower, u_upper
+
 
 @dataclass
 class SpeedController:

@@ -133,9 +133,9 @@ class Mpcc(RecedingController):
         c[:, -1] = x[:-1, -1] + h * u[:, -1] - x[1:, -1]
         return A, B, c
 
-    def bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def bounds(self, found: Linearization) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the commands' bounds with those of the progress."""
-        x_lower, x_upper, u_lower, u_upper = super().bounds()
+        x_lower, x_upper, u_lower, u_upper = super().bounds(found)
         x_lower[:, -1], x_upper[:, -1] = 0.0, max(self.settings.max_speed, self.plan.x[0, -1])
         u_lower[:, -1], u_upper[:, -1] = -PROGRESS_ACCELERATION, PROGRESS_ACCELERATION
         return x_lower, x_upper, u_lower, u_upper

@@ -29,6 +29,7 @@ __all__ = [
     "PROXIMAL",
     "P_ELLIPSE",
     "P_LONG",
+    "RETURN_SHARE",
     "ROOM_SHARE",
     "SATURATED",
     "SETTLED",
@@ -74,6 +75,10 @@ From a prototype on the same plant."""
 PROXIMAL = 0.02
 """Of squared steps of the scaled states from one plan to the next [1]: keeps a plan where its linearisation
 holds."""
+
+RETURN_SHARE = 0.5
+"""Of the torque's rate at which a torque beyond its bound has to come back [1]: below 1, so that a programme
+always has an answer."""
 
 PATIENCE = 10
 """Programmes in a row without a solution after which a controller gives up [1]: half a second at 50 ms, what a

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.control.limits import SLIP_ROWS, Limits, slip_rows
+from split_cli.control.limits import SLIP_ROWS, Limits, load_shift, slip_rows, torque_limit
 from split_cli.control.model import ControlModel, Linearization
 from split_cli.control.path import Path, PathPoint, contour_and_lag
 from split_cli.control.policy import (
@@ -19,6 +19,7 @@ from split_cli.control.policy import (
     MAX_STEER,
     PATIENCE,
     PROXIMAL,
+    RETURN_SHARE,
     ROOM_SHARE,
     SLIP_DIFFERENCE_SLACK,
     STEER_RATE,
@@ -134,6 +135,8 @@ class RecedingController(ABC):
     ----------
     grip : ndarray, shape (2,)
         Peak of front and rear over the model's, by which the slip limits are moved [1].
+    load_shift : ndarray, shape (2,)
+        What driving and braking move of it [1/N].
 
     Notes
     -----
@@ -172,6 +175,7 @@ class RecedingController(ABC):
         self.u_scale[0] = torque
         self.programme = StageQP(horizon, self.n, self.m, 1 + SLIP_ROWS)
         self.grip = np.ones(2)
+        self.load_shift = load_shift(model.vehicle)
         self.plan: Plan | None = None
         self.failures_in_a_row = 0
 
@@ -308,7 +312,7 @@ class RecedingController(ABC):
         s, point = self.reference()
         Q, q, R, r = self.cost(s, point)
         C, lower, upper = self._rows(found, s, point)
-        x_lower, x_upper, u_lower, u_upper = self.bounds()
+        x_lower, x_upper, u_lower, u_upper = self.bounds(found)
         xs, us = self.x_scale, self.u_scale
         Q = Q * xs[:, None] * xs
         Q[:, np.arange(self.n), np.arange(self.n)] += 2.0 * weights.proximal
@@ -342,7 +346,7 @@ class RecedingController(ABC):
         lower[:, 0] = -(at.left - inside)[:-1] - contour[:-1]
         upper[:, 0] = (at.right - inside)[:-1] - contour[:-1]
         C[:, 1:, : self.n_model], lower[:, 1:], upper[:, 1:] = slip_rows(
-            self.limits, found.stages(slice(1, None)), FREE, self.grip
+            self.limits, found.stages(slice(1, None)), FREE, self.grip, self._shift_of_load
         )
         return C, lower, upper
 
@@ -369,7 +373,11 @@ class RecedingController(ABC):
         room = ROOM_SHARE * np.maximum(np.minimum(point.left, point.right) - self.half_width, 0.0)
         return inside + np.minimum(self.tightening * deviation, room)
 
-    def bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    @property
+    def _shift_of_load(self) -> np.ndarray | float:
+        return self.load_shift if self.limits.guarded else 0.0
+
+    def bounds(self, found: Linearization) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return bounds of x, shape (N, n), and u, shape (N, m), in SI units; only commands have some."""
         a, N = self.actuators, self.horizon
         # So far from the plan that it is no bound, and near enough for the solver's scaling.
@@ -377,6 +385,14 @@ class RecedingController(ABC):
         x_lower, x_upper = self.plan.x[1:] - far, self.plan.x[1:] + far
         now = self.plan.x[0]
         x_lower[:, 6], x_upper[:, 6] = min(-a.max_brake_torque, now[6]), max(a.max_torque, now[6])
+        if self.limits.guarded:
+            # A torque that is beyond its bound already comes back to it at a rate that is sure to be allowed.
+            back = RETURN_SHARE * a.torque_rate * self.model.step * np.arange(1, N + 1)
+            braking, driving = (np.append(one[1:], one[-1]) for one in torque_limit(
+                self.limits, found, self.model.vehicle, self.grip, self.load_shift
+            ))  # fmt: skip
+            x_lower[:, 6] = np.minimum(-np.minimum(braking, a.max_brake_torque), now[6] + back)
+            x_upper[:, 6] = np.maximum(np.minimum(driving, a.max_torque), now[6] - back)
         x_lower[:, 7], x_upper[:, 7] = min(-a.max_steer, now[7]), max(a.max_steer, now[7])
         u_upper = np.full((N, self.m), np.inf)
         u_upper[:, 0], u_upper[:, 1] = a.torque_rate, a.steer_rate

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from split_cli.control.grip import PeakShift
 from split_cli.learning.features import Z2, FeatureSet
 from split_cli.prediction.online import OnlineCommittee
 from split_cli.prediction.predictor import Predictor
@@ -46,21 +47,38 @@ class Residual(ABC):
     Attributes
     ----------
     features : FeatureSet
-    plain : bool
-        Whether the labels are plain one-step differences.
+    peak : PeakShift or None
+        What moved peaks of the tyres leave out, told where the data say nothing.
+
+    Notes
+    -----
+    A process without data returns to its prior mean. With zero for it, the nominal model speaks there, whose peaks
+    are the very thing that labels contradict. So the prior mean m is the force that the moved peaks leave out,
+    mean = data + (1 - knowledge) m, which is the posterior k K^-1 (y - m) + m with k K^-1 m taken as knowledge m:
+    exact at a point that is known well, and far from all data.
     """
 
     features: FeatureSet = Z2
+    peak: PeakShift | None = None
 
     @abstractmethod
+    def of_data(self, z: np.ndarray) -> ResidualValues:
+        """Return what the data say at features `z`, shape (N, D), and nothing where there are none."""
+
     def along(self, z: np.ndarray) -> ResidualValues:
-        """Return the residual at features `z`, shape (N, D)."""
+        """Return the residual at features `z`, shape (N, D), the peaks' share where data are missing included."""
+        found = self.of_data(z)
+        if self.peak is None:
+            return found
+        mean, slope = self.peak.at(z)
+        missing = 1.0 - found.knowledge
+        return replace(found, mean=found.mean + missing * mean, slope=found.slope + missing[:, :, None] * slope)
 
 
 class NoResidual(Residual):
     """The nominal model alone."""
 
-    def along(self, z: np.ndarray) -> ResidualValues:
+    def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return zeros; nothing is known, and nothing is claimed."""
         count, width = z.shape
         zero = np.zeros((count, 3))
@@ -83,10 +101,10 @@ class PredictorResidual(Residual):
         self.features = predictor.training_set.features
         self._prior = predictor.training_set.kernel.signal_variance
 
-    def along(self, z: np.ndarray) -> ResidualValues:
+    def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return mean, slope and variance at features `z`, shape (N, D)."""
         if self.predictor.training_set.size == 0:
-            nothing = NoResidual().along(z)
+            nothing = NoResidual().of_data(z)
             variance = np.broadcast_to(self._prior, nothing.mean.shape)
             return ResidualValues(nothing.mean, nothing.slope, variance, nothing.knowledge)
         predictor = self.predictor.at(z)
@@ -113,7 +131,7 @@ class OnlineResidual(Residual):
         self.features = committee.online.header.features
         self._prior = committee.kernel.signal_variance
 
-    def along(self, z: np.ndarray) -> ResidualValues:
+    def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return mean, slope and variance at features `z`, shape (N, D)."""
         mean, variance, slope = self.committee.along(z)
         knowledge = np.clip(1.0 - variance / self._prior, 0.0, 1.0)

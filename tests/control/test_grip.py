@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from split_cli.control.grip import learned_grip
+from split_cli.control.grip import PeakShift, learned_grip
+from split_cli.control.residual import Residual, ResidualValues
 from split_cli.learning.features import Z2, FeatureSet
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle
 from split_cli.vehicle.tire import lateral_force
@@ -53,3 +54,38 @@ def test_what_cannot_tell_the_peak_does_not():
     late = CAR.with_effects(EffectSpec("steer_lag", {"tau": 0.05}))
     assert learned_grip(late, Z2, z, y)[0] < 0.9
     assert learned_grip(CAR, Z2, z[:0], y[:0]).tolist() == [1.0, 1.0]
+
+
+class Known(Residual):
+    """Half a metre a second squared wherever `share` of the label is known."""
+
+    def __init__(self, share: float) -> None:
+        self.share = share
+
+    def of_data(self, z):
+        full = np.full((len(z), 3), 1.0)
+        return ResidualValues(0.5 * self.share * full, np.zeros((len(z), 3, z.shape[1])), 1.0 - self.share * full,
+                              self.share * full)  # fmt: skip
+
+
+def test_where_nothing_is_known_the_moved_peaks_speak_and_where_all_is_known_the_data():
+    z, y = labels(0.15, count=50)
+    shift = PeakShift(CAR, Z2, np.array([0.86, 0.94]))
+    mean, slope = shift.at(z)
+    # The same forces the other way round: labels of moved peaks are what the shift says, but for their noise.
+    assert np.sqrt(np.mean(np.square(y - mean), axis=0)) == pytest.approx([0.23, 0.23, 0.04], rel=0.35)
+    assert np.abs(mean[:, 1]).max() > 0.5
+    step = 1e-6
+    for column in range(2):
+        moved = z.copy()
+        moved[:, column] += step
+        assert slope[:, :, column] == pytest.approx((shift.at(moved)[0] - mean) / step, abs=1e-4)
+    assert not slope[:, :, 2].any()
+    for share in (0.0, 0.3, 1.0):
+        residual = Known(share)
+        plain = residual.along(z)
+        residual.peak = shift
+        found = residual.along(z)
+        assert found.mean == pytest.approx(plain.mean + (1.0 - share) * mean)
+        assert found.slope == pytest.approx((1.0 - share) * slope)
+        assert (found.variance == plain.variance).all()

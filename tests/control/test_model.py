@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from split_cli.control._compiled import discretize
-from split_cli.control.limits import Limits, slip_limit, slip_rows
+from split_cli.control.limits import Limits, load_shift, slip_limit, slip_rows, torque_limit
 from split_cli.control.model import ControlModel
 from split_cli.control.residual import NoResidual, Residual, ResidualValues
 from split_cli.errors import VehicleError
@@ -29,7 +29,7 @@ class Wave(Residual):
     def __init__(self, features: FeatureSet = Residual.features) -> None:
         self.features = features
 
-    def along(self, z):
+    def of_data(self, z):
         mean = np.stack([0.3 * np.sin(5 * z[:, 2]), 4.0 * z[:, 0] ** 2, np.sin(9 * z[:, 1])], axis=1)
         slope = np.zeros((len(z), 3, z.shape[1]))
         slope[:, 0, 2], slope[:, 1, 0] = 1.5 * np.cos(5 * z[:, 2]), 8.0 * z[:, 0]
@@ -73,8 +73,8 @@ def test_a_step_is_the_nominal_models_exact_step():
 
 def test_the_residual_enters_as_the_prediction_that_labels_are_made_for():
     class Constant(Wave):
-        def along(self, z):
-            values = super().along(z)
+        def of_data(self, z):
+            values = super().of_data(z)
             return replace(values, slope=np.zeros_like(values.slope))
 
     x, u = situations()
@@ -168,6 +168,46 @@ def test_the_slip_limit_is_that_of_the_tyres_that_the_terms_leave():
     # What brakes is the torque that has arrived, a state of its own behind the command.
     slope = slip_limit(limits, found)[1][0, 0]
     assert slope[6] == 0.0 and abs(slope[8]) > 0.0
+
+
+def test_braking_moves_the_peak_from_the_rear_axle_to_the_front_one():
+    limits, torque = Limits(alpha_max=1.0), np.array([-2000.0, 0.0, 700.0])
+    grip, shift = np.array([0.9, 0.95]), load_shift(CAR)
+    alpha, slope = slip_limit(limits, rolling(CAR, torque), grip, shift)
+    whole = torque / CAR.wheel_radius - CAR.rolling_resistance_front - CAR.rolling_resistance_rear
+    moved = whole * CAR.cg_height / CAR.wheelbase
+    for axle, (tire, load, sign) in enumerate(((CAR.front_tire, CAR.static_load_front, -1.0),
+                                               (CAR.rear_tire, CAR.static_load_rear, 1.0))):  # fmt: skip
+        kappa = np.where(torque < 0, CAR.brake_split_front, CAR.drive_split_front)
+        kappa = kappa if axle == 0 else 1.0 - kappa
+        resistance = (CAR.rolling_resistance_front, CAR.rolling_resistance_rear)[axle]
+        force_x = kappa * torque / CAR.wheel_radius - resistance
+        scale = grip[axle] * (1.0 + sign * moved / load)
+        force_y = scale * lateral_force(tire.B / scale, tire.C, tire.D, alpha[:, axle])
+        used = (limits.p_long * force_x) ** 2 + force_y**2
+        assert used == pytest.approx((limits.p_ellipse * scale * tire.D) ** 2, rel=1e-9)
+    ahead, behind = (slip_limit(limits, rolling(CAR, torque + move), grip, shift)[0] for move in (0.1, -0.1))
+    moving = [0, 2]  # at no torque the split of the axles jumps
+    assert slope[moving, :, 6] == pytest.approx((ahead - behind)[moving] / 0.2, rel=1e-4)
+    # A term that moves load by itself is not counted twice.
+    assert (load_shift(CAR.with_effects(EffectSpec("load_transfer", {"cg_height": 0.5}))) == 0.0).all()
+    assert (load_shift(replace(CAR, cg_height=None)) == 0.0).all()
+
+
+def test_no_axle_is_asked_for_more_force_along_than_the_ellipse_gives():
+    limits, grip, shift = Limits(p_long=1.2), np.array([0.9, 0.8]), load_shift(CAR)
+    begin = np.array([-2500.0, 500.0])
+    for _ in range(60):  # the bound moves with the load, and the load with the torque
+        found = rolling(CAR, begin)
+        braking, driving = torque_limit(limits, found, CAR, grip, shift)
+        begin = np.array([-braking[0], driving[1]])
+    force = found.force + [[CAR.rolling_resistance_front, CAR.rolling_resistance_rear]]
+    moved = (found.force.sum(axis=1) * CAR.cg_height / CAR.wheelbase)[:, None]
+    load = 1.0 + moved * [[-1.0 / CAR.static_load_front, 1.0 / CAR.static_load_rear]]
+    used = limits.p_long * np.abs(force) / (grip * load * [[CAR.front_tire.D, CAR.rear_tire.D]])
+    # One axle is at the ellipse (within SATURATED of its square), the other below.
+    assert used.max(axis=1) == pytest.approx(np.full(2, limits.p_ellipse * np.sqrt(0.99)), rel=1e-6)
+    assert braking[0] < 5600.0
 
 
 def test_the_ellipse_is_as_wide_as_the_residual_is_known():

@@ -77,11 +77,28 @@ def test_contouring_control_keeps_to_its_limits_on_a_ring():
     assert states[:, 6].max() <= 1000.0 + 1e-6 and states[:, 6].min() >= -5600.0 - 1e-6
 
 
+def test_guarded_limits_bound_the_torque_and_leave_a_way_back():
+    model, path = ControlModel(CAR, NoResidual(), 0.05), straight()
+    x = np.array([5.0, 0.0, 0.0, 20.0, 0.0, 0.0, -5000.0, 0.0])
+    bounds = {}
+    for guarded in (False, True):
+        settings = MpccSettings(horizon=20, limits=Limits(p_long=1.2, guarded=guarded))
+        controller = Mpcc(model, path, ACTUATORS, settings, 1.77)
+        controller.begin(x, 5.0, iterations=5)
+        found = model.linearize(controller.plan.x[:20, :8], controller.plan.u[:, :2])
+        bounds[guarded] = controller.bounds(found)[0][:, 6]
+        # Whatever it begins with, the plan ends within its bounds.
+        assert (controller.plan.x[1:, 6] >= bounds[guarded] - 1.0).all()
+    assert (bounds[False] == -5600.0).all()
+    # Half of 20,000 N m/s: 500 N m come back in a step of 50 ms, until the ellipse holds the torque.
+    assert bounds[True][0] == pytest.approx(-4500.0) and bounds[True][-1] > -4500.0
+
+
 class Uncertain(NoResidual):
     """No residual, but with a variance."""
 
-    def along(self, z):
-        values = super().along(z)
+    def of_data(self, z):
+        values = super().of_data(z)
         return ResidualValues(values.mean, values.slope, np.full_like(values.mean, 0.5), values.knowledge)
 
 

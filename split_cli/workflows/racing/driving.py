@@ -8,7 +8,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from split_cli.control.grip import learned_grip
+from split_cli.control.grip import PeakShift, learned_grip, tells_peaks
 from split_cli.control.learner import Learner, NoLearner
 from split_cli.control.model import ControlModel, check_features
 from split_cli.control.mpcc import Mpcc
@@ -111,7 +111,7 @@ class Race:
             self.mpcc, limits=s.first.limits, margin=s.first.margin
         )  # fmt: skip
         self.controller = Mpcc(self.model, self.path, self.actuators, first, self.width, s.tightening)
-        self.controller.grip[:] = s.told_grip
+        self._take_grip(np.full(2, s.told_grip))
         self.controller.begin(self.model.steady_states(self.world.measured), self.start)
         if self.start_set is not None:
             self._learn_grip(self.start_set.z, self.start_set.y)
@@ -148,17 +148,25 @@ class Race:
         """Fit the kernel to lap 0 and begin with an empty set."""
         lap = self.world.recording(*self.spans[self.laps[-1].number], name="lap 0")
         self.header, labels = studied_header(self.header, lap, self.settings, self.notes)
-        self._learn_grip(labels.z[labels.accepted], labels.y[labels.accepted])
         self.learner = make_learner(self.settings, self.header)
+        self._learn_grip(labels.z[labels.accepted], labels.y[labels.accepted])
         self.model = ControlModel(self.header.vehicle, self.learner.residual, self.mpcc.step)
         self.controller.model, self.controller.limits = self.model, self.mpcc.limits
         self.controller.half_width = 0.5 * self.width + self.mpcc.margin
 
     def _learn_grip(self, z: np.ndarray, y: np.ndarray) -> None:
-        """Move the controller's slip limits to the peaks that labels tell."""
+        """Move the tyres' peaks to where labels tell them."""
         if self.settings.learn_grip:
-            self.controller.grip = learned_grip(self.vehicle, self.header.features, z, y)
+            self._take_grip(learned_grip(self.vehicle, self.header.features, z, y))
             self.grips.append(tuple(self.controller.grip.tolist()))
+        else:
+            self._take_grip(self.controller.grip)
+
+    def _take_grip(self, grip: np.ndarray) -> None:
+        """Give the peaks to the slip limits, and to the residual for where it knows nothing."""
+        self.controller.grip = grip
+        told = self.mpcc.limits.guarded and tells_peaks(self.vehicle, self.header.features)
+        self.learner.residual.peak = PeakShift(self.vehicle, self.header.features, grip) if told else None
 
     def _lap(self, number: int) -> None:
         tally = Tally(number, len(self.world.rows) - 1)

@@ -80,6 +80,11 @@ TUNED = {
 # On the long course every margin is that of the nominal controller, since speeds are higher. Tyres that nobody
 # knows on a road of lower grip ask for more care: the nominal controller begins at less of the ellipse.
 LONG = replace(TUNED["split"], margin=0.5)
+# Limits that know of braking; where nothing is known a learner keeps to the share of the nominal controller.
+GUARDED = {
+    name: replace(tuned, limits=replace(tuned.limits, guarded=True, p_unknown=0.85 if name == "split" else None))
+    for name, tuned in TUNED.items() if name != "physics"
+}  # fmt: skip
 CAREFUL = MpccSettings(limits=Limits(p_long=1.2, p_ellipse=0.75), margin=0.5)
 _SEEDS = (0, 1, 2)
 _SMALL = {"track": "small", "max_speed": 22.0}
@@ -121,11 +126,16 @@ def _long_course() -> list[Experiment]:
             ("nominal lags", "none", "lags", 1), ("split lags", "split", "lags", 3),
             ("nominal physics", "none", "physics", 1), ("split physics", "split", "physics", 2))  # fmt: skip
     as_filed = ("nominal", "nominal lags")
+    guarded = [
+        _race(group, "split guarded", "split", replace(GUARDED["split"], margin=margin), 0,
+              first=GUARDED["nominal"], laps=3, **track)
+        for group, margin, track in (("handling", 0.5, {"track": "handling"}), ("small", 0.3, _SMALL))
+    ]  # fmt: skip
     return [
         _race("handling", model, learner, TUNED["nominal"] if model in as_filed else LONG, 0, vehicle,
               track="handling", laps=laps)
         for model, learner, vehicle, laps in plan
-    ]  # fmt: skip
+    ] + guarded  # fmt: skip
 
 
 def _rivals_and_roads() -> list[Experiment]:
@@ -186,6 +196,9 @@ def _maneuvers() -> list[Experiment]:
             origin = f"{group}-nominal{end}" if scenario == "iso3888-1" else f"lap1-{road}{end}"
             learned = replace(basic, start_set=origin)
             found.append(Experiment(f"{group}-split{end}", group, f"split{words}", learned, vehicle))
+            if vehicle == "gentle":
+                guarded = replace(learned, guarded=True)
+                found.append(Experiment(f"{group}-split-guarded", group, "split guarded", guarded, vehicle))
     return found
 
 

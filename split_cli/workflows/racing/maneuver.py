@@ -8,6 +8,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from split_cli.control.grip import PeakShift, learned_grip, tells_peaks
 from split_cli.control.learner import learning_region
 from split_cli.control.limits import Limits
 from split_cli.control.model import ControlModel
@@ -60,6 +61,8 @@ class ManeuverSettings:
         [N m]
     p_long, p_ellipse : float
         Of the controller's limits [1].
+    guarded : bool
+        As of `Limits`; the peaks are those that the set's labels tell.
     """
 
     scenario: str = "iso3888-1"
@@ -75,6 +78,7 @@ class ManeuverSettings:
     max_torque: float | None = None
     p_long: float = 0.9
     p_ellipse: float = 0.95
+    guarded: bool = False
 
 
 @dataclass(frozen=True)
@@ -180,13 +184,13 @@ def run_maneuvers(
     _check(settings)
     vehicle, car = read_vehicle(vehicle_path), find_car(settings.car)
     check_car(vehicle, car)
-    residual, model = _residual(settings, vehicle)
+    residual, model, grip = _residual(settings, vehicle)
     width = settings.width or body_width(car)
     scenarios = [build_scenario(settings.scenario, width, v) for v in settings.speeds or (None,)]
     runs, worlds = [], []
     for scenario in scenarios:
         say(f"{scenario.name} at {scenario.entry_speed:g} m/s")
-        run = _Run(settings, scenario, vehicle, car, residual, width)
+        run = _Run(settings, scenario, vehicle, car, residual, grip, width)
         runs.append(run.drive())
         worlds.append(run.world)
     if output is not None:
@@ -227,12 +231,18 @@ def _highest(runs: Sequence[ManeuverRun]) -> float | None:
     return best
 
 
-def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Residual, str]:
+def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Residual, str, np.ndarray]:
+    """Return the residual, what it is called, and the tyres' peaks that its labels tell, shape (2,)."""
     if settings.start_set is None:
-        return NoResidual(), "nominal"
+        return NoResidual(), "nominal", np.ones(2)
     training_set = read_set(settings.start_set)
     check_trusted(training_set, vehicle, settings.start_set)
-    return PredictorResidual(make_predictor(settings.predictor, training_set)), f"set ({settings.predictor})"
+    residual = PredictorResidual(make_predictor(settings.predictor, training_set))
+    grip = np.ones(2)
+    if settings.guarded and tells_peaks(vehicle, training_set.features):
+        grip = learned_grip(vehicle, training_set.features, training_set.z, training_set.y)
+        residual.peak = PeakShift(vehicle, training_set.features, grip)
+    return residual, f"set ({settings.predictor})", grip
 
 
 def _write(world: World, output: FilePath) -> None:
@@ -263,7 +273,7 @@ class _Run:
 
     def __init__(
         self, settings: ManeuverSettings, scenario: Scenario, vehicle: Vehicle, car: CarParameters,
-        residual: Residual, width: float,
+        residual: Residual, grip: np.ndarray, width: float,
     ) -> None:  # fmt: skip
         self.settings, self.scenario, self.car, self.width = settings, scenario, car, width
         self.world = World(
@@ -275,9 +285,10 @@ class _Run:
         self.actuators = Actuators(torque, vehicle.max_brake_torque, steer_rate=car.steer_rate)
         mpc = MpcSettings(
             horizon=scenario.horizon, step=scenario.step, steering_alone=scenario.steering_alone,
-            limits=Limits(p_long=settings.p_long, p_ellipse=settings.p_ellipse),
+            limits=Limits(p_long=settings.p_long, p_ellipse=settings.p_ellipse, guarded=settings.guarded),
         )  # fmt: skip
         self.controller = Mpc(self.model, scenario.path, self.actuators, mpc, width, scenario.speed)
+        self.controller.grip = grip
         self.speed = SpeedController(scenario.entry_speed, vehicle.mass, vehicle.wheel_radius)
 
     def drive(self) -> ManeuverRun:
