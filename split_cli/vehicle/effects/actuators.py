@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from split_cli.vehicle.effects.search import DELAY_SEARCH, LAG_SEARCH, Course, Range, Search, time_unit
+from split_cli.vehicle.effects.late import Delayed, Lagging
+from split_cli.vehicle.effects.search import Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, late, scaled
 from split_cli.vehicle.flow import Flow
@@ -27,43 +27,22 @@ _PLAY = "judgement: six degrees at the wheel, the worst linkage of a model car"
 _ZERO = "judgement: six degrees at the wheel, 90 at a steering wheel, would be seen by any driver"
 
 
-class DriveDelay(Term):
+class DriveDelay(Delayed):
     """Torque that arrives `delay` late: T(t - delay). Only a command can show it."""
 
     id = "drive_delay"
-    units: ClassVar = {"delay": "s"}
-    neutral: ClassVar = {"delay": 0.0}
+    late_inputs = ("T",)
     family = "along"
     needs: ClassVar = frozenset({"torque", "torque changes"})
-    order = 0
     mimics: ClassVar = (
         Mimic("drive_lag", "torque that changes slowly", "a torque step"),
         Mimic("sensor_delay", "steering that hardly changes", "a steer step"),
     )
 
     @classmethod
-    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
-        return {"delay": time_unit(vehicle)}
-
-    @classmethod
-    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
-        return DELAY_SEARCH
-
-    @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
         return f"torque arrives {late(p['delay'])}"
-
-    @property
-    def input_delays(self) -> Mapping[str, float]:
-        """Delay [s] by channel."""
-        return {"T": self.parameters["delay"]}
-
-    def actuate(self, flow: Flow) -> None:
-        """Take the torque of before."""
-        flow.T = self.delayed(flow, flow.T, self.parameters["delay"])
 
 
 class DriveGain(Term):
@@ -113,7 +92,7 @@ class DriveGain(Term):
         flow.T = flow.T * flow.ops.where(flow.T > 0.0, p["drive_gain"], p["brake_gain"])
 
 
-class DriveLag(Term):
+class DriveLag(Lagging):
     """Torque that builds up: tau T' = T_command - T, steady at each start.
 
     The variant ``along`` lets only the force along the car lag, F_x = (T - T_command)/r_e beside the plain model.
@@ -122,12 +101,9 @@ class DriveLag(Term):
 
     id = "drive_lag"
     variants: ClassVar = ("", "along")
-    units: ClassVar = {"tau": "s"}
-    neutral: ClassVar = {"tau": 0.0}
     family = "along"
     needs: ClassVar = frozenset({"torque", "torque changes"})
     discrepancy: ClassVar = (("", "tau", 0.03), ("", "tau", 0.10))
-    order = 3
     states = ("torque",)
     state_units: ClassVar = {"torque": "N m"}
     mimics: ClassVar = (
@@ -136,23 +112,9 @@ class DriveLag(Term):
     )
 
     @classmethod
-    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
-        return {"tau": time_unit(vehicle)}
-
-    @classmethod
-    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
-        return LAG_SEARCH if variant == "" else None
-
-    @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
         return f"torque builds up with a time constant of {amount(p['tau'], one_sided=True)}"
-
-    def fastest_rate(self, speed: float) -> float:
-        """1/tau."""
-        return 1.0 / _positive(self.parameters["tau"])
 
     def actuate(self, flow: Flow) -> None:
         """Let the torque follow its command."""
@@ -165,18 +127,16 @@ class DriveLag(Term):
             flow.force_x = flow.force_x + (self._arrived(flow) - flow.T) / flow.vehicle.wheel_radius
 
     def _arrived(self, flow: Flow) -> Any:
-        return self.first_order(flow, "torque", flow.T, 1.0 / _positive(self.parameters["tau"]))
+        return self.first_order(flow, "torque", flow.T, self.rate)
 
 
-class SteerDelay(Term):
+class SteerDelay(Delayed):
     """Steering that answers `delay` late: delta(t - delay)."""
 
     id = "steer_delay"
+    late_inputs = ("delta",)
     through_tires: ClassVar = True
-    units: ClassVar = {"delay": "s"}
-    neutral: ClassVar = {"delay": 0.0}
     family = "steering"
-    order = 0
     mimics: ClassVar = (
         Mimic("steer_lag", "steering below about 1 Hz", "a steer step, or fast slalom"),
         Mimic("sensor_delay", "torque that hardly changes", "a torque step"),
@@ -184,28 +144,9 @@ class SteerDelay(Term):
     )
 
     @classmethod
-    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
-        return {"delay": time_unit(vehicle)}
-
-    @classmethod
-    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
-        return DELAY_SEARCH
-
-    @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
         return f"the steering answers {late(p['delay'])}"
-
-    @property
-    def input_delays(self) -> Mapping[str, float]:
-        """Delay [s] by channel."""
-        return {"delta": self.parameters["delay"]}
-
-    def actuate(self, flow: Flow) -> None:
-        """Take the steer angle of before."""
-        flow.delta = self.delayed(flow, flow.delta, self.parameters["delay"])
 
 
 class SteerGain(Term):
@@ -275,16 +216,13 @@ class SteerBacklash(Term):
         flow.delta = self.play(flow, "angle", flow.delta, self.parameters["width"])
 
 
-class SteerLag(Term):
+class SteerLag(Lagging):
     """Steering that builds up: tau delta' = delta_command - delta, steady at each start."""
 
     id = "steer_lag"
     through_tires: ClassVar = True
-    units: ClassVar = {"tau": "s"}
-    neutral: ClassVar = {"tau": 0.0}
     family = "steering"
     discrepancy: ClassVar = (("", "tau", 0.02), ("", "tau", 0.06))
-    order = 3
     states = ("angle",)
     state_units: ClassVar = {"angle": "rad"}
     mimics: ClassVar = (
@@ -294,27 +232,13 @@ class SteerLag(Term):
     )
 
     @classmethod
-    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
-        return {"tau": time_unit(vehicle)}
-
-    @classmethod
-    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
-        return LAG_SEARCH
-
-    @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
         return f"steering builds up with a time constant of {amount(p['tau'], one_sided=True)}"
 
-    def fastest_rate(self, speed: float) -> float:
-        """1/tau."""
-        return 1.0 / _positive(self.parameters["tau"])
-
     def actuate(self, flow: Flow) -> None:
         """Let the steer angle follow its command."""
-        flow.delta = self.first_order(flow, "angle", flow.delta, 1.0 / _positive(self.parameters["tau"]))
+        flow.delta = self.first_order(flow, "angle", flow.delta, self.rate)
 
 
 class SteerOffset(Term):
@@ -343,8 +267,3 @@ class SteerOffset(Term):
     def actuate(self, flow: Flow) -> None:
         """Shift the steer angle."""
         flow.delta = flow.delta + self.parameters["offset"]
-
-
-def _positive(tau: Any) -> Any:
-    """Return a time constant that can be divided by; 1e-6 s is instantaneous at any sample rate met here."""
-    return max(tau, 1e-6) if isinstance(tau, int | float) else tau

@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from split_cli.vehicle.effects.late import Delayed
 from split_cli.vehicle.effects.recording import Recording, shifted
-from split_cli.vehicle.effects.search import DELAY_SEARCH, Course, Range, Search, time_unit
+from split_cli.vehicle.effects.search import Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, late
-from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["SensorDelay", "SensorLeverArm", "SensorMisalignment"]
@@ -101,7 +101,7 @@ class SensorMisalignment(Term):
         return {**columns, "vx": cosine * vx - sine * vy, "vy": sine * vx + cosine * vy}
 
 
-class SensorDelay(Term):
+class SensorDelay(Delayed):
     """Every measured channel late against the commands by `delay`.
 
     Either the recording is corrected (`correct` moves the measured channels earlier), or the model is evaluated
@@ -110,12 +110,10 @@ class SensorDelay(Term):
     """
 
     id = "sensor_delay"
-    units: ClassVar = {"delay": "s"}
-    neutral: ClassVar = {"delay": 0.0}
+    late_inputs = ("T", "delta")
     family = "clock"
     needs: ClassVar = frozenset({"torque"})
     on_command_clock = True
-    order = 0
     exported = False
     mimics: ClassVar = (
         Mimic("steer_delay+drive_delay", "both delays equal: the same recording", exact=True),
@@ -123,29 +121,9 @@ class SensorDelay(Term):
     )
 
     @classmethod
-    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
-        return {"delay": time_unit(vehicle)}
-
-    @classmethod
-    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
-        return DELAY_SEARCH
-
-    @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
         return f"against the commands every measured channel is {late(p['delay'])}"
-
-    @property
-    def input_delays(self) -> Mapping[str, float]:
-        """Delay [s] by channel."""
-        return {"T": self.parameters["delay"], "delta": self.parameters["delay"]}
-
-    def actuate(self, flow: Flow) -> None:
-        """Take the commands that the measured channels answer to."""
-        flow.T = self.delayed(flow, flow.T, self.parameters["delay"])
-        flow.delta = self.delayed(flow, flow.delta, self.parameters["delay"])
 
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
         """Move measured channels earlier."""
