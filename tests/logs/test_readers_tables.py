@@ -366,6 +366,11 @@ def test_runs_of_blanks_part_columns_only_where_nothing_else_does(tmp_path):
     assert aligned["vx"].values == pytest.approx(np.arange(20.0)) and aligned["t"].values[-1] == pytest.approx(
         0.19
     )
+    # A run of a million blanks is no work.
+    (tmp_path / "long.txt").write_text(
+        "t vx\n" + "".join(f"{i} {' ' * 1_000_000 if i == 9 else ''}{i}\n" for i in range(20))
+    )
+    assert open_recording(tmp_path / "long.txt").read(["vx"])["vx"].values == pytest.approx(np.arange(20.0))
     (tmp_path / "dated.csv").write_text(
         "time,vx\n" + "".join(f"2026-03-14 10:00:{i:02d},{i}\n" for i in range(20))
     )

@@ -226,7 +226,8 @@ def _rewritten(stream: BinaryIO, dialect: Dialect) -> BinaryIO:
     if dialect.quoted_whole:
         text = "".join(unwrapped(line) for line in text.splitlines(keepends=True))
     if dialect.separator == " ":
-        text = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", text))
+        # A pattern for blanks at the end of a line takes the square of a long run of them.
+        text = "\n".join("\t".join(line.split()) for line in text.splitlines()) + "\n"
     return io.BytesIO(text.encode(dialect.encoding))
 
 
