@@ -93,6 +93,39 @@ class TrustEvidence:
         return self.error if self.nominal is None else self.nominal
 
 
+@dataclass(frozen=True)
+class _HeldOut:
+    """What one drive is judged by in one fold.
+
+    Attributes
+    ----------
+    part : TrainingDrive
+    test : ndarray of bool, shape (rows,)
+        Rows held out.
+    block : ndarray of int, shape (rows,)
+        The block of each row, -1 outside.
+    z : ndarray, shape (rows, D)
+        Features.
+    at : ndarray, shape (rows, C)
+        Conditions.
+    learned : Predictor
+        From the other blocks.
+    model : SingleTrack
+        The nominal model, with the effects that the set found.
+    of_file : SingleTrack or None
+        The same without them, where there are any.
+    """
+
+    part: TrainingDrive
+    test: np.ndarray
+    block: np.ndarray
+    z: np.ndarray
+    at: np.ndarray
+    learned: Predictor
+    model: SingleTrack
+    of_file: SingleTrack | None
+
+
 #: Conditions no state may be made worse in: features need not tell them, so a correction can be right on average
 #: and wrong in a part of the driving. Means over the interval predicted.
 _CONDITIONS = ("torque rate", "steer rate", "speed", "lateral acceleration", "torque", "time", "drive")
@@ -124,8 +157,8 @@ def held_out_evidence(
         learned = make_predictor(predictor, extend(empty, [labels for labels in kept if len(labels)]))
         for part, test, block, z, at in zip(drives, tests, numbered, features, conditions, strict=True):
             if test.any():
-                parts += _one_step(part, test, block, z, at, learned, models)
-                parts += _rolled_out(part, test, block, z, at, learned, models)
+                held = _HeldOut(part, test, block, z, at, learned, *models)
+                parts += _one_step(held) + _rolled_out(held)
     seen = {int(b) for part in parts for b in np.unique(part.block)}
     return tuple(_joined(parts)), len(seen)
 
@@ -196,32 +229,25 @@ def _means(values: np.ndarray, first: np.ndarray, length: int) -> np.ndarray:
     return (sums[first + length] - sums[first]) / length
 
 
-def _one_step(
-    part: TrainingDrive,
-    test: np.ndarray,
-    block: np.ndarray,
-    z: np.ndarray,
-    at: np.ndarray,
-    learned: Predictor,
-    models: tuple[SingleTrack, SingleTrack | None],
-) -> list[TrustEvidence]:
-    model, of_file = models
-    labels = part.labels.within(test)
+def _one_step(held: _HeldOut) -> list[TrustEvidence]:
+    """Return errors of one step from every held-out row that has a finite label."""
+    drive, of_file = held.part.drive, held.of_file
+    labels = held.part.labels.within(held.test)
     labels = labels.take(np.isfinite(labels.y).all(axis=1))
     if not len(labels):
         return []
-    told = predict_rows(learned, part.drive, z, labels.row)
-    movement = velocity_persistence_errors(model, part.drive, labels)
-    situation, rivals = _means(at, labels.row, labels.window), _rivals(part.drive, labels)
+    told = predict_rows(held.learned, drive, held.z, labels.row)
+    movement = velocity_persistence_errors(held.model, drive, labels)
+    situation, rivals = _means(held.at, labels.row, labels.window), _rivals(drive, labels)
     nominal = None
     if of_file is not None:
-        nominal = nominal_errors(of_file, part.drive, labels.row, labels.window, plain=labels.plain)
+        nominal = nominal_errors(of_file, drive, labels.row, labels.window, plain=labels.plain)
     found = []
     for state in range(3):
         change = np.zeros((len(labels), 3))
         change[:, state] = told.mean[:, state]
         error, moved = labels.y[:, state], movement[:, state]
-        rest = (block[labels.row], situation, told.variance[:, state], rivals)
+        rest = (held.block[labels.row], situation, told.variance[:, state], rivals)
         rest = (*rest, None if nominal is None else nominal[:, state])
         found.append(TrustEvidence(state, 0.0, error, change, moved, *rest))
     return found
@@ -243,29 +269,21 @@ def _rivals(drive: Drive, labels: Labels) -> np.ndarray:
     return np.nan_to_num(np.stack([*columns, speed, speed**2], axis=1))
 
 
-def _rolled_out(
-    part: TrainingDrive,
-    test: np.ndarray,
-    block: np.ndarray,
-    z: np.ndarray,
-    at: np.ndarray,
-    learned: Predictor,
-    models: tuple[SingleTrack, SingleTrack | None],
-) -> list[TrustEvidence]:
+def _rolled_out(held: _HeldOut) -> list[TrustEvidence]:
     """Return errors of rollouts that stay inside one held-out block, as long as blocks allow."""
-    drive, labels, (model, of_file) = part.drive, part.labels, models
+    drive, labels, of_file = held.part.drive, held.part.labels, held.of_file
     window, speed = labels.window, labels.region.minimum_speed
     found: list[TrustEvidence] = []
     for horizon in HORIZONS[::-1]:
         if any(part.horizon >= horizon for part in found):
             continue  # read off the longer rollouts
         steps = max(1, round(horizon / labels.horizon))
-        most = _STARTS_A_BLOCK * max(1, len(np.unique(block[test])))
+        most = _STARTS_A_BLOCK * max(1, len(np.unique(held.block[held.test])))
         # Neighbouring blocks of one fold never touch, so a run of test rows is one block.
-        starts = rollout_starts(drive, test, steps * window, speed, most)
+        starts = rollout_starts(drive, held.test, steps * window, speed, most)
         if len(starts) < FEWEST_BLOCKS:
             continue
-        rolled = _with_each_output(model, drive, starts, steps, labels, z, learned)
+        rolled = _with_each_output(held, starts, steps)
         nominal = rolled[0]
         by_file = nominal if of_file is None else roll_out(of_file, drive, starts, steps, window)[..., -3:]
         change = np.stack([corrected - nominal for corrected in rolled[1:]], axis=-1)
@@ -278,7 +296,7 @@ def _rolled_out(
             error = end - nominal[:, step]
             file_error = end - by_file[:, step]
             good = np.isfinite(error + file_error).all(axis=1) & np.isfinite(change[:, step]).all(axis=(1, 2))
-            situation = _means(at, starts, (step + 1) * window)
+            situation = _means(held.at, starts, (step + 1) * window)
             found += [
                 TrustEvidence(
                     s,
@@ -286,7 +304,7 @@ def _rolled_out(
                     error[good, s],
                     change[good, step, s],
                     (end - begin)[good, s],
-                    block[starts[good]],
+                    held.block[starts[good]],
                     situation[good],
                     nominal=None if of_file is None else file_error[good, s],
                 )
@@ -295,21 +313,14 @@ def _rolled_out(
     return found
 
 
-def _with_each_output(
-    model: SingleTrack,
-    drive: Drive,
-    starts: np.ndarray,
-    steps: int,
-    labels: Labels,
-    z: np.ndarray,
-    learned: Predictor,
-) -> np.ndarray:
+def _with_each_output(held: _HeldOut, starts: np.ndarray, steps: int) -> np.ndarray:
     """Return rollouts of the nominal model and of it with each output's correction alone, (4, N, steps, 3)."""
     applied = np.repeat(np.concatenate([np.zeros((1, 3)), np.eye(3)]), len(starts), axis=0)
     every = np.tile(starts, 4)
-    residual = correction_from(learned, drive, z, every)
-    correction = Correction(labels.features, z, lambda q: applied * residual(q))
-    rolled = roll_out(model, drive, every, steps, labels.window, correction)[..., -3:]
+    drive, labels = held.part.drive, held.part.labels
+    residual = correction_from(held.learned, drive, held.z, every)
+    correction = Correction(labels.features, held.z, lambda q: applied * residual(q))
+    rolled = roll_out(held.model, drive, every, steps, labels.window, correction)[..., -3:]
     return rolled.reshape(4, len(starts), steps, 3)
 
 
