@@ -83,7 +83,7 @@ def test_the_keys_of_the_json_are_a_promise(told):
     rollouts = "name features horizon starts diverged rmse distance"
     for part, names in (("scores", scores), ("drives", drives), ("rollouts", rollouts)):
         assert sorted(told[part][0]) == sorted(names.split())
-    assert sorted(told["sets"][0]) == sorted(["features", "points", "cells", "kernel", "trust"])
+    assert sorted(told["sets"][0]) == sorted(["features", "points", "cells", "kernel", "trust", "found"])
     names = "protocol predictors features sizes blocks holdout guard rollout horizon held trust any_vehicle"
     assert sorted(told["settings"]) == sorted(names.split())
 
