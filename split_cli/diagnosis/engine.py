@@ -31,7 +31,7 @@ from split_cli.diagnosis.verdict.findings import describe, is_autocorrelated, wi
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
-from split_cli.diagnosis.verdict.power import hidden_effect
+from split_cli.diagnosis.verdict.power import hidden_effects, hidden_in_words, no_match_in_words
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
 from split_cli.vehicle.parameters import Vehicle
@@ -135,16 +135,19 @@ def diagnose(
     if found.p_value >= settings.level:
         gap = outcome.gap.effect_to_noise
         hidden = (
-            hidden_effect(outcome.structure.objective, _of_known_inputs(candidates, real), gap, detectable)
+            hidden_effects(outcome.structure.objective, _of_known_inputs(candidates, real), gap, detectable)
             if simulated
-            else ""
+            else ()
         )
-        if hidden:
-            stated = _undecided([hidden], share, inputs, described)
+        if hidden and hidden[0].share > policy.abstention.hidden_force:
+            reasons = [no_match_in_words(hidden[0], gap)]
+            stated = _undecided(reasons, share, inputs, described)
             return replace(stated, not_judged=(*stated.not_judged, *not_judged), detectable=detectable)
+        told = hidden_in_words(hidden)
+        not_judged += (told,) if told else ()
         return Diagnosis(
             "match", found.p_value, share, not_judged, inputs=tuple(inputs), settings=described,
-            history=outcome.selection.history, summary=summarise("match"), gaps=_gaps(case), detectable=detectable,
+            history=outcome.selection.history, summary=summarise("match", reasons=[told] if told else []), gaps=_gaps(case), detectable=detectable,
         )  # fmt: skip
     progress("judging")
     stated = _tell(case, found, policy)

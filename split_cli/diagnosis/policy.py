@@ -125,6 +125,12 @@ class SelectionRules:
         "size in what a recording knows twice from which on a sensor's fault is no model-form error",
         CHOSEN,
     )
+    witnesses_agree: float = number(
+        1.5,
+        "1",
+        "factor between a sensor's fault and what its witnesses make of it, up to which they confirm it alone",
+        JUDGEMENT + "half as much again: the rest of the fit has model-form error",
+    )
     form_error_across: float = number(
         0.07, "1", "model-form error over the size of the chosen terms, where they hardly act", CHOSEN
     )
@@ -228,9 +234,15 @@ class Abstention:
     big_effect: float = number(
         0.5,
         "1",
-        "share of what a car can have: where such an effect hides behind what the simulation shows against "
-        "itself, no match is said",
+        "share of what a car can have: a match tells where such an effect would hide behind what the simulation "
+        "shows against itself",
         JUDGEMENT + "half of the way to the bound, for grip about a half",
+    )
+    hidden_force: float = number(
+        0.2,
+        "1",
+        "share of the forces on the drives, averaged over 2 s, from which on such an effect leaves no match",
+        JUDGEMENT + "a force wrong by a fifth spoils any prediction; less matters to few uses",
     )
     share: float = number(0.08, "1", "share of the gap without a name from which on it is unexplained", CHOSEN)
     effect_to_noise: float = number(
@@ -307,6 +319,12 @@ class SelfTestRules:
     )
     term_margin: float = number(
         1.5, "1", "by how much more reality has to show of a term, or of residual autocorrelation", CHOSEN
+    )
+    apart: float = number(
+        1.96,
+        "standard deviations",
+        "size of a term over that by which halves of the simulation differ, from which on it is one",
+        THEORY + "95 % of a normal deviate",
     )
     kindred: float = number(0.33, "1", "share of the largest term's saving that any term may show", CHOSEN)
     blocks: int = number(

@@ -73,6 +73,12 @@ class Screening:
         "error of a sensor's scale that is reported",
         JUDGEMENT + "wheels wear and gyroscopes drift by less",
     )
+    late_samples: float = number(
+        2.0,
+        "samples",
+        "delay against position from which on a velocity that was derived from it has been shifted since",
+        JUDGEMENT + "differences and filters leave less than one",
+    )
     sure_scale_error: float = number(
         6.0, "standard errors", "size of that error from which on it is reported", CHOSEN
     )

@@ -188,3 +188,21 @@ def test_values_at_the_end_of_their_search_are_told_from_others():
     assert not delay.at_limit({"delay": 0.0}) and delay.at_limit({"delay": delay.ranges["delay"].upper})
     assert not drag.at_limit({"drag": drag.ranges["drag"].lower})
     assert not fade.at_limit({"final_loss": 0.2, "tau": fade.ranges["tau"].upper})
+
+
+def test_what_is_sure_gives_way_to_a_surer_fault_of_the_inputs_and_to_nothing_less(restless):
+    """A road that leans all along stood, beyond doubt, for a steering off its zero that a fixed baseline names."""
+    candidates = build_candidates(road_car(), restless.real[0].series)
+    first = search(restless, candidates, reach=0.35)
+    again = search_again(restless, candidates, first.structure.objective, reach=0.35)
+    (bank,) = (one for one in candidates if one.label == "road_bank")
+    (steering,) = first.selection.chosen.parts
+    leaning = Part(bank, {"angle": 0.05})
+    stood = replace(first.selection, chosen=replace(first.selection.chosen, parts=(leaning,)), first_p=1e-20)
+    doubted = replace(first, selection=stood)
+    surer = replace(again, selection=replace(again.selection, first_p=1e-60))
+    assert settled(doubted, surer, STANDARD.selection).selection.terms[0].id == steering.term.id
+    for p_value in (1e-19, 1e-4):
+        weaker = replace(again, selection=replace(again.selection, first_p=p_value))
+        # Beyond doubt, its name stays; a doubted one would have lost it.
+        assert settled(doubted, weaker, STANDARD.selection).selection.terms[0].id == "road_bank"

@@ -211,3 +211,16 @@ def test_an_interval_ends_where_no_real_car_lies_beyond(drive):
     (unknown,) = parameter_estimates(objective, replace(fit, residuals=fit.residuals * 3000.0))
     assert unknown["scale"].interval_95 == (physical.lower, physical.upper)
     assert unknown["scale"].std_error > physical.upper - physical.lower
+
+
+def test_intervals_hold_what_halves_of_the_simulation_differ_by(drive):
+    """A saving of a quarter of its own is half its size: a deviation of half of what it is away from no effect."""
+    objective = by_chance(noisy_objective(drive, 7))
+    fit = fitted(objective, "yaw_inertia", TRUTH)
+    alone = parameter_estimates(objective, fit)[0]["scale"]
+    saved = nothing(objective).cost - fit.cost
+    beside = replace(objective, own_savings={"yaw_inertia": 0.25 * saved})
+    wide = parameter_estimates(beside, fitted(beside, "yaw_inertia", TRUTH))[0]["scale"]
+    expected = np.hypot(alone.std_error, 0.5 * (alone.value - 1.0))
+    # Costs are no parabola in a ratio, by its square, and what is saved holds some noise.
+    assert wide.std_error == pytest.approx(expected, rel=0.15)

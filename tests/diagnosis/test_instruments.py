@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.recording.witnesses import build_witnesses, habits_of
-from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.recording.witnesses import build_witnesses, habits_of, late_against_position
+from split_cli.diagnosis.search.candidates import Candidate, build_candidates
+from split_cli.diagnosis.search.fitting import Fit, Part
 from split_cli.diagnosis.search.identifiable import identifiable
+from split_cli.diagnosis.search.selection import nothing
+from split_cli.diagnosis.search.term_tests import is_apart_from_itself, witness_share, witnessed_p
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
-from tests.diagnosis.recordings import driven, noisy, prepared
+from tests.diagnosis.recordings import bare_objective, candidates_of, driven, light_evidence, noisy, prepared
 from tests.factories import road_car
 
 PLANTED = [
@@ -151,6 +154,72 @@ def test_what_any_road_does_to_an_accelerometer_is_everyday():
     assert ahead.is_everyday({"ax": 0.2}) and not ahead.is_everyday({"ax": -0.26})
     (heavy,) = (one for one in every if one.label == "mass")
     assert not heavy.is_everyday({"scale": 1.0001})
+
+
+def test_velocities_of_position_are_late_only_where_they_were_shifted_since():
+    """The linear estimate of the delay by the turn of yaw: none as recorded, found where 40 ms were put in."""
+    sound = recording(40, share=0.1)
+    shifted = recording(40, fault("channel_delay", "r", {"r": 0.04}), share=0.1)
+    assert not late_against_position(prepared(sound)) and late_against_position(prepared(shifted))
+    kinds = {name: "derived: from X, Y, yaw" for name in ("vx", "vy", "r")}
+
+    def offered(drive: Drive) -> set[str]:
+        series = prepared(replace(drive, metadata=replace(drive.metadata, kinds=kinds)))
+        told = identifiable(build_candidates(road_car(), series), [series], road_car())
+        return {one.variant for one in told if one.term == "channel_delay"}
+
+    assert "r" not in offered(sound) and "r" in offered(shifted)
+
+
+def test_half_a_degree_of_a_sensor_is_no_fault_where_no_position_tells_it_from_the_car():
+    series = prepared(recording(41))
+    without = replace(series.drive, columns={k: v for k, v in series.drive.columns.items() if k not in "XY"})
+
+    def turned(one) -> Candidate:
+        every = build_candidates(road_car(), one)
+        return next(c for c in identifiable(every, [one], road_car()) if c.term == "sensor_misalignment")
+
+    assert not turned(series).is_everyday({"angle": 0.001})
+    blind = turned(replace(series, drive=without))
+    assert blind.is_everyday({"angle": -0.008}) and not blind.is_everyday({"angle": 0.0095})
+
+
+@pytest.fixture(scope="module")
+def late_yaw_rate():
+    """A yaw rate that is 40 ms late, on an objective whose velocities doubt everything but whose witnesses do not."""
+    series = prepared(recording(42, fault("channel_delay", "r", {"r": 0.04}), seconds=12.0))
+    habits = habits_of(build_witnesses(prepared(recording(43, seconds=12.0))))
+    return bare_objective(light_evidence(series), kinematics=build_witnesses(series, habits))
+
+
+def test_witnesses_alone_confirm_a_delay_and_by_how_much(late_yaw_rate):
+    rules = late_yaw_rate.policy.selection
+    (one,) = (c for c in candidates_of(late_yaw_rate, "channel_delay") if c.variant == "r")
+    base = nothing(late_yaw_rate)
+    right, twice = (fit_at(late_yaw_rate, Part(one, {"r": delay})) for delay in (0.04, 0.08))
+    assert witnessed_p(late_yaw_rate, right, 0, base, rules) < 1e-12
+    assert witness_share(late_yaw_rate, right, 0, rules) == pytest.approx(1.0, abs=0.1)
+    # Twice the delay is confirmed by half, which is no confirmation.
+    assert witness_share(late_yaw_rate, twice, 0, rules) == pytest.approx(0.5, abs=0.1)
+    assert witnessed_p(late_yaw_rate, twice, 0, base, rules) == 1.0
+    # Nor is it one where halves of the simulation contradict themselves by as much.
+    floor = base.cost
+    same = replace(late_yaw_rate, witness_floors={"channel_delay (r)": floor})
+    assert witnessed_p(same, right, 0, base, rules) == 1.0
+
+
+def test_a_term_is_one_where_it_saves_twice_what_halves_of_the_simulation_differ_by(late_yaw_rate):
+    (one,) = (c for c in candidates_of(late_yaw_rate, "channel_delay") if c.variant == "r")
+    known = replace(late_yaw_rate, own_savings={"channel_delay (r)": 100.0})
+    # Sizes go with the root of what they save: 1.96 times the size is 3.84 times the saving.
+    assert is_apart_from_itself(known, one, 385.0) and not is_apart_from_itself(known, one, 384.0)
+    assert is_apart_from_itself(late_yaw_rate, one, 1.0)
+
+
+def fit_at(objective, part: Part) -> Fit:
+    """Return an explanation by one part as it is, not fitted."""
+    residuals = objective.residual((part.term,))
+    return Fit((part,), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
 
 
 @pytest.mark.parametrize("k", [0, 2, 6])

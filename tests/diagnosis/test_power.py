@@ -5,30 +5,31 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.screening import cleaned, torque_is_derived, torque_is_from_pedals, unfit
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.term_tests import effect_to_noise_of_terms
 from split_cli.diagnosis.statement.result import Detectable
-from split_cli.diagnosis.verdict.power import hidden_effect
+from split_cli.diagnosis.verdict.power import force_share, hidden_effects, hidden_in_words, no_match_in_words
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import make_drive, road_car
 
 
-def test_what_a_big_effect_would_make_is_no_match(nominal_objective, nominal_series):
+def test_what_a_big_effect_would_make_is_hidden(nominal_objective, nominal_series):
     (grip,) = [one for one in build_candidates(road_car(), nominal_series) if one.label == "friction_scale"]
-    lower = grip.ranges["scale"].lower
-    size = effect_to_noise_of_terms(
-        nominal_objective, (CATALOGUE["friction_scale"]({"scale": 0.5 * (1.0 + lower)}),)
-    )
-    assert size > STANDARD.selection.plain or not hidden_effect(nominal_objective, [grip], 2.0 * size)
-    if size > STANDARD.selection.plain:
-        said = hidden_effect(nominal_objective, [grip], 1.01 * size)
-        assert "friction scale with scale" in said and "halves of the simulation" in said
-    assert hidden_effect(nominal_objective, [grip], 0.99 * size) == ""
-    assert hidden_effect(nominal_objective, [grip], 0.0) == ""
+    value = 0.5 * (1.0 + grip.ranges["scale"].lower)
+    size = effect_to_noise_of_terms(nominal_objective, (CATALOGUE["friction_scale"]({"scale": value}),))
+    assert size > STANDARD.selection.plain
+    (hidden,) = hidden_effects(nominal_objective, [grip], 1.01 * size)
+    assert (hidden.term, hidden.parameter, hidden.value) == ("friction_scale", "scale", pytest.approx(value))
+    said = no_match_in_words(hidden, 1.01 * size)
+    assert "friction scale with scale" in said and "halves of the simulation" in said
+    assert "friction scale with scale" in hidden_in_words([hidden])
+    assert hidden_effects(nominal_objective, [grip], 0.99 * size) == ()
+    assert hidden_effects(nominal_objective, [grip], 0.0) == () and hidden_in_words(()) == ""
 
 
 def test_an_effect_that_would_have_been_named_does_not_hide(nominal_objective, nominal_series):
@@ -40,14 +41,29 @@ def test_an_effect_that_would_have_been_named_does_not_hide(nominal_objective, n
     size = effect_to_noise_of_terms(nominal_objective, (inertia.build({"scale": big}),))
     assert size > STANDARD.selection.plain
 
-    def said(scale: float | None = None) -> str:
+    def hides(scale: float | None = None) -> bool:
         known = [] if scale is None else [Detectable("yaw_inertia", {"scale": (scale, "1")})]
-        return hidden_effect(nominal_objective, [inertia], 2.0 * size, known)
+        return bool(hidden_effects(nominal_objective, [inertia], 2.0 * size, known))
 
-    assert "yaw inertia" in said()
+    assert hides()
     # Named from half of that on, to either side, it cannot hide; named from twice that on, it can.
-    assert said(1.0 + 0.5 * (big - 1.0)) == said(1.0 - 0.5 * (big - 1.0)) == ""
-    assert "yaw inertia" in said(1.0 + 2.0 * (big - 1.0))
+    assert not hides(1.0 + 0.5 * (big - 1.0)) and not hides(1.0 - 0.5 * (big - 1.0))
+    assert hides(1.0 + 2.0 * (big - 1.0))
+
+
+def test_a_share_of_the_forces_is_that_of_the_force_itself(nominal_objective):
+    """Mass that is a tenth more asks for a tenth more of every force; twice the effect is twice the share."""
+
+    def share(term: str, **parameters: float) -> float:
+        return force_share(nominal_objective, CATALOGUE[term](parameters))
+
+    # The motion's own force is noisy and the term's is averaged over 2 s: a share is below the plain ratio.
+    assert 0.03 < share("mass", scale=1.1) < 0.1
+    once, twice = share("yaw_inertia", scale=1.05), share("yaw_inertia", scale=1.05**2)
+    assert twice == pytest.approx(2.0 * once, rel=0.1)
+    # A wheel turned by 0.02 rad all along adds B C D 0.02 N at the front axle, until its force levels off.
+    steady, late = share("steer_offset", offset=0.02), share("steer_delay", delay=0.02)
+    assert late < steady, "what comes late is made up for within two seconds"
 
 
 def circles(noise: float, *, frozen: bool = False) -> Drive:

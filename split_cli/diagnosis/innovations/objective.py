@@ -124,6 +124,10 @@ class MarginalLikelihood:
         `calibration`.
     term_floors : mapping of str to float
         The same for terms.
+    own_savings : mapping of str to float
+        What each term saves between halves of the simulation, at as many rows.
+    witness_floors : mapping of str to float
+        The same of the witnesses' cost alone.
     form_error_inflation : float
         By how much what no dictionary holds widens what a term saves by chance.
     fixed_baseline : bool
@@ -146,6 +150,8 @@ class MarginalLikelihood:
     kinematics: tuple[KinematicResiduals, ...] = ()
     unnamed_floor: float = 0.0
     term_floors: Mapping[str, float] = field(default_factory=dict)
+    own_savings: Mapping[str, float] = field(default_factory=dict)
+    witness_floors: Mapping[str, float] = field(default_factory=dict)
     form_error_inflation: float = 1.0
     fixed_baseline: bool = False
     policy: Policy = STANDARD

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from split_cli.diagnosis.policy import STANDARD, Screening
 from split_cli.diagnosis.recording.kinematics import (
     KinematicResiduals,
     build_kinematics,
@@ -23,7 +24,7 @@ from split_cli.diagnosis.recording.screening import measures
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Witness", "build_witnesses", "habits_of", "is_witness_of_position"]
+__all__ = ["Witness", "build_witnesses", "habits_of", "is_witness_of_position", "late_against_position"]
 
 _CHANNELS = {"a_x": "ax", "a_y": "ay"}
 _KINDS = ("turn", "way", *_CHANNELS)
@@ -135,6 +136,15 @@ def habits_of(witnesses: Iterable[KinematicResiduals | Witness]) -> dict[str, np
     for one in witnesses:
         by_kind.setdefault(one.kind, []).append(one)
     return {kind: common_habit(several) for kind, several in by_kind.items()}
+
+
+def late_against_position(series: Series, rules: Screening = STANDARD.screening) -> bool:
+    """Return whether yaw rate or velocity is some samples early or late against yaw or position.
+
+    Velocities that were derived from position are not; what was shifted since, or read with another clock, is.
+    """
+    delays = [abs(common_habit([one])[2]) for one in build_witnesses(series) if one.kind in ("turn", "way")]
+    return max(delays, default=0.0) > rules.late_samples * series.period
 
 
 def is_witness_of_position(one: KinematicResiduals | Witness) -> bool:

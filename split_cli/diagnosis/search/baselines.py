@@ -93,7 +93,8 @@ def search(
     rows = [flexible_rows(one, case.discrepancy) for one in case.real]
     progress("naming")
     first = _search(objective, rows, candidates, known)
-    sure = bool(first.selection.terms) and first.selection.first_p < policy.selection.sure_level
+    # What leans or weighs may stand for an input that is off, which a marginalised baseline hides.
+    sure = _alters_alone(first.selection) and first.selection.first_p < policy.selection.sure_level
     if known.ratio <= policy.selection.much_form_error or sure:
         return first
     progress("naming with a fixed baseline")
@@ -124,9 +125,14 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     if _brings_back(again, first.selection, rules):
         confirmed = bool(altering) and _ids(first.selection) <= _ids(again.selection)
         kept = first if confirmed else again
-    elif altering:
+    elif altering and first.selection.first_p >= rules.sure_level:
         kept = replace(first, selection=_without_names(first.selection))
     return replace(kept, objectives=(first.structure.objective, again.structure.objective))
+
+
+def _alters_alone(selection: Selection) -> bool:
+    """Return whether something is named, and all of it alters inputs or sensors."""
+    return bool(selection.terms) and all(map(alters_inputs, selection.terms))
 
 
 def _ids(selection: Selection) -> set[str]:
@@ -148,6 +154,9 @@ def _brings_back(again: SearchOutcome, marginalised: Selection, rules: Selection
     selection, objective = again.selection, again.structure.objective
     saved = selection.base.cost - selection.chosen.cost
     fair = saved > rules.fixed_share * selection.base.cost
+    if marginalised.terms and marginalised.first_p < rules.sure_level and not _alters_alone(marginalised):
+        # What is beyond doubt gives way to nothing less sure.
+        fair = fair and selection.first_p <= marginalised.first_p
     if marginalised.terms and not any(map(alters_inputs, marginalised.terms)):
         # That there is a difference is told already; which of two names it has, the surer one.
         fair = fair or selection.first_p < min(rules.sure_level, marginalised.first_p)

@@ -54,6 +54,8 @@ class SelfTest:
         Cost that each term saves alone, in its best variant, start and place.
     autocorrelation : float
         How much rows vary together, see `residual_autocorrelation`.
+    witnessed : mapping of str to float
+        What each term saves of the witnesses' cost alone.
     """
 
     rows: int = 0
@@ -61,6 +63,7 @@ class SelfTest:
     unnamed: float = 0.0
     terms: Mapping[str, float] = field(default_factory=dict)
     autocorrelation: float = 1.0
+    witnessed: Mapping[str, float] = field(default_factory=dict)
 
     def allow(self, objective: MarginalLikelihood) -> MarginalLikelihood:
         """Return an objective that forgives as much, with a margin.
@@ -81,6 +84,8 @@ class SelfTest:
                 term: rules.term_margin * scale * max(saved, rules.kindred * most)
                 for term, saved in self.terms.items()
             },
+            own_savings={term: scale * saved for term, saved in self.terms.items()},
+            witness_floors={term: rules.term_margin * scale * saved for term, saved in self.witnessed.items()},
         )
 
     def form_error_inflation_of(self, gap: FlexibleFit, policy: Policy = STANDARD) -> float:
@@ -155,6 +160,7 @@ def self_test(
         max(test.unnamed for test in tests),
         {term: max(test.terms[term] for test in tests) for term in names},
         max(test.autocorrelation for test in tests),
+        {term: max(test.witnessed[term] for test in tests) for term in names},
     )
 
 
@@ -263,9 +269,11 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
     chosen = np.concatenate([np.repeat(np.concatenate(keep), 3), windows])
     s = objective.places()
     lap = graded[0].series.lap_length
-    terms = {offer.term: 0.0 for offer in offers}
+    terms, witnessed = ({offer.term: 0.0 for offer in offers} for _ in range(2))
+    own = objective.of_witnesses(residuals)
     for offer in offers:
         columns = objective.whiten(offer.columns[chosen])
+        witnessed[offer.term] = max(witnessed[offer.term], _saving(objective.of_witnesses(columns), own))
         if offer.located:
             saved = _best_place(columns[:, 0], residuals, s, offer.located, lap)
         else:
@@ -279,6 +287,7 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
         fit.saved,
         terms,
         residual_autocorrelation(structure, residuals).ratio,
+        witnessed,
     )
 
 

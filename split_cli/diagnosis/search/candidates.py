@@ -90,6 +90,14 @@ class Candidate:
         sizes = [name for name in self.ranges if neutral.get(name) is not None]
         return all(abs(values[name] - neutral[name]) < self.ranges[name].everyday for name in sizes)
 
+    def without_witness(self) -> Candidate:
+        """Return the candidate where no position tells a sensor from the car: what a sound one may do is no fault."""
+        ranges = {
+            name: replace(limit, everyday=max(limit.everyday, limit.unwitnessed))
+            for name, limit in self.ranges.items()
+        }
+        return replace(self, ranges=ranges)
+
     def is_another(self, values: Mapping[str, float]) -> bool:
         """Return whether a value lies where the term is another one, which has a name of its own."""
         return any(

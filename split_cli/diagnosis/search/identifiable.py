@@ -17,6 +17,7 @@ from split_cli.diagnosis.recording.screening import (
     velocity_is_from_position,
 )
 from split_cli.diagnosis.recording.series import Series
+from split_cli.diagnosis.recording.witnesses import late_against_position
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.parameters import Vehicle
 
@@ -90,7 +91,8 @@ def identifiable(
 
     Places are identifiable only with position, since a distance travelled is nothing but a time; wind only with
     position and yaw. What acts along the car is identifiable only by a torque that was not derived from how the
-    car moved, and what comes of the torque only where that changes.
+    car moved, and what comes of the torque only where that changes. Without position, what a sound car does to a
+    sensor is no fault of it.
     """
     lacking = set()
     drives = [one.drive for one in real]
@@ -101,10 +103,11 @@ def identifiable(
     lacking |= {name for name in ("ax", "ay") if not all(measures(drive, name) for drive in drives)}
     if {"measured position", "ay"} <= lacking:
         lacking.add("witness")
-    if any(map(velocity_is_from_position, drives)):
+    if any(velocity_is_from_position(one.drive) and not late_against_position(one, rules) for one in real):
         lacking.add("measured velocities")
     if any(map(torque_is_derived, drives)):
         lacking.add("torque")
     if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle, rules):
         lacking.add("torque changes")
-    return [one for one in candidates if not lacking & one.needs]
+    told = [one for one in candidates if not lacking & one.needs]
+    return [one.without_witness() for one in told] if "measured position" in lacking else told

@@ -17,6 +17,7 @@ from split_cli.diagnosis.search.form_error import costs_beside_form_error, saved
 from split_cli.diagnosis.search.joint import all_at_once, cheapest_first, promised_by_all
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
+    is_apart_from_itself,
     is_form_error,
     is_spread,
     is_witnessed,
@@ -26,6 +27,7 @@ from split_cli.diagnosis.search.term_tests import (
     sizes_of_terms,
     term_p,
     term_size,
+    witnessed_p,
 )
 from split_cli.vehicle.effects import Term
 
@@ -239,10 +241,16 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
     """Compare an explanation with what is left without each part, and with what might be there instead."""
     objective, rules = explore.objective, explore.rules
     without = without_parts(objective, base, chosen)
+    level = rules.level / len(explore.candidates)
     sure = [
-        term_p(objective, chosen, k, one.cost - chosen.cost, explore.variance_inflation) * len(explore.candidates)
-        < rules.level
-        and is_spread(objective, chosen, k, one, rules)
+        (
+            (
+                term_p(objective, chosen, k, one.cost - chosen.cost, explore.variance_inflation) < level
+                and is_spread(objective, chosen, k, one, rules)
+                and is_apart_from_itself(objective, chosen.parts[k].candidate, one.cost - chosen.cost)
+            )
+            or witnessed_p(objective, chosen, k, one, rules) < level
+        )
         and not chosen.parts[k].candidate.at_limit(chosen.parts[k].values)
         and not chosen.parts[k].candidate.is_everyday(chosen.parts[k].values)
         for k, one in enumerate(without)
@@ -354,10 +362,14 @@ def _forward(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Selectio
             break
         label, saved = best.parts[-1].candidate.label, price_saved(best)
         p_value = term_p(objective, best, len(best.parts) - 1, chosen.cost - best.cost, variance_inflation)
-        p_value *= len(explore.candidates)
+        witnessed = witnessed_p(objective, best, len(best.parts) - 1, chosen, rules)
+        p_value = min(p_value, witnessed) * len(explore.candidates)
         last = best.parts[-1]
         small = p_value >= rules.level or last.candidate.is_everyday(last.values)
-        spread = is_spread(objective, best, len(best.parts) - 1, chosen, rules)
+        small |= witnessed > p_value and not is_apart_from_itself(
+            objective, last.candidate, chosen.cost - best.cost
+        )
+        spread = witnessed <= p_value or is_spread(objective, best, len(best.parts) - 1, chosen, rules)
         first_p = min(first_p, p_value if spread else 1.0)
         if small or not spread:
             history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")

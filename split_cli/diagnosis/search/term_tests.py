@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from scipy.stats import norm
 
 from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
@@ -19,6 +20,7 @@ __all__ = [
     "block_z",
     "effect_to_noise_of_terms",
     "error_of_sum",
+    "is_apart_from_itself",
     "is_form_error",
     "is_spread",
     "is_witnessed",
@@ -30,6 +32,8 @@ __all__ = [
     "sizes_of_terms",
     "term_p",
     "term_size",
+    "witness_share",
+    "witnessed_p",
 ]
 
 
@@ -75,6 +79,54 @@ def is_witnessed(objective: MarginalLikelihood, fit: Fit, k: int, rules: Selecti
     if not fit.parts[k].term.corrects:
         return False
     return objective.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :]) > rules.least_witnessed
+
+
+def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> float:
+    """Return the p value of a sensor's fault by what the recording knows twice alone; 1 where that tells too little.
+
+    Physics that a single track lacks moves no witness, so its model-form error is no doubt about what these say.
+    They have to agree about the size, and to save more than they do on the simulation.
+
+    Notes
+    -----
+    With d what the part moves of the witnesses, their means taken off, and e what they contradict without it, the
+    share of the fault that they confirm is d^T e/d^T d. Its standard error is the sandwich's over blocks of time,
+    as in `block_t`.
+    """
+    if not is_witnessed(objective, fit, k, rules):
+        return 1.0
+    before, after = (objective.of_witnesses(one.residuals) for one in (without, fit))
+    moved = before - after
+    floor = objective.witness_floors.get(fit.parts[k].candidate.effect, 0.0)
+    length = float(moved @ moved)
+    if length < floor or before @ before - after @ after < floor:
+        return 1.0
+    share = float(moved @ before) / length
+    if not 1.0 / rules.witnesses_agree < share < rules.witnesses_agree:
+        return 1.0
+    block = objective.block[len(objective.block) - len(moved) :]
+    scores = np.bincount(block - block.min(), moved * (before - share * moved))
+    z = share * length / (float(np.sqrt(scores @ scores)) + 1e-9)
+    return float(2.0 * norm.sf(z))
+
+
+def witness_share(objective: MarginalLikelihood, fit: Fit, k: int, rules: SelectionRules) -> float:
+    """Return which share of a sensor's fault its witnesses confirm [1]; 1 where they tell too little."""
+    if not is_witnessed(objective, fit, k, rules):
+        return 1.0
+    others = fit.terms[:k] + fit.terms[k + 1 :]
+    before, after = (objective.of_witnesses(objective.residual(terms)) for terms in (others, fit.terms))
+    moved = before - after
+    return float(moved @ before) / max(float(moved @ moved), 1e-300)
+
+
+def is_apart_from_itself(objective: MarginalLikelihood, candidate: Candidate, saved: float) -> bool:
+    """Return whether a term saves more than by what halves of the simulation differ, taken for a standard deviation.
+
+    What a term saves grows with the square of its size: halves that differ by a size are a draw of how far two
+    recordings of one car lie apart.
+    """
+    return saved > objective.policy.self_test.apart**2 * objective.own_savings.get(candidate.effect, 0.0)
 
 
 def is_form_error(

@@ -118,12 +118,12 @@ def summarise(
 ) -> str:
     """Return the diagnosis in one paragraph: what differs, where, whether it helps, and what has no name.
 
-    `reasons` are sentences: why nothing is decided, or what casts doubt on a mismatch.
+    `reasons` are sentences: why nothing is decided, what a match leaves open, or what casts doubt on a mismatch.
     """
     if verdict == "undecided":
         return "It cannot be decided whether simulation and reality differ: " + " ".join(reasons)
     if verdict == "match":
-        return "Simulation and reality agree within noise wherever both have been."
+        return " ".join(["Simulation and reality agree within noise wherever both have been.", *reasons])
     parts = ["Simulation and reality differ."]
     parts += reasons
     for finding in findings:

@@ -84,6 +84,9 @@ def _smallest(
         """Return by how much an effect, its size over what is allowed, passes, above 0, or fails, below."""
         p_value = p_of_effect(objective, candidate, size, saved, variance_inflation)
         margin = np.log(level) - np.log(max(p_value, 1e-300))
+        apart = objective.policy.self_test.apart**2 * objective.own_savings.get(candidate.effect, 0.0)
+        if apart > 0.0:
+            margin = min(margin, np.log(saved / apart))
         if objective.fixed_baseline:
             margin = min(
                 margin, np.log(saved / (saved + bare.cost)) - np.log(objective.policy.selection.fixed_share)
@@ -109,6 +112,10 @@ def _smallest(
         log = -far if passes(-far) > 0.0 else brentq(passes, -far, far, xtol=0.01)
         factor *= float(np.exp(log))
         values = candidate.moved(start, factor)
+        if candidate.is_everyday(values):
+            # As large as this it is seen, and yet no fault.
+            factor *= min(limit.everyday / abs(values[name]) for name, limit in candidate.ranges.items())
+            values = candidate.moved(start, factor)
         inside = candidate.allows(values)
         if not inside or abs(log) < near:
             break

@@ -6,7 +6,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part
-from split_cli.diagnosis.search.term_tests import term_size
+from split_cli.diagnosis.search.term_tests import term_size, witness_share
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.vehicle.effects.search import Range
 
@@ -25,7 +25,8 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
     a bootstrap over blocks converges to, with the simulation's uncertainty inside J. Systematic error is added.
     Where model-form error widens what terms save, it widens both by its root: it acts alike in block after block.
     With a fixed baseline J knows nothing of the simulation's uncertainty; what was learned from a recording with
-    as much model-form error is as uncertain as what is found on this one. Intervals end where no real car lies
+    as much model-form error is as uncertain as what is found on this one. By what halves of the simulation differ,
+    two recordings of one car may differ, too; by what its witnesses say of a sensor's fault, its size. Intervals end where no real car lies
     beyond: a time constant is not negative, however little is known of it.
     """
     from scipy.stats import t as student
@@ -51,6 +52,8 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
         term, residuals = part.term, {}
         systematic = rules.systematic * np.sqrt(max(objective.form_error_inflation, 1.0))
         relative = np.hypot(systematic / max(size, 1e-9), form_error if term.through_tires else 0.0)
+        relative = np.hypot(relative, _between_recordings(objective, fit, k))
+        relative = np.hypot(relative, witness_share(objective, fit, k, objective.policy.selection) - 1.0)
         for name, unit in term.parameter_units(part.candidate.variant).items():
             value = term.parameters[name]
             away = value - term.neutral.get(name, value)
@@ -66,6 +69,21 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
             column += 1
         out.append(residuals)
     return tuple(out)
+
+
+def _between_recordings(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
+    """Return by how much a part may differ between two recordings of one car, over its size [1].
+
+    That is by how much halves of the simulation differ: what a term saves grows with the square of its size.
+    """
+    part = fit.parts[k]
+    first = sum(len(one.values) for one in fit.parts[:k])
+    names, neutral = part.term.parameter_units(part.candidate.variant), part.term.neutral
+    away = np.array([part.term.parameters[name] - neutral.get(name, part.term.parameters[name]) for name in names])
+    moved = fit.sensitivity[:, first : first + len(away)] @ away
+    return float(
+        np.sqrt(objective.own_savings.get(part.candidate.effect, 0.0) / max(float(moved @ moved), 1e-300))
+    )
 
 
 def _possible(limits: tuple[float, float], value: float, physical: Range) -> tuple[float, float]:

@@ -3,24 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.recording.series import extended_model
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.term_tests import effect_to_noise_of_terms
 from split_cli.diagnosis.statement.result import Detectable
-from split_cli.diagnosis.statement.wording import number, term_name
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.diagnosis.statement.wording import number, percent, term_name
+from split_cli.vehicle.effects import CATALOGUE, Term
 
-__all__ = ["hidden_effect"]
+__all__ = ["HiddenEffect", "force_share", "hidden_effects", "hidden_in_words", "no_match_in_words"]
+
+_PREDICTED_SECONDS = 2.0  # the longest horizon of the report
 
 
-def hidden_effect(
+@dataclass(frozen=True)
+class HiddenEffect:
+    """A big effect that would not have been seen on these drives.
+
+    Attributes
+    ----------
+    term, parameter : str
+    value : float
+        A fair share of what a car can have.
+    share : float
+        How much of the forces on these drives it would be, see `force_share` [1].
+    """
+
+    term: str
+    parameter: str
+    value: float
+    share: float
+
+    @property
+    def words(self) -> str:
+        """The term with its value."""
+        return f"{term_name(self.term)} with {self.parameter} = {number(self.value, 2)}"
+
+
+def hidden_effects(
     objective: MarginalLikelihood,
     candidates: Sequence[Candidate],
     gap_to_noise: float,
     detectable: Sequence[Detectable] = (),
-) -> str:
-    """Return why no match can be said, in words; empty where a big effect would have been seen.
+) -> tuple[HiddenEffect, ...]:
+    """Return big effects that would not have been seen, the largest of each term, by their share of the forces.
 
     Parameters
     ----------
@@ -35,26 +65,78 @@ def hidden_effect(
     Notes
     -----
     Simulation and reality may differ by no more than halves of the simulation do, and yet by as much as a big
-    effect makes: then silence is no match. An effect is big when it is a fair share of what a car can have; it
-    counts when it is larger than the noise on these drives. What differs has a shape of its own: an effect of
-    another shape is told from it, and hides only where even this size of it would not have been named.
+    effect makes. An effect is big when it is a fair share of what a car can have; it counts when it is larger than
+    the noise on these drives. What differs has a shape of its own: an effect of another shape is told from it, and
+    hides only where even this size of it would not have been named.
     """
     smallest = {one.term: one.parameters for one in detectable}
-    plain = objective.policy.selection.plain
+    plain, found = objective.policy.selection.plain, {}
     if gap_to_noise <= plain:
-        return ""
+        return ()
     for one in candidates:
         for name, value, values in _big(one, objective.policy.abstention.big_effect):
             if _would_be_named(one, name, value, smallest.get(one.term, {})):
                 continue
-            if plain < effect_to_noise_of_terms(objective, (one.build(values),)) <= gap_to_noise:
-                return (
-                    f"Simulation and reality differ by {number(gap_to_noise, 2)} times sensor noise in a step, "
-                    f"and so do halves of the simulation. A {term_name(one.term)} with {name} = "
-                    f"{number(value, 2)} would hide in that. Drive both alike and longer, or "
-                    "calibrate the vehicle file (split calibrate)."
-                )
-    return ""
+            term = one.build(values)
+            if plain < effect_to_noise_of_terms(objective, (term,)) <= gap_to_noise:
+                hidden = HiddenEffect(one.term, name, value, force_share(objective, term))
+                if one.term not in found or found[one.term].share < hidden.share:
+                    found[one.term] = hidden
+    return tuple(sorted(found.values(), key=lambda hidden: -hidden.share))
+
+
+def no_match_in_words(hidden: HiddenEffect, gap_to_noise: float) -> str:
+    """Return why no match can be said."""
+    return (
+        f"Simulation and reality differ by {number(gap_to_noise, 2)} times sensor noise in a step, and so do halves "
+        f"of the simulation. A {hidden.words} would hide in that, which is {percent(hidden.share)} of the forces on "
+        "these drives. Drive both alike and longer, or calibrate the vehicle file (split calibrate)."
+    )
+
+
+def hidden_in_words(hidden: Sequence[HiddenEffect]) -> str:
+    """Return what a match does not rule out, as a sentence; empty where that is nothing."""
+    if not hidden:
+        return ""
+    listed = "; ".join(f"{one.words} ({percent(one.share)})" for one in hidden)
+    return (
+        "What these drives could not have shown, each with its share of the forces over "
+        f"{_PREDICTED_SECONDS:g} s: {listed}."
+    )
+
+
+def force_share(objective: MarginalLikelihood, term: Term) -> float:
+    """Return how much a term changes of the forces along the car, at the front or the rear axle, where most [1].
+
+    Notes
+    -----
+    Forces that a term adds are averaged over 2 s, as a prediction adds them up: what comes late by a tenth of that
+    is soon made up for. Their root mean square over the rows compared is divided by that of the forces which the
+    recorded motion takes. No force counts as less than a tenth of the largest: where a car neither speeds up nor
+    slows down, what acts along it is all there is to see, and little.
+    """
+    added, taken = [], []
+    for one, keep in zip(objective.evidence, objective.keep, strict=True):
+        series, inside = one.series, one.series.inside()
+        at = one.at[keep]
+        at = at[inside[np.minimum(at, len(inside) - 1)] & inside[at - 1]]  # no motion is told across a gap
+        inverse = np.linalg.inv(one.vehicle.force_matrix()).T
+        rates = series.rates(extended_model(one.vehicle, (term,))) - series.rates(extended_model(one.vehicle))
+        v_x, v_y, r = series.smooth.T
+        change = np.gradient(series.smooth, series.period, axis=0)
+        motion = change - np.stack([v_y * r, -v_x * r, np.zeros(len(r))], axis=1)
+        added.append(_averaged(rates @ inverse, series.period)[at])
+        taken.append((motion @ inverse)[at])
+    of_term, of_motion = (np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)) for rows in (added, taken))
+    return float(np.max(of_term / np.maximum(of_motion, 0.1 * of_motion.max() + 1e-12)))
+
+
+def _averaged(rows: np.ndarray, period: float) -> np.ndarray:
+    """Return moving means of rows (N, 3) over 2 s, or over all where that is less."""
+    width = min(max(1, int(round(_PREDICTED_SECONDS / period))), len(rows))
+    total = np.concatenate([np.zeros((1, rows.shape[1])), np.cumsum(rows, axis=0)])
+    low = np.clip(np.arange(len(rows)) - width // 2, 0, len(rows) - width)
+    return (total[low + width] - total[low]) / width
 
 
 def _would_be_named(

@@ -31,6 +31,8 @@ class Range:
         Whether the term is another one at the lower bound, so that a value there is no explanation of its own.
     everyday : float
         Distance from no effect up to which any sound recording may have it, so that it is no fault, in its unit.
+    unwitnessed : float
+        The same where no position was recorded, which tells a sensor from the car.
     """
 
     lower: float
@@ -40,6 +42,7 @@ class Range:
     ends_at_none: bool = False
     ends_as_another: bool = False
     everyday: float = 0.0
+    unwitnessed: float = 0.0
 
     def times(self, size: float) -> Range:
         """Return the range in another unit."""

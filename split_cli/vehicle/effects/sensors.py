@@ -21,6 +21,9 @@ _COMMANDS = ("t", "T", "delta", "s")
 _NOSE, _TAIL = 0.35, 0.45
 _INSIDE = "a velocity sensor sits within the body: overhangs of up to 0.35 and 0.45 wheelbases, judgement"
 _TURNED = "judgement: a mounting that is off by more than eleven degrees is seen"
+# [rad] half a degree, judgement: a crossfall of 2.5 %, conicity and the toe of an axle make any car move askew by some
+# tenths of a degree, and so does a road that leans otherwise on another day.
+_CRABS = 0.0087
 
 
 class SensorLeverArm(Term):
@@ -79,7 +82,7 @@ class SensorMisalignment(Term):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts in units of `sizes`."""
-        return Search({"angle": Range(-0.2, 0.2, 0.0005, _TURNED)}, ({"angle": 0.003},))
+        return Search({"angle": Range(-0.2, 0.2, 0.0005, _TURNED, unwitnessed=_CRABS)}, ({"angle": 0.003},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
