@@ -147,7 +147,8 @@ def diagnose(
         not_judged += (told,) if told else ()
         return Diagnosis(
             "match", found.p_value, share, not_judged, inputs=tuple(inputs), settings=described,
-            history=outcome.selection.history, summary=summarise("match", reasons=[told] if told else []), gaps=_gaps(case), detectable=detectable,
+            history=outcome.selection.history, summary=summarise("match", reasons=[told] if told else []),
+            gaps=_gaps(case), detectable=detectable,
         )  # fmt: skip
     progress("judging")
     stated = _tell(case, found, policy)

@@ -186,7 +186,7 @@ def test_half_a_degree_of_a_sensor_is_no_fault_where_no_position_tells_it_from_t
 
 @pytest.fixture(scope="module")
 def late_yaw_rate():
-    """A yaw rate that is 40 ms late, on an objective whose velocities doubt everything but whose witnesses do not."""
+    """A yaw rate that is 40 ms late, with position and accelerations as witnesses."""
     series = prepared(recording(42, fault("channel_delay", "r", {"r": 0.04}), seconds=12.0))
     habits = habits_of(build_witnesses(prepared(recording(43, seconds=12.0))))
     return bare_objective(light_evidence(series), kinematics=build_witnesses(series, habits))

@@ -91,7 +91,7 @@ class Candidate:
         return all(abs(values[name] - neutral[name]) < self.ranges[name].everyday for name in sizes)
 
     def without_witness(self) -> Candidate:
-        """Return the candidate where no position tells a sensor from the car: what a sound one may do is no fault."""
+        """Return the candidate where no position tells a sensor from the car: what sound ones do is no fault."""
         ranges = {
             name: replace(limit, everyday=max(limit.everyday, limit.unwitnessed))
             for name, limit in self.ranges.items()

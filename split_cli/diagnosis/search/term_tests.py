@@ -82,7 +82,7 @@ def is_witnessed(objective: MarginalLikelihood, fit: Fit, k: int, rules: Selecti
 
 
 def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> float:
-    """Return the p value of a sensor's fault by what the recording knows twice alone; 1 where that tells too little.
+    """Return the p value of a sensor's fault by what the recording knows twice; 1 where that tells too little.
 
     Physics that a single track lacks moves no witness, so its model-form error is no doubt about what these say.
     They have to agree about the size, and to save more than they do on the simulation.
@@ -121,7 +121,7 @@ def witness_share(objective: MarginalLikelihood, fit: Fit, k: int, rules: Select
 
 
 def is_apart_from_itself(objective: MarginalLikelihood, candidate: Candidate, saved: float) -> bool:
-    """Return whether a term saves more than by what halves of the simulation differ, taken for a standard deviation.
+    """Return whether a term saves more than what halves of the simulation differ by, as a standard deviation.
 
     What a term saves grows with the square of its size: halves that differ by a size are a draw of how far two
     recordings of one car lie apart.

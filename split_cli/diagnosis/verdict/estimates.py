@@ -26,7 +26,8 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
     Where model-form error widens what terms save, it widens both by its root: it acts alike in block after block.
     With a fixed baseline J knows nothing of the simulation's uncertainty; what was learned from a recording with
     as much model-form error is as uncertain as what is found on this one. By what halves of the simulation differ,
-    two recordings of one car may differ, too; by what its witnesses say of a sensor's fault, its size. Intervals end where no real car lies
+    two recordings of one car may differ, too; by what its witnesses say of a sensor's fault, its size.
+    Intervals end where no real car lies
     beyond: a time constant is not negative, however little is known of it.
     """
     from scipy.stats import t as student

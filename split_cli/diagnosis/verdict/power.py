@@ -88,9 +88,9 @@ def hidden_effects(
 def no_match_in_words(hidden: HiddenEffect, gap_to_noise: float) -> str:
     """Return why no match can be said."""
     return (
-        f"Simulation and reality differ by {number(gap_to_noise, 2)} times sensor noise in a step, and so do halves "
-        f"of the simulation. A {hidden.words} would hide in that, which is {percent(hidden.share)} of the forces on "
-        "these drives. Drive both alike and longer, or calibrate the vehicle file (split calibrate)."
+        f"Simulation and reality differ by {number(gap_to_noise, 2)} times sensor noise in a step, and so do "
+        f"halves of the simulation. A {hidden.words} would hide in that, which is {percent(hidden.share)} of the "
+        "forces on these drives. Drive both alike and longer, or calibrate the vehicle file (split calibrate)."
     )
 
 

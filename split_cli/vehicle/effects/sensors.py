@@ -21,8 +21,8 @@ _COMMANDS = ("t", "T", "delta", "s")
 _NOSE, _TAIL = 0.35, 0.45
 _INSIDE = "a velocity sensor sits within the body: overhangs of up to 0.35 and 0.45 wheelbases, judgement"
 _TURNED = "judgement: a mounting that is off by more than eleven degrees is seen"
-# [rad] half a degree, judgement: a crossfall of 2.5 %, conicity and the toe of an axle make any car move askew by some
-# tenths of a degree, and so does a road that leans otherwise on another day.
+# [rad] half a degree, judgement: a crossfall of 2.5 %, conicity and the toe of an axle make any car move askew by
+# some tenths of a degree, and so does a road that leans otherwise on another day.
 _CRABS = 0.0087
 
 
