@@ -32,8 +32,8 @@ __all__ = [
     "sizes_of_terms",
     "term_p",
     "term_size",
-    "witness_share",
     "witnessed_p",
+    "witnesses_disagree",
 ]
 
 
@@ -85,7 +85,8 @@ def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, r
     """Return the p value of a sensor's fault by what the recording knows twice; 1 where that tells too little.
 
     Physics that a single track lacks moves no witness, so its model-form error is no doubt about what these say.
-    They have to agree about the size, and to save more than they do on the simulation.
+    They have to agree about the size, and to save more than they do on the simulation. This holds for a channel that
+    is late; an angle also stands for a point that is not where the map says, and needs the other rows as well.
 
     Notes
     -----
@@ -93,31 +94,42 @@ def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, r
     share of the fault that they confirm is d^T e/d^T d. Its standard error is the sandwich's over blocks of time,
     as in `block_t`.
     """
-    if not is_witnessed(objective, fit, k, rules):
+    if not (fit.parts[k].term.moves_samples and is_witnessed(objective, fit, k, rules)):
         return 1.0
     before, after = (objective.of_witnesses(one.residuals) for one in (without, fit))
-    moved = before - after
     floor = objective.witness_floors.get(fit.parts[k].candidate.effect, 0.0)
-    length = float(moved @ moved)
-    if length < floor or before @ before - after @ after < floor:
+    moved = before - after
+    if min(float(moved @ moved), float(before @ before - after @ after)) < max(floor, rules.same_excess):
         return 1.0
-    share = float(moved @ before) / length
+    share, error = _confirmed(objective, moved, before)
     if not 1.0 / rules.witnesses_agree < share < rules.witnesses_agree:
         return 1.0
+    return float(2.0 * norm.sf(share / error))
+
+
+def _confirmed(objective: MarginalLikelihood, moved: np.ndarray, before: np.ndarray) -> tuple[float, float]:
+    """Return the share of what a part moves of the witnesses that they confirm, and its standard error [1]."""
+    length = float(moved @ moved)
+    share = float(moved @ before) / length
     block = objective.block[len(objective.block) - len(moved) :]
     scores = np.bincount(block - block.min(), moved * (before - share * moved))
-    z = share * length / (float(np.sqrt(scores @ scores)) + 1e-9)
-    return float(2.0 * norm.sf(z))
+    return share, float(np.sqrt(scores @ scores)) / length + 1e-9
 
 
-def witness_share(objective: MarginalLikelihood, fit: Fit, k: int, rules: SelectionRules) -> float:
-    """Return which share of a sensor's fault its witnesses confirm [1]; 1 where they tell too little."""
+def witnesses_disagree(objective: MarginalLikelihood, fit: Fit, k: int, rules: SelectionRules) -> float:
+    """Return by how much of its size witnesses contradict a sensor's fault, beyond chance [1]; 0 if they are mute.
+
+    A bias moves the mean alone, about which `MarginalLikelihood.of_witnesses` says nothing.
+    """
     if not is_witnessed(objective, fit, k, rules):
-        return 1.0
+        return 0.0
     others = fit.terms[:k] + fit.terms[k + 1 :]
     before, after = (objective.of_witnesses(objective.residual(terms)) for terms in (others, fit.terms))
     moved = before - after
-    return float(moved @ before) / max(float(moved @ moved), 1e-300)
+    if float(moved @ moved) < rules.same_excess:
+        return 0.0
+    share, error = _confirmed(objective, moved, before)
+    return max(abs(share - 1.0) - rules.same_within * error, 0.0)
 
 
 def is_apart_from_itself(objective: MarginalLikelihood, candidate: Candidate, saved: float) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part
-from split_cli.diagnosis.search.term_tests import term_size, witness_share
+from split_cli.diagnosis.search.term_tests import term_size, witnesses_disagree
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.vehicle.effects.search import Range
 
@@ -54,7 +54,7 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
         systematic = rules.systematic * np.sqrt(max(objective.form_error_inflation, 1.0))
         relative = np.hypot(systematic / max(size, 1e-9), form_error if term.through_tires else 0.0)
         relative = np.hypot(relative, _between_recordings(objective, fit, k))
-        relative = np.hypot(relative, witness_share(objective, fit, k, objective.policy.selection) - 1.0)
+        relative = np.hypot(relative, witnesses_disagree(objective, fit, k, objective.policy.selection))
         for name, unit in term.parameter_units(part.candidate.variant).items():
             value = term.parameters[name]
             away = value - term.neutral.get(name, value)
