@@ -85,8 +85,8 @@ def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, r
     """Return the p value of a sensor's fault by what the recording knows twice; 1 where that tells too little.
 
     Physics that a single track lacks moves no witness, so its model-form error is no doubt about what these say.
-    They have to agree about the size, and to save more than they do on the simulation. This holds for a channel that
-    is late; an angle also stands for a point that is not where the map says, and needs the other rows as well.
+    They have to agree about the size, and to save more than they do on the simulation. This holds for a channel
+    that is late; an angle also stands for a point that is not where the map says, and needs the other rows as well.
 
     Notes
     -----
