@@ -86,7 +86,7 @@ def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, r
 
     Physics that a single track lacks moves no witness, so its model-form error is no doubt about what these say.
     They have to agree about the size, and to save more than they do on the simulation. This holds for a channel
-    that is late; an angle also stands for a point that is not where the map says, and needs the other rows as well.
+    that is late; an angle also stands for a point that is not where the map says, and needs other rows as well.
 
     Notes
     -----
