@@ -130,6 +130,9 @@ def bends(
             continue
         for name, functions in variables.items():
             columns = objective.whiten(effect[:, None] * functions)
+            if not columns.any():
+                # A bias of an accelerometer moves what witnesses it and no velocity.
+                continue
             normal_of = columns.T @ cleared(columns)
             ridge = 1e-6 * np.trace(normal_of) * np.eye(len(normal_of))
             weights = np.linalg.solve(normal_of + ridge, columns.T @ left)
