@@ -36,6 +36,8 @@ def follow(page: str, folder: Path, sample_logs: Path) -> list[tuple[str, str]]:
                     (arguments[:-2], arguments[-1]) if ">" in arguments[-2:-1] else (arguments, None)
                 )
                 result = CliRunner().invoke(group, arguments)
+                if result.exception is not None and not isinstance(result.exception, SystemExit):
+                    raise result.exception
                 assert result.exit_code == 0, f"{line}\n{result.output}"
                 if target:
                     Path(target).write_text(result.stdout, encoding="utf-8")

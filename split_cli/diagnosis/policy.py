@@ -55,9 +55,11 @@ class ComparisonRules:
     reach: float = number(
         0.35,
         "1",
-        "distance in scaled features up to which a real row lies where the simulation has been; twice as far "
-        "where hardly any row is nearer",
+        "distance in scaled features up to which a real row lies where the simulation has been",
         CHOSEN,
+    )
+    far_reach: float = number(
+        0.7, "1", "the same distance where hardly any row is nearer", JUDGEMENT + "twice the usual reach"
     )
     least_rows: int = number(
         250,

@@ -147,7 +147,8 @@ def test_a_plain_drive_says_what_it_lacks_or_has_twice(here):
     refused("label", save({**columns, "vx(km/h)": columns["vx"]}), *label, says=("two columns are vx",))
     refused("label", save({n: v[:1] for n, v in columns.items()}), *label, says=("holds 1 samples",))
     refused("label", save({n: v[:2] for n, v in columns.items()}), *label, says=("too short for a label",))
-    refused("label", ".", *label, says=("is a folder",))
+    Path("none").mkdir()
+    refused("label", "none", *label, says=("none: holds no drive",))
     refused("label", "a.split", *label, says=("cannot be read as a drive",))
     for stop in (0, 100, -100):
         Path("cut.parquet").write_bytes(Path("d0.parquet").read_bytes()[:stop])

@@ -182,8 +182,9 @@ def test_values_at_the_end_of_their_search_are_told_from_others():
     candidates = {one.label: one for one in build_candidates(road_car(), series)}
     scale, drag, fade = (candidates[name] for name in ("yaw_inertia", "aero_drag", "grip_fade"))
     delay = candidates["steer_delay"]
-    assert not scale.at_limit({"scale": 2.0})
-    assert scale.at_limit({"scale": 3.0}) and scale.at_limit({"scale": 0.3})
+    # The upper end is where I_z would be more than 1.3 m l_f l_r.
+    assert not scale.at_limit({"scale": 1.2})
+    assert scale.at_limit({"scale": scale.ranges["scale"].upper}) and scale.at_limit({"scale": 0.3})
     # No effect at all, all the drag there is, and a fade that lasts: natural ends.
     assert not delay.at_limit({"delay": 0.0}) and delay.at_limit({"delay": delay.ranges["delay"].upper})
     assert not drag.at_limit({"drag": drag.ranges["drag"].lower})

@@ -130,5 +130,7 @@ class TestFarFromTheSimulation:
         assert far.verdict == "match"
 
     def test_too_far_is_too_far(self, reality, simulation):
-        far = diagnose([reality], road_car(), [simulation], policy=STANDARD.altered("comparison", reach=1e-6))
+        far = diagnose(
+            [reality], road_car(), [simulation], policy=STANDARD.altered("comparison", reach=1e-6, far_reach=1e-5)
+        )
         assert far.verdict == "undecided" and "where the simulation has been" in far.not_judged[0]

@@ -207,7 +207,7 @@ class MarginalLikelihood:
 
         A bias of an accelerometer wanders, and a road that leans is one: only what varies tells an instrument.
         """
-        sizes = [len(one.begin) for one in self.kinematics]
+        sizes = [len(one.begin) for one in self.kinematics if len(one.begin)]  # a short manoeuvre may have none
         own = np.split(rows[len(rows) - sum(sizes) :], np.cumsum(sizes)[:-1]) if sizes else []
         return np.concatenate([one - one.mean(axis=0) for one in own]) if own else rows[:0]
 

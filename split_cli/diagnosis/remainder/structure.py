@@ -6,6 +6,7 @@ named terms left something behind.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -195,7 +196,11 @@ def minimum_effect_p(
     allowed = max(ratio - freedom, 0.0) * min(allowance / size, 1.0) ** 2
     noncentrality = max(allowed, floor / variance_inflation)
     try:
-        chance = ncx2.sf(ratio, max(freedom, 1.0), noncentrality)
-    except OverflowError:  # far out on either side the series' terms are beyond any number
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of a series that has not converged: asked below
+            chance = ncx2.sf(ratio, max(freedom, 1.0), noncentrality)
+    except OverflowError:
+        chance = np.nan
+    if not np.isfinite(chance):  # far out on either side the series' terms are beyond any number
         chance = 1.0 if ratio < freedom + noncentrality else 0.0
     return float(np.clip(chance, 0.0, 1.0))
