@@ -35,9 +35,12 @@ def test_tum_tyres_come_out_of_their_training_blocks(tmp_path, datasets):
     ours, library = read_vehicle(output), read_vehicle("tum_sim")
     for axle in ("front_tire", "rear_tire"):
         assert library.origins[f"{axle}.B"] == "calibrated"
-        # The library's file is its own start here: D and C are given again, the slope is fitted anew.
+        # The library's D is assumed, and lies beyond what the training blocks bound: the nearest peak
+        # that they allow is taken, and the slope, fitted anew below a lower peak, is steeper, within its error.
         stiffness = [getattr(car, axle).cornering_stiffness for car in (ours, library)]
-        np.testing.assert_allclose(*stiffness, rtol=1e-3)
+        np.testing.assert_allclose(*stiffness, rtol=0.25)
+    for c in report["curves"]:
+        assert c["peak"][0] <= c["tire"]["D"] <= c["peak"][1] * (1.0 + 1e-9)
     assert all(c["held_out"]["calibrated"] < 0.5 * c["held_out"]["signal"] for c in report["curves"])
 
 
