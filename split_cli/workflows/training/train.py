@@ -356,31 +356,19 @@ def _check_continues(known: TrainingSet, vehicle: Vehicle, settings: TrainSettin
             where=where,
             advice="Give the vehicle file it was trained with, or train a set of its own.",
         )
-    if settings.hyperparameters is not None:
-        raise SetError(
-            f"keeps its hyperparameters ({known.kernel.origin}) when appended to",
-            where=where,
-            advice="Leave out --hyperparameters, or train anew with all drives.",
-        )
-    if settings.cell_edge is not None:
-        raise SetError(
-            "keeps its cells when appended to",
-            where=where,
-            advice="Leave out --cell-edge, or train anew with all drives.",
-        )
-    if settings.trust is not None:
-        raise SetError(
-            f"keeps its trust, {known.trust.words()}, when appended to",
-            where=where,
-            advice="Leave out --trust, or train anew with all drives.",
-        )
+    for option, given, kept in (
+        ("--hyperparameters", settings.hyperparameters, f"its hyperparameters ({known.kernel.origin})"),
+        ("--cell-edge", settings.cell_edge, "its cells"),
+        ("--trust", settings.trust, f"its trust, {known.trust.words()},"),
+        ("--lag", settings.lag, "the lag of its torque, found or none,"),
+    ):
+        if given is not None:
+            raise SetError(
+                f"keeps {kept} when appended to",
+                where=where,
+                advice=f"Leave out {option}, or train anew with all drives.",
+            )
     asked = parse_features(settings.features).names if settings.features is not None else known.features.names
-    if settings.lag is not None:
-        raise SetError(
-            "keeps the lag of its torque, found or none, when appended to",
-            where=where,
-            advice="Leave out --lag, or train anew with all drives.",
-        )
     for what, theirs, ours in (
         ("features", asked, known.features.names),
         ("capacity", settings.capacity, known.capacity),
