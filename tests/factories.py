@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
-from typing import ClassVar
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
+import pyarrow as pa
 
 from split_cli.learning.cells import learn
 from split_cli.learning.features import FeatureSet, parse_features
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid, Region, z2_grid
-from split_cli.learning.training_set import TrainingSet
+from split_cli.learning.training_set import TrainingSet, content_digest, write_set
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects.term import Term
 from split_cli.vehicle.flow import Flow
@@ -190,3 +193,18 @@ def make_training_set(
     y = residual(z) + noise * rng.normal(size=(points, 3))
     kernel = Kernel(length_scale_cells * np.array(grid.edges), np.mean(y**2, axis=0), np.full(3, noise**2))
     return learn([make_labels(z, y, vehicle, names)], vehicle=vehicle, grid=grid, kernel=kernel, capacity=capacity)
+
+
+def write_forged_set(training_set: TrainingSet, path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    """Write a set whose header was changed before its digest was taken: right by its own account."""
+    write_set(training_set, path)
+    with pa.ipc.open_file(path.read_bytes()) as reader:
+        described = json.loads(reader.schema.metadata[b"split"])
+        described.pop("content_sha256")
+        change(described)
+        described["content_sha256"] = content_digest(described, training_set)
+        schema = reader.schema.with_metadata({b"split": json.dumps(described).encode()})
+        batches = [reader.get_batch(number) for number in range(reader.num_record_batches)]
+    with pa.ipc.new_file(str(path), schema) as writer:
+        for batch in batches:
+            writer.write_batch(batch.replace_schema_metadata(schema.metadata))

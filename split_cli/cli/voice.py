@@ -7,7 +7,7 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TextIO
 
 import click
@@ -74,10 +74,17 @@ class StepBar:
         Steps there will be; a text that begins with ``[3/7]`` says so itself.
     shares : mapping of str to float, optional
         Text of a step to the share of the whole time at which it begins [1], where steps take unequal times.
+    clock : callable
+        Gives the time [s].
     """
 
-    def __init__(self, total: int = 0, shares: Mapping[str, float] | None = None) -> None:
-        self._total, self._done, self._begin = total, 0, time.monotonic()
+    def __init__(
+        self,
+        total: int = 0,
+        shares: Mapping[str, float] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._total, self._done, self._now, self._begin = total, 0, clock, clock()
         self._shares, self._share, self.text = shares or {}, 0.0, ""
         self._watched = is_watched()
         self._in_place = self._watched and not isinstance(sys.stderr, Loud)
@@ -118,11 +125,9 @@ class StepBar:
             self._wipe()
             click.echo(text, err=True)
 
-    def line(self, text: str, elapsed: float, begun: bool = True) -> str:
-        """Return what is shown after `elapsed` seconds, as a step begins, or (not `begun`) as one has ended."""
-        return self._line(text, elapsed, self._done, begun)
-
-    def _line(self, text: str, elapsed: float, done: int, begun: bool) -> str:
+    def _line(self) -> str:
+        """Return what is shown now."""
+        text, elapsed, (done, begun) = self.text, self._now() - self._begin, self._drawn
         total = max(self._total, done + begun)
         share = self._share if self._shares else done / total if total else 0.0
         spent, gone = self._counted_from
@@ -143,7 +148,7 @@ class StepBar:
     def _recount(self, done: int, total: int) -> None:
         """Take a count; one that begins anew says nothing of the time before it."""
         if done == 0 and (total != self._total or self._done > 1):
-            self._counted_from = (time.monotonic() - self._begin, 0.0)
+            self._counted_from = (self._now() - self._begin, 0.0)
         self._done, self._total = done, total
 
     def _draw(self, begun: bool = True) -> None:
@@ -151,8 +156,9 @@ class StepBar:
             return
         with self._drawing:
             self._drawn = (self._done, begun)
-            line = self._line(self.text, time.monotonic() - self._begin, *self._drawn)
-            click.echo(f"\r\x1b[K{line}" if self._in_place else line, err=True, nl=not self._in_place)
+            click.echo(
+                f"\r\x1b[K{self._line()}" if self._in_place else self._line(), err=True, nl=not self._in_place
+            )
         if self._in_place and self._clock is None:
             self._clock = threading.Thread(target=self._tick, daemon=True)
             self._clock.start()
@@ -162,8 +168,7 @@ class StepBar:
         while not self._over.wait(1.0):
             with self._drawing:
                 if not self._over.is_set():
-                    shown = self._line(self.text, time.monotonic() - self._begin, *self._drawn)
-                    click.echo(f"\r\x1b[K{shown}", err=True, nl=False)
+                    click.echo(f"\r\x1b[K{self._line()}", err=True, nl=False)
 
     def _wipe(self) -> None:
         if self._in_place:

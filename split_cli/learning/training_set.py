@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +21,7 @@ from split_cli.learning.set_limits import check_header, check_points
 from split_cli.learning.trust import Trust
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, vehicle_from_mapping, vehicle_to_mapping
 
-__all__ = ["CellPoints", "SetFile", "SetSource", "TrainingSet", "read_set", "write_set"]
+__all__ = ["CellPoints", "SetFile", "SetSource", "TrainingSet", "content_digest", "read_set", "write_set"]
 
 SET_FORMAT = "split-set/2"
 _READABLE = (SET_FORMAT, "split-set/1")  # the first one knew no trust: all of it
@@ -193,7 +194,7 @@ def write_set(training_set: TrainingSet, path: str | Path) -> None:
     Equal sets give equal bytes: nothing of when, where or by whom is stored.
     """
     described = _describe(training_set)
-    described["content_sha256"] = _content_digest(described, training_set)
+    described["content_sha256"] = content_digest(described, training_set)
     metadata = {b"split": json.dumps(described, sort_keys=True, allow_nan=False).encode()}
     schema = _schema(training_set.features).with_metadata(metadata)
     columns = _columns(training_set)
@@ -297,7 +298,7 @@ class SetFile:
             raise self._damaged(str(error)) from error
         whole = _with_points(self.header, numbers[first], offsets, points)
         stored = self._described.pop("content_sha256", "")
-        if _content_digest(self._described, whole) != stored:
+        if content_digest(self._described, whole) != stored:
             raise self._damaged("its content does not match the digest in it")
         return whole
 
@@ -428,7 +429,8 @@ def _header_from(described: Mapping) -> TrainingSet:
     )
 
 
-def _content_digest(described: Mapping, training_set: TrainingSet) -> str:
+def content_digest(described: Mapping[str, Any], training_set: TrainingSet) -> str:
+    """Return the SHA-256 that a set's file keeps of its header, without the digest itself, and of its points."""
     digest = hashlib.sha256(json.dumps(described, sort_keys=True, allow_nan=False).encode())
     for name, values in _columns(training_set).items():
         digest.update(name.encode())

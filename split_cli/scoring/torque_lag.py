@@ -6,20 +6,24 @@ otherwise in each style of driving, and the correction then does harm in the nex
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from split_cli.learning.labels import nominal_errors
 from split_cli.learning.training_set import TrainingSet
-from split_cli.learning.trust import Trust
 from split_cli.scoring.evidence import TrainingDrive
 from split_cli.scoring.hints import torque_delay
+from split_cli.scoring.trust import judge_correction
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["beside_a_lag", "fit_torque_lag", "lag_note", "may_show_a_lag"]
+__all__ = ["Prepared", "decide", "fit_torque_lag", "lag_note", "may_show_a_lag"]
+
+Made = TypeVar("Made")
 
 #: Labels that the time constant is fitted to, spread over the drives [1]; judgement: with the 4,000 of two laps
 #: the first-order estimate has an error of 0.3 ms, and that falls with their root.
@@ -30,6 +34,62 @@ _RANGE = (0.25, 4.0)
 _ACCURACY = 0.01
 #: Effects of a vehicle file that make a torque late, or a sensor: a file that has one is not corrected further.
 _LATE = ("drive_lag", "drive_delay", "sensor_delay")
+
+
+@dataclass(frozen=True)
+class Prepared(Generic[Made]):
+    """A set before it learns, and what it will learn from.
+
+    Attributes
+    ----------
+    empty : TrainingSet
+        Without points; its vehicle is that of the labels.
+    drives : sequence of TrainingDrive
+        What its trust is found on.
+    made : object
+        What else whoever prepared it needs of it later.
+    """
+
+    empty: TrainingSet
+    drives: Sequence[TrainingDrive]
+    made: Made
+
+
+def decide(
+    by_file: Prepared[Made],
+    relabel: Callable[[Vehicle], Prepared[Made]] | None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Prepared[Made]:
+    """Find the trust of a set on held-out blocks, and with it whether a lag of the torque enters the set's model.
+
+    Parameters
+    ----------
+    by_file : Prepared
+        With the vehicle file as it is.
+    relabel : callable or None
+        Prepares the same for another vehicle; None where no lag is looked for.
+    say : callable
+        Told what is being done.
+
+    Returns
+    -------
+    Prepared
+        One of the two, its set with its trust: that with a lag only if held-out blocks gain more with it.
+    """
+    trust, gain = judge_correction(by_file.drives, by_file.empty, say=say)
+    by_file = replace(by_file, empty=replace(by_file.empty, trust=trust))
+    if relabel is None or trust.origin == "unjudged":
+        return by_file
+    say("looking for a torque that arrives late")
+    late = fit_torque_lag(by_file.drives, by_file.empty.vehicle)
+    if late is None:
+        return by_file
+    other = relabel(late)
+    empty = replace(other.empty, found_effects=1)
+    # The lag frees the correction of v_x from what it stood in for. Those of v_y and r are what they were, so the
+    # more cautious of two judgements of them counts.
+    trust, other_gain = judge_correction(other.drives, empty, say=say, most=(1.0, *trust.share[1:]))
+    return replace(other, empty=replace(empty, trust=trust)) if other_gain > gain else by_file
 
 
 def may_show_a_lag(drives: Sequence[TrainingDrive], vehicle: Vehicle) -> bool:
@@ -64,8 +124,7 @@ def fit_torque_lag(drives: Sequence[TrainingDrive], vehicle: Vehicle) -> Vehicle
     tau minimises the sum of squares of y_vx over accepted labels, y_vx from the model with tau T' = T_command - T
     along the whole recording. Only the force along the car lags (variant ``along``): labels of v_x show it, and
     v_y and r, which the lagging force would move by its share of the steered axle, stay as the file has them.
-    Whether the lag is used is not decided here but on held-out blocks
-    (`trust.judge_correction`), against the file without it.
+    Whether the lag is used is not decided here but on held-out blocks (`decide`), against the file without it.
     """
     if not drives or not may_show_a_lag(drives, vehicle):
         return None
@@ -87,15 +146,6 @@ def fit_torque_lag(drives: Sequence[TrainingDrive], vehicle: Vehicle) -> Vehicle
     best = minimize_scalar(squares, bounds=bounds, method="bounded", options={"xatol": _ACCURACY * delay})
     before = sum(float(np.square(p.labels.y[p.labels.accepted][::stride, 0]).sum()) for p in drives)
     return lagging(vehicle, round(float(best.x), 4)) if best.fun < before else None
-
-
-def beside_a_lag(without: Trust) -> tuple[float, float, float]:
-    """Return the largest trust of each output beside a lag, given the trust found without it.
-
-    The lag frees the correction of v_x from what it stood in for. Those of v_y and r are what they were, so the
-    more cautious of two judgements of them counts.
-    """
-    return (1.0, *without.share[1:])
 
 
 def lagging(vehicle: Vehicle, tau: float) -> Vehicle:

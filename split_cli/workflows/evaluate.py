@@ -43,8 +43,7 @@ from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings,
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
-from split_cli.scoring.torque_lag import beside_a_lag, fit_torque_lag, lag_note
-from split_cli.scoring.trust import judge_correction
+from split_cli.scoring.torque_lag import Prepared, decide, lag_note
 from split_cli.scoring.verdict import (
     BlockErrors,
     Comparison,
@@ -175,25 +174,25 @@ def evaluate(
 
 def _train(held: Sequence[HeldOutSamples], vehicle: Vehicle, settings: EvaluationSettings) -> TrainingSet:
     """Return a set trained on the training blocks, trusted as far as those blocks show."""
-    labels = [_training(h) for h in held]
-    trained = train_in_memory(labels, vehicle)
+
+    def prepared(car: Vehicle, labelled: Sequence[HeldOutSamples]) -> Prepared[TrainingSet]:
+        labels = [_training(h) for h in labelled]
+        trained = train_in_memory(labels, car)
+        parts = [TrainingDrive(h.drive, own) for h, own in zip(labelled, labels, strict=True)]
+        return Prepared(without_points(trained), parts, trained)
+
+    def relabelled(late: Vehicle) -> Prepared[TrainingSet]:
+        again = [
+            compute_labels(h.drive, late, h.labels.features, h.labels.region, horizon=settings.horizon)
+            for h in held
+        ]
+        return prepared(late, [replace(h, labels=made) for h, made in zip(held, again, strict=True)])
+
+    by_file = prepared(vehicle, held)
     if settings.trust == "full" or settings.protocol == "paper":
-        return trained
-    parts = [TrainingDrive(h.drive, own) for h, own in zip(held, labels, strict=True)]
-    trust, gain = judge_correction(parts, without_points(trained))
-    trained = replace(trained, trust=trust)
-    late = fit_torque_lag(parts, vehicle) if trust.origin == "held-out" else None
-    if late is None:
-        return trained
-    again = [
-        compute_labels(h.drive, late, own.features, own.region, horizon=settings.horizon)
-        for h, own in zip(held, labels, strict=True)
-    ]
-    again = [_training(replace(h, labels=made)) for h, made in zip(held, again, strict=True)]
-    other = replace(train_in_memory(again, late), found_effects=1)
-    parts = [TrainingDrive(h.drive, own) for h, own in zip(held, again, strict=True)]
-    other_trust, other_gain = judge_correction(parts, without_points(other), most=beside_a_lag(trust))
-    return replace(other, trust=other_trust) if other_gain > gain else trained
+        return by_file.made
+    chosen = decide(by_file, relabelled)
+    return replace(chosen.made, trust=chosen.empty.trust, found_effects=chosen.empty.found_effects)
 
 
 def _variance_of(nominal: Sequence[HeldOutSamples], trained: TrainingSet) -> np.ndarray | None:

@@ -134,29 +134,38 @@ class TestVoice:
         assert run("explain", "skill", "--quiet").exit_code == 0
         assert run("--verbose", "explain", "skill", "--quiet").exit_code == 2
 
-    def test_the_time_that_is_left_is_that_of_steps_as_long_as_those_done(self):
-        bar = StepBar(8)
-        bar._done = 2
-        assert bar.line("rollouts", 20.0) == "█████" + "░" * 15 + " 3/8  20 s, about 60 s left  rollouts"
-        bar._done = 4
-        assert "about 10 min left" in bar.line("x", 600.0)
+    @pytest.fixture
+    def drawn(self, monkeypatch, capsys):
+        """Return what a bar on a terminal shows last, each thing done at its time [s]."""
+        monkeypatch.setattr("split_cli.cli.voice.is_watched", lambda: True)
+
+        def last_line(done: list[tuple[float, tuple]], **settings) -> str:
+            now = [0.0]
+            bar = StepBar(clock=lambda: now[0], **settings)
+            for now[0], told in done:
+                (bar if isinstance(told[0], str) else bar.count)(*told)
+            shown = capsys.readouterr().err.split("\r")[-1]
+            bar.close()
+            return shown
+
+        return last_line
+
+    def test_the_time_that_is_left_is_that_of_steps_as_long_as_those_done(self, drawn):
+        steps = [(0.0, ("a",)), (10.0, ("b",)), (20.0, ("rollouts",))]
+        assert drawn(steps, total=8) == "█████" + "░" * 15 + " 3/8  20 s, about 60 s left  rollouts"
+        assert "about 10 min left" in drawn([*steps, (30.0, ("c",)), (600.0, ("x",))], total=8)
         # Without a number of steps there is nothing to promise.
-        assert StepBar().line("reading", 3.2) == "    3 s  reading"
+        assert drawn([(3.2, ("reading",))]) == "    3 s  reading"
 
-    def test_a_count_that_begins_late_says_nothing_of_the_time_before(self):
-        bar = StepBar()
-        bar("reading")
-        bar._begin -= 100.0
-        bar.count(0, 4)
-        bar.count(1, 4)
+    def test_a_count_that_begins_late_says_nothing_of_the_time_before(self, drawn):
         # A quarter in 20 s, after 100 s of something else.
-        assert bar.line("cases", 120.0, begun=False) == "█████" + "░" * 15 + " 1/4  2 min, about 60 s left  cases"
+        shown = drawn([(0.0, ("cases",)), (100.0, (0, 4)), (120.0, (1, 4))])
+        assert shown == "█████" + "░" * 15 + " 1/4  2 min, about 60 s left  cases"
 
-    def test_steps_of_unequal_length_are_weighed(self):
-        bar = StepBar(shares={"reading": 0.0, "fitting": 0.25, "writing": 0.9})
-        bar("reading")
-        bar("fitting")
-        assert bar.line("fitting", 10.0) == "█████" + "░" * 15 + "  10 s, about 30 s left  fitting"
+    def test_steps_of_unequal_length_are_weighed(self, drawn):
+        shares = {"reading": 0.0, "fitting": 0.25, "writing": 0.9}
+        shown = drawn([(0.0, ("reading",)), (10.0, ("fitting",))], shares=shares)
+        assert shown == "█████" + "░" * 15 + "  10 s, about 30 s left  fitting"
 
     def test_the_time_goes_on_between_steps_and_notes_stand_above(self, monkeypatch, capsys):
         monkeypatch.setattr("split_cli.cli.voice.is_watched", lambda: True)
@@ -167,10 +176,9 @@ class TestVoice:
         told = capsys.readouterr().err
         assert told.count("1/2") >= 2 and "\rnote: heard\n" in told and told.endswith("\r")
 
-    def test_a_text_that_counts_is_believed(self):
-        bar = StepBar()
-        bar("[3/7] lap.mcap")
-        assert bar.line("next", 6.0).startswith("█" * 9 + "░" * 11 + " 4/7  6 s, about 8 s left")
+    def test_a_text_that_counts_is_believed(self, drawn):
+        shown = drawn([(0.0, ("[3/7] lap.mcap",)), (6.0, ("next",))])
+        assert shown == "█" * 9 + "░" * 11 + " 4/7  6 s, about 8 s left  next"
 
 
 def test_numbers_are_printed_with_digits_that_can_be_known():

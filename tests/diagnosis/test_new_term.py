@@ -50,17 +50,21 @@ class TorqueSteer(Term):
 @pytest.fixture
 def toy(tmp_path, monkeypatch):
     """Return the term, its file put beside the package's own."""
-    (tmp_path / "toy_torque_steer.py").write_text(SOURCE)
-    monkeypatch.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
-    found = effects.find_terms([str(tmp_path)])
+    package = tmp_path / "toy_terms"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "torque_steer.py").write_text(SOURCE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = effects.find_terms("toy_terms")
     assert list(found) == ["torque_steer"]
     monkeypatch.setitem(effects.CATALOGUE, "torque_steer", found["torque_steer"])
     yield found["torque_steer"]
-    sys.modules.pop("split_cli.vehicle.effects.toy_torque_steer")
+    for name in ("toy_terms", "toy_terms.torque_steer"):
+        sys.modules.pop(name)
 
 
 def test_every_term_of_the_package_is_found_in_its_files():
-    assert effects.find_terms(effects.__path__) == effects.CATALOGUE
+    assert effects.find_terms() == effects.CATALOGUE
     assert len(effects.CATALOGUE) >= 28
 
 

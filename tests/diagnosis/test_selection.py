@@ -18,13 +18,12 @@ from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, Marg
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.forward import other_beginnings, refusal
 from split_cli.diagnosis.search.selection import (
     Selection,
-    _other_beginnings,
-    _refusal,
-    _rivals,
     explaining_as_well,
     nothing,
+    rivals_of,
     select_terms,
     without_parts,
 )
@@ -212,11 +211,11 @@ def test_a_further_term_no_larger_than_a_form_error_of_the_shared_discrepancy_is
         discrepancy = np.zeros(3)
         discrepancy[channel] = others * sizes[channel]
         objective = replace(pair, posterior=ignorant(pair), memo={DISCREPANCY: discrepancy})
-        assert (not _refusal(Explorer(objective, (), VARIANCE_INFLATION), first, np.zeros(3), fit)) == believed
+        assert (not refusal(Explorer(objective, (), VARIANCE_INFLATION), first, np.zeros(3), fit)) == believed
         discrepancy[:] = others * sizes.max()
         discrepancy[channel] = 0.0
         other = Explorer(replace(objective, memo={DISCREPANCY: discrepancy}), (), VARIANCE_INFLATION)
-        assert not _refusal(other, first, np.zeros(3), fit)
+        assert not refusal(other, first, np.zeros(3), fit)
 
 
 def test_a_term_that_settles_a_channel_is_no_form_error_of_a_large_one_elsewhere(pair):
@@ -276,11 +275,11 @@ def test_one_term_is_preferred_to_two_that_say_the_same():
 def test_other_beginnings_are_other_terms_that_save_nearly_as_much(pair):
     first = Explorer(pair, candidates_of(pair, *NAMES), VARIANCE_INFLATION)(nothing(pair))
     everything = replace(STANDARD.selection, same_share=1.0, beginnings=9)
-    assert _other_beginnings(first, nothing(pair), everything) == first[1:]
-    assert len(_other_beginnings(first, nothing(pair), replace(everything, beginnings=2))) == 2
+    assert other_beginnings(first, nothing(pair), everything) == first[1:]
+    assert len(other_beginnings(first, nothing(pair), replace(everything, beginnings=2))) == 2
     saved = nothing(pair).cost - first[0].cost
     for share in (0.05, 0.5):
-        told = _other_beginnings(first, nothing(pair), replace(everything, same_share=share))
+        told = other_beginnings(first, nothing(pair), replace(everything, same_share=share))
         assert told == [fit for fit in first[1:] if nothing(pair).cost - fit.cost > (1.0 - share) * saved]
 
 
@@ -371,8 +370,8 @@ def test_rivals_are_as_far_off_as_form_error_lets_them_be(pair, chosen_pair):
     explore = Explorer(
         replace(pair, form_error_inflation=10.0 * VARIANCE_INFLATION, policy=free), candidates, VARIANCE_INFLATION
     )
-    (near, *_), _ = _rivals(explore, chosen_pair.chosen, 0, chosen_pair.without[0])
-    (far, *_), _ = _rivals(replace(explore, objective=pair), chosen_pair.chosen, 0, chosen_pair.without[0])
+    (near, *_), _ = rivals_of(explore, chosen_pair.chosen, 0, chosen_pair.without[0])
+    (far, *_), _ = rivals_of(replace(explore, objective=pair), chosen_pair.chosen, 0, chosen_pair.without[0])
     assert far.excess == pytest.approx(10.0 * near.excess, rel=1e-9) and far.excess > 0.0
     assert far.z == pytest.approx(near.z, rel=1e-6)
 

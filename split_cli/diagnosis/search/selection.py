@@ -13,7 +13,14 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exchange import merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
-from split_cli.diagnosis.search.form_error import costs_beside_form_error, saved_beside_form_error
+from split_cli.diagnosis.search.form_error import costs_beside_form_error
+from split_cli.diagnosis.search.forward import (
+    Found,
+    other_beginnings,
+    refusal,
+    search_forward,
+    sizes_with_form_error,
+)
 from split_cli.diagnosis.search.joint import all_at_once, cheapest_first, promised_by_all
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
@@ -23,19 +30,22 @@ from split_cli.diagnosis.search.term_tests import (
     is_witnessed,
     part_over_allowance,
     part_sizes,
-    sizes_in_velocity,
-    sizes_of_terms,
     term_p,
     term_size,
     witnessed_p,
 )
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Rival", "Selection", "explaining_as_well", "nothing", "select_terms", "with_chosen", "without_parts"]
-
-
-_ONCE = "nearly all in a few moments"
-_FORM_ERROR = "no more than the model-form error of the others"
+__all__ = [
+    "Rival",
+    "Selection",
+    "explaining_as_well",
+    "nothing",
+    "rivals_of",
+    "select_terms",
+    "with_chosen",
+    "without_parts",
+]
 
 
 @dataclass(frozen=True)
@@ -127,11 +137,11 @@ def select_terms(
     explore = Explorer(objective, tuple(candidates), variance_inflation)
     base = nothing(objective)
     first = explore(base)
-    found = _forward(explore, base, first)
+    found = search_forward(explore, base, first)
     # Several terms may imitate one, and fit better by the model-form error of the one.
     burden = rules.same_form_error * (base.cost - found.chosen.cost) / variance_inflation
 
-    def score(found: _Found) -> float:
+    def score(found: Found) -> float:
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
     jointly = None
@@ -140,8 +150,8 @@ def select_terms(
     if jointly is not None:
         chosen, history = jointly, [*found.history, f"all at once: {said_of(found.chosen, jointly)}"]
     else:
-        for other in _other_beginnings(first, base, rules) if found.left_something else ():
-            found = min(found, _forward(explore, base, [other]), key=score)
+        for other in other_beginnings(first, base, rules) if found.left_something else ():
+            found = min(found, search_forward(explore, base, [other]), key=score)
         chosen, history = found.with_what_matters(base, rules), list(found.history)
         refused, small = chosen is not found.chosen, objective.policy.abstention.effect_to_noise
         if refused and term_size(objective, chosen, len(chosen.parts) - 1) < small:
@@ -155,7 +165,7 @@ def select_terms(
         if not (exchanged or moved):
             break
         # What a wrong term took a share of is seen once that has given way.
-        grown = _forward(explore, base, (), selection)
+        grown = search_forward(explore, base, begun=selection.chosen, nuisances=selection.named.count(False))
         if len(grown.chosen.parts) == len(selection.chosen.parts):
             break
         history += grown.history
@@ -198,7 +208,7 @@ def _is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool
 def _refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
     """Return whether one part of a fit would be refused as the last to come to the others."""
     last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k]))
-    return bool(_refusal(explore, rest, _sizes_with_form_error(explore.objective, rest.terms), last))
+    return bool(refusal(explore, rest, sizes_with_form_error(explore.objective, rest.terms), last))
 
 
 def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
@@ -256,7 +266,7 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
         for k, one in enumerate(without)
     ]
     named = _believed_together(objective, chosen, without, sure, rules)
-    rivals = tuple(_rivals(explore, chosen, k, rest) if named[k] else ((), ()) for k, rest in enumerate(without))
+    rivals = tuple(rivals_of(explore, chosen, k, rest) if named[k] else ((), ()) for k, rest in enumerate(without))
     others, siblings = zip(*rivals, strict=True) if rivals else ((), ())
     return Selection(base, chosen, without, others, siblings, named)
 
@@ -276,7 +286,7 @@ def _believed_together(
     sizes = {k: part_sizes(objective, chosen, k) for k, one in enumerate(sure) if one}
     named: list[int] = []
     for k in sorted(sizes, key=lambda k: -sizes[k].max()):
-        larger = _sizes_with_form_error(objective, tuple(chosen.terms[i] for i in named))
+        larger = sizes_with_form_error(objective, tuple(chosen.terms[i] for i in named))
         witnessed = is_witnessed(objective, chosen, k, rules)
         if not named or witnessed or not is_form_error(objective, sizes[k], larger, without[k], chosen, rules):
             named.append(k)
@@ -302,111 +312,6 @@ def _better_beside_form_error(explore: Explorer, selection: Selection) -> tuple[
     return best, most
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What a search forward ended with.
-
-    Attributes
-    ----------
-    chosen, with_refused : Fit
-        As far as it is believed or kept as a nuisance, and with the term that was refused last.
-    names : int
-        How many of its parts were added to be named.
-    history : tuple of str
-    first_p : float
-    """
-
-    chosen: Fit
-    with_refused: Fit
-    names: int
-    history: tuple[str, ...]
-    first_p: float
-
-    def with_what_matters(self, base: Fit, rules: SelectionRules) -> Fit:
-        """Return the explanation with the refused term, if that saves more than model-form error.
-
-        Too small to be reported, it would yet be taken for more or less of the others.
-        """
-        refused, saved = self.chosen.cost - self.with_refused.cost, base.cost - self.chosen.cost
-        return self.with_refused if refused > rules.same_form_error * saved else self.chosen
-
-    @property
-    def left_something(self) -> bool:
-        """Whether several terms or a refused one show that the first leaves something."""
-        return self.names > 1 or self.with_refused is not self.chosen
-
-
-def _forward(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Selection | None = None) -> _Found:
-    """Add terms while evidence carries them, beginning with the best of `first`, or with what is `begun`."""
-    objective, rules, variance_inflation = explore.objective, explore.rules, explore.variance_inflation
-    chosen, history, first_p, nuisances, refused = base, [], 1.0, 0, None
-    if begun is not None:
-        chosen, nuisances = begun.chosen, begun.named.count(False)
-
-    def price_saved(fit: Fit) -> float:
-        return explore.price(chosen) - explore.price(fit)
-
-    while True:
-        fits = first if chosen is base else explore(chosen)
-        fits = [fit for fit in fits if price_saved(fit) > 0.0 and not _goes_too_far(chosen, fit)]
-        if not fits:
-            break
-        best = fits[0]
-        # Beside nuisances alone there is no name that a term could be a model-form error of.
-        if len(chosen.parts) > nuisances:
-            best, reason = _first_believed(explore, chosen, fits[: rules.considered])
-        if best is None:
-            label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
-            history.append(f"{label} would save {saved:.0f}, {reason}")
-            refused = fits[0]
-            break
-        label, saved = best.parts[-1].candidate.label, price_saved(best)
-        p_value = term_p(objective, best, len(best.parts) - 1, chosen.cost - best.cost, variance_inflation)
-        witnessed = witnessed_p(objective, best, len(best.parts) - 1, chosen, rules)
-        p_value = min(p_value, witnessed) * len(explore.candidates)
-        last = best.parts[-1]
-        small = p_value >= rules.level or last.candidate.is_everyday(last.values)
-        small |= witnessed > p_value and not is_apart_from_itself(
-            objective, last.candidate, chosen.cost - best.cost
-        )
-        spread = witnessed <= p_value or is_spread(objective, best, len(best.parts) - 1, chosen, rules)
-        first_p = min(first_p, p_value if spread else 1.0)
-        if small or not spread:
-            history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
-            nuisances += 1
-            if nuisances > rules.most_nuisances:
-                break
-            chosen = best
-            continue
-        history.append(f"added {label}, saves {saved:.0f}")
-        chosen, dropped = _prune(explore, best)
-        history += dropped
-    names = len(chosen.parts) - nuisances
-    return _Found(chosen, refused or chosen, names, tuple(history), first_p)
-
-
-def _goes_too_far(chosen: Fit, further: Fit) -> bool:
-    """Return whether a further term ends where no real car goes further, or takes one that did not there."""
-    if not chosen.parts:
-        return False
-
-    def at_limit(fit: Fit) -> set[str]:
-        return {part.candidate.term for part in fit.parts if part.candidate.at_limit(part.values)}
-
-    return bool(at_limit(further) - at_limit(chosen))
-
-
-def _other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) -> list[Fit]:
-    """Return the best fits of the next best terms, where they save nearly as much as the best."""
-    out: dict[str, Fit] = {}
-    saved = base.cost - first[0].cost if first else 0.0
-    for fit in first[1:]:
-        term = fit.parts[-1].candidate.term
-        if term != first[0].parts[-1].candidate.term and base.cost - fit.cost > (1.0 - rules.same_share) * saved:
-            out.setdefault(term, fit)
-    return list(out.values())[: rules.beginnings]
-
-
 def without_parts(objective: MarginalLikelihood, base: Fit, fit: Fit) -> tuple[Fit, ...]:
     """Return an explanation refitted without each of its parts; `base` is the one without any."""
     several = len(fit.parts) > 1
@@ -414,49 +319,6 @@ def without_parts(objective: MarginalLikelihood, base: Fit, fit: Fit) -> tuple[F
         fit_parts(objective, fit.parts[:k] + fit.parts[k + 1 :]) if several else base
         for k in range(len(fit.parts))
     )
-
-
-def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tuple[Fit | None, str]:
-    """Return the first further term that is believed; where none is, why not the first of them, in words."""
-    objective = explore.objective
-    sizes = _sizes_with_form_error(objective, chosen.terms)
-    reasons = []
-    for fit in fits:
-        reasons.append(_refusal(explore, chosen, sizes, fit))
-        if not reasons[-1]:
-            return fit, ""
-    return None, reasons[0]
-
-
-def _refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:
-    """Return why a further term is not believed, in words; nothing where it is.
-
-    It may be no larger than what single-track terms leave of a real car's effect. That is measured by prediction
-    errors over 0.05 s: costs also weigh what builds up slowly, and one term's slow channel would drown another's
-    fast one. What is left of one term is of its own kind, so channels count apart. It has to be told from what the
-    others may get wrong, too: by what it saves where they are free to. Or it may save all in a few moments, unless
-    it acts at a place, which is passed once a lap.
-    """
-    objective, rules = explore.objective, explore.rules
-    k = len(further.parts) - 1
-    # What witnesses show is the instrument's own, whatever the model gets wrong.
-    if not is_witnessed(objective, further, k, rules):
-        if is_form_error(
-            objective, sizes_of_terms(objective, further.terms, chosen.terms), sizes, chosen, further, rules
-        ):
-            return _FORM_ERROR
-        saved = saved_beside_form_error(objective, chosen, further)
-        if (
-            term_p(objective, further, k, saved, explore.variance_inflation) * len(explore.candidates)
-            >= rules.level
-        ):
-            return _FORM_ERROR
-    return "" if is_spread(objective, further, len(further.parts) - 1, chosen, rules) else _ONCE
-
-
-def _sizes_with_form_error(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> np.ndarray:
-    """Return the sizes of terms of the car, shape (3,): what an instrument does has no model-form error."""
-    return sizes_in_velocity(objective, tuple(term for term in terms if term.exported), ())
 
 
 def explaining_as_well(
@@ -480,22 +342,7 @@ def explaining_as_well(
     ]
 
 
-def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
-    history = []
-    while len(fit.parts) > 1:
-        reduced = [
-            fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :]) for k in range(len(fit.parts) - 1)
-        ]
-        best = min(reduced, key=explore.price)
-        if explore.price(best) > explore.price(fit):
-            break
-        gone = set(fit.names) - set(best.names)
-        history.append(f"dropped {', '.join(gone)}")
-        fit = best
-    return fit, history
-
-
-def _rivals(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
+def rivals_of(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
     """Return a part replaced by other terms, and by other variants of its own, best first."""
     objective = explore.objective
     variance_inflation = max(explore.variance_inflation, objective.form_error_inflation)

@@ -61,12 +61,21 @@ def block_t(objective: MarginalLikelihood, fit: Fit, without: Fit) -> float:
 
     Notes
     -----
-    With what it adds taken as one direction d, e the residuals left: d^T d/sqrt(sum over blocks of (d_b^T e_b)^2),
-    a Wald statistic with the sandwich's variance (Liang and Zeger, 1986).
+    What it adds, taken as one direction, has the size 1: a Wald statistic.
     """
-    added = without.residuals - fit.residuals
-    scores = objective.block_sums(added * fit.residuals)
-    return float(added @ added) / (float(np.sqrt(scores @ scores)) + 1e-9)
+    return 1.0 / _error_of_size(objective.block, without.residuals - fit.residuals, fit.residuals)
+
+
+def _error_of_size(block: np.ndarray, direction: np.ndarray, left: np.ndarray) -> float:
+    """Return the standard error of a direction's size [1], found by least squares, from scores block by block.
+
+    Notes
+    -----
+    With d the direction and e the residuals left, sqrt(sum over blocks of (d_b^T e_b)^2)/d^T d: the sandwich's
+    (Liang and Zeger, 1986).
+    """
+    length, scores = float(direction @ direction), np.bincount(block, direction * left)
+    return (float(np.sqrt(scores @ scores)) + 1e-9) / length if length else np.inf
 
 
 def error_of_sum(difference: np.ndarray) -> float:
@@ -91,8 +100,7 @@ def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, r
     Notes
     -----
     With d what the part moves of the witnesses, their means taken off, and e what they contradict without it, the
-    share of the fault that they confirm is d^T e/d^T d. Its standard error is the sandwich's over blocks of time,
-    as in `block_t`.
+    share of the fault that they confirm is d^T e/d^T d.
     """
     if not (fit.parts[k].term.moves_samples and is_witnessed(objective, fit, k, rules)):
         return 1.0
@@ -109,11 +117,9 @@ def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, r
 
 def _confirmed(objective: MarginalLikelihood, moved: np.ndarray, before: np.ndarray) -> tuple[float, float]:
     """Return the share of what a part moves of the witnesses that they confirm, and its standard error [1]."""
-    length = float(moved @ moved)
-    share = float(moved @ before) / length
+    share = float(moved @ before) / float(moved @ moved)
     block = objective.block[len(objective.block) - len(moved) :]
-    scores = np.bincount(block - block.min(), moved * (before - share * moved))
-    return share, float(np.sqrt(scores @ scores)) / length + 1e-9
+    return share, _error_of_size(block, moved, before - share * moved)
 
 
 def witnesses_disagree(objective: MarginalLikelihood, fit: Fit, k: int, rules: SelectionRules) -> float:

@@ -9,7 +9,6 @@ May import: vehicle (single_track, tire, operations, parameters), errors.
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Iterable
 from importlib import import_module
 
 from split_cli.errors import VehicleError, nearest_names
@@ -20,11 +19,11 @@ from split_cli.vehicle.parameters import Vehicle
 __all__ = ["CATALOGUE", "Mimic", "Recording", "Term", "build_terms", "find_terms"]
 
 
-def find_terms(folders: Iterable[str]) -> dict[str, type[Term]]:
-    """Return the terms that the modules of this package in some folders list, by id, in the modules' order."""
+def find_terms(package: str = __name__) -> dict[str, type[Term]]:
+    """Return the terms that the modules of a package list, by id, in the modules' order."""
     found = {}
-    for one in sorted(pkgutil.iter_modules(folders), key=lambda one: one.name):
-        module = import_module(f"{__name__}.{one.name}")
+    for one in sorted(pkgutil.iter_modules(import_module(package).__path__), key=lambda one: one.name):
+        module = import_module(f"{package}.{one.name}")
         for name in getattr(module, "__all__", ()):
             kind = getattr(module, name)
             if isinstance(kind, type) and issubclass(kind, Term) and kind is not Term:
@@ -32,7 +31,7 @@ def find_terms(folders: Iterable[str]) -> dict[str, type[Term]]:
     return found
 
 
-CATALOGUE: dict[str, type[Term]] = find_terms(__path__)
+CATALOGUE: dict[str, type[Term]] = find_terms()
 
 
 def build_terms(vehicle: Vehicle) -> tuple[Term, ...]:

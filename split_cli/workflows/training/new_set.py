@@ -24,8 +24,7 @@ from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
-from split_cli.scoring.torque_lag import beside_a_lag, fit_torque_lag, lag_note
-from split_cli.scoring.trust import judge_correction
+from split_cli.scoring.torque_lag import Prepared, decide, lag_note
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.training.labelled_drives import LabelledDrives
 
@@ -81,36 +80,22 @@ def create_set(
     }
     if lag not in (None, "held-out", "none"):
         raise SetError(f"the lag {lag!r} is unknown", advice="There are held-out and none.")
-    empty, fit = _blank(drives, **settings)
     # The rival's way is to believe all.
     asked = trust or ("full" if dictionary else "held-out")
     if asked == "held-out":
-        parts = _recorded(drives)
-        judged, gain = judge_correction(parts, empty, say=drives.say)
-        empty = replace(empty, trust=judged)
-        late = None if dictionary or lag == "none" else _late_vehicle(parts, judged, drives)
-        if late is not None:
-            others = drives.labelled_for(late)
-            other, other_fit = _blank(others, **settings)
-            other = replace(other, found_effects=1)
-            judged, other_gain = judge_correction(
-                _recorded(others), other, say=drives.say, most=beside_a_lag(empty.trust)
-            )
-            if other_gain > gain:
-                empty, fit, drives = replace(other, trust=judged), other_fit, others
-                drives.note(lag_note(empty))
-        drives.note(*trust_notes(empty.trust))
+
+        def prepared(vehicle: Vehicle | None = None) -> Prepared[tuple[KernelFit | None, LabelledDrives]]:
+            own = drives if vehicle is None else drives.labelled_for(vehicle)
+            blank, its_fit = _blank(own, **settings)
+            return Prepared(blank, _recorded(own), (its_fit, own))
+
+        chosen = decide(prepared(), None if dictionary or lag == "none" else prepared, drives.say)
+        empty, (fit, drives) = chosen.empty, chosen.made
+        drives.note(*([lag_note(empty)] if empty.found_effects else []), *trust_notes(empty.trust))
     else:
+        empty, fit = _blank(drives, **settings)
         empty = replace(empty, trust=parse_trust(asked))
     return empty if dictionary_of is None else empty_dictionary(empty, dictionary_of), fit, drives
-
-
-def _late_vehicle(parts: list[TrainingDrive], judged: Trust, drives: LabelledDrives) -> Vehicle | None:
-    """Return the vehicle with the lag that labels show, for held-out blocks to judge; None without either."""
-    if judged.origin == "unjudged":
-        return None
-    drives.say("looking for a torque that arrives late")
-    return fit_torque_lag(parts, drives.labelling.vehicle)
 
 
 def _blank(

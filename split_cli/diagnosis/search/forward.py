@@ -1,0 +1,206 @@
+"""Terms added one at a time while the evidence carries them, and why a further one is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.policy import SelectionRules
+from split_cli.diagnosis.search.exploration import Explorer
+from split_cli.diagnosis.search.fitting import Fit, fit_parts
+from split_cli.diagnosis.search.form_error import saved_beside_form_error
+from split_cli.diagnosis.search.term_tests import (
+    is_apart_from_itself,
+    is_form_error,
+    is_spread,
+    is_witnessed,
+    sizes_in_velocity,
+    sizes_of_terms,
+    term_p,
+    witnessed_p,
+)
+from split_cli.vehicle.effects import Term
+
+__all__ = ["Found", "other_beginnings", "refusal", "search_forward", "sizes_with_form_error"]
+
+_ONCE = "nearly all in a few moments"
+_FORM_ERROR = "no more than the model-form error of the others"
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search forward ended with.
+
+    Attributes
+    ----------
+    chosen, with_refused : Fit
+        As far as it is believed or kept as a nuisance, and with the term that was refused last.
+    names : int
+        How many of its parts were added to be named.
+    history : tuple of str
+    first_p : float
+    """
+
+    chosen: Fit
+    with_refused: Fit
+    names: int
+    history: tuple[str, ...]
+    first_p: float
+
+    def with_what_matters(self, base: Fit, rules: SelectionRules) -> Fit:
+        """Return the explanation with the refused term, if that saves more than model-form error.
+
+        Too small to be reported, it would yet be taken for more or less of the others.
+        """
+        refused, saved = self.chosen.cost - self.with_refused.cost, base.cost - self.chosen.cost
+        return self.with_refused if refused > rules.same_form_error * saved else self.chosen
+
+    @property
+    def left_something(self) -> bool:
+        """Whether several terms or a refused one show that the first leaves something."""
+        return self.names > 1 or self.with_refused is not self.chosen
+
+
+def search_forward(
+    explore: Explorer, base: Fit, first: Sequence[Fit] = (), begun: Fit | None = None, nuisances: int = 0
+) -> Found:
+    """Add terms while evidence carries them, beginning with the best of `first`, or with what is `begun`.
+
+    Parameters
+    ----------
+    explore : Explorer
+    base : Fit
+        Without any term.
+    first : sequence of Fit
+        What each term explains alone, best first; of use where nothing is begun.
+    begun : Fit, optional
+        An explanation to go on from.
+    nuisances : int
+        How many of its parts are too small to be named.
+    """
+    objective, rules, variance_inflation = explore.objective, explore.rules, explore.variance_inflation
+    chosen, history, first_p, refused = base if begun is None else begun, [], 1.0, None
+
+    def price_saved(fit: Fit) -> float:
+        return explore.price(chosen) - explore.price(fit)
+
+    while True:
+        fits = first if chosen is base else explore(chosen)
+        fits = [fit for fit in fits if price_saved(fit) > 0.0 and not _goes_too_far(chosen, fit)]
+        if not fits:
+            break
+        best = fits[0]
+        # Beside nuisances alone there is no name that a term could be a model-form error of.
+        if len(chosen.parts) > nuisances:
+            best, reason = _first_believed(explore, chosen, fits[: rules.considered])
+        if best is None:
+            label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
+            history.append(f"{label} would save {saved:.0f}, {reason}")
+            refused = fits[0]
+            break
+        label, saved = best.parts[-1].candidate.label, price_saved(best)
+        p_value = term_p(objective, best, len(best.parts) - 1, chosen.cost - best.cost, variance_inflation)
+        witnessed = witnessed_p(objective, best, len(best.parts) - 1, chosen, rules)
+        p_value = min(p_value, witnessed) * len(explore.candidates)
+        last = best.parts[-1]
+        small = p_value >= rules.level or last.candidate.is_everyday(last.values)
+        small |= witnessed > p_value and not is_apart_from_itself(
+            objective, last.candidate, chosen.cost - best.cost
+        )
+        spread = witnessed <= p_value or is_spread(objective, best, len(best.parts) - 1, chosen, rules)
+        first_p = min(first_p, p_value if spread else 1.0)
+        if small or not spread:
+            history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
+            nuisances += 1
+            if nuisances > rules.most_nuisances:
+                break
+            chosen = best
+            continue
+        history.append(f"added {label}, saves {saved:.0f}")
+        chosen, dropped = _prune(explore, best)
+        history += dropped
+    names = len(chosen.parts) - nuisances
+    return Found(chosen, refused or chosen, names, tuple(history), first_p)
+
+
+def other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) -> list[Fit]:
+    """Return the best fits of the next best terms, where they save nearly as much as the best."""
+    out: dict[str, Fit] = {}
+    saved = base.cost - first[0].cost if first else 0.0
+    for fit in first[1:]:
+        term = fit.parts[-1].candidate.term
+        if term != first[0].parts[-1].candidate.term and base.cost - fit.cost > (1.0 - rules.same_share) * saved:
+            out.setdefault(term, fit)
+    return list(out.values())[: rules.beginnings]
+
+
+def _goes_too_far(chosen: Fit, further: Fit) -> bool:
+    """Return whether a further term ends where no real car goes further, or takes one that did not there."""
+    if not chosen.parts:
+        return False
+
+    def at_limit(fit: Fit) -> set[str]:
+        return {part.candidate.term for part in fit.parts if part.candidate.at_limit(part.values)}
+
+    return bool(at_limit(further) - at_limit(chosen))
+
+
+def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
+    history = []
+    while len(fit.parts) > 1:
+        reduced = [
+            fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :]) for k in range(len(fit.parts) - 1)
+        ]
+        best = min(reduced, key=explore.price)
+        if explore.price(best) > explore.price(fit):
+            break
+        gone = set(fit.names) - set(best.names)
+        history.append(f"dropped {', '.join(gone)}")
+        fit = best
+    return fit, history
+
+
+def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tuple[Fit | None, str]:
+    """Return the first further term that is believed; where none is, why not the first of them, in words."""
+    objective = explore.objective
+    sizes = sizes_with_form_error(objective, chosen.terms)
+    reasons = []
+    for fit in fits:
+        reasons.append(refusal(explore, chosen, sizes, fit))
+        if not reasons[-1]:
+            return fit, ""
+    return None, reasons[0]
+
+
+def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:
+    """Return why a further term is not believed, in words; nothing where it is.
+
+    It may be no larger than what single-track terms leave of a real car's effect. That is measured by prediction
+    errors over 0.05 s: costs also weigh what builds up slowly, and one term's slow channel would drown another's
+    fast one. What is left of one term is of its own kind, so channels count apart. It has to be told from what the
+    others may get wrong, too: by what it saves where they are free to. Or it may save all in a few moments, unless
+    it acts at a place, which is passed once a lap.
+    """
+    objective, rules = explore.objective, explore.rules
+    k = len(further.parts) - 1
+    # What witnesses show is the instrument's own, whatever the model gets wrong.
+    if not is_witnessed(objective, further, k, rules):
+        if is_form_error(
+            objective, sizes_of_terms(objective, further.terms, chosen.terms), sizes, chosen, further, rules
+        ):
+            return _FORM_ERROR
+        saved = saved_beside_form_error(objective, chosen, further)
+        if (
+            term_p(objective, further, k, saved, explore.variance_inflation) * len(explore.candidates)
+            >= rules.level
+        ):
+            return _FORM_ERROR
+    return "" if is_spread(objective, further, len(further.parts) - 1, chosen, rules) else _ONCE
+
+
+def sizes_with_form_error(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> np.ndarray:
+    """Return the sizes of terms of the car, shape (3,): what an instrument does has no model-form error."""
+    return sizes_in_velocity(objective, tuple(term for term in terms if term.exported), ())
