@@ -15,6 +15,7 @@ from split_cli.cli.options import (
     vehicle_option,
 )
 from split_cli.cli.voice import StepBar
+from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL
 
 __all__ = ["command"]
 
@@ -54,21 +55,22 @@ __all__ = ["command"]
 @click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Cap of speed.")
 @click.option("--max-torque", type=float, metavar="NM", help="Cap of driving torque  [default: the vehicle's].")
 @click.option("--grip", type=float, default=1.0, show_default=True, help="Of the road: 1 dry, 0.5 wet.")
-@click.option("--p-ellipse", type=float, default=0.9, show_default=True, help="Share of the axles' peak that the "
-              "controller allows.")  # fmt: skip
+@click.option("--p-ellipse", type=float, metavar="SHARE", help="Of the axles' peak, what the controller allows "
+              f"with what was learned  [default: {SHARE_LEARNED}].")  # fmt: skip
+@click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same while the nominal model drives: lap "
+              f"0, and every lap of none  [default: --p-ellipse, or {SHARE_NOMINAL}].")  # fmt: skip
 @click.option("--p-unknown", type=float, metavar="SHARE", help="The same where the residual knows nothing; from "
               "there to --p-ellipse in proportion to what it knows  [default: --p-ellipse].")  # fmt: skip
-@click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same for lap 0, which the nominal model "
-              "drives  [default: --p-ellipse].")  # fmt: skip
 @click.option("--told-grip", type=float, default=1.0, show_default=True, help="What the controller takes for the "
               "road's grip before anything is learned.")  # fmt: skip
 @click.option("--learn-grip/--no-learn-grip", default=True, show_default=True, help="Move the slip limits to the "
               "peaks of the tyres that the labels tell, after each lap.")  # fmt: skip
-@click.option("--margin", type=float, default=0.3, show_default=True, metavar="M", help="Kept from the car's side "
-              "to the border.")  # fmt: skip
-@click.option("--p-long", type=float, default=1.1, show_default=True, help="Weight of braking force in it.")
-@click.option("--guarded", is_flag=True, help="Limits that move with the load that braking shifts, a bound of the "
-              "torque, and learned peaks where nothing else is known.")  # fmt: skip
+@click.option("--margin", type=float, default=MARGIN, show_default=True, metavar="M", help="Kept from the car's "
+              "side to the border.")  # fmt: skip
+@click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, help="Weight of braking force in "
+              "the ellipse.")  # fmt: skip
+@click.option("--guarded/--unguarded", default=True, show_default=True, help="Limits that move with the load that "
+              "braking shifts, a bound of the torque, and learned peaks where nothing else is known.")  # fmt: skip
 @click.option("--features", default="z2", show_default=True, help="z2, z1 or a list such as z2's and vx.")
 @click.option("--hyperparameters", default="fit", show_default=True, help="fit (to lap 0), default, or YAML.")
 @click.option(
@@ -114,10 +116,11 @@ def command(
 
     if len(learners) > 1 and (output or set_output):
         raise click.UsageError("-o and --set take the drive and the set of one learner; name one.")
+    if p_ellipse_lap0 is None:
+        p_ellipse_lap0 = SHARE_NOMINAL if p_ellipse is None else p_ellipse
+    p_ellipse = SHARE_LEARNED if p_ellipse is None else p_ellipse
     limits = Limits(p_long=p_long, p_ellipse=p_ellipse, p_unknown=p_unknown, guarded=guarded)
-    first = None
-    if p_ellipse_lap0 is not None:
-        first = MpccSettings(limits=replace(limits, p_ellipse=p_ellipse_lap0, p_unknown=None), margin=margin)
+    first = MpccSettings(limits=replace(limits, p_ellipse=p_ellipse_lap0, p_unknown=None), margin=margin)
     results = []
     for learner in learners:
         settings = RaceSettings(

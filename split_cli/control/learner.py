@@ -153,6 +153,16 @@ class LabellingLearner(Learner):
             return None, None
         return labels.y[0], self.residual.along(labels.z).mean[0]
 
+    def watch(self, labels: Labels) -> int:
+        """Learn what was driven without the residual, interval by interval; return how many updates that made.
+
+        Parameters
+        ----------
+        labels : Labels
+            Of the lap that was begun last, its intervals in order.
+        """
+        return sum(self._update(labels.take(slice(k, k + 1))) for k in range(len(labels)))
+
     @abstractmethod
     def _update(self, labels: Labels) -> int:
         """Learn the labels; return how many updates that made."""

@@ -10,16 +10,19 @@ __all__ = [
     "ALPHA_MAX",
     "ANEW",
     "DALPHA_MAX",
+    "DEVIATION_KEPT",
     "DICTIONARY",
     "ELLIPSE_SLACK",
     "FAR",
     "FEASIBLE",
+    "FIRST_DEVIATION",
     "FREE",
     "GRIP_DOUBT",
     "GRIP_RANGE",
     "GRIP_STEP",
     "GRIP_TORQUE",
     "LEAST_SIDE",
+    "MARGIN",
     "MAXIMUM_ITERATIONS",
     "MAX_STEER",
     "MODES",
@@ -29,10 +32,13 @@ __all__ = [
     "PROXIMAL",
     "P_ELLIPSE",
     "P_LONG",
+    "RACE_P_LONG",
     "RETURN_SHARE",
     "ROOM_SHARE",
     "SATURATED",
     "SETTLED",
+    "SHARE_LEARNED",
+    "SHARE_NOMINAL",
     "SLIP_DIFFERENCE_SLACK",
     "SLOWEST",
     "STEER_RATE",
@@ -45,6 +51,18 @@ __all__ = [
 
 P_LONG, P_ELLIPSE = 0.9, 0.95
 """Shape of the force ellipse [1]: design.md, section 3; the SPLIT paper leaves them open."""
+
+SHARE_NOMINAL, SHARE_LEARNED, RACE_P_LONG = 0.85, 0.95, 1.2
+"""Shares of the peak that races use with the nominal model and with what was learned, and the shape of the ellipse
+[1]: found by one search for both, docs/experiments.md."""
+
+MARGIN, FIRST_DEVIATION = 0.3, 0.5
+"""Kept from the car's side to the border in races, and on top of it until a lap has shown how far plan and drive
+part [m]; by every controller, of the same search."""
+
+DEVIATION_KEPT = 0.7
+"""Share of what was kept on top that the next lap keeps at least [1]: a lap without a mistake is no proof of the
+next."""
 
 ALPHA_MAX, DALPHA_MAX = 0.18, 0.10
 """Slip angle and difference of slip angles [rad]: the SPLIT paper's section on the controller."""

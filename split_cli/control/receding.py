@@ -137,6 +137,9 @@ class RecedingController(ABC):
         Peak of front and rear over the model's, by which the slip limits are moved [1].
     load_shift : ndarray, shape (2,)
         What driving and braking move of it [1/N].
+    deviation : float
+        By how much more than `half_width` the borders are moved in, for what a drive does otherwise than planned
+        [m].
 
     Notes
     -----
@@ -176,6 +179,7 @@ class RecedingController(ABC):
         self.programme = StageQP(horizon, self.n, self.m, 1 + SLIP_ROWS)
         self.grip = np.ones(2)
         self.load_shift = load_shift(model.vehicle)
+        self.deviation = 0.0
         self.plan: Plan | None = None
         self.failures_in_a_row = 0
 
@@ -357,11 +361,12 @@ class RecedingController(ABC):
         -----
         The residual's variance adds up along the plan, Sigma+ = A Sigma A^T + h^2 B_d diag(variance) B_d^T
         (Hewing et al., Cautious model predictive control using Gaussian process regression, 2020, eq. 13 with the
-        input uncertainty left out); at most half the room is taken.
+        input uncertainty left out). `deviation` comes on top; together they take at most half the room.
         """
         inside = np.full(self.horizon, self.half_width)
+        room = ROOM_SHARE * np.maximum(np.minimum(point.left, point.right) - self.half_width, 0.0)
         if not self.tightening:
-            return inside
+            return inside + np.minimum(self.deviation, room)
         n, step = self.n_model, self.model.step
         spread = np.zeros((n, n))
         deviation = np.empty(self.horizon)
@@ -370,8 +375,7 @@ class RecedingController(ABC):
             spread[[3, 4, 5], [3, 4, 5]] += step**2 * found.residual.variance[k]
             across = np.array([np.sin(point.direction[k]), -np.cos(point.direction[k])])
             deviation[k] = np.sqrt(max(across @ spread[:2, :2] @ across, 0.0))
-        room = ROOM_SHARE * np.maximum(np.minimum(point.left, point.right) - self.half_width, 0.0)
-        return inside + np.minimum(self.tightening * deviation, room)
+        return inside + np.minimum(self.tightening * deviation + self.deviation, room)
 
     @property
     def _shift_of_load(self) -> np.ndarray | float:

@@ -49,21 +49,25 @@ def test_every_start_set_is_written_by_an_experiment_before_it():
 def test_a_lap_off_the_track_does_not_count_and_the_page_is_filled(tmp_path, sample_logs):
     races = {
         "a": result("a", "nominal", [lap(0, 38.0, 0.5), lap(1, 40.0), lap(2, None)]),
-        "b": result("b", "split", [lap(0, 40.0), lap(1, 36.0)]),
+        "b": result("b", "split", [lap(0, 40.0), lap(1, 38.0), lap(2, 36.0)]),
     }
     made = tables(races)
-    assert "| nominal | 0 | 40.00 | 0.0 | 1 of 3 |" in made["gain-small"]
-    assert "| split | 0 | 36.00 | 10.0 | 2 of 2 |" in made["gain-small"]
+    # Lap 0 of a learner is the nominal model's, and no gain of its own.
+    assert "| nominal | 0 | 1 of 3 | 40.00 | 0.0 | 40.00 | 0.0 |" in made["gain-small"]
+    assert "| split | 0 | 2 of 2 | 36.00 | 10.0 | 37.00 | 7.5 |" in made["gain-small"]
     assert "0.50 | 16.00" in made["laps-small"] and "not finished" in made["laps-small"]
     assert "1.00 / 0.50 / 0.33" in made["laps-small"]
     # The motion's error fell from 0.4, 0.5, 0.3 to 0.2, 0.1, 0.03.
-    assert "| split | 0 | 1 | 0.400, 0.500, 0.300 | 0.200, 0.100, 0.030 | 50 / 80 / 90 |" in made["errors-small"]
+    assert "| split | 0 | 2 | 0.400, 0.500, 0.300 | 0.200, 0.100, 0.030 | 50 / 80 / 90 |" in made["errors-small"]
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- table: gain-small -->\nold\n<!-- end -->\nafter\n")
     figures = fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))
     text = page.read_text()
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text and "36.00" in text
     assert all((tmp_path / "figures" / name).stat().st_size > 5000 for name in figures) and len(figures) == 3
+    page.write_text("<!-- table: maneuvers -->\nearlier\n<!-- end -->\n")
+    fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))
+    assert "earlier" in page.read_text(), "nothing was kept of its experiments"
     page.write_text("<!-- table: nothing -->\n<!-- end -->\n")
     with pytest.raises(SplitError, match="nothing"):
         fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))

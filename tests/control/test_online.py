@@ -58,6 +58,17 @@ def test_a_lap_learned_online_is_the_lap_learned_from_its_drive(drive, empty):
     )  # fmt: skip
 
 
+def test_a_lap_that_was_watched_is_a_lap_that_was_driven(drive, empty):
+    labels = compute_labels(drive, empty.vehicle, Z2, empty.region, horizon=empty.horizon)
+    learner = SplitLearner(empty)
+    learner.begin_lap("lap", float(drive["t"][0]))
+    updates = learner.watch(labels)
+    watched = learner.end_lap(float(drive["t"][-1] - drive["t"][0]))
+    own = driven(SplitLearner(empty), drive)
+    assert np.array_equal(watched.z, own.z) and watched.y == pytest.approx(own.y, abs=1e-9)
+    assert updates == watched.sources[-1].insertions + watched.sources[-1].replacements > 50
+
+
 def test_the_committee_that_follows_updates_is_the_committee(drive, empty):
     learner = SplitLearner(empty)
     trained = driven(learner, drive)

@@ -112,6 +112,12 @@ def test_borders_move_in_by_the_spread_that_the_variance_makes():
     found = model.linearize(plain.plan.x[:20, :8], plain.plan.u[:, :2])
     point = path.at(plain.plan.x[1:, -2])
     assert plain._tightened(found, point) == pytest.approx(np.full(20, 0.5 * 1.77 + 0.3))
+    # What plan and drive part by comes on top, and leaves half of the room.
+    plain.deviation = 0.4
+    assert plain._tightened(found, point) == pytest.approx(np.full(20, 0.5 * 1.77 + 0.7))
+    close = replace(point, left=np.full(20, 1.685))
+    assert plain._tightened(found, close) == pytest.approx(np.full(20, 1.185 + 0.25))
+    plain.deviation = 0.0
     tight = Mpcc(model, path, ACTUATORS, settings, 1.77, tightening=2.0)
     tight.plan = plain.plan
     moved = tight._tightened(found, point) - (0.5 * 1.77 + 0.3)

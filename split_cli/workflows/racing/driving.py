@@ -13,6 +13,7 @@ from split_cli.control.learner import Learner, NoLearner
 from split_cli.control.model import ControlModel, check_features
 from split_cli.control.mpcc import Mpcc
 from split_cli.control.path import check_path, contour_and_lag
+from split_cli.control.policy import DEVIATION_KEPT
 from split_cli.control.receding import Actuators, ControllerLost, StepInfo
 from split_cli.errors import SplitError
 from split_cli.learning.cells import warm_up
@@ -111,6 +112,7 @@ class Race:
             self.mpcc, limits=s.first.limits, margin=s.first.margin
         )  # fmt: skip
         self.controller = Mpcc(self.model, self.path, self.actuators, first, self.width, s.tightening)
+        self.controller.deviation = s.deviation
         self._take_grip(np.full(2, s.told_grip))
         self.controller.begin(self.model.steady_states(self.world.measured), self.start)
         if self.start_set is not None:
@@ -145,14 +147,23 @@ class Race:
             self._lap(number)
 
     def _start_learning(self) -> None:
-        """Fit the kernel to lap 0 and begin with an empty set."""
+        """Fit the kernel to lap 0, and learn what it drove."""
         lap = self.world.recording(*self.spans[self.laps[-1].number], name="lap 0")
         self.header, labels = studied_header(self.header, lap, self.settings, self.notes)
         self.learner = make_learner(self.settings, self.header)
+        self.learner.begin_lap("lap 0", float(lap["t"][0]))
+        updates = self.learner.watch(labels)
+        trained = self.learner.end_lap(float(lap["t"][-1] - lap["t"][0]))
+        self.laps[-1] = replace(
+            self.laps[-1], updates=updates, size=self.learner.size, cells=self.learner.cells
+        )  # fmt: skip
+        if trained is not None and trained.size and self.set_output is not None:
+            write_set(trained, self.set_output)
         self._learn_grip(labels.z[labels.accepted], labels.y[labels.accepted])
         self.model = ControlModel(self.header.vehicle, self.learner.residual, self.mpcc.step)
         self.controller.model, self.controller.limits = self.model, self.mpcc.limits
         self.controller.half_width = 0.5 * self.width + self.mpcc.margin
+        self.controller.deviation = self.settings.deviation
 
     def _learn_grip(self, z: np.ndarray, y: np.ndarray) -> None:
         """Move the tyres' peaks to where labels tell them."""
@@ -169,7 +180,9 @@ class Race:
         self.learner.residual.peak = PeakShift(self.vehicle, self.header.features, grip) if told else None
 
     def _lap(self, number: int) -> None:
-        tally = Tally(number, len(self.world.rows) - 1)
+        controller = self.controller
+        margin = controller.half_width - 0.5 * self.width + controller.deviation
+        tally = Tally(number, len(self.world.rows) - 1, margin)
         self.learner.begin_lap(f"lap {number}", self.world.t)
         begin = self.crossing
         self.lines += 1
@@ -182,7 +195,9 @@ class Race:
         truth = np.array(world.truth[tally.first :])
         self.laps.append(tally.lap(time, truth, self.learner.size, self.learner.cells, self.ended))
         self.traces.append(np.array(tally.trace))
-        self.say(f"lap {number}: " + (f"{time:.2f} s, {tally.outside:.2f} m outside" if time else self.ended))
+        outside = self.laps[-1].outside
+        self.say(f"lap {number}: " + (f"{time:.2f} s, {outside:.2f} m outside" if time else self.ended))
+        controller.deviation = max(tally.beyond + margin, DEVIATION_KEPT * controller.deviation)
         self.spans[number] = (tally.first, len(world.rows))
         self.model.residual = self.learner.residual
         if trained is not None and trained.size:
@@ -203,13 +218,13 @@ class Race:
                 self.ended = str(error)
                 return None
             s = self.path.project(*world.exact[:2], before + world.exact[3] * h, reach=8.0)
-            contour, off = self._outside(s)
+            contour, beyond = self._beyond(s)
             if record is not None:
                 row = (world.t, s, *world.exact, *world.truth[-1][7:9], contour)
-                record.add(row, off, info)
+                record.add(row, beyond, info)
             if world.spun:
                 self.ended = f"the car spun at {s % self.path.length:.0f} m"
-            elif off > self.width + LEFT_BEHIND:
+            elif beyond > self.width + LEFT_BEHIND:
                 self.ended = f"the car left the track at {s % self.path.length:.0f} m"
             elif world.t > deadline:
                 self.ended = "the lap took too long"
@@ -219,13 +234,12 @@ class Race:
                 self.crossing = t_before + h * (self.until - before) / (s - before)
                 return self.crossing
 
-    def _outside(self, s: float) -> tuple[float, float]:
-        """Return the contour error [m] and how far a side of the car is beyond the border [m], not below 0."""
+    def _beyond(self, s: float) -> tuple[float, float]:
+        """Return the contour error [m] and how far a side of the car is beyond the border [m], negative within."""
         point = self.path.at(np.array([s]))
         x, y = self.world.exact[:2]
         contour = float(contour_and_lag(point, np.array([x]), np.array([y]))[0][0])
-        beyond = max(contour - point.right[0], -contour - point.left[0]) + 0.5 * self.width
-        return contour, max(float(beyond), 0.0)
+        return contour, float(max(contour - point.right[0], -contour - point.left[0]) + 0.5 * self.width)
 
     def _interval(self, record: Tally | None) -> StepInfo:
         """Plan the interval after the next one while the car drives the next, then learn what came of it."""

@@ -15,7 +15,7 @@ from split_cli.errors import SplitError, nearest_names
 from split_cli.files import atomic_path, atomic_write_text
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
-from split_cli.workflows.racing.settings import RaceSettings
+from split_cli.workflows.racing.settings import LEARNING, NOMINAL, RaceSettings
 
 __all__ = ["PLAN", "Experiment", "ExperimentPlan", "run_experiments", "stored"]
 
@@ -71,92 +71,54 @@ class ExperimentPlan:
         return tuple(e for e in self.experiments if not only or e.name.startswith(only))
 
 
-# Found by one search for all learners, `docs/experiments.md`, Tuning: seed 100, which no table uses.
-TUNED = {
-    "nominal": MpccSettings(limits=Limits(p_long=1.2, p_ellipse=0.85), margin=0.5),
-    "split": MpccSettings(limits=Limits(p_long=1.2, p_ellipse=0.95), margin=0.3),
-    "physics": MpccSettings(limits=Limits(p_long=1.2, p_ellipse=0.95), margin=0.5),
-}
-# On the long course every margin is that of the nominal controller, since speeds are higher. Tyres that nobody
-# knows on a road of lower grip ask for more care: the nominal controller begins at less of the ellipse.
-LONG = replace(TUNED["split"], margin=0.5)
-# Limits that know of braking; where nothing is known a learner keeps to the share of the nominal controller.
-GUARDED = {
-    name: replace(tuned, limits=replace(tuned.limits, guarded=True, p_unknown=0.85 if name == "split" else None))
-    for name, tuned in TUNED.items() if name != "physics"
-}  # fmt: skip
-CAREFUL = MpccSettings(limits=Limits(p_long=1.2, p_ellipse=0.75), margin=0.5)
+# Tyres that nobody knows on a road of lower grip ask for more care: the nominal model begins at less of its peak.
+CAREFUL = replace(NOMINAL, limits=replace(NOMINAL.limits, p_ellipse=0.75))
+# Of the sets that unseen manoeuvres are driven with, and of manoeuvres: as before limits knew of braking.
+UNGUARDED = MpccSettings(limits=Limits(p_long=1.2, p_ellipse=0.95), margin=0.3)
 _SEEDS = (0, 1, 2)
-_SMALL = {"track": "small", "max_speed": 22.0}
+_TRACKS = {"small": {"track": "small", "max_speed": 22.0}, "handling": {"track": "handling", "max_speed": 30.0}}
+_SMALL = _TRACKS["small"]
 
 
 def _race(
-    group: str, model: str, learner: str, tuned: MpccSettings, seed: int = 0, vehicle: str = "gentle", **options
+    group: str, learner: str, seed: int = 0, vehicle: str = "gentle", model: str | None = None, **options
 ) -> Experiment:
-    first = TUNED["nominal"] if learner != "none" and vehicle != "physics" else None
-    options = {"first": first, **options}
-    settings = RaceSettings(learner=learner, seed=seed, max_torque=1000.0, settings=tuned, **options)
+    """Return a race with the one setting of all; a file that knows the peaks drives as what was learned does."""
+    if model is None:
+        model = "nominal" if learner == "none" else learner
+        model += "" if vehicle == "gentle" else f" {vehicle}"
+    options = {"first": LEARNING if vehicle == "physics" else NOMINAL, "settings": LEARNING, **options}
+    settings = RaceSettings(learner=learner, seed=seed, max_torque=1000.0, **options)
     return Experiment(f"{group}-{model.replace(' ', '-')}-{seed}", group, model, settings, vehicle)
 
 
 def _races() -> list[Experiment]:
+    """Return ten laps of what was learned on both tracks, three seeds, and its rivals."""
     found = []
     for seed in _SEEDS:
-        for model, learner in (("nominal", "none"), ("iol", "iol"), ("split", "split")):
-            laps = 1 if learner == "none" else 10 if (learner, seed) == ("split", 0) else 3
-            tuned = TUNED["nominal" if learner == "none" else "split"]
-            found.append(_race("small", model, learner, tuned, seed, laps=laps, **_SMALL))
-        # The margin of the learning controllers, for who asks whether it is the margin that gains.
-        near = replace(TUNED["nominal"], margin=TUNED["split"].margin)
-        found.append(_race("small", "nominal near", "none", near, seed, laps=2, **_SMALL))
-        for learner in ("none", "split"):
-            laps = 1 if learner == "none" else 3
-            found.append(_race("small", _with(learner, "physics"), learner, TUNED["physics"], seed, "physics",
-                               laps=laps, **_SMALL))  # fmt: skip
-    return found + _long_course() + _rivals_and_roads()
-
-
-def _with(learner: str, vehicle: str) -> str:
-    return f"{'nominal' if learner == 'none' else learner} {vehicle}"
-
-
-def _long_course() -> list[Experiment]:
-    """Return the races on 2.3 km."""
-    plan = (("nominal", "none", "gentle", 1), ("split", "split", "gentle", 4), ("iol", "iol", "gentle", 2),
-            ("nominal lags", "none", "lags", 1), ("split lags", "split", "lags", 3),
-            ("nominal physics", "none", "physics", 1), ("split physics", "split", "physics", 2))  # fmt: skip
-    as_filed = ("nominal", "nominal lags")
-    guarded = [
-        _race(group, "split guarded", "split", replace(GUARDED["split"], margin=margin), 0,
-              first=GUARDED["nominal"], laps=3, **track)
-        for group, margin, track in (("handling", 0.5, {"track": "handling"}), ("small", 0.3, _SMALL))
-    ]  # fmt: skip
-    return [
-        _race("handling", model, learner, TUNED["nominal"] if model in as_filed else LONG, 0, vehicle,
-              track="handling", laps=laps)
-        for model, learner, vehicle, laps in plan
-    ] + guarded  # fmt: skip
+        for group, track in _TRACKS.items():
+            found.append(_race(group, "none", seed, laps=3, **track))
+            found.append(_race(group, "split", seed, laps=10, **track))
+    for seed in _SEEDS:
+        for group, track in _TRACKS.items():
+            found.append(_race(group, "iol", seed, laps=3, **track))
+            found.append(_race(group, "none", seed, "physics", laps=2, **track))
+            found.append(_race(group, "split", seed, "physics", laps=3, **track))
+    return found + _rivals_and_roads()
 
 
 def _rivals_and_roads() -> list[Experiment]:
     found = []
-    for learner in ("none", "split"):
-        laps = 1 if learner == "none" else 3
-        own = TUNED["nominal" if learner == "none" else "split"]
-        found.append(_race("limit", _with(learner, "limit"), learner, own, 0, "limit", laps=laps, **_SMALL))
+    for learner, laps in (("none", 2), ("split", 3)):
+        found.append(_race("limit", learner, 0, "limit", laps=laps, **_SMALL))
         # Where the errors come from: the gentle file with its lags, and nothing else of the diagnosis.
-        slow, few = CAREFUL if learner == "none" else LONG, min(laps, 2)
-        found.append(
-            _race("lags", _with(learner, "lags"), learner, slow, 0, "lags", laps=few, first=CAREFUL, **_SMALL)
-        )
+        found.append(_race("lags", learner, 0, "lags", laps=2, first=CAREFUL, **_SMALL))
         for group, grip in (("worn", 0.85), ("wet", 0.5)):
-            model = "nominal" if learner == "none" else "split"
-            tuned = CAREFUL if learner == "none" else LONG
             road = {"grip": grip, "told_grip": grip, "first": CAREFUL}
-            found.append(_race(group, model, learner, tuned, 0, laps=laps, **road, **_SMALL))
+            found.append(_race(group, learner, 0, laps=laps, **road, **_SMALL))
     # v_x as a fourth feature: what hangs on the speed.
     features = "alpha_f,alpha_r,torque_ratio,vx"
-    found.append(_race("feature", "split vx", "split", TUNED["split"], 0, laps=3, features=features, **_SMALL))
+    found.append(_race("feature", "split", 0, model="split vx", laps=3, features=features, **_SMALL))
     return found
 
 
@@ -174,14 +136,15 @@ _SWEEPS = {
 def _maneuvers() -> list[Experiment]:
     found = []
     for road, grip in (("dry", 1.0), ("wet", 0.5)):
-        limits = TUNED["split"] if road == "dry" else replace(TUNED["split"], limits=Limits(1.2, 0.4))
+        limits = UNGUARDED if road == "dry" else replace(UNGUARDED, limits=Limits(1.2, 0.4))
         first = RaceSettings(learner="split", laps=1, max_speed=22.0 if road == "dry" else 12.0,
-                             max_torque=1000.0, grip=grip, seed=0, settings=limits,
+                             max_torque=1000.0, grip=grip, seed=0, settings=limits, first=None,
                              learn_grip=False)  # fmt: skip
         found.append(Experiment(f"lap1-{road}", "lap1", "split", first))
         if road == "dry":
             found.append(Experiment(f"lap1-{road}-physics", "lap1", "split physics",
-                                    replace(first, settings=TUNED["physics"]), "physics"))  # fmt: skip
+                                    replace(first, settings=replace(UNGUARDED, margin=0.5)),
+                                    "physics"))  # fmt: skip
     for (scenario, grip), speeds in _SWEEPS.items():
         road = "dry" if grip == 1.0 else "wet"
         basic = ManeuverSettings(scenario=scenario, grip=grip, speeds=tuple(map(float, speeds)))

@@ -22,6 +22,7 @@ from split_cli.plots.closed_loop import (
 from split_cli.plots.style import save
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
+from split_cli.workflows.racing.experiments import PLAN
 
 __all__ = ["fill_page", "tables"]
 
@@ -34,6 +35,8 @@ PAPER_LAPS = {
 def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> list[str]:
     """Write tables between ``<!-- table: NAME -->`` and ``<!-- end -->``, figures beside the page; return figures.
 
+    A table none of whose experiments was kept stays as it is.
+
     Raises
     ------
     SplitError
@@ -43,9 +46,13 @@ def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> l
     if not page.is_file():
         raise SplitError("no such page", where=str(page))
     text, made = page.read_text(encoding="utf-8"), tables(results)
+    known = {"maneuvers", "timing"}
+    known |= {f"{kind}-{e.group}" for kind in ("laps", "gain", "errors") for e in PLAN.experiments}
 
     def put(found: re.Match) -> str:
         name = found.group(1)
+        if name in known and name not in made:
+            return found.group(0)
         if name not in made:
             raise SplitError(f"asks for the table {name!r}, which is not there", where=str(page))
         return f"<!-- table: {name} -->\n{made[name]}\n<!-- end -->"
@@ -71,8 +78,9 @@ def tables(results: dict[str, dict]) -> dict[str, str]:
         f"errors-{name}": _error_table(group) for name, group in groups.items() if "laps" in group[0]["result"]
     }
     sweeps = [result for result in results.values() if "runs" in result["result"]]
-    made["maneuvers"] = _sweep_table(sweeps)
-    made["timing"] = _timing_table([r for r in results.values() if "laps" in r["result"]])
+    races = [result for result in results.values() if "laps" in result["result"]]
+    made |= {"maneuvers": _sweep_table(sweeps)} if sweeps else {}
+    made |= {"timing": _timing_table(races)} if races else {}
     return made
 
 
@@ -126,27 +134,45 @@ def _error_table(group: list[dict]) -> str:
     return _markdown(header, rows)
 
 
-def best_clean(race: dict) -> float | None:
-    """Return the best time of a finished lap that stayed on the track [s]; None when there is none."""
-    times = [lap["time"] for lap in race["result"]["laps"] if lap["time"] is not None and lap["outside"] == 0.0]
-    return min(times, default=None)
+def clean_times(race: dict) -> list[float]:
+    """Return the times of the race's own finished laps that stayed on the track [s].
+
+    Lap 0 of a learner is driven by the nominal model, so it is none of its own.
+    """
+    return [
+        lap["time"]
+        for lap in _own_laps(race)
+        if lap["time"] is not None and lap["outside"] == 0.0
+    ]  # fmt: skip
+
+
+def _own_laps(race: dict) -> list[dict]:
+    nominal = race["model"].startswith("nominal")
+    return [lap for lap in race["result"]["laps"] if nominal or lap["number"] > 0]
 
 
 def _gain_table(group: list[dict], reference: list[dict]) -> str:
-    """Return the best clean lap of each race against the best clean nominal one of the same group and seed."""
+    """Return the clean laps of each race, best and median, against the nominal ones of the same group and seed.
+
+    Laps scatter, and the best of many is better than the best of few: so the medians stand beside the best.
+    """
     rows = []
     bases = [race for race in group if race["model"] == "nominal"]
     bases = bases or [race for race in group if race["model"].startswith("nominal")]
     bases = bases or [race for race in reference if race["model"] == "nominal"]
-    nominal = {race["settings"]["seed"]: best_clean(race) for race in bases}
+    nominal = {race["settings"]["seed"]: clean_times(race) for race in bases}
     for race in group:
-        best, base = best_clean(race), nominal.get(race["settings"]["seed"])
-        clean = sum(lap["time"] is not None and lap["outside"] == 0.0 for lap in race["result"]["laps"])
-        gain = "-" if best is None or base is None else f"{100 * (1 - best / base):.1f}"
-        told = "none" if best is None else f"{best:.2f}"
-        rows.append([race["model"], str(race["settings"]["seed"]), told, gain,
-                     f"{clean} of {len(race['result']['laps'])}"])  # fmt: skip
-    return _markdown(["model", "seed", "best clean lap s", "gain on nominal %", "clean laps"], rows)
+        own, base = clean_times(race), nominal.get(race["settings"]["seed"])
+        cells = []
+        for pick in (np.min, np.median):
+            cells.append(f"{pick(own):.2f}" if own else "none")
+            cells.append(f"{100 * (1 - pick(own) / pick(base)):.1f}" if own and base else "-")
+        rows.append(
+            [race["model"], str(race["settings"]["seed"]), f"{len(own)} of {len(_own_laps(race))}", *cells]
+        )
+    header = ["model", "seed", "clean laps", "best clean lap s", "gain on nominal %", "median clean lap s",
+              "gain on nominal %"]  # fmt: skip
+    return _markdown(header, rows)
 
 
 def _sweep_table(sweeps: list[dict]) -> str:

@@ -42,6 +42,8 @@ class Lap:
         Farthest that a side of the car was beyond the border [m]; 0 for a clean lap.
     ended : str
         Why the lap was not finished; empty when it was.
+    margin : float
+        Kept from the car's side to the border in the plan [m].
     """
 
     number: int
@@ -63,6 +65,7 @@ class Lap:
     ended: str = ""
     motion_before: tuple[float, ...] = (0.0, 0.0, 0.0)
     motion_after: tuple[float, ...] = (0.0, 0.0, 0.0)
+    margin: float = 0.0
 
     @property
     def clean(self) -> bool:

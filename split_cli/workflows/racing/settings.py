@@ -5,11 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 
+from split_cli.control.limits import Limits
 from split_cli.control.mpcc import MpccSettings
+from split_cli.control.policy import FIRST_DEVIATION, MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL
 
-__all__ = ["LEARNERS", "RaceSettings"]
+__all__ = ["LEARNERS", "LEARNING", "NOMINAL", "RaceSettings"]
 
 LEARNERS = ("none", "iol", "split")
+
+NOMINAL, LEARNING = (
+    MpccSettings(limits=Limits(p_long=RACE_P_LONG, p_ellipse=share, guarded=True), margin=MARGIN)
+    for share in (SHARE_NOMINAL, SHARE_LEARNED)
+)
+"""How the nominal model drives, and how what was learned does: one setting for all tracks, but for the share of
+the peak that each may use."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +57,15 @@ class RaceSettings:
         Of the car's body [m].
     printed_iol : bool
         Count updates of the dictionary as costly as the papers print them; see `IolLearner`.
+    deviation : float
+        By how much more than the margin the borders are moved in until a lap has shown how far plan and drive part
+        [m]. After each lap it is what the lap needed, and no less than a share of what it was.
     tightening : float
         Standard deviations by which the borders are moved in [1].
     settings : MpccSettings
     first : MpccSettings or None
-        Of the run-up and of lap 0, which the nominal model drives; as `settings` when it is None. Horizon and step
-        are those of `settings`.
+        Of what the nominal model drives: the run-up, lap 0, and all laps of the learner none without a start set.
+        As `settings` when it is None; horizon and step are those of `settings`.
     told_grip : float
         What the slip limits take for the road's grip before anything is learned [1].
     learn_grip : bool
@@ -76,8 +88,9 @@ class RaceSettings:
     hyperparameters: str = "fit"
     width: float | None = None
     printed_iol: bool = True
+    deviation: float = FIRST_DEVIATION
     tightening: float = 0.0
-    settings: MpccSettings = MpccSettings()
-    first: MpccSettings | None = None
+    settings: MpccSettings = LEARNING
+    first: MpccSettings | None = NOMINAL
     told_grip: float = 1.0
     learn_grip: bool = True

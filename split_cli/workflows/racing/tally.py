@@ -22,19 +22,24 @@ class Tally:
         Of the lap.
     first : int
         Row of the world's recording at which it begins.
+    margin : float
+        Kept from the car's side to the border in the plan [m].
     """
 
-    def __init__(self, number: int, first: int) -> None:
-        self.number, self.first = number, first
+    def __init__(self, number: int, first: int, margin: float) -> None:
+        self.number, self.first, self.margin = number, first, margin
         self.infos: list[StepInfo] = []
         self.learned: list[Learned] = []
         self.trace: list[tuple[float, ...]] = []
-        self.outside = 0.0
+        self.beyond = -np.inf
 
-    def add(self, row: tuple[float, ...], outside: float, info: StepInfo) -> None:
-        """Take one interval: a row of `RaceResult.traces`, and how far the car was off the track [m]."""
+    def add(self, row: tuple[float, ...], beyond: float, info: StepInfo) -> None:
+        """Take one interval: a row of `RaceResult.traces`, and how far the car was beyond the border [m].
+
+        Within the track that is negative.
+        """
         self.infos.append(info)
-        self.outside = max(self.outside, outside)
+        self.beyond = max(self.beyond, beyond)
         self.trace.append(row)
 
     def lap(self, time: float | None, truth: np.ndarray, size: int, cells: int, ended: str) -> Lap:
@@ -51,8 +56,8 @@ class Tally:
             solver_ms=_times([info.solver_seconds for info in self.infos]),
             step_ms=_times([info.total_seconds for info in self.infos]),
             update_ms=_times([entry.seconds for entry in self.learned]),
-            failures=sum(not info.solved for info in self.infos), outside=self.outside, ended=ended,
-            motion_before=motion_before, motion_after=motion_after,
+            failures=sum(not info.solved for info in self.infos), outside=max(self.beyond, 0.0), ended=ended,
+            motion_before=motion_before, motion_after=motion_after, margin=self.margin,
         )  # fmt: skip
 
 
