@@ -1,4 +1,7 @@
-"""Where compiled code is kept between runs, also in a container that can write nowhere else. Imports nothing."""
+"""Compilation with types kept, and where compiled code is kept between runs, in a read-only container as well.
+
+Imports numba when asked to compile, and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,22 @@ import os
 import stat
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
-__all__ = ["cache_folder", "provide_cache"]
+__all__ = ["cache_folder", "compiled", "provide_cache"]
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 _VARIABLE = "NUMBA_CACHE_DIR"
+
+
+def compiled(**options: Any) -> Callable[[Function], Function]:
+    """Return `numba.njit` with options, the type of what it decorates kept: numba says nothing of types."""
+    from numba import njit
+
+    decorator: Callable[[Function], Function] = njit(**options)
+    return decorator
 
 
 def provide_cache(package: str, environment: Mapping[str, str] | None = None) -> str | None:

@@ -1,22 +1,23 @@
-"""Types, strictly: errors left in the packages that others build on, which may only become fewer."""
+"""Types, strictly, in the packages that others build on: mypy finds nothing with the settings of pyproject.toml."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
-from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-# Errors that `mypy` finds with the settings of pyproject.toml, rounded up. Whoever mends some lowers the number.
-LEFT = {"signals": 0, "vehicle": 70, "learning": 76, "prediction": 58, "export": 75, "diagnosis": 0}
 
 
-def test_there_are_no_more_type_errors_than_there_were():
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--no-error-summary"], cwd=ROOT, capture_output=True, text=True, timeout=600
-    )
-    assert not done.stderr, done.stderr
-    lines = [line for line in done.stdout.splitlines() if ": error: " in line]
-    count = Counter(Path(line.split(":")[0]).parts[1].removesuffix(".py") for line in lines)
-    assert all(count[place] <= LEFT.get(place, 0) for place in count), "\n".join([*lines, str(count)])
+def test_there_is_no_type_error():
+    done = subprocess.run([sys.executable, "-m", "mypy"], cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_nothing_is_waved_through():
+    """What mypy is told to pass over it cannot find: a line may do so with its reason beside it, and few do."""
+    checked = [ROOT / "split_cli" / name for name in ("vehicle", "learning", "prediction", "export")]
+    lines = [
+        line for folder in checked for path in folder.rglob("*.py") for line in path.read_text().splitlines()
+    ]
+    assert not [line for line in lines if "type: ignore" in line]

@@ -7,12 +7,13 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 import casadi
 import numpy as np
 
 from split_cli.errors import ExportError
-from split_cli.export.memory import Memory
+from split_cli.export.memory import Memory, present
 from split_cli.export.provenance import Provenance
 from split_cli.export.straight_line import number, straight_line
 from split_cli.export.symbolic import NominalGraph
@@ -188,7 +189,7 @@ def c_source(
     )
 
 
-def _number_of(value: object) -> float:
+def _number_of(value: Any) -> float:
     """Return a vehicle's number, which may be written with its source beside it."""
     return float(value["value"] if isinstance(value, dict) else value)
 
@@ -245,7 +246,7 @@ def _nominal(graph: NominalGraph, real: str) -> str:
         graph.rates, "nominal_rates", real, "Nominal model with its named terms, and its exact Jacobian."
     )
     features = straight_line(
-        graph.features, "nominal_features", real, "Features of state and input, and their Jacobian."
+        present(graph.features), "nominal_features", real, "Features of state and input, and their Jacobian."
     )
     parts = [rates, features]
     if graph.start is not None:

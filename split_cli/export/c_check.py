@@ -173,13 +173,14 @@ def check_c(
     selftest.write_text(selftest_source(source, oracle, drives))
     run_selftest(compiler, folder, source.name)
     inside = oracle.z[np.isfinite(oracle.z).all(axis=1) & (np.abs(oracle.z) < 1e4).all(axis=1)]
-    sizes = section_bytes(folder / f"{source.name}.o")
+    code_bytes, constant_bytes = section_bytes(folder / f"{source.name}.o") or (None, None)
     return CCheck(
         predictions,
         step_error,
         driver.seconds_per_query(inside),
         driver.seconds_per_query(inside, with_jacobian=True),
-        *(sizes or (None, None)),
+        code_bytes,
+        constant_bytes,
         compiler.version,
     )
 
@@ -210,7 +211,7 @@ def run_selftest(compiler: Compiler, folder: Path, name: str) -> str:
         compiler.compile(folder / f"{name}.c", folder, [*STRICT_FLAGS, OPTIMISATION])
     compiler.build([compiled, folder / f"{name}_selftest.c"], program, [*STRICT_FLAGS, OPTIMISATION])
     done = run_program([str(program)], b"", "the self-test")
-    said = done.stdout.decode(errors="replace").strip()
+    said: str = done.stdout.decode(errors="replace").strip()
     if done.returncode:
         raise ExportError(
             f"the self-test fails: {said or done.stderr.decode(errors='replace').strip()}", where=name
@@ -229,16 +230,16 @@ def selftest_source(source: CSource, oracle: Oracle, drives: Drives | None = Non
 
     queries = array("query", oracle.z[rows])
     queries += array("expected_mean", oracle.mean[rows]) + array("expected_variance", oracle.variance[rows])
-    drive = source.memory is not None and drives is not None
-    if drive:
-        count, n = drives.exact.shape[1:]
+    drive = drives if source.memory is not None else None
+    if drive is not None:
+        count, n = drive.exact.shape[1:]
         # All steps of one drive after the other; states at the start and at the end.
-        given = {"drive_u": drives.u, **({"drive_place_time": drives.place_time} if source.place_time else {})}
+        given = {"drive_u": drive.u, **({"drive_place_time": drive.place_time} if source.place_time else {})}
         for label, values in given.items():
             queries += array(label, values.transpose(1, 0, 2).reshape(-1, 2)).replace("COUNT", "DRIVES * STEPS")
-        queries += array("drive_start", drives.exact[0]).replace("COUNT", "DRIVES")
-        queries += array("drive_end", drives.exact[-1]).replace("COUNT", "DRIVES")
-        queries = f"enum {{ DRIVES = {count}, STEPS = {len(drives.u)}, STATES = {n} }};\n" + queries
+        queries += array("drive_start", drive.exact[0]).replace("COUNT", "DRIVES")
+        queries += array("drive_end", drive.exact[-1]).replace("COUNT", "DRIVES")
+        queries = f"enum {{ DRIVES = {count}, STEPS = {len(drive.u)}, STATES = {n} }};\n" + queries
     return fill(
         template("selftest.c.in"),
         {
@@ -246,7 +247,7 @@ def selftest_source(source: CSource, oracle: Oracle, drives: Drives | None = Non
             if source.place_time
             else "",
             "DRIVE_TOLERANCE": "1e-8" if source.real == "double" else "1e-2",
-            "STEP": repr(float(drives.step)) if drive else "",
+            "STEP": repr(float(drive.step)) if drive is not None else "",
             "NAME": source.name,
             "COUNT": str(len(rows)),
             "DIMENSION": str(source.dimension),
@@ -255,7 +256,7 @@ def selftest_source(source: CSource, oracle: Oracle, drives: Drives | None = Non
             "SIGNAL": ", ".join(repr(float(v)) for v in oracle.reference.deviation**2),
             "QUERIES": queries,
         },
-        ("memory", *(["place_time"] if source.place_time else [])) if drive else (),
+        ("memory", *(["place_time"] if source.place_time else [])) if drive is not None else (),
     )
 
 

@@ -71,7 +71,7 @@ def committee(tables: BcmTables, name: str) -> casadi.Function:
     counts = np.diff(tables.offsets)
     absolute = np.repeat(tables.reference, counts, axis=0) / tables.length_scales + tables.points
     z = casadi.MX.sym("z", tables.feature_count)
-    squared = 0
+    squared = casadi.MX(0.0)
     for feature in range(tables.feature_count):
         scaled = z[feature] / float(tables.length_scales[feature])
         squared = squared + (scaled - casadi.DM(absolute[:, feature])) ** 2
@@ -160,7 +160,8 @@ def _scaled(matrix: scipy.sparse.csc_matrix, columns: np.ndarray) -> casadi.DM:
 def _sparse(matrix: scipy.sparse.csc_matrix) -> casadi.DM:
     matrix = matrix.tocsc()
     matrix.sort_indices()
-    pattern = casadi.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
+    rows, columns = matrix.shape
+    pattern = casadi.Sparsity(rows, columns, matrix.indptr.tolist(), matrix.indices.tolist())
     return casadi.DM(pattern, matrix.data)
 
 
@@ -224,7 +225,8 @@ def casadi_answer(predict: casadi.Function) -> ExportAnswer:
 
     def answer(queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rows = [predict(query) for query in queries]
-        return tuple(np.array([np.asarray(row[k]).ravel() for row in rows]) for k in (0, 1))
+        mean, variance = (np.array([np.asarray(row[k]).ravel() for row in rows]) for k in (0, 1))
+        return mean, variance
 
     return ExportAnswer(answer, lambda queries: np.array([np.asarray(slopes(query)) for query in queries]))
 
@@ -247,18 +249,19 @@ def check_casadi(
     """
     check = check_predictions(casadi_answer(functions.predict), oracle, "double", "CasADi")
     check_hessian(functions.predict, oracle)
-    if functions.step is None or steps is None:
+    exported = functions.step
+    if exported is None or steps is None:
         return check, None
 
     def step(asked: np.ndarray) -> np.ndarray:
-        return np.array([_step_once(functions.step, row) for row in asked])
+        return np.array([_step_once(exported, row) for row in asked])
 
     error = compare_states(step(steps.asked), steps.exact, steps, "double", "CasADi: the step")
     if steps.drives is not None:
         error = max(error, compare_drives(step, steps, "exact", "double", "CasADi: the step over a drive"))
         for function in functions.memory:
             compare_memory(function.name(), _memory_answer(function), steps, "double", "CasADi")
-    _check_step_jacobian(functions.step, steps)
+    _check_step_jacobian(exported, steps)
     return check, error
 
 
@@ -360,7 +363,7 @@ def generate_c(functions: CasadiFunctions, name: str, folder: Path) -> tuple[Pat
     z = casadi.MX.sym("z", functions.predict.size1_in(0))
     outputs = functions.predict(z)
     slopes = casadi.densify(casadi.jacobian(outputs[0], z))
-    generator.add(casadi.Function(f"{name}_mean_variance", [z], outputs, ["z"], ["mean", "variance"]))
+    generator.add(casadi.Function(f"{name}_mean_variance", [z], list(outputs), ["z"], ["mean", "variance"]))
     generator.add(casadi.Function(f"{name}_mean_variance_jacobian", [z], [*outputs, slopes]))
     if functions.valid is not None:
         generator.add(functions.valid)

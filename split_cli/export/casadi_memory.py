@@ -6,7 +6,7 @@ import casadi
 import numpy as np
 
 from split_cli.export.casadi_linear import linear_response
-from split_cli.export.memory import Memory
+from split_cli.export.memory import Memory, present
 from split_cli.export.symbolic import NominalGraph
 
 __all__ = ["memory_functions", "memory_step"]
@@ -23,7 +23,7 @@ def memory_step(predict: casadi.Function, graph: NominalGraph, name: str, plain:
     from the past commands, and in between they move evenly. Plays move as evenly to where the end drags them.
     Where there are delays, any interval but that of the past commands gives not-a-number.
     """
-    memory: Memory = graph.memory
+    memory = present(graph.memory)
     x, u, h, p = (
         casadi.MX.sym(label, size) for label, size in (("x", memory.whole), ("u", 2), ("h", 1), ("p", 2))
     )
@@ -33,10 +33,10 @@ def memory_step(predict: casadi.Function, graph: NominalGraph, name: str, plain:
     moving = [(last[c] - first[c]) / h if memory.lengths[c] else u[c] for c in (0, 1)]
     if memory.plays:
         ended = casadi.vertcat(acting[2:6], last, acting[8:])
-        dragged = graph.jumps(ended, place_time)[0]
+        dragged = present(graph.jumps)(ended, place_time)[0]
         moving += [(dragged[k] - acting[8 + play]) / h for k, play in enumerate(memory.plays)]
     f, A = _whole_model(graph)(acting, casadi.vertcat(*moving), place_time)
-    residual = predict(graph.features(casadi.vertcat(acting, x[6:8]), u)[0])[0]
+    residual = predict(present(graph.features)(casadi.vertcat(acting, x[6:8]), u)[0])[0]
     substeps = max(8, int(np.ceil(graph.stiffness * memory.step)))
     change = h * residual if plain else linear_response(A[3:6, 3:6], residual, h, substeps)
     after = acting + linear_response(A, f, h, substeps)
@@ -63,7 +63,7 @@ def memory_functions(predict: casadi.Function, graph: NominalGraph, name: str) -
         return ()
     x, u, p = casadi.MX.sym("x", 8), casadi.MX.sym("u", 2), casadi.MX.sym("p", 2)
     place_time = p if graph.needs_place_and_time else casadi.DM.zeros(2)
-    settled = graph.start(x[2:8], place_time) if memory.states else casadi.DM.zeros(0)
+    settled = present(graph.start)(x[2:8], place_time) if memory.states else casadi.DM.zeros(0)
     held = [casadi.repmat(x[6 + c], length, 1) for c, length in enumerate(memory.lengths) if length]
     started = casadi.vertcat(x, settled, *held)
     functions = [_function(graph, f"{name}_start", {"x": x, "p": p}, started, "x_start")]
@@ -78,7 +78,7 @@ def memory_functions(predict: casadi.Function, graph: NominalGraph, name: str) -
     functions.append(_function(graph, f"{name}_rates", given, whole, "rates"))
     if memory.line:
         x = casadi.MX.sym("x", memory.whole)
-        now = _arrivals(memory, x, casadi.DM.zeros(2), casadi.DM(0.0))[0]
+        now = _arrivals(memory, x, casadi.MX.zeros(2), casadi.MX(0.0))[0]
         functions.append(casadi.Function(f"{name}_arrived", [x], [now], ["x"], ["arrived"]))
     return tuple(functions)
 
@@ -106,7 +106,7 @@ def _arrivals(memory: Memory, x: casadi.MX, u: casadi.MX, h: casadi.MX) -> tuple
 
 def _whole_model(graph: NominalGraph) -> casadi.Function:
     """Return (what acts, rates of arriving commands and plays, p) -> f and its Jacobian A, sparse."""
-    memory: Memory = graph.memory
+    memory = present(graph.memory)
     size, plays = memory.continuous, memory.plays
     x, p = casadi.SX.sym("x", size), casadi.SX.sym("p", 2)
     moving = casadi.SX.sym("m", 2 + len(plays))

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.errors import ExportError
-from split_cli.export.reference import Reference, SplineReference
+from split_cli.export.reference import AnyReference, Reference, SplineReference
 from split_cli.learning.training_set import TrainingSet
-from split_cli.prediction import make_predictor
+from split_cli.prediction import Predictor, make_predictor
 from split_cli.prediction.table import TablePredictor
 from split_cli.prediction.trusted import TrustedPredictor
 
@@ -94,7 +94,7 @@ class Oracle:
     slope_z: np.ndarray
     slopes: np.ndarray
     predictor_error: float
-    reference: Reference | SplineReference
+    reference: AnyReference
 
 
 def check_queries(training_set: TrainingSet, count: int, seed: int = 20240117) -> np.ndarray:
@@ -112,7 +112,8 @@ def check_queries(training_set: TrainingSet, count: int, seed: int = 20240117) -
     part = max(1, count // 7)
 
     def uniform(number: int) -> np.ndarray:
-        return middle + half * rng.uniform(-1.0, 1.0, (number, z.shape[1]))
+        drawn: np.ndarray = middle + half * rng.uniform(-1.0, 1.0, (number, z.shape[1]))
+        return drawn
 
     def some_points(number: int) -> np.ndarray:
         return z[rng.integers(0, len(z), number)]
@@ -159,7 +160,8 @@ def make_oracle(
     if predictor == "table":
         if table is None:
             raise ValueError("the table to compare with is missing")
-        reference, asked = SplineReference(table), TrustedPredictor(table)
+        reference: AnyReference = SplineReference(table)
+        asked: Predictor = TrustedPredictor(table)
     else:
         reference = Reference(training_set, robust=predictor == "rbcm")
         asked = make_predictor(predictor, training_set)

@@ -98,7 +98,7 @@ class Driver:
         ExportError
             If the program fails.
         """
-        content = np.ascontiguousarray(queries, dtype=self.dtype)
+        content: np.ndarray = np.ascontiguousarray(queries, dtype=self.dtype)
         command = [str(self.program), str(what), *map(str, (len(content), content.shape[1], width))]
         done = run_program(command, content.tobytes(), "the exported C")
         expected = len(content) * width * np.dtype(self.dtype).itemsize
@@ -111,7 +111,7 @@ class Driver:
 
     def seconds_per_query(self, queries: np.ndarray, with_jacobian: bool = False) -> float:
         """Return processor time of one prediction [s], the mean over `queries`."""
-        content = np.ascontiguousarray(queries, dtype=self.dtype)
+        content: np.ndarray = np.ascontiguousarray(queries, dtype=self.dtype)
         width = 6 + 3 * content.shape[1]
         command = [str(self.program), "10" if with_jacobian else "9"]
         command += [str(len(content)), str(content.shape[1]), str(width)]
@@ -145,7 +145,7 @@ def find_compiler() -> Compiler | None:
     return None
 
 
-def run_program(command: list[str], given: bytes, what: str) -> subprocess.CompletedProcess:
+def run_program(command: list[str], given: bytes, what: str) -> subprocess.CompletedProcess[bytes]:
     """Run a program on `given` input; return code and output, or an error that names `what`.
 
     Raises

@@ -105,7 +105,7 @@ def document_of(
     }
     if provenance.memory is not None:
         metadata["memory"] = provenance.memory
-    names = ARRAYS
+    names: tuple[str, ...] = ARRAYS
     if table is not None:
         names += TABLE_ARRAYS
         spline = table.spline

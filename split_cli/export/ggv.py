@@ -77,4 +77,5 @@ def write_ggv(limits: SpeedLimits, folder: Path, name: str) -> tuple[str, str]:
         rows = zip(limits.speed.tolist(), *(column.tolist() for column in columns), strict=True)
         lines = [header, *(",".join(f"{value:.4f}" for value in row) for row in rows)]
         (folder / file).write_text("\n".join(lines) + "\n", encoding="ascii")
-    return tuple(tables)
+    friction, machine = tables
+    return friction, machine

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from split_cli.errors import ExportError
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["Memory", "exported_model", "memory_of"]
+__all__ = ["Memory", "exported_model", "memory_of", "present"]
+
+Part = TypeVar("Part")
 
 COMMANDS = ("T", "delta")
 _LONGEST_LINE = 200
@@ -93,7 +95,15 @@ class Memory:
         Linear between neighbours, as recorded inputs are delayed.
         """
         steps = np.arange(self.lengths[command] + 1)
-        return np.maximum(0.0, 1.0 - np.abs(self.delays[command] / self.step - steps))
+        share: np.ndarray = np.maximum(0.0, 1.0 - np.abs(self.delays[command] / self.step - steps))
+        return share
+
+
+def present(part: Part | None) -> Part:
+    """Return an optional part of an exported model or of its check, where the caller knows that there is one."""
+    if part is None:
+        raise ValueError("a part of the exported model is missing")
+    return part
 
 
 def exported_model(model: SingleTrack) -> SingleTrack:
@@ -128,13 +138,14 @@ def memory_of(model: SingleTrack, plays: tuple[int, ...], step: float) -> Memory
             raise ExportError(f"{term.id} is named twice", where=where, advice="Name each term with memory once.")
         for channel, delay in getattr(term, "input_delays", {}).items():
             delays[channel] += float(delay)
-    late = tuple(delays[channel] for channel in COMMANDS)
+    late = (delays["T"], delays["delta"])
     if not model.state_names and not any(late):
         return None
     if min(late) < 0.0:
         raise ExportError(f"a delay is {min(late):g} s: a step cannot look ahead", where=where)
     # What is an exact number of steps but for rounding needs no further one.
-    lengths = tuple(int(np.ceil(delay / step - 1e-9)) for delay in late)
+    torque_line, steer_line = (int(np.ceil(delay / step - 1e-9)) for delay in late)
+    lengths = (torque_line, steer_line)
     if max(lengths) > _LONGEST_LINE:
         raise ExportError(
             f"a delay of {max(late):g} s takes {max(lengths)} past commands at a step of {step:g} s",

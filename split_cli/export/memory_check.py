@@ -7,13 +7,14 @@ along the whole of it, so that a line of past commands that shifts wrongly shows
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.linalg
 
 from split_cli.errors import ExportError
-from split_cli.export.memory import COMMANDS, Memory, exported_model
-from split_cli.export.reference import Reference
+from split_cli.export.memory import COMMANDS, exported_model, present
+from split_cli.export.reference import AnyReference
 from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
@@ -57,17 +58,17 @@ class MemoryModel:
     graph : NominalGraph
         With memory.
     training_set : TrainingSet
-    reference : Reference
+    reference : Reference or SplineReference
     substeps : int
         Of the Runge-Kutta step.
     """
 
     def __init__(
-        self, graph: NominalGraph, training_set: TrainingSet, reference: Reference, substeps: int
+        self, graph: NominalGraph, training_set: TrainingSet, reference: AnyReference, substeps: int
     ) -> None:
         self.graph, self.training_set, self.reference = graph, training_set, reference
         self.model = exported_model(SingleTrack(training_set.vehicle))
-        self.memory: Memory = graph.memory
+        self.memory = present(graph.memory)
         self.step = self.memory.step
         self.substeps = substeps
 
@@ -93,7 +94,7 @@ class MemoryModel:
 
     def features(self, acting: np.ndarray, command: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return features (N, D) and their slopes (N, D, 8 + S + 4) by what acts, command and input."""
-        z, slopes = self.graph.features.map(len(u))(np.column_stack([acting, command]).T, u.T)
+        z, slopes = present(self.graph.features).map(len(u))(np.column_stack([acting, command]).T, u.T)
         width = acting.shape[1] + 4
         return np.asarray(z).T, np.asarray(slopes).reshape(-1, len(u), width).transpose(1, 0, 2)
 
@@ -123,7 +124,7 @@ class MemoryModel:
         """Return x' of what acts without the residual, by NumPy, shape (N, 8 + S)."""
         names, x = self.memory.names, acting
         states = dict(zip(names, x[:, 8:].T, strict=True)) or None
-        place = {"yaw": x[:, 2], "t": place_time[:, 0], "s": place_time[:, 1]}
+        place: dict[str, Any] = {"yaw": x[:, 2], "t": place_time[:, 0], "s": place_time[:, 1]}
         flow = self.model.flow(*x[:, 3:8].T, states=states, **place)
         sine, cosine = np.sin(x[:, 2]), np.cos(x[:, 2])
         east, north = x[:, 3] * cosine - x[:, 4] * sine, x[:, 3] * sine + x[:, 4] * cosine
@@ -153,7 +154,7 @@ class MemoryModel:
         size = acting.shape[1]
         augmented = np.zeros((len(acting), size + 1, size + 1))
         augmented[:, :size, :size], augmented[:, :size, size] = A, f
-        moved = acting + scipy.linalg.expm(augmented * self.step)[:, :size, size]
+        moved: np.ndarray = acting + scipy.linalg.expm(augmented * self.step)[:, :size, size]
         moved[:, 3:6] += self.residual(acting, command, u, A)[0]
         return moved
 
@@ -206,7 +207,7 @@ class MemoryModel:
         z, z_slopes = self.features(acting, x[:, 6:8], u)
         _, phi = self.residual(acting, x[:, 6:8], u, A)
         gain = self.step * phi @ self.reference.jacobian_by_differences(z) @ z_slopes
-        drag = self._drag_slopes(acting, last) if plays else None
+        drag = self._drag_slopes(acting, last) if plays else np.empty((count, 0, 0))
         for column in range(n + 2):
             along = np.zeros((1, n + 2))
             along[0, column] = 1.0
@@ -268,10 +269,10 @@ class MemoryModel:
 
 def random_memory(graph: NominalGraph, x: np.ndarray, place_time: np.ndarray) -> np.ndarray:
     """Return whole states (N, n) with first eight `x`, their memory on its way from somewhere."""
-    rng, memory = np.random.default_rng(17), graph.memory
+    rng, memory = np.random.default_rng(17), present(graph.memory)
     parts = [x]
     if memory.states:
-        settled = np.asarray(graph.start.map(len(x))(x[:, 2:8].T, place_time.T)).T
+        settled = np.asarray(present(graph.start).map(len(x))(x[:, 2:8].T, place_time.T)).T
         parts.append(settled * rng.uniform(0.7, 1.3, settled.shape))
     for c, length in enumerate(memory.lengths):
         size = 0.1 * np.abs(x[:, [6 + c]]).mean()

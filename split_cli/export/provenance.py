@@ -89,9 +89,9 @@ def content_digest(training_set: TrainingSet) -> str:
     digest = hashlib.sha256(training_set.vehicle.digest().encode())
     digest.update("\0".join(training_set.features.names).encode())
     kernel = training_set.kernel
-    arrays = (training_set.cell_numbers, training_set.offsets, training_set.z, training_set.y)
-    known = (kernel.length_scales, kernel.signal_variance, kernel.noise_variance, training_set.trust.array)
-    known = (*known, training_set.trust.doubts(kernel.signal_variance))
-    for array in (*arrays, *known):
+    trust = training_set.trust
+    arrays = [training_set.cell_numbers, training_set.offsets, training_set.z, training_set.y]
+    arrays += [kernel.length_scales, kernel.signal_variance, kernel.noise_variance]
+    for array in (*arrays, trust.array, trust.doubts(kernel.signal_variance)):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

@@ -11,7 +11,7 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.predictor import Prediction
 from split_cli.prediction.table import TablePredictor
 
-__all__ = ["Reference", "SplineReference"]
+__all__ = ["AnyReference", "Reference", "SplineReference"]
 
 _CHUNK = 256
 
@@ -101,7 +101,9 @@ class Reference:
 
     def jacobian_scale(self) -> np.ndarray:
         """Return the size a slope can reach, sd/(l sqrt(rho)), shape (3, D)."""
-        return (self.deviation / np.sqrt(self._ratio))[:, None] / self.training_set.kernel.length_scales
+        scales = self.training_set.kernel.length_scales
+        size: np.ndarray = (self.deviation / np.sqrt(self._ratio))[:, None] / scales
+        return size
 
 
 class SplineReference:
@@ -163,7 +165,13 @@ class SplineReference:
 
     def jacobian_scale(self) -> np.ndarray:
         """Return the size a slope can reach, sd/(l sqrt(rho)), shape (3, D)."""
-        return (self.deviation / np.sqrt(self._ratio))[:, None] / self.training_set.kernel.length_scales
+        scales = self.training_set.kernel.length_scales
+        size: np.ndarray = (self.deviation / np.sqrt(self._ratio))[:, None] / scales
+        return size
+
+
+#: What an export is compared with.
+AnyReference = Reference | SplineReference
 
 
 def _cubic(x: float) -> float:

@@ -9,9 +9,9 @@ import numpy as np
 import scipy.linalg
 
 from split_cli.errors import ExportError
-from split_cli.export.memory import Memory, exported_model
+from split_cli.export.memory import Memory, exported_model, present
 from split_cli.export.memory_check import Drives, MemoryModel, random_memory, roll_drives
-from split_cli.export.reference import Reference
+from split_cli.export.reference import AnyReference
 from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
 from split_cli.vehicle.integration import exact_step, integrate_recorded, phi_matrix
@@ -79,7 +79,8 @@ class StepOracle:
     @property
     def size(self) -> int:
         """Size n of the whole state."""
-        return self.exact.shape[1]
+        size: int = self.exact.shape[1]
+        return size
 
 
 def rk4_substeps(memory: Memory | None) -> int:
@@ -91,7 +92,7 @@ def rk4_substeps(memory: Memory | None) -> int:
 
 
 def make_step_oracle(
-    graph: NominalGraph, training_set: TrainingSet, reference: Reference, dtype: type = np.float64
+    graph: NominalGraph, training_set: TrainingSet, reference: AnyReference, dtype: type = np.float64
 ) -> StepOracle:
     """Step random states in Python.
 
@@ -107,7 +108,7 @@ def make_step_oracle(
     x, u = asked[:, :8], asked[:, 8:10]
     rates = [np.array(value) for value in graph.rates.map(len(x))(x[:, 2:].T, asked[:, 11:].T)]
     jacobian = rates[1].reshape(3, len(x), 6).transpose(1, 0, 2)
-    z, slopes = (np.array(value) for value in graph.features.map(len(x))(x.T, u.T))
+    z, slopes = (np.array(value) for value in present(graph.features).map(len(x))(x.T, u.T))
     z, slopes = z.T, slopes.reshape(-1, len(x), 10).transpose(1, 0, 2)
     phi = phi_matrix(jacobian[:, :, 1:4], h)
     if training_set.plain:
@@ -167,8 +168,8 @@ def compare_drives(step: Stepper, oracle: StepOracle, kind: str, real: str, what
     ExportError
         If it exceeds `STEP_TOLERANCE`, in single precision 50 times that: errors of 40 steps add up.
     """
-    drives, h = oracle.drives, oracle.asked[0, oracle.size + 2]
-    expected = getattr(drives, kind)
+    drives, h = present(oracle.drives), oracle.asked[0, oracle.size + 2]
+    expected: np.ndarray = getattr(drives, kind)
     x, path = expected[0], [expected[0]]
     for u, place_time in zip(drives.u, drives.place_time, strict=True):
         x = step(np.column_stack([x, u, np.full(len(x), h), place_time]))
@@ -194,15 +195,16 @@ def compare_memory(name: str, answer: Stepper, oracle: StepOracle, real: str, wh
     ExportError
         If the error exceeds `STEP_TOLERANCE`.
     """
-    asked = np.column_stack([oracle.asked, oracle.arrived])
+    asked = np.column_stack([oracle.asked, present(oracle.arrived)])
     if name.endswith("start"):
-        steady = oracle.drives.exact[0]
+        drives = present(oracle.drives)
+        steady = drives.exact[0]
         asked = np.zeros((len(steady), asked.shape[1]))
         asked[:, :8] = steady[:, :8]
-        asked[:, oracle.size + 3 : oracle.size + 5] = oracle.drives.place_time[0]
+        asked[:, oracle.size + 3 : oracle.size + 5] = drives.place_time[0]
         expected = steady
     else:
-        expected = oracle.rates if name.endswith("rates") else oracle.arrived
+        expected = present(oracle.rates if name.endswith("rates") else oracle.arrived)
     size = np.abs(expected)
     if real == "float":
         # A force on its way to a steady one is a small difference of two that are rounded to seven digits.
@@ -230,18 +232,19 @@ def _require(found: np.ndarray, expected: np.ndarray, size: np.ndarray, toleranc
 
 
 def _memory_oracle(
-    graph: NominalGraph, training_set: TrainingSet, reference: Reference, dtype: type
+    graph: NominalGraph, training_set: TrainingSet, reference: AnyReference, dtype: type
 ) -> StepOracle:
     """Step random states with random memories, and drive from steady, in Python."""
-    h = graph.memory.step
+    memory = present(graph.memory)
+    h = memory.step
     plain = _states(training_set, h, dtype)
     place_time, u = plain[:, 11:], plain[:, 8:10]
     x = random_memory(graph, plain[:, :8], place_time).astype(dtype).astype(float)
-    model = MemoryModel(graph, training_set, reference, rk4_substeps(graph.memory))
+    model = MemoryModel(graph, training_set, reference, rk4_substeps(memory))
     model.require_slopes(x, place_time)
     exact, recorded = model.one_step(x, u, place_time)
     first, _ = model.arrivals(x, u)
-    acting = np.column_stack([x[:, :6], first, x[:, 8 : graph.memory.continuous]])
+    acting = np.column_stack([x[:, :6], first, x[:, 8 : memory.continuous]])
     z = model.features(acting, x[:, 6:8], u)[0]
     asked = np.column_stack([x, plain[:, 8:]])
     linear = model.derivative(x, u, place_time)

@@ -237,7 +237,7 @@ class _Sample:
         self.acting = np.stack([*asked, *steady])
 
     @property
-    def situation(self) -> dict[str, np.ndarray]:
+    def situation(self) -> dict[str, Any]:
         """Yaw, t and s as the model takes them."""
         return {"yaw": self.acting[0], "t": self.place_time[0], "s": self.place_time[1]}
 

@@ -261,4 +261,5 @@ def _reach(
     total = np.sqrt(energy).sum(axis=0)
     largest = np.minimum(np.minimum(share**2 / np.maximum(energy, 1e-300), share / (1.0 + total)), 0.5)
     farthest = -np.log((largest * smallest / count[:, None]).min(axis=1))
-    return (radius + np.sqrt(np.maximum(farthest, 0.0))) ** 2
+    reach: np.ndarray = (radius + np.sqrt(np.maximum(farthest, 0.0))) ** 2
+    return reach

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -283,7 +284,7 @@ def casadi_functions(
     tables: BcmTables | TableData, graph: NominalGraph, name: str, training_set: TrainingSet
 ) -> CasadiFunctions:
     """Return the predictor, the model step and the valid region as CasADi functions."""
-    predict = (spline_table if isinstance(tables, TableData) else committee)(tables, name)
+    predict = spline_table(tables, name) if isinstance(tables, TableData) else committee(tables, name)
     step = model_step(predict, graph, f"{name}_step", training_set.plain)
     valid = valid_function(training_set, f"{name}_valid")
     return CasadiFunctions(predict, step, memory_functions(predict, graph, name), valid)
@@ -394,7 +395,7 @@ def _manifest(
     table: TablePredictor | None,
     results: Sequence[TargetResult],
     folder: Path,
-) -> dict:
+) -> dict[str, Any]:
     """Return the manifest: provenance, verification and a SHA-256 a file; no times, so equal exports are equal."""
     verification = {
         result.target: {

@@ -35,7 +35,7 @@ def is_valid(training_set: TrainingSet, z: np.ndarray) -> np.ndarray:
     s, region = training_set, training_set.region
     lower, upper = _bounds(s)
     with np.errstate(invalid="ignore", over="ignore"):
-        inside = ((z >= lower) & (z <= upper)).all(axis=1)
+        inside: np.ndarray = np.all((z >= lower) & (z <= upper), axis=1)
         if s.features.is_z2:
             inside &= region.inside_slip(z[:, 0], z[:, 1]) & region.inside_slip_difference(z[:, 0], z[:, 1])
             inside &= region.inside_ellipse(s.vehicle, z[:, 0], z[:, 1], z[:, 2] * s.vehicle.max_torque)

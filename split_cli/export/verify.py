@@ -41,7 +41,7 @@ class VerificationFinding:
     detail: str
 
 
-def read_manifest(folder: Path) -> dict:
+def read_manifest(folder: Path) -> dict[str, Any]:
     """Return an export's manifest.
 
     Raises

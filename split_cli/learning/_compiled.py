@@ -9,7 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numpy import ndarray
+
+from split_cli.compiled_code import compiled
 
 __all__ = ["blocks_likelihood", "refresh_cells", "update_cells", "window_errors"]
 
@@ -20,8 +22,10 @@ _JITTERS = np.array([0.0, 1e-13, 1e-12, 1e-11, 1e-10])
 # ---- windows of the nominal model ------------------------------------------------------------------------------
 
 
-@njit(cache=True)
-def _derivative(vx, vy, r, T, delta, sine, cosine, p):
+@compiled(cache=True)
+def _derivative(
+    vx: float, vy: float, r: float, T: float, delta: float, sine: float, cosine: float, p: ndarray
+) -> tuple[float, float, float]:
     """Return (v_x', v_y', r') of the nominal single track; `p` as packed by labels._nominal_constants."""
     m, i_z, l_f, l_r, radius = p[0], p[1], p[2], p[3], p[4]
     kappa = p[6] if T < 0.0 else p[5]
@@ -43,14 +47,14 @@ def _derivative(vx, vy, r, T, delta, sine, cosine, p):
     return dvx, dvy, dr
 
 
-@njit(cache=True)
-def _slope(B, C, D, alpha):
+@compiled(cache=True)
+def _slope(B: float, C: float, D: float, alpha: float) -> float:
     reduced = B * alpha
     return D * C * B * math.cos(C * math.atan(reduced)) / (1.0 + reduced * reduced)
 
 
-@njit(cache=True)
-def _jacobian(vx, vy, r, delta, p, A):
+@compiled(cache=True)
+def _jacobian(vx: float, vy: float, r: float, delta: float, p: ndarray, A: ndarray) -> None:
     """Fill A (3, 3), the derivative of (v_x', v_y', r') with respect to (v_x, v_y, r)."""
     m, i_z, l_f, l_r = p[0], p[1], p[2], p[3]
     w_f, w_r = vy + l_f * r, vy - l_r * r
@@ -74,15 +78,15 @@ def _jacobian(vx, vy, r, delta, p, A):
     A[1, 2] -= vx
 
 
-@njit(cache=True)
-def _multiply(a, b, out):
+@compiled(cache=True)
+def _multiply(a: ndarray, b: ndarray, out: ndarray) -> None:
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@njit(cache=True)
-def _substeps(A, period, half_wheelbase, work):
+@compiled(cache=True)
+def _substeps(A: ndarray, period: float, half_wheelbase: float, work: ndarray) -> int:
     """Return how many RK4 steps a sample keep |lambda| step <= 1; see labels._substeps."""
     scaled, squared, fourth = work[0], work[1], work[2]
     for i in range(3):
@@ -100,8 +104,8 @@ def _substeps(A, period, half_wheelbase, work):
     return max(1, int(math.ceil(radius * period)))
 
 
-@njit(cache=True)
-def _phi(A, horizon, phi, work):
+@compiled(cache=True)
+def _phi(A: ndarray, horizon: float, phi: ndarray, work: ndarray) -> None:
     """Fill phi = (1/h) int_0^h exp(A s) ds: Taylor series on a halved argument, then doubling."""
     argument, product, exponential = work[0], work[1], work[2]
     norm = 0.0
@@ -137,8 +141,8 @@ def _phi(A, horizon, phi, work):
                 argument[i, j] *= 2.0
 
 
-@njit(cache=True)
-def _solve(a, b0, b1, b2):
+@compiled(cache=True)
+def _solve(a: ndarray, b0: float, b1: float, b2: float) -> tuple[float, float, float]:
     """Solve a 3 x 3 system by the adjugate; not finite when singular."""
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
     c01 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
@@ -152,8 +156,20 @@ def _solve(a, b0, b1, b2):
     return x0 / determinant, x1 / determinant, x2 / determinant
 
 
-@njit(cache=True)
-def window_errors(vx, vy, r, T, delta, starts, window, period, p, plain, run_on):
+@compiled(cache=True)
+def window_errors(
+    vx: ndarray,
+    vy: ndarray,
+    r: ndarray,
+    T: ndarray,
+    delta: ndarray,
+    starts: ndarray,
+    window: int,
+    period: float,
+    p: ndarray,
+    plain: bool,
+    run_on: ndarray,
+) -> ndarray:
     """Return the labels y of windows, shape (N, 3); the compiled twin of labels._window_errors_reference.
 
     `run_on` is 1 for T and for delta where they run on to the next sample in a straight line, 0 where held.
@@ -201,8 +217,8 @@ def window_errors(vx, vy, r, T, delta, starts, window, period, p, plain, run_on)
 # ---- the update of cells ---------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
-def _correlation(a, b, inverse_scales):
+@compiled(cache=True)
+def _correlation(a: ndarray, b: ndarray, inverse_scales: ndarray) -> float:
     squared = 0.0
     for feature in range(len(inverse_scales)):
         distance = (a[feature] - b[feature]) * inverse_scales[feature]
@@ -210,8 +226,8 @@ def _correlation(a, b, inverse_scales):
     return math.exp(-0.5 * squared)
 
 
-@njit(cache=True)
-def _refresh(z, n, inverse_scales, low, inverse, gamma):
+@compiled(cache=True)
+def _refresh(z: ndarray, n: int, inverse_scales: ndarray, low: ndarray, inverse: ndarray, gamma: ndarray) -> int:
     """Recompute a cell from its points: L^-1 of K = L L^T, and gamma_i = 1/[K^-1]_ii.
 
     Returns the index of the jitter that was needed, -1 when the largest does not suffice.
@@ -251,8 +267,8 @@ def _refresh(z, n, inverse_scales, low, inverse, gamma):
     return step
 
 
-@njit(cache=True)
-def _least(gamma, clock, n, now, forgetting):
+@compiled(cache=True)
+def _least(gamma: ndarray, clock: ndarray, n: int, now: float, forgetting: float) -> tuple[int, float]:
     """Return the slot of the least gain, weighted by exp(-age^2/(2 tau^2)) when forgetting, and that gain."""
     slot, least = 0, np.inf
     for i in range(n):
@@ -265,8 +281,16 @@ def _least(gamma, clock, n, now, forgetting):
     return slot, least
 
 
-@njit(cache=True)
-def _exceeds(z, points, n, inverse_scales, inverse, k, bound):
+@compiled(cache=True)
+def _exceeds(
+    z: ndarray,
+    points: ndarray,
+    n: int,
+    inverse_scales: ndarray,
+    inverse: ndarray,
+    k: ndarray,
+    bound: float,
+) -> bool:
     """Return whether 1 - |L^-1 k|^2 exceeds `bound`.
 
     The sum of squares only grows, also in floating point, so a sample is turned away as soon as the partial sum
@@ -284,22 +308,22 @@ def _exceeds(z, points, n, inverse_scales, inverse, k, bound):
     return 1.0 - total > bound
 
 
-@njit(cache=True)
+@compiled(cache=True)
 def update_cells(
-    groups,
-    cell_of_group,
-    order,
-    z_new,
-    clock_new,
-    inverse_scales,
-    threshold,
-    forgetting,
-    count,
-    z,
-    gamma,
-    clock,
-    origin,
-):
+    groups: ndarray,
+    cell_of_group: ndarray,
+    order: ndarray,
+    z_new: ndarray,
+    clock_new: ndarray,
+    inverse_scales: ndarray,
+    threshold: float,
+    forgetting: float,
+    count: ndarray,
+    z: ndarray,
+    gamma: ndarray,
+    clock: ndarray,
+    origin: ndarray,
+) -> tuple[ndarray, int, int]:
     """Offer samples to their cells, cell by cell, each cell's samples in their order.
 
     Parameters
@@ -361,8 +385,8 @@ def update_cells(
     return outcome, repairs, -1
 
 
-@njit(cache=True)
-def refresh_cells(offsets, z, inverse_scales, capacity):
+@compiled(cache=True)
+def refresh_cells(offsets: ndarray, z: ndarray, inverse_scales: ndarray, capacity: int) -> ndarray:
     """Return gamma of every point of a set, shape (P,); NaN where a cell's kernel matrix cannot be factored."""
     gamma = np.empty(len(z))
     low, inverse = np.zeros((capacity, capacity)), np.zeros((capacity, capacity))
@@ -376,16 +400,16 @@ def refresh_cells(offsets, z, inverse_scales, capacity):
 # ---- the likelihood of blocks ----------------------------------------------------------------------------------
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _dot(a, b, first, last):
+@compiled(cache=True, fastmath={"reassoc", "contract"})
+def _dot(a: ndarray, b: ndarray, first: int, last: int) -> float:
     total = 0.0
     for i in range(first, last):
         total += a[i] * b[i]
     return total
 
 
-@njit(cache=True)
-def _invert(covariance, n, low, rows, inverse):
+@compiled(cache=True)
+def _invert(covariance: ndarray, n: int, low: ndarray, rows: ndarray, inverse: ndarray) -> float:
     """Fill the lower triangle of `inverse` from that of `covariance`; return half the log determinant, or NaN.
 
     `rows` receives the transpose of L^-1, so that every inner loop runs along rows.
@@ -411,8 +435,10 @@ def _invert(covariance, n, low, rows, inverse):
     return half
 
 
-@njit(cache=True)
-def blocks_likelihood(z, y, offsets, scales, signal, noise):
+@compiled(cache=True)
+def blocks_likelihood(
+    z: ndarray, y: ndarray, offsets: ndarray, scales: ndarray, signal: ndarray, noise: ndarray
+) -> tuple[float, ndarray]:
     """Return the value and gradient that hyperparameters.block_likelihood defines, NaN where K is not positive.
 
     Own loops rather than LAPACK: matrices of 60 are too small for threads, which some builds start all the same

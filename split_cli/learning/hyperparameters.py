@@ -94,7 +94,8 @@ def scatter_variance(labels: Labels) -> np.ndarray:
     if not together.any():
         return np.zeros(3)
     difference = np.abs(np.diff(labels.y, axis=0)[together])
-    return 0.5 * (np.median(difference, axis=0) / 0.6745) ** 2
+    variance: np.ndarray = 0.5 * (np.median(difference, axis=0) / 0.6745) ** 2
+    return variance
 
 
 def fit_kernel(
@@ -168,11 +169,11 @@ def fit_kernel(
         # K fails to factor only where the noise is some 1e-16 of the signal: a wall, should the search touch it.
         return (value / points, gradient / points) if np.isfinite(value) else (1e25, np.zeros_like(theta))
 
-    best, evaluations = None, 0
+    found = []
     for factor in (1.0, 4.0):
         kernel = Kernel(factor * start.length_scales, start.signal_variance, start.noise_variance)
         begin = np.clip(_pack(kernel), low, high)
-        found = minimize(
+        one = minimize(
             objective,
             begin,
             jac=True,
@@ -180,9 +181,8 @@ def fit_kernel(
             bounds=list(zip(low, high, strict=True)),
             options={"maxiter": 100, "ftol": 1e-8, "gtol": 1e-5},
         )
-        evaluations += int(found.nfev)
-        if best is None or found.fun < best.fun:
-            best = found
+        found.append(one)
+    best = min(found, key=lambda one: float(one.fun))
     names = [f"length scale {i + 1}" for i in range(z.shape[1])]
     names += [f"{what} of {output}" for what in ("signal", "noise") for output in OUTPUTS]
     on_bound = np.isclose(best.x, low, atol=1e-6) | np.isclose(best.x, high, atol=1e-6)
@@ -193,7 +193,7 @@ def fit_kernel(
         negative_log_likelihood=float(best.fun) / len(OUTPUTS),
         points=points,
         blocks=len(blocks),
-        evaluations=evaluations,
+        evaluations=sum(int(one.nfev) for one in found),
         at_bound=tuple(name for name, on in zip(names, on_bound, strict=True) if on),
     )
 
@@ -211,16 +211,19 @@ def _bounds(grid: Grid, mean_square: np.ndarray, longest: float) -> tuple[np.nda
     edges = np.log(grid.edges)
     scale = np.log(mean_square)
     spans = ((LENGTH_BOUNDS[0], longest), SIGNAL_BOUNDS, NOISE_BOUNDS)
-    return tuple(
+    low, high = (
         np.concatenate(
             [base + np.log(span[side]) for base, span in zip((edges, scale, scale), spans, strict=True)]
         )
         for side in (0, 1)
     )
+    return low, high
 
 
 def _pack(kernel: Kernel) -> np.ndarray:
-    return np.log(np.concatenate([kernel.length_scales, kernel.signal_variance, kernel.noise_variance]))
+    values = np.concatenate([kernel.length_scales, kernel.signal_variance, kernel.noise_variance])
+    theta: np.ndarray = np.log(values)
+    return theta
 
 
 def _split(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

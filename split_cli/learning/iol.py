@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -276,5 +277,6 @@ def _in_cells(
         duration=labels.duration,
     )
     sources = (*s.sources, source)
-    whole = replace(s, cell_numbers=cells, offsets=offsets, sources=sources, **points)
+    columns: dict[str, Any] = dict(points)
+    whole = replace(s, cell_numbers=cells, offsets=offsets, sources=sources, **columns)
     return replace(whole, gamma=recompute_gains(whole))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from split_cli.errors import SetError, nearest_names
@@ -31,8 +32,10 @@ def read_kernel(path: str | Path, features: FeatureSet) -> Kernel:
     content = read_yaml_mapping(path, SetError, advice=advice)
     _check_keys(content, _KEYS, "hyperparameters", where)
     names = (features.names, OUTPUTS, OUTPUTS)
-    values = [_values(content[key], expected, key, where) for key, expected in zip(_KEYS, names, strict=True)]
-    return Kernel(*values, origin="given")
+    scales, signal, noise = (
+        np.array(_values(content[key], expected, key, where)) for key, expected in zip(_KEYS, names, strict=True)
+    )
+    return Kernel(scales, signal, noise, origin="given")
 
 
 def kernel_to_yaml(kernel: Kernel, features: FeatureSet) -> str:
@@ -42,7 +45,8 @@ def kernel_to_yaml(kernel: Kernel, features: FeatureSet) -> str:
         key: dict(zip(expected, getattr(kernel, key).tolist(), strict=True))
         for key, expected in zip(_KEYS, names, strict=True)
     }
-    return yaml.safe_dump(mapping, sort_keys=False)
+    text: str = yaml.safe_dump(mapping, sort_keys=False)
+    return text
 
 
 def _check_keys(content: Any, expected: Sequence[str], what: str, where: str) -> None:

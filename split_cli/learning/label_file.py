@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -113,7 +114,7 @@ def _fault(labels: Labels, samples: int) -> str:
     return f"row {int(np.argmax(disorder))} is out of order" if disorder.any() else ""
 
 
-def _labels_from_table(table: pa.Table, stored: Mapping) -> Labels:
+def _labels_from_table(table: pa.Table, stored: Mapping[str, Any]) -> Labels:
     features = FeatureSet(tuple(stored["features"]))
     codes = {reason.word: int(reason) for reason in Reason}
     words = table["reason"].to_pylist()

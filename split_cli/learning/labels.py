@@ -105,7 +105,8 @@ class Labels:
     @property
     def accepted(self) -> np.ndarray:
         """Whether a sample is inside the valid region and usable, bool shape (N,)."""
-        return self.reason == Reason.ACCEPTED
+        accepted: np.ndarray = self.reason == Reason.ACCEPTED
+        return accepted
 
     def take(self, index: np.ndarray | slice) -> Labels:
         """Return the labels at `index` (mask, indices or slice), in that order."""
@@ -255,10 +256,10 @@ def nominal_errors(
         from split_cli.learning._compiled import window_errors
 
         # Copies: columns of a file are read-only, a type of its own to the compiler.
-        channels = [np.array(drive[name], dtype=float) for name in (*_VELOCITIES, "T", "delta")]
+        vx, vy, r, T, delta = (np.array(drive[name], dtype=float) for name in (*_VELOCITIES, "T", "delta"))
         run_on = np.array([name not in drive.held for name in ("T", "delta")], dtype=float)
         constants = _nominal_constants(model.vehicle)
-        return window_errors(*channels, starts, window, drive.period, constants, plain, run_on)
+        return window_errors(vx, vy, r, T, delta, starts, window, drive.period, constants, plain, run_on)
     inputs = _recorded_inputs(model, drive)
     parts = [
         _window_errors_reference(model, drive, inputs, starts[first : first + _CHUNK], window, plain)
@@ -286,7 +287,8 @@ def _window_errors_reference(
     time, yaw = drive["t"][starts], drive["yaw"][starts] if "yaw" in drive else np.zeros(len(starts))
     states, place = dict(zip(model.state_names, memory.T, strict=True)) or None, place_of(drive)[starts]
     situation = {"t": time, "s": place, "yaw": yaw, "states": states}
-    jacobian = model.velocity_jacobian(*begin.T, torque[:, 0], steer_angle[:, 0], **situation)
+    vx, vy, r = begin.T
+    jacobian = model.velocity_jacobian(vx, vy, r, torque[:, 0], steer_angle[:, 0], **situation)
     substeps = _substeps(jacobian, drive.period, model.vehicle.wheelbase)
     predicted = np.empty_like(begin)
     for count in np.unique(substeps):
@@ -319,7 +321,8 @@ def _substeps(jacobian: np.ndarray, period: float, wheelbase: float) -> np.ndarr
     scale = np.array([1.0, 1.0, 0.5 * wheelbase])
     squared = np.linalg.matrix_power(jacobian * scale[:, None] / scale, 2)
     radius = np.sqrt(np.sqrt(np.linalg.norm(squared @ squared, axis=(1, 2))))
-    return np.maximum(1, np.ceil(radius * period)).astype(np.int64)
+    count: np.ndarray = np.maximum(1, np.ceil(radius * period)).astype(np.int64)
+    return count
 
 
 def _nominal_constants(car: Vehicle) -> np.ndarray:

@@ -138,5 +138,5 @@ class _Tally:
     def __init__(self, name: str, start_time: float) -> None:
         self.name, self.start_time = name, start_time
         self.samples = self.accepted = self.insertions = self.replacements = 0
-        self.rejected: Counter = Counter()
+        self.rejected: Counter[str] = Counter()
         self.horizon = 0.0

@@ -53,8 +53,8 @@ class PrintedLearner:
             slot = weighted.index(min(weighted))
         else:
             return
-        for column, value in ((cell.samples, sample), (cell.z, z), (cell.clock, clock)):
-            column[slot : slot + 1] = [value]
+        there = slice(slot, slot + 1)
+        cell.samples[there], cell.z[there], cell.clock[there] = [sample], [z], [clock]
         cell.gamma = [self._gain(cell.z[i], cell.z[:i] + cell.z[i + 1 :]) for i in range(len(cell.z))]
         self.updates += 1
 

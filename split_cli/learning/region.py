@@ -64,11 +64,13 @@ class Region:
 
     def inside_slip(self, alpha_f: np.ndarray, alpha_r: np.ndarray) -> np.ndarray:
         """Return whether both slip angles are within alpha_max, shape (N,)."""
-        return (np.abs(alpha_f) <= self.alpha_max) & (np.abs(alpha_r) <= self.alpha_max)
+        inside: np.ndarray = (np.abs(alpha_f) <= self.alpha_max) & (np.abs(alpha_r) <= self.alpha_max)
+        return inside
 
     def inside_slip_difference(self, alpha_f: np.ndarray, alpha_r: np.ndarray) -> np.ndarray:
         """Return whether |alpha_f - alpha_r| is within dalpha_max, shape (N,)."""
-        return np.abs(alpha_f - alpha_r) <= self.dalpha_max
+        inside: np.ndarray = np.abs(alpha_f - alpha_r) <= self.dalpha_max
+        return inside
 
 
 @dataclass(frozen=True)
@@ -99,12 +101,14 @@ class Grid:
     @property
     def first(self) -> np.ndarray:
         """Index of each feature's first cell, shape (D,); minus infinity where there is no bound."""
-        return np.floor(np.array(self.lower) / np.array(self.edges) + 1e-9)
+        index: np.ndarray = np.floor(np.array(self.lower) / np.array(self.edges) + 1e-9)
+        return index
 
     @property
     def last(self) -> np.ndarray:
         """Index of each feature's last cell, shape (D,); infinity where there is no bound."""
-        return np.ceil(np.array(self.upper) / np.array(self.edges) - 1e-9) - 1.0
+        index: np.ndarray = np.ceil(np.array(self.upper) / np.array(self.edges) - 1e-9) - 1.0
+        return index
 
     def index(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the cell index a feature, int64 shape (N, D), and whether the sample has a cell, shape (N,)."""
@@ -140,7 +144,8 @@ class Grid:
 
     def centers(self, number: np.ndarray) -> np.ndarray:
         """Return cell centres, shape (N, D), in feature units."""
-        return (self.unpack(number) + 0.5) * np.array(self.edges)
+        centre: np.ndarray = (self.unpack(number) + 0.5) * np.array(self.edges)
+        return centre
 
 
 def z2_grid(vehicle: Vehicle, region: Region, edges: tuple[float, float, float] = Z2_EDGES) -> Grid:
@@ -206,7 +211,8 @@ def valid_cells(vehicle: Vehicle, region: Region, grid: Grid) -> np.ndarray:
     alpha_f, alpha_r, ratio = grid.centers(numbers).T
     valid = region.inside_slip(alpha_f, alpha_r) & region.inside_slip_difference(alpha_f, alpha_r)
     valid &= region.inside_ellipse(vehicle, alpha_f, alpha_r, ratio * vehicle.max_torque)
-    return numbers[valid]
+    known: np.ndarray = numbers[valid]
+    return known
 
 
 def valid_cell_count(vehicle: Vehicle, region: Region, grid: Grid) -> int:

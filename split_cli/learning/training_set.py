@@ -332,7 +332,8 @@ def _columns(training_set: TrainingSet) -> dict[str, np.ndarray]:
 
 def _points_from(table: pa.Table | pa.RecordBatch, features: FeatureSet) -> dict[str, np.ndarray]:
     def column(name: str) -> np.ndarray:
-        return table.column(name).to_numpy()
+        values: np.ndarray = table.column(name).to_numpy()
+        return values
 
     return {
         "z": np.stack([column(f"z_{name}") for name in features.names], axis=1),
@@ -345,10 +346,11 @@ def _points_from(table: pa.Table | pa.RecordBatch, features: FeatureSet) -> dict
 def _with_points(
     header: TrainingSet, numbers: np.ndarray, offsets: np.ndarray, points: Mapping[str, np.ndarray]
 ) -> TrainingSet:
-    return replace(header, cell_numbers=numbers.copy(), offsets=offsets, **points)
+    columns: dict[str, Any] = dict(points)
+    return replace(header, cell_numbers=numbers.copy(), offsets=offsets, **columns)
 
 
-def _describe(training_set: TrainingSet) -> dict:
+def _describe(training_set: TrainingSet) -> dict[str, Any]:
     """Return everything but the points, as the file's metadata holds it; infinite bounds as null."""
     s = training_set
     return {
@@ -385,12 +387,12 @@ def _describe(training_set: TrainingSet) -> dict:
     }
 
 
-def _described_source(source: SetSource) -> dict:
+def _described_source(source: SetSource) -> dict[str, Any]:
     told = {**asdict(source), "rejected": dict(source.rejected), "faults": list(source.faults)}
     return told if source.faults else {name: value for name, value in told.items() if name != "faults"}
 
 
-def _source_from(told: Mapping) -> SetSource:
+def _source_from(told: Mapping[str, Any]) -> SetSource:
     return SetSource(**{**told, "faults": tuple(map(str, told.get("faults", ())))})
 
 
@@ -398,7 +400,7 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _header_from(described: Mapping) -> TrainingSet:
+def _header_from(described: Mapping[str, Any]) -> TrainingSet:
     """Return the set that `_describe` described, without points."""
     vehicle = vehicle_from_mapping(described["vehicle"], where="the vehicle of the set")
     features = FeatureSet(tuple(described["features"]))

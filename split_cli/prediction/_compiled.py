@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+from numpy import ndarray
+
+from split_cli.compiled_code import compiled
 
 __all__ = ["jacobian", "predict", "predict_parallel", "spline", "weighted_sum"]
 
@@ -15,17 +18,17 @@ __all__ = ["jacobian", "predict", "predict_parallel", "spline", "weighted_sum"]
 _FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 
 
-@numba.njit(cache=True, fastmath=_FASTMATH, inline="always")
-def _beyond_reach(z, lower, upper, reach_squared, cell):
+@compiled(cache=True, fastmath=_FASTMATH, inline="always")
+def _beyond_reach(z: ndarray, lower: ndarray, upper: ndarray, reach_squared: ndarray, cell: int) -> bool:
     distance = 0.0
     for d in range(z.shape[0]):
         gap = max(lower[cell, d] - z[d], z[d] - upper[cell, d], 0.0)
         distance += gap * gap
-    return distance > reach_squared[cell]
+    return bool(distance > reach_squared[cell])
 
 
-@numba.njit(cache=True, fastmath=_FASTMATH, inline="always")
-def _correlations(z, points, begin, count, c):
+@compiled(cache=True, fastmath=_FASTMATH, inline="always")
+def _correlations(z: ndarray, points: ndarray, begin: int, count: int, c: ndarray) -> None:
     for j in range(count):
         squared = 0.0
         for d in range(z.shape[0]):
@@ -34,11 +37,25 @@ def _correlations(z, points, begin, count, c):
         c[j] = np.exp(-0.5 * squared)
 
 
-@numba.njit(cache=True, fastmath=_FASTMATH)
+@compiled(cache=True, fastmath=_FASTMATH)
 def _predict_one(
-    z, points, turned, gains, vectors, offsets, vector_offsets, lower, upper, reach, floor, robust,
-    c, t, mean, spread,
-):  # fmt: skip
+    z: ndarray,
+    points: ndarray,
+    turned: ndarray,
+    gains: ndarray,
+    vectors: ndarray,
+    offsets: ndarray,
+    vector_offsets: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+    reach: ndarray,
+    floor: ndarray,
+    robust: bool,
+    c: ndarray,
+    t: ndarray,
+    mean: ndarray,
+    spread: ndarray,
+) -> None:
     """Fill `mean` with Sum mu/(1-p) / precision and `spread` with 1/precision, both over the three outputs."""
     n0 = n1 = n2 = 0.0
     d0 = d1 = d2 = 1.0
@@ -87,10 +104,22 @@ def _predict_one(
     mean[0], mean[1], mean[2] = n0 / d0, n1 / d1, n2 / d2
 
 
-@numba.njit(cache=True, fastmath=_FASTMATH)
+@compiled(cache=True, fastmath=_FASTMATH)
 def predict(
-    z, points, turned, gains, vectors, offsets, vector_offsets, lower, upper, reach, floor, robust, capacity
-):
+    z: ndarray,
+    points: ndarray,
+    turned: ndarray,
+    gains: ndarray,
+    vectors: ndarray,
+    offsets: ndarray,
+    vector_offsets: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+    reach: ndarray,
+    floor: ndarray,
+    robust: bool,
+    capacity: int,
+) -> tuple[ndarray, ndarray]:
     """Return mean (N, 3) and variance in units of the signal variance (N, 3), one thread."""
     mean = np.empty((z.shape[0], 3))
     spread = np.empty((z.shape[0], 3))
@@ -117,10 +146,22 @@ def predict(
     return mean, spread
 
 
-@numba.njit(cache=True, fastmath=_FASTMATH, parallel=True)
+@compiled(cache=True, fastmath=_FASTMATH, parallel=True)
 def predict_parallel(
-    z, points, turned, gains, vectors, offsets, vector_offsets, lower, upper, reach, floor, robust, capacity
-):
+    z: ndarray,
+    points: ndarray,
+    turned: ndarray,
+    gains: ndarray,
+    vectors: ndarray,
+    offsets: ndarray,
+    vector_offsets: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+    reach: ndarray,
+    floor: ndarray,
+    robust: bool,
+    capacity: int,
+) -> tuple[ndarray, ndarray]:
     """`predict` with the queries shared out over threads; the same bits, since a query is never split."""
     mean = np.empty((z.shape[0], 3))
     spread = np.empty((z.shape[0], 3))
@@ -147,10 +188,22 @@ def predict_parallel(
     return mean, spread
 
 
-@numba.njit(cache=True, fastmath=_FASTMATH)
+@compiled(cache=True, fastmath=_FASTMATH)
 def jacobian(
-    z, points, turned, gains, vectors, offsets, vector_offsets, lower, upper, reach, floor, robust, capacity
-):
+    z: ndarray,
+    points: ndarray,
+    turned: ndarray,
+    gains: ndarray,
+    vectors: ndarray,
+    offsets: ndarray,
+    vector_offsets: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+    reach: ndarray,
+    floor: ndarray,
+    robust: bool,
+    capacity: int,
+) -> ndarray:
     """Return the mean's Jacobian with respect to scaled features, (N, 3, D).
 
     mean = A/P with A = Sum b mu u, P = 1 + Sum b p u, u = 1/(1-p); b = 1 or, robust, log(u)/2, so that b' = u/2;
@@ -218,8 +271,16 @@ def jacobian(
     return out
 
 
-@numba.njit(cache=True, fastmath=_FASTMATH)
-def weighted_sum(z, points, weights, offsets, lower, upper, reach):
+@compiled(cache=True, fastmath=_FASTMATH)
+def weighted_sum(
+    z: ndarray,
+    points: ndarray,
+    weights: ndarray,
+    offsets: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+    reach: ndarray,
+) -> tuple[ndarray, ndarray]:
     """Return the sum of weights (P, 3) times correlations, (N, 3), and its slopes by scaled features."""
     features = z.shape[1]
     out, slope = np.zeros((z.shape[0], 3)), np.zeros((z.shape[0], 3, features))
@@ -241,8 +302,8 @@ def weighted_sum(z, points, weights, offsets, lower, upper, reach):
     return out, slope
 
 
-@numba.njit(cache=True)
-def _basis(position, size, at, slope):
+@compiled(cache=True)
+def _basis(position: float, size: int, at: ndarray, slope: ndarray) -> int:
     """Fill the four cubic B-spline weights at `position` (in nodes) and their slopes; return the first node.
 
     Clamped so that all four nodes exist; beyond the array the fraction stays at its end, where coefficients are 0.
@@ -263,8 +324,10 @@ def _basis(position, size, at, slope):
     return first - 1
 
 
-@numba.njit(cache=True)
-def spline(z, origin, inverse_spacing, coefficients, slopes):
+@compiled(cache=True)
+def spline(
+    z: ndarray, origin: ndarray, inverse_spacing: ndarray, coefficients: ndarray, slopes: bool
+) -> tuple[ndarray, ndarray]:
     """Return values (N, W) of a tricubic B-spline and, when `slopes`, derivatives (N, W, 3), else an empty array.
 
     `coefficients` is (n0, n1, n2, W); the sums run over the 64 nodes around a query, nearest axis last.

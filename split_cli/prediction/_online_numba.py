@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+from numpy import ndarray
+
+from split_cli.compiled_code import compiled
 
 __all__ = ["committee"]
 
 _FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 
 
-@numba.njit(cache=True, fastmath=_FASTMATH)
-def committee(z, count, cells, points, turned, gains, vectors, lower, upper, ratio, reach):
+@compiled(cache=True, fastmath=_FASTMATH)
+def committee(
+    z: ndarray,
+    count: ndarray,
+    cells: int,
+    points: ndarray,
+    turned: ndarray,
+    gains: ndarray,
+    vectors: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+    ratio: ndarray,
+    reach: float,
+) -> tuple[ndarray, ndarray, ndarray]:
     """Return mean (N, 3), variance over signal variance (N, 3) and Jacobian by scaled features (N, 3, D).
 
-    As `_bcm_numba.predict` and `_bcm_numba.jacobian`, for arrays whose first axis are cells and whose second are
+    As `_compiled.predict` and `_compiled.jacobian`, for arrays whose first axis are cells and whose second are
     slots, of which `count` are filled; `reach` is the squared distance beyond which a cell is skipped.
     """
     N, D, M = z.shape[0], z.shape[1], points.shape[1]

@@ -89,6 +89,14 @@ def committee_tables(training_set: TrainingSet) -> CommitteeTables:
     )
 
 
+#: As `_compiled.predict` takes them after the queries: points, turned, gains, vectors, offsets, vector offsets,
+#: lower, upper, reach, floor, robust, capacity.
+CompiledArguments = tuple[
+    np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray,
+    np.ndarray, bool, int,
+]  # fmt: skip
+
+
 class BcmPredictor(Predictor):
     """Tresp's committee with latent variances on both sides, in the form that does not cancel.
 
@@ -116,7 +124,7 @@ class BcmPredictor(Predictor):
     of what was left out bound the errors.
     """
 
-    name: ClassVar[str] = "bcm"
+    name: str = "bcm"
     robust: ClassVar[bool] = False
 
     def __init__(self, training_set: TrainingSet, neglect: float = 1e-13, parallel: bool = False) -> None:
@@ -128,7 +136,7 @@ class BcmPredictor(Predictor):
         self.tables = committee_tables(training_set)
         self._arguments = self._compiled_arguments()
 
-    def _compiled_arguments(self) -> tuple:
+    def _compiled_arguments(self) -> CompiledArguments:
         t = self.tables
         counts = np.diff(t.offsets)
         capacity = int(counts.max(initial=1))
@@ -161,7 +169,8 @@ class BcmPredictor(Predictor):
         """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
         z = queries(z, self.training_set)
         scales = self.training_set.kernel.length_scales
-        return _compiled.jacobian(z / scales, *self._arguments) / scales
+        slopes: np.ndarray = _compiled.jacobian(z / scales, *self._arguments) / scales
+        return slopes
 
 
 class RbcmPredictor(BcmPredictor):
@@ -175,5 +184,5 @@ class RbcmPredictor(BcmPredictor):
     data it is the prior, as the dense process; on the points, as the noise vanishes, it takes their labels.
     """
 
-    name: ClassVar[str] = "rbcm"
+    name: str = "rbcm"
     robust: ClassVar[bool] = True

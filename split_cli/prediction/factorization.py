@@ -47,7 +47,8 @@ def cholesky(correlation_matrix: np.ndarray, diagonal: float) -> np.ndarray:
         matrix = correlation_matrix.copy()
         matrix[np.diag_indices_from(matrix)] += diagonal + jitter
         try:
-            return scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True, check_finite=False)
+            low: np.ndarray = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True, check_finite=False)
+            return low
         except scipy.linalg.LinAlgError:
             jitter = 10.0 * jitter if jitter else 1e-12
         if jitter > _LARGEST_JITTER:

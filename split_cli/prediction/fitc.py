@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -52,8 +51,8 @@ class FitcPredictor(Predictor):
     Away from the pseudo-inputs the mean goes to the prior whatever the training set holds there.
     """
 
-    name: ClassVar[str] = "fitc"
-    needs_context: ClassVar[bool] = True
+    name: str = "fitc"
+    needs_context: bool = True
 
     def __init__(self, training_set: TrainingSet, situation: _Situation | None = None) -> None:
         super().__init__(training_set)
@@ -95,7 +94,8 @@ class FitcPredictor(Predictor):
     def mean(self, z: np.ndarray) -> np.ndarray:
         """Return the mean alone, shape (N, 3)."""
         z, now = queries(z, self.training_set), self._require_situation()
-        return self.training_set.kernel.correlation(z, now.pseudo_inputs) @ now.weights
+        mean: np.ndarray = self.training_set.kernel.correlation(z, now.pseudo_inputs) @ now.weights
+        return mean
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
@@ -103,7 +103,8 @@ class FitcPredictor(Predictor):
         scales = self.training_set.kernel.length_scales
         cross = self.training_set.kernel.correlation(z, now.pseudo_inputs)
         slope = cross[:, :, None] * (now.pseudo_inputs[None] - z[:, None]) / np.square(scales)
-        return np.einsum("npd,po->nod", slope, now.weights)
+        jacobian: np.ndarray = np.einsum("npd,po->nod", slope, now.weights)
+        return jacobian
 
     def _require_situation(self) -> _Situation:
         if self._situation is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -31,7 +30,7 @@ class FullPredictor(Predictor):
     Factoring costs N^3/3, a query's variance N^2 an output; the factor is made at the first use and kept.
     """
 
-    name: ClassVar[str] = "full"
+    name: str = "full"
 
     def __init__(self, training_set: TrainingSet) -> None:
         super().__init__(training_set)

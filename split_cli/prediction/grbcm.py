@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -33,6 +33,10 @@ class _Experts:
     leaning: np.ndarray
 
 
+#: Noise ratio, factor and whitened labels of the shared points, and the experts given them.
+_Conditioned = tuple[float, np.ndarray, np.ndarray, list[_Experts]]
+
+
 class GrbcmPredictor(Predictor):
     """Liu et al.'s committee, which becomes the dense process as the shared points or the one expert hold all.
 
@@ -54,7 +58,7 @@ class GrbcmPredictor(Predictor):
     shared point may tie a far cell to the query.
     """
 
-    name: ClassVar[str] = "grbcm"
+    name: str = "grbcm"
 
     def __init__(self, training_set: TrainingSet, shared: int = DEFAULT_SHARED) -> None:
         super().__init__(training_set)
@@ -64,12 +68,12 @@ class GrbcmPredictor(Predictor):
         chosen, _ = most_informative(s.z, kernel.length_scales, shared) if s.size else (np.empty(0, int), None)
         self.shared = np.sort(chosen)
         ratio = kernel.noise_variance / kernel.signal_variance
-        self._parts = []
+        self._parts: list[tuple[np.ndarray, _Conditioned]] = []
         for value in dict.fromkeys(ratio.tolist()):
             outputs = np.flatnonzero(ratio == value)
-            self._parts.append((outputs, *self._condition(value, outputs)))
+            self._parts.append((outputs, self._condition(value, outputs)))
 
-    def _condition(self, ratio: float, outputs: np.ndarray) -> tuple:
+    def _condition(self, ratio: float, outputs: np.ndarray) -> _Conditioned:
         """Return factor and whitened labels of the shared points, and experts given them, largest cell first."""
         s, kernel = self.training_set, self.training_set.kernel
         common = s.z[self.shared]
@@ -106,26 +110,28 @@ class GrbcmPredictor(Predictor):
         for begin in range(0, len(z) if self.training_set.size else 0, _CHUNK):
             at = slice(begin, begin + _CHUNK)
             cross = kernel.correlation(self.training_set.z, z[at])
-            directions = [None]
+            directions = []
             if slopes:
                 away = (self.training_set.z[:, None, :] - z[None, at]) / np.square(kernel.length_scales)
-                directions += [cross * away[:, :, d] for d in range(z.shape[1])]
-            for outputs, *known in self._parts:
-                mean[at, outputs], left, by_feature = self._combine(cross, directions, *known)
+                directions = [cross * away[:, :, d] for d in range(z.shape[1])]
+            for outputs, known in self._parts:
+                mean[at, outputs], left, by_feature = self._combine(cross, directions, known)
                 variance[at, outputs] *= left[:, None]
                 for d, slope in enumerate(by_feature):
                     jacobian[at, outputs, d] = slope
         return Prediction(mean, variance), jacobian
 
-    def _combine(self, cross, directions, ratio, factor, told, experts) -> tuple:
+    def _combine(
+        self, cross: np.ndarray, directions: Sequence[np.ndarray], known: _Conditioned
+    ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
         """Return mean (N, outputs), variance in S0 (N,) and the mean's slope along each direction.
 
         Sums are relative to the shared points: the precision is 1/v_c + sum b_i (1/v_i - 1/v_c), and the mean
         mu_c + sum b_i (mu_i - mu_c)/v_i over it, so that nothing large cancels.
         """
-        n = cross.shape[1]
+        (ratio, factor, told, experts), n = known, cross.shape[1]
         lean = solve_triangular(factor, cross[self.shared], lower=True)
-        lean_slopes = [solve_triangular(factor, c[self.shared], lower=True) for c in directions[1:]]
+        lean_slopes = [solve_triangular(factor, c[self.shared], lower=True) for c in directions]
         floor = ratio / (len(cross) + ratio)
         v_c = np.maximum(1.0 - np.square(lean).sum(axis=0), floor)
         dv_c = [-2.0 * (lean * slope).sum(axis=0) for slope in lean_slopes]
@@ -144,7 +150,7 @@ class GrbcmPredictor(Predictor):
                 b[0] = 1.0
             precision = precision + (b * (1.0 / v - 1.0 / v_c)).sum(axis=0)
             top += np.einsum("cn,cno->no", b / v, shift)
-            for k, (c, slope) in enumerate(zip(directions[1:], lean_slopes, strict=True)):
+            for k, (c, slope) in enumerate(zip(directions, lean_slopes, strict=True)):
                 dd = c[e.rows] - e.leaning @ slope
                 dv = dv_c[k] - 2.0 * (dd * solved).sum(axis=1)
                 db = 0.5 * (dv_c[k] / v_c - dv / v)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -31,7 +30,7 @@ class IolPredictor(Predictor):
     whole set this is the dense process.
     """
 
-    name: ClassVar[str] = "iol"
+    name: str = "iol"
 
     def __init__(self, training_set: TrainingSet, capacity: int = DEFAULT_DICTIONARY) -> None:
         super().__init__(training_set)
@@ -58,5 +57,5 @@ def _reduced(s: TrainingSet, capacity: int) -> TrainingSet:
         dictionary.offer(s.z[row], s.y[row])
     offsets = np.array([0, len(dictionary)], dtype=np.int64)
     # The dense process reads points, labels and kernel only.
-    points = {"z": dictionary.z.copy(), "y": dictionary.y.copy()}
-    return replace(s, offsets=offsets, cell_numbers=np.zeros(1, dtype=np.int64), **points)
+    z, y = dictionary.z.copy(), dictionary.y.copy()
+    return replace(s, offsets=offsets, cell_numbers=np.zeros(1, dtype=np.int64), z=z, y=y)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial import cKDTree
@@ -33,7 +31,7 @@ class LocalPredictor(Predictor):
     With as many neighbours as points it is the dense process.
     """
 
-    name: ClassVar[str] = "local"
+    name: str = "local"
 
     def __init__(self, training_set: TrainingSet, neighbours: int = DEFAULT_NEIGHBOURS) -> None:
         super().__init__(training_set)

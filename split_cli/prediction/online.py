@@ -26,6 +26,14 @@ class OnlineCommittee:
     paper reuses the cells' matrices as well.
     """
 
+    count: np.ndarray
+    points: np.ndarray
+    turned: np.ndarray
+    gains: np.ndarray
+    vectors: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
     def __init__(self, online: OnlineSet, neglect: float = 1e-6) -> None:
         self.online = online
         header = online.header
@@ -39,7 +47,7 @@ class OnlineCommittee:
 
     def _allocate(self, room: int) -> None:
         M, D = self.capacity, self.width
-        shapes = {
+        shapes: dict[str, tuple[int, ...]] = {
             "count": (), "points": (M, D), "turned": (M, 3), "gains": (M, 3), "vectors": (M, M), "lower": (D,),
             "upper": (D,),
         }  # fmt: skip

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -44,8 +43,8 @@ class Predictor(ABC):
     training_set : TrainingSet
     """
 
-    name: ClassVar[str]
-    needs_context: ClassVar[bool] = False
+    name: str
+    needs_context: bool = False
 
     def __init__(self, training_set: TrainingSet) -> None:
         self.training_set = training_set

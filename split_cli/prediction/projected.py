@@ -88,7 +88,8 @@ class ProjectedProcess:
         exponent = self._points @ scaled.T
         exponent -= self._squares[:, None]
         exponent -= 0.5 * np.square(scaled).sum(axis=1)
-        return np.exp(exponent, out=exponent)
+        correlation: np.ndarray = np.exp(exponent, out=exponent)
+        return correlation
 
 
 def _chosen(z: np.ndarray, kernel: Kernel, most: int) -> tuple[np.ndarray, np.ndarray]:

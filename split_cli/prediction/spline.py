@@ -105,7 +105,7 @@ def fit_spline(lattice: Lattice, values: np.ndarray, dtype: type = np.float64) -
         lines = np.moveaxis(table, axis, 0)
         solved = solve_banded((1, 1), bands, lines.reshape(count, -1), check_finite=False)
         table = np.moveaxis(solved.reshape(lines.shape), 0, axis)
-    padded = np.pad(table, [(PADDING, PADDING)] * 3 + [(0, 0)]).astype(dtype)
+    padded: np.ndarray = np.pad(table, [(PADDING, PADDING)] * 3 + [(0, 0)]).astype(dtype)
     origin = (lattice.first - PADDING) * lattice.spacing
     return Spline(origin, lattice.spacing, np.ascontiguousarray(padded))
 
@@ -113,4 +113,5 @@ def fit_spline(lattice: Lattice, values: np.ndarray, dtype: type = np.float64) -
 def smooth_step(position: np.ndarray) -> np.ndarray:
     """Return 0 below 0, 1 above 1, and between them the quintic with two derivatives 0 at both ends."""
     x = np.clip(position, 0.0, 1.0)
-    return x * x * x * (10.0 + x * (6.0 * x - 15.0))
+    smooth: np.ndarray = x * x * x * (10.0 + x * (6.0 * x - 15.0))
+    return smooth

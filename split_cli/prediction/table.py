@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -91,7 +90,7 @@ class TablePredictor(Predictor):
     inside it, mean and deviation return to the prior smoothly; outside the box they are the prior exactly.
     """
 
-    name: ClassVar[str] = "table"
+    name: str = "table"
 
     def __init__(
         self,
@@ -257,7 +256,9 @@ def _box(s: TrainingSet) -> tuple[np.ndarray, np.ndarray]:
 
 def _faded_by(table: TablePredictor, places: np.ndarray) -> np.ndarray:
     lower, upper = _box(table.training_set)
-    return ((places < lower) | (places > upper)).any(axis=1)
+    outside: np.ndarray = (places < lower) | (places > upper)
+    faded: np.ndarray = np.any(outside, axis=1)
+    return faded
 
 
 def _changed_points(old: TrainingSet, new: TrainingSet) -> np.ndarray:

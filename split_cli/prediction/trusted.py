@@ -40,8 +40,10 @@ class TrustedPredictor(Predictor):
 
     def mean(self, z: np.ndarray) -> np.ndarray:
         """Return the believed mean alone, shape (N, 3)."""
-        return self.training_set.trust.array * self.inner.mean(z)
+        believed: np.ndarray = self.training_set.trust.array * self.inner.mean(z)
+        return believed
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         """Return the believed mean's Jacobian, shape (N, 3, D)."""
-        return self.training_set.trust.array[:, None] * self.inner.jacobian(z)
+        believed: np.ndarray = self.training_set.trust.array[:, None] * self.inner.jacobian(z)
+        return believed

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from split_cli.learning.training_set import TrainingSet
@@ -42,7 +40,7 @@ class WeightsPredictor(Predictor):
     and alternate, so that the reach is about five length scales; cut at three the sum is useless.
     """
 
-    name: ClassVar[str] = "weights"
+    name: str = "weights"
 
     def __init__(
         self, training_set: TrainingSet, bound: float = DEFAULT_BOUND, neighbours: int = DEFAULT_NEIGHBOURS
@@ -83,4 +81,5 @@ class WeightsPredictor(Predictor):
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
         z, scales = queries(z, self.training_set), self.training_set.kernel.length_scales
-        return _compiled.weighted_sum(z / scales, *self._arguments)[1] / scales
+        slopes: np.ndarray = _compiled.weighted_sum(z / scales, *self._arguments)[1] / scales
+        return slopes

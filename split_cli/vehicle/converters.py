@@ -80,6 +80,10 @@ class _Tire:
     free: bool
 
 
+#: What a reader of a format returns: the mapping of a vehicle file, both axles' laws, what is assumed, in words.
+_Read = tuple[dict[str, Any], Sequence[_Tire], list[str]]
+
+
 def convert_parameters(sources: Sequence[str | Path], *, alpha_max: float = 0.18) -> Conversion:
     """Convert a parameter file, or files that belong together, to a vehicle.
 
@@ -166,7 +170,7 @@ def _published(**values: float) -> dict[str, Any]:
     return {key: {"value": value, "source": "published"} for key, value in values.items()}
 
 
-def _commonroad(content: Mapping[str, Any], where: str) -> tuple[dict[str, Any], tuple[_Tire, _Tire], list[str]]:
+def _commonroad(content: Mapping[str, Any], where: str) -> _Read:
     """CommonRoad: Althoff, Koschi, Manzinger (2017), "CommonRoad: Vehicle Models", tables of parameters.
 
     Pure lateral slip: D = p_dy1 F_z, C = p_cy1, E = p_ey1, B C D = |p_ky1| F_z, without shifts and camber.
@@ -178,7 +182,7 @@ def _commonroad(content: Mapping[str, Any], where: str) -> tuple[dict[str, Any],
     tire = content["tire"]
     loads = _axle_loads(get("m"), get("a"), get("b"))
     mu, C, E, k = get("p_dy1", tire), get("p_cy1", tire), get("p_ey1", tire), abs(get("p_ky1", tire))
-    tires = tuple(_pacejka(k / (C * mu), C, mu * load, E) for load in loads)
+    tires = [_pacejka(k / (C * mu), C, mu * load, E) for load in loads]
     mapping = _published(
         mass=get("m"),
         yaw_inertia=get("I_z"),
@@ -197,7 +201,7 @@ def _commonroad(content: Mapping[str, Any], where: str) -> tuple[dict[str, Any],
     return mapping, tires, ["torque limits from the largest acceleration a_max", "no drag, no rolling resistance"]
 
 
-def _f1tenth(content: Mapping[str, Any], where: str) -> tuple[dict[str, Any], tuple[_Tire, _Tire], list[str]]:
+def _f1tenth(content: Mapping[str, Any], where: str) -> _Read:
     """F1TENTH gym and simulator: F_y = mu C_S F_z alpha, C_S in 1/rad, as in CommonRoad's single track."""
 
     def get(key: str) -> float:
@@ -224,7 +228,7 @@ def _f1tenth(content: Mapping[str, Any], where: str) -> tuple[dict[str, Any], tu
     )
 
 
-def _forzaeth(content: Mapping[str, Any], where: str) -> tuple[dict[str, Any], tuple[_Tire, _Tire], list[str]]:
+def _forzaeth(content: Mapping[str, Any], where: str) -> _Read:
     """ForzaETH race stack, On-Track-SysID: C_Pf, C_Pr = [B, C, D, E], D over axle load; or linear C_Sf, C_Sr."""
 
     def get(key: str) -> float:
@@ -337,7 +341,9 @@ def fit_magic_formula(
     return tire, *_deviation(force, tire, grid)
 
 
-def _deviation(force: Callable, tire: MagicFormula, grid: np.ndarray) -> tuple[float, float]:
+def _deviation(
+    force: Callable[[np.ndarray], np.ndarray], tire: MagicFormula, grid: np.ndarray
+) -> tuple[float, float]:
     error = np.abs(lateral_force(tire.B, tire.C, tire.D, grid) - force(grid))
     return float(error.max()), float(abs(grid[error.argmax()]))
 
@@ -345,7 +351,7 @@ def _deviation(force: Callable, tire: MagicFormula, grid: np.ndarray) -> tuple[f
 def _finish(
     kind: str,
     mapping: dict[str, Any],
-    tires: tuple[_Tire, _Tire],
+    tires: Sequence[_Tire],
     assumed: list[str],
     name: str,
     where: str,

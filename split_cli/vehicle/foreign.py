@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -68,13 +69,13 @@ def foreign_parameters(vehicle: Vehicle, kind: str, alpha_max: float = 0.18) -> 
     if vehicle.cg_height is not None:
         content["h_cg" if kind != "f1tenth" else "h"] = float(vehicle.cg_height)
     alpha = np.linspace(-alpha_max, alpha_max, 361)
-    deviations = tuple(
+    front_off, rear_off = (
         float(np.abs(lateral_force(t.B, t.C, t.D, alpha) - law(alpha)).max())
         for t, law in zip(tires, laws, strict=True)
     )
     lost += ["drag, rolling resistance and brake torque"]
-    lost += [f"effects: {', '.join(e.id for e in vehicle.effects)}"] if vehicle.effects else []
-    return ForeignParameters(kind, content, deviations, tuple(lost))
+    lost += [f"effects: {', '.join(e.term for e in vehicle.effects)}"] if vehicle.effects else []
+    return ForeignParameters(kind, content, (front_off, rear_off), tuple(lost))
 
 
 _Law = Callable[[np.ndarray], np.ndarray]
@@ -94,19 +95,19 @@ def _f1tenth(vehicle: Vehicle, loads: np.ndarray, tires: tuple[MagicFormula, Mag
         "lr": vehicle.cg_to_rear_axle, "m": vehicle.mass, "I": vehicle.yaw_inertia,
         "a_max": _largest_acceleration(vehicle),
     }  # fmt: skip
-    laws = [lambda alpha, slope=slope: slope * alpha for slope in slopes]
+    laws: list[_Law] = [partial(np.multiply, slope) for slope in slopes]
     return content, laws, ["the tyres' saturation: the format is linear", "limits of steering and size of the car"]
 
 
 def _forzaeth(vehicle: Vehicle, loads: np.ndarray, tires: tuple[MagicFormula, MagicFormula]) -> _Parts:
     rows = [[t.B, t.C, t.D / load, 0.0] for t, load in zip(tires, loads.tolist(), strict=True)]
-    content = {
+    content: dict[str, Any] = {
         "C_Pf": rows[0], "C_Pr": rows[1], "I_z": vehicle.yaw_inertia, "l_f": vehicle.cg_to_front_axle,
         "l_r": vehicle.cg_to_rear_axle, "l_wb": vehicle.wheelbase, "m": vehicle.mass, "mu": 1.0,
         "a_max": _largest_acceleration(vehicle), "model_name": vehicle.name, "tire_model": "pacejka",
     }  # fmt: skip
-    laws = [
-        lambda alpha, r=r, load=load: full_magic_formula(r[0], r[1], r[2] * load, 0.0, alpha)
+    laws: list[_Law] = [
+        partial(full_magic_formula, r[0], r[1], r[2] * load, 0.0)
         for r, load in zip(rows, loads.tolist(), strict=True)
     ]
     return content, laws, ["wheel radius and torque split"]
@@ -116,15 +117,14 @@ def _commonroad(vehicle: Vehicle, loads: np.ndarray, tires: tuple[MagicFormula, 
     mu = float(sum(t.D for t in tires) / loads.sum())
     slope = float(sum(t.B * t.C * t.D for t in tires) / loads.sum())
     C = float(np.average([t.C for t in tires], weights=loads))
-    content = {
+    content: dict[str, Any] = {
         "m": vehicle.mass, "I_z": vehicle.yaw_inertia, "a": vehicle.cg_to_front_axle, "b": vehicle.cg_to_rear_axle,
         "R_w": vehicle.wheel_radius, "T_sb": vehicle.brake_split_front, "T_se": vehicle.drive_split_front,
         "longitudinal": {"a_max": _largest_acceleration(vehicle)},
         "tire": {"p_cy1": C, "p_dy1": mu, "p_ey1": 0.0, "p_ky1": -slope},
     }  # fmt: skip
-    laws = [
-        lambda alpha, load=load: full_magic_formula(slope / (C * mu), C, mu * load, 0.0, alpha)
-        for load in loads.tolist()
+    laws: list[_Law] = [
+        partial(full_magic_formula, slope / (C * mu), C, mu * load, 0.0) for load in loads.tolist()
     ]
     return content, laws, ["the difference of the axles' tyres", "limits of steering and size of the car"]
 

@@ -122,8 +122,8 @@ def integrate_with_memory(
     count = len(rows)
     if getattr(model, "state_names", ()):
         if term_states is None:
-            position, psi, vx, vy, r = rows[:5]
-            steady = model.flow(vx, vy, r, torque[:, 0], steer_angle[:, 0], yaw=psi, t=time, s=position).values
+            place, psi, vx, vy, r = rows[:5]
+            steady = model.flow(vx, vy, r, torque[:, 0], steer_angle[:, 0], yaw=psi, t=time, s=place).values
             term_states = np.stack([steady[name] + 0.0 * vx for name in model.state_names], axis=1)
         rows += [np.ascontiguousarray(column) for column in term_states.T]
         fastest = max(term.fastest_rate(float(np.max(rows[2], initial=0.0))) for term in model.terms)
@@ -152,9 +152,9 @@ def integrate_with_memory(
                 time + (sample + begin) * period,
             )
     _, psi, vx, vy, r, *position = rows[:count]
-    columns = [*position, psi, vx, vy, r] if with_pose else [vx, vy, r]
+    course = [*position, psi, vx, vy, r] if with_pose else [vx, vy, r]
     memory = np.stack(rows[count:], axis=1) if rows[count:] else np.empty((len(state), 0))
-    return np.stack(columns, axis=1), memory
+    return np.stack(course, axis=1), memory
 
 
 @dataclass(frozen=True)
@@ -221,12 +221,12 @@ def recorded_inputs(
     return RecordedInputs(late["T"], late["delta"], states, tuple(held))
 
 
-def _rk4(model: SingleTrack, rows: list, inputs: Any, step: float, time: Any) -> list:
+def _rk4(model: SingleTrack, rows: list[np.ndarray], inputs: Any, step: float, time: Any) -> list[np.ndarray]:
     """Advance [s, yaw, v_x, v_y, r(, X, Y)(, term states)] by one classical RK4 step."""
     names = getattr(model, "state_names", ())
     plain = len(rows) - len(names)
 
-    def derivative(now: list, share: float) -> list:
+    def derivative(now: list[np.ndarray], share: float) -> list[np.ndarray]:
         s, psi, vx, vy, r = now[:5]
         T, delta = inputs(share)
         situation = {"yaw": psi, "t": time + share * step, "s": s}
@@ -328,4 +328,5 @@ def exact_step(
     augmented = np.zeros((count, 9, 9))
     augmented[:, :8, :8] = jacobian
     augmented[:, :8, 8] = full(state)
-    return state + expm(augmented * horizon)[:, :8, 8]
+    reached: np.ndarray = state + expm(augmented * horizon)[:, :8, 8]
+    return reached

@@ -219,10 +219,11 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
     _refuse_no_car(_VALUES_OF_CARS, numbers, where)
     numbers.setdefault("brake_split_front", numbers["drive_split_front"])
     numbers.setdefault("max_brake_torque", numbers["max_torque"])
-    tires = {key: _tire(key, content.get(key), told) for key in ("front_tire", "rear_tire")}
+    tires = [_tire(key, content.get(key), told) for key in ("front_tire", "rear_tire")]
     effects = _effects(content.get("effects") or [], where)
     name = str(content.get("name") or Path(where).stem)
-    return Vehicle(name=name, **numbers, **tires, effects=effects, origins=told.origins, notes=told.notes)
+    known: dict[str, Any] = {"front_tire": tires[0], "rear_tire": tires[1], **numbers}
+    return Vehicle(name=name, **known, effects=effects, origins=told.origins, notes=told.notes)
 
 
 class _Told:
@@ -299,7 +300,9 @@ _VALUES_OF_CARS = {
 }  # fmt: skip
 
 
-def _refuse_no_car(limits: Mapping[str, tuple], values: Mapping[str, float], where: str, prefix: str = "") -> None:
+def _refuse_no_car(
+    limits: Mapping[str, tuple[float, float, str]], values: Mapping[str, float], where: str, prefix: str = ""
+) -> None:
     for key, value in values.items():
         if key in limits and not limits[key][0] <= value <= limits[key][1]:
             least, most, unit = limits[key]

@@ -19,6 +19,9 @@ from split_cli.vehicle.tire import lateral_force, lateral_force_slope
 
 __all__ = ["SingleTrack", "slip_angles"]
 
+#: v_x', v_y', r': arrays or symbols.
+Rates = tuple[Any, Any, Any]
+
 
 def slip_angles(
     vx: Any, vy: Any, r: Any, delta: Any, l_f: Any, l_r: Any, ops: Operations = NUMPY
@@ -49,10 +52,9 @@ class SingleTrack:
 
     def __init__(self, vehicle: Vehicle, terms: Sequence[FlowTerm] | None = None) -> None:
         self.vehicle = vehicle
-        if terms is None and vehicle.effects:
-            terms = build_terms(vehicle)
+        chosen: Sequence[FlowTerm] = build_terms(vehicle) if terms is None else terms
         # Sorting is stable: terms of one order act as listed.
-        self.terms: tuple[FlowTerm, ...] = tuple(sorted(terms or (), key=lambda term: getattr(term, "order", 5)))
+        self.terms: tuple[FlowTerm, ...] = tuple(sorted(chosen, key=lambda term: getattr(term, "order", 5)))
         self.state_names: tuple[str, ...] = tuple(
             name for term in self.terms for name in getattr(term, "state_names", ())
         )
@@ -92,7 +94,8 @@ class SingleTrack:
             front.longitudinal_force, rear.longitudinal_force = self._longitudinal_forces(flow.T, ops)
         for term in self.terms:
             term.tire(flow)
-        for axle, known in ((front, plain and plain.front), (rear, plain and plain.rear)):
+        known_axles = (None, None) if plain is None else (plain.front, plain.rear)
+        for axle, known in zip((front, rear), known_axles, strict=True):
             if known is not None and _same_curve(axle, known):
                 axle.lateral_force = known.lateral_force
             else:
@@ -137,8 +140,11 @@ class SingleTrack:
     @staticmethod
     def _turn(flow: Flow, plain: Flow | None) -> None:
         """Take where the wheels point: sine and cosine of the steer angle, and slip angles."""
-        ops, same = flow.ops, plain is not None and flow.delta is plain.delta
-        flow.sine, flow.cosine = (plain.sine, plain.cosine) if same else (ops.sin(flow.delta), ops.cos(flow.delta))
+        ops = flow.ops
+        if plain is not None and flow.delta is plain.delta:
+            flow.sine, flow.cosine = plain.sine, plain.cosine
+        else:
+            flow.sine, flow.cosine = ops.sin(flow.delta), ops.cos(flow.delta)
         alike = ("vx", "vy", "r", "l_f", "l_r")
         if plain is None or any(getattr(flow, name) is not getattr(plain, name) for name in alike):
             flow.front.slip_angle, flow.rear.slip_angle = slip_angles(
@@ -147,7 +153,7 @@ class SingleTrack:
             return
         # The axles move as they did: steering turns but the front one.
         turned = plain.front.slip_angle
-        flow.front.slip_angle = turned if same else turned + (flow.delta - plain.delta)
+        flow.front.slip_angle = turned if flow.delta is plain.delta else turned + (flow.delta - plain.delta)
         flow.rear.slip_angle = plain.rear.slip_angle
 
     def _longitudinal_forces(self, T: Any, ops: Operations) -> tuple[Any, Any]:
@@ -159,7 +165,7 @@ class SingleTrack:
         force = T / car.wheel_radius
         return kappa * force - car.rolling_resistance_front, (1.0 - kappa) * force - car.rolling_resistance_rear
 
-    def velocity_derivative(self, vx: Any, vy: Any, r: Any, T: Any, delta: Any, **situation: Any) -> tuple:
+    def velocity_derivative(self, vx: Any, vy: Any, r: Any, T: Any, delta: Any, **situation: Any) -> Rates:
         """Return (v_x', v_y', r') [m/s^2], [m/s^2], [rad/s^2].
 
         Parameters
@@ -176,7 +182,7 @@ class SingleTrack:
         return self.balance(self.flow(vx, vy, r, T, delta, **situation))
 
     @staticmethod
-    def balance(f: Flow) -> tuple:
+    def balance(f: Flow) -> Rates:
         """Return (v_x', v_y', r') of an evaluated flow."""
         front_x = f.front.longitudinal_force * f.cosine - f.front.lateral_force * f.sine
         front_y = f.front.lateral_force * f.cosine + f.front.longitudinal_force * f.sine
@@ -224,7 +230,9 @@ class SingleTrack:
         jacobian[..., 1, 2] -= vx
         return jacobian
 
-    def _jacobian_by_differences(self, vx, vy, r, T, delta, **situation: Any) -> np.ndarray:
+    def _jacobian_by_differences(
+        self, vx: np.ndarray, vy: np.ndarray, r: np.ndarray, T: np.ndarray, delta: np.ndarray, **situation: Any
+    ) -> np.ndarray:
         velocity = [np.asarray(component, dtype=float) for component in (vx, vy, r)]
         jacobian = np.empty((*np.shape(vx), 3, 3))
         for column in range(3):
@@ -233,8 +241,8 @@ class SingleTrack:
             ahead[column] = velocity[column] + step
             behind[column] = velocity[column] - step
             width = ahead[column] - behind[column]
-            after = self.velocity_derivative(*ahead, T, delta, **situation)
-            before = self.velocity_derivative(*behind, T, delta, **situation)
+            after = self.velocity_derivative(ahead[0], ahead[1], ahead[2], T, delta, **situation)
+            before = self.velocity_derivative(behind[0], behind[1], behind[2], T, delta, **situation)
             for row in range(3):
                 jacobian[..., row, column] = (after[row] - before[row]) / width
         return jacobian

@@ -11,7 +11,7 @@ from split_cli.cli.main import group
 from split_cli.errors import VehicleError
 from split_cli.vehicle.converters import convert_parameters
 from split_cli.vehicle.foreign import foreign_parameters
-from split_cli.vehicle.parameters import write_vehicle
+from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.vehicle.tire import lateral_force
 from tests.factories import road_car
 
@@ -38,6 +38,11 @@ def test_mass_geometry_and_stiffness_come_back(tmp_path, kind, read_as):
         for axle in ("front_tire", "rear_tire"):
             old, new = getattr(car, axle), getattr(found.vehicle, axle)
             assert pytest.approx(old.B * old.C * old.D, rel=1e-6) == new.B * new.C * new.D
+
+
+def test_effects_are_told_as_lost_since_no_format_has_a_place_for_them():
+    late = road_car().with_effects(EffectSpec("drive_lag", {"tau": 0.05}))
+    assert "effects: drive_lag" in foreign_parameters(late, "forzaeth").lost
 
 
 def test_forzaeth_is_exact_and_the_others_tell_their_deviation(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -226,7 +227,7 @@ def _kept_where_open(curves: tuple[ForceCurve, ...], start: Vehicle) -> tuple[Fo
 
 def _given_peak(start: Vehicle, axle: str, load: float) -> float:
     """Return the peak to take when the data leave it open: published, else friction times static load."""
-    tire = getattr(start, f"{axle}_tire")
+    tire = start.front_tire if axle == "front" else start.rear_tire
     if start.friction_coefficient is None or start.origins.get(f"{axle}_tire.D") == "published":
         return tire.D
     return float(f"{start.friction_coefficient * load:.6g}")
@@ -259,14 +260,14 @@ def _rounded(vehicle: Vehicle) -> Vehicle:
     def short(key: str, value: float) -> float:
         return float(f"{value:.6g}") if vehicle.origins.get(key) == "calibrated" else value
 
-    tires = {}
+    changed: dict[str, Any] = {}
     for key in ("front_tire", "rear_tire"):
         tire = getattr(vehicle, key)
-        tires[key] = MagicFormula(
+        changed[key] = MagicFormula(
             **{name: short(f"{key}.{name}", getattr(tire, name)) for name in ("B", "C", "D")}
         )
-    numbers = {key: short(key, getattr(vehicle, key)) for key in vehicle.origins if "." not in key}
-    return replace(vehicle, **tires, **numbers)
+    changed |= {key: short(key, getattr(vehicle, key)) for key in vehicle.origins if "." not in key}
+    return replace(vehicle, **changed)
 
 
 def _marked(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -133,7 +134,13 @@ class _Problem:
         root = np.sqrt(stretch)
         return error / root, jacobian / root[:, None]
 
-    def fit(self, start: np.ndarray, free=None, weight=None, scale=None) -> LeastSquaresFit:
+    def fit(
+        self,
+        start: np.ndarray,
+        free: Sequence[int] | np.ndarray | None = None,
+        weight: np.ndarray | None = None,
+        scale: float | None = None,
+    ) -> LeastSquaresFit:
         free = self.free if free is None else np.asarray(free)
         return solve(self.residual, start, self.lower, self.upper, free=free, weight=weight, scale=scale)
 
@@ -143,7 +150,8 @@ class _Problem:
 
     def error(self, p: np.ndarray) -> np.ndarray:
         """Return model minus measured [N]."""
-        return _curve(p, self.slip + p[3]) - self.force
+        residuals: np.ndarray = _curve(p, self.slip + p[3]) - self.force
+        return residuals
 
 
 def _tire(p: np.ndarray) -> MagicFormula:
@@ -264,7 +272,8 @@ def fit_force_curve(
 
 def _curve(p: np.ndarray, grid: np.ndarray) -> np.ndarray:
     tire = _tire(p)
-    return lateral_force(tire.B, tire.C, tire.D, grid)
+    force: np.ndarray = lateral_force(tire.B, tire.C, tire.D, grid)
+    return force
 
 
 def _best_fit(problem: _Problem, start: MagicFormula, given_peak: float) -> LeastSquaresFit:
@@ -293,7 +302,8 @@ def _noise_ratio(problem: _Problem, fit: LeastSquaresFit, slip_noise: np.ndarray
     from_slip = float(np.mean((slope * slip_noise) ** 2))
     # At least a quarter of the scatter stays with the force: noise estimates are no better than that.
     force_noise = np.sqrt(max(fit.scale**2 - from_slip, 0.25 * fit.scale**2))
-    return slip_noise / force_noise
+    ratio: np.ndarray = slip_noise / force_noise
+    return ratio
 
 
 @dataclass(frozen=True)

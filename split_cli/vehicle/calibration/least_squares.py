@@ -50,7 +50,8 @@ class LeastSquaresFit:
         sums = _sum_by_block(self.scores, block)
         blocks, count = sums.shape
         inverse = np.linalg.pinv(self.curvature)
-        return inverse @ (sums.T @ sums) @ inverse * blocks / max(blocks - count, 1)
+        covariance: np.ndarray = inverse @ (sums.T @ sums) @ inverse * blocks / max(blocks - count, 1)
+        return covariance
 
     def design_effect(self, block: np.ndarray) -> float:
         """Return by how much correlation within blocks widens variances, in the mean, and at least 1."""
@@ -113,7 +114,16 @@ def solve(
     return LeastSquaresFit(parameters, _loss(value, width, weight), width, curvature, scores, free)
 
 
-def _descend(residual, parameters, lower, upper, free, weight, width, iterations) -> np.ndarray:
+def _descend(
+    residual: Residual,
+    parameters: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    free: np.ndarray,
+    weight: np.ndarray | None,
+    width: float,
+    iterations: int,
+) -> np.ndarray:
     damping = 1e-3
     value, jacobian = residual(parameters)
     loss = _loss(value, width, weight)
@@ -150,7 +160,8 @@ def _descend(residual, parameters, lower, upper, free, weight, width, iterations
 
 def _influence(value: np.ndarray, width: float) -> np.ndarray:
     limit = _HUBER * width
-    return np.minimum(1.0, limit / np.maximum(np.abs(value), 1e-300))
+    influence: np.ndarray = np.minimum(1.0, limit / np.maximum(np.abs(value), 1e-300))
+    return influence
 
 
 def _loss(value: np.ndarray, width: float, weight: np.ndarray | None) -> float:

@@ -205,4 +205,5 @@ def axle_lateral_forces(samples: MotionSamples, vehicle: Vehicle) -> tuple[np.nd
 def front_longitudinal_force(samples: MotionSamples, vehicle: Vehicle) -> np.ndarray:
     """Return the nominal F_fx = kappa T/r_e - C_fr [N], shape (M,)."""
     share = np.where(samples.T < 0.0, vehicle.brake_split_front, vehicle.drive_split_front)
-    return share * samples.T / vehicle.wheel_radius - vehicle.rolling_resistance_front
+    force: np.ndarray = share * samples.T / vehicle.wheel_radius - vehicle.rolling_resistance_front
+    return force

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from split_cli.vehicle.calibration.least_squares import solve
 from split_cli.vehicle.calibration.samples import MotionSamples, axle_lateral_forces
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.vehicle.tire import lateral_force, lateral_force_slope
+from split_cli.vehicle.tire import MagicFormula, lateral_force, lateral_force_slope
 
 __all__ = ["IntervalEstimate", "estimate_splits", "estimate_yaw_inertia", "with_estimates"]
 
@@ -34,7 +35,7 @@ class IntervalEstimate:
     settled: bool
 
 
-def _tire_columns(slip: np.ndarray, tire) -> np.ndarray:
+def _tire_columns(slip: np.ndarray, tire: MagicFormula) -> np.ndarray:
     """Return dF/d(log K, log D) of an axle [N], the directions in which its curve may give way."""
     force = lateral_force(tire.B, tire.C, tire.D, slip)
     along = lateral_force_slope(tire.B, tire.C, tire.D, slip) * slip
@@ -73,8 +74,8 @@ def estimate_yaw_inertia(samples: MotionSamples, vehicle: Vehicle) -> IntervalEs
     seen = vehicle.yaw_inertia + change
     value = seen / (1.0 - share)
     # The noise level itself is known to about half.
-    error = float(np.hypot(half_width, 0.5 * (value - seen)))
-    return IntervalEstimate("yaw_inertia", value, error, value > 0 and error < 0.1 * value)
+    width = float(np.hypot(half_width, 0.5 * (value - seen)))
+    return IntervalEstimate("yaw_inertia", value, width, value > 0 and width < 0.1 * value)
 
 
 def estimate_splits(samples: MotionSamples, vehicle: Vehicle) -> tuple[IntervalEstimate, ...]:
@@ -120,4 +121,5 @@ def _linear(jacobian: np.ndarray, error: np.ndarray, block: np.ndarray) -> tuple
 
 def with_estimates(vehicle: Vehicle, estimates: tuple[IntervalEstimate, ...]) -> Vehicle:
     """Return the vehicle with the settled estimates in it."""
-    return replace(vehicle, **{e.name: e.value for e in estimates if e.settled})
+    settled: dict[str, Any] = {e.name: e.value for e in estimates if e.settled}
+    return replace(vehicle, **settled)

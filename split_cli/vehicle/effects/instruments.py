@@ -48,7 +48,9 @@ class _Instrument(Term):
         """Put the fault in."""
         return self._changed(columns, recording, 1.0)
 
-    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+    def _changed(
+        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
+    ) -> dict[str, np.ndarray]:
         raise NotImplementedError
 
 
@@ -104,9 +106,12 @@ class VelocityBias(_Instrument):
         p = self.parameters
         if self.variant == "step":
             return p["angle"] + p["step"] * (t >= p["at"])
-        return p["angle"] + p["drift"] * (t - 0.5 * (t[0] + t[-1]))
+        angle: np.ndarray = p["angle"] + p["drift"] * (t - 0.5 * (t[0] + t[-1]))
+        return angle
 
-    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+    def _changed(
+        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
+    ) -> dict[str, np.ndarray]:
         angle = sign * self.angle(columns["t"])
         cosine, sine = np.cos(angle), np.sin(angle)
         vx, vy = columns["vx"], columns["vy"]
@@ -148,7 +153,9 @@ class AccelerationBias(_Instrument):
         read = [f"{size} {words[name]}" for name, size in sizes.items()]
         return f"the accelerometers read {' and '.join(read)}"
 
-    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+    def _changed(
+        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
+    ) -> dict[str, np.ndarray]:
         biased = {name: columns[name] + sign * bias for name, bias in self.parameters.items() if name in columns}
         return {**columns, **biased}
 
@@ -177,7 +184,9 @@ class YawRateBias(_Instrument):
         """Return what it says."""
         return f"the yaw rate reads {amount(p['r'], more='too far to the left', less='too far to the right')}"
 
-    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+    def _changed(
+        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
+    ) -> dict[str, np.ndarray]:
         return {**columns, "r": columns["r"] + sign * self.parameters["r"]}
 
 
@@ -201,7 +210,9 @@ class _Scale(_Instrument):
         subject = _WORDS[variant] if variant else cls.subject
         return f"{subject} reads {scaled(p['scale'], 'too much', 'too little')}"
 
-    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+    def _changed(
+        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
+    ) -> dict[str, np.ndarray]:
         factor = self.parameters["scale"] ** sign
         channels = (self.variant,) if self.variant else self.channels
         return {**columns, **{name: factor * columns[name] for name in channels}}
@@ -282,7 +293,9 @@ class ChannelDelay(_Instrument):
             return f"{each} against the other channels"
         return f"{_WORDS[variant]} is {late(p[variant])} against the other channels"
 
-    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict:
+    def _changed(
+        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
+    ) -> dict[str, np.ndarray]:
         moved = {
             name: shifted(columns[name], sign * delay, recording)
             for name, delay in self.parameters.items()

@@ -66,7 +66,7 @@ class Lagging(Term):
 
     def fastest_rate(self, speed: float) -> float:
         """1/tau."""
-        return self.rate
+        return float(self.rate)
 
 
 def _positive(tau: Any) -> Any:

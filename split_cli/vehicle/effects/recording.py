@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+
+from split_cli.compiled_code import compiled
 
 __all__ = [
     "Recording",
@@ -47,15 +50,15 @@ def shifted(source: Any, delay: float, recording: Recording) -> np.ndarray:
 
     A negative delay looks ahead and holds the last value.
     """
-    source = np.asarray(source, dtype=float)
-    out = np.empty_like(source)
+    values: np.ndarray = np.asarray(source, dtype=float)
+    out = np.empty_like(values)
     offset = delay / recording.period
     for begin, end in recording.segments:
         rows = np.clip(np.arange(begin, end) - offset, begin, end - 1)
         left = np.minimum(rows.astype(np.int64), max(end - 2, begin))
         share = rows - left
         right = np.minimum(left + 1, end - 1)
-        out[begin:end] = (1.0 - share) * source[left] + share * source[right]
+        out[begin:end] = (1.0 - share) * values[left] + share * values[right]
     return out
 
 
@@ -132,12 +135,11 @@ def _drag(source: np.ndarray, half: float, starts: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=1)
-def _kernels() -> tuple[Any, Any]:
+def _kernels() -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
     """Compile the two recursions on first use; numba is not worth loading for models without memory."""
-    from numba import njit
 
-    @njit(cache=True, nogil=True)
-    def recur(target, kept, mean, starts):
+    @compiled(cache=True, nogil=True)
+    def recur(target: np.ndarray, kept: np.ndarray, mean: np.ndarray, starts: np.ndarray) -> np.ndarray:
         out = np.empty_like(target)
         upcoming = 0
         for k in range(len(target)):
@@ -150,8 +152,8 @@ def _kernels() -> tuple[Any, Any]:
                 out[k] = stays * out[k - 1] + drive
         return out
 
-    @njit(cache=True, nogil=True)
-    def drag(source, half, starts):
+    @compiled(cache=True, nogil=True)
+    def drag(source: np.ndarray, half: float, starts: np.ndarray) -> np.ndarray:
         out = np.empty_like(source)
         upcoming = 0
         for k in range(len(source)):

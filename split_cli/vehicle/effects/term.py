@@ -130,7 +130,7 @@ class Term:
     discrepancy: ClassVar[tuple[tuple[str, str, float], ...]] = ()
 
     def __init__(self, parameters: Mapping[str, float], variant: str = "") -> None:
-        self.parameters = dict(parameters)
+        self.parameters: dict[str, float] = dict(parameters)
         self.variant = variant
 
     @classmethod
