@@ -1,4 +1,4 @@
-"""Types, strictly, in the packages that others build on: mypy finds nothing with the settings of pyproject.toml."""
+"""Types: mypy, with the settings of pyproject.toml, finds nothing in the packages that others build on."""
 
 from __future__ import annotations
 
