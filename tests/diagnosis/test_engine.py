@@ -54,6 +54,8 @@ def test_the_same_car_matches(simulation):
     same = diagnose([recording(83)], road_car(), [simulation])
     assert same.verdict == "match" and same.p_value >= 0.01
     assert not same.findings and not same.unexplained
+    # Positions and velocities of one car agree: no scale of a speed is doubted.
+    assert not any("ground" in reason for reason in same.not_judged)
     jsonschema.validate(diagnosis_to_mapping(same), read_schema())
 
 

@@ -221,6 +221,19 @@ def test_the_shift_is_zero_at_neutral_and_moves_no_term_of_the_car(gathered, dis
     assert np.abs(away).max() > 1e-3 * np.abs(objective.offset).max()
 
 
+def test_variants_of_equal_value_are_not_taken_for_each_other(gathered, discrepancy):
+    """What is remembered of one would else depend on which of them was asked for first."""
+    known = learn_discrepancy([gathered])
+    keep = [np.ones(len(gathered.at), dtype=bool)]
+    learned = replace(known, weights=known.weights + 0.3)
+    objective = build_objective([gathered], learned, discrepancy, keep)
+    whole, along = (CATALOGUE["drive_lag"]({"tau": 0.08}, variant) for variant in ("", "along"))
+    first = objective.shift((whole,))
+    assert not np.allclose(first, objective.shift((along,)), rtol=1e-3)
+    afresh = build_objective([gathered], learned, discrepancy, keep)
+    np.testing.assert_array_equal(objective.shift((along,)), afresh.shift((along,)))
+
+
 @pytest.mark.parametrize(
     ("name", "values"),
     [

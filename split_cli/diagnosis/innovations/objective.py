@@ -224,7 +224,7 @@ class MarginalLikelihood:
         altering = [term for term in terms if alters_inputs(term)]
         if self.posterior is None or not altering:
             return np.zeros(len(self.weight))
-        key = tuple((term.id, *sorted(term.parameters.items())) for term in altering)
+        key = tuple((term.id, term.variant, *sorted(term.parameters.items())) for term in altering)
         if key not in self.memo:
             self.memo[key] = self._discrepancy_rows(altering) - self.offset
         return self.memo[key]
