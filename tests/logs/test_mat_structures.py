@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from split_cli.errors import LogError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.readers.opening import open_recording
@@ -52,3 +53,45 @@ def test_structures_with_clocks_of_their_own_are_one_drive(tmp_path, kind):
     t = made.drive["t"] + made.quality.origin
     for channel, most in (("vx", 0.02), ("r", 2e-3), ("delta", 2e-3), ("ay", 0.05), ("yaw", 2e-3)):
         np.testing.assert_allclose(made.drive[channel][50:-50], planted.at(channel, t[50:-50]), atol=most)
+
+
+def test_signals_of_simulink_are_named_by_their_labels_and_have_its_time(tmp_path):
+    """A structure with time, as the blocks Scope and To Workspace save it."""
+    planted = PlantedDrive(seconds=30.0)
+    time = np.arange(0.0, 30.0, 0.02)
+    labels = {"Vx [km/h]": ("vx", 3.6), "v.lat": ("vy", 1.0), "YawRate [deg/s]": ("r", 180.0 / np.pi)}
+    fields = [(name, "O") for name in ("values", "dimensions", "label", "title")]
+    signals = np.zeros((1, len(labels)), dtype=fields)
+    for at, (label, (channel, factor)) in enumerate(labels.items()):
+        signals[0, at] = (factor * planted.at(channel, time)[:, None], 1.0, label, "")
+    savemat(
+        tmp_path / "scope.mat", {"Scope": {"time": time[:, None], "signals": signals, "blockName": "car/Scope"}}
+    )
+    recording = open_recording(tmp_path / "scope.mat")
+    read = recording.read(["Scope.Vx", "Scope.v_lat", "Scope.YawRate"])
+    assert [one.unit for one in read.values()] == ["km/h", None, "deg/s"]
+    for one, (channel, factor) in zip(read.values(), labels.values(), strict=True):
+        np.testing.assert_array_equal(one.time, time)
+        np.testing.assert_allclose(one.values, factor * planted.at(channel, time))
+    # Equal labels name nothing: their numbers do.
+    signals[0, 1]["label"] = "Vx [km/h]"
+    savemat(tmp_path / "twice.mat", {"Scope": {"time": time[:, None], "signals": signals}})
+    assert "Scope.signals[1].values" in {info.name for info in open_recording(tmp_path / "twice.mat").channels()}
+
+
+def test_objects_of_matlab_are_named_and_what_to_save_instead(tmp_path):
+    """A timeseries in a file of version 7.3 is a number that only MATLAB can follow."""
+    path = tmp_path / "log.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file.create_dataset("logsout", data=np.arange(6, dtype=np.uint32)[None, :])
+        file["logsout"].attrs["MATLAB_object_decode"] = 3
+    with open(path, "r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file".ljust(512, b" "))
+    with pytest.raises(LogError) as told:
+        open_recording(path)
+    assert "logsout" in str(told.value) and "S.t = x.Time" in str(told.value)
+    with h5py.File(path, "r+") as file:
+        file.create_dataset("vx", data=np.arange(50.0)[None, :])
+    recording = open_recording(path)
+    assert [info.name for info in recording.channels()] == ["vx"]
+    assert any("logsout" in note.what for note in recording.notes)

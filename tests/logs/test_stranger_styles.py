@@ -17,8 +17,10 @@ import pytest
 import yaml
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.drafting.naming import meanings, named_by_axis
 from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.drafting.vocabulary import read_concepts, tokens_of
+from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping, read_map
 from tests.logs.planted import PlantedDrive
@@ -403,6 +405,32 @@ def compare_mapped(draft, recording, planted: PlantedDrive, style: Style) -> Non
 def test_the_words_of_a_name_decide_together(name, expected):
     read = read_concepts(tokens_of(name))
     assert (read[0] if read else None) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("/ego/state/velocity.longitudinal", "vx"),
+        ("/ego/state/velocity.lateral", "vy"),
+        ("state.acceleration.lateral", "ay"),
+        ("/gps/position.lat", "latitude"),
+        ("fix.longitude", "longitude"),
+        ("car.longitudinal_acc", "ax"),
+    ],
+)
+def test_a_direction_is_read_with_what_it_is_the_direction_of(name, expected):
+    assert meanings(RawChannelInfo(name, "JSON", 1))[0].channel == expected
+
+
+def test_elements_of_vectors_of_three_are_read_as_axes_and_wheels_are_not():
+    names = [f"/imu/acc[{k}]" for k in range(3)] + [f"/joints/velocity[{k}]" for k in range(3)]
+    names += [f"wheel_speed[{k}]" for k in range(3)] + [f"v[{k}]" for k in range(4)] + ["gyro[2]"]
+    types = {"/joints/velocity": "sensor_msgs/msg/JointState"}
+    named = named_by_axis([RawChannelInfo(n, types.get(n.split("[")[0], "column"), 1) for n in names])
+    assert {name: info.name for name, info in named.items()} == {
+        f"/imu/acc[{k}]": f"/imu/acc.{axis}" for k, axis in enumerate("xyz")
+    }
+    assert [meanings(info)[0].channel for info in list(named.values())[:2]] == ["ax", "ay"]
 
 
 def test_one_wheels_torque_is_not_taken_for_that_of_all(planted, tmp_path):

@@ -161,15 +161,17 @@ def source_quality(clean: CleanSeries, gap: float, resampling: str) -> ChannelQu
 def render_quality(report: QualityReport) -> str:
     """Return the report as text for a terminal."""
     share = report.duration / report.recorded if report.recorded > 0 else 1.0
+    wide = max(18, *(len(c.channel) + 2 for c in report.channels), 0)
     lines = [
         f"{report.duration:.1f} s in {report.segments} segment(s), {share:.1%} of what was recorded; "
         f"time: {report.clock}",
-        f"{'channel':<18}{'source':<34}{'rate/Hz':>8}{'jitter':>8}{'gaps':>6}{'min':>12}{'max':>12}  resampling",
+        f"{'channel':<{wide}}{'source':<34}{'rate/Hz':>8}{'jitter':>8}{'gaps':>6}{'min':>12}{'max':>12}"
+        "  resampling",
     ]
     for c in report.channels:
         source = c.source if len(c.source) <= 33 else "..." + c.source[-30:]
         lines.append(
-            f"{c.channel:<18}{source:<34}{c.rate:>8.1f}{c.jitter:>8.1%}{c.gaps:>6d}{c.low:>12.4g}{c.high:>12.4g}"
+            f"{c.channel:<{wide}}{source:<34}{c.rate:>8.1f}{c.jitter:>8.1%}{c.gaps:>6d}{c.low:>12.4g}{c.high:>12.4g}"
             f"  {c.resampling}"
         )
     dropped = [f"{d.count} {d.reason} in {d.source}" for c in report.channels for d in c.drops]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from split_cli.logs.drafting.vocabulary import concepts_of, read_concepts, tokens_of
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.signals import find_unit
 
-__all__ = ["Meaning", "is_command", "meanings", "spelled_without_unit", "stated_unit", "words_of"]
+__all__ = [
+    "Meaning", "is_command", "meanings", "named_by_axis", "spelled_without_unit", "stated_unit", "words_of",
+]  # fmt: skip
 
 _UNIT_WORDS = {
     "mps": "m/s", "mps2": "m/s^2", "mpss": "m/s^2", "ms2": "m/s^2", "kph": "km/h", "kmh": "km/h",
@@ -125,7 +128,8 @@ def words_of(name: str) -> list[str]:
     """Return the words of a name in lower case: camel case, blanks, dots and hyphens part them.
 
     Of a message's field its last part counts, or the topic where the field is only ``data``; of a field of a
-    structure or a file (``imu.yawRate``) the last part.
+    structure or a file (``imu.yawRate``) the last part, with the one before where the last only says a direction
+    (``velocity.longitudinal``).
     """
     tail = name
     if name.startswith("/"):
@@ -134,9 +138,36 @@ def words_of(name: str) -> list[str]:
             tail = topic.rsplit("/", 1)[-1]
     parts = re.split(r"(?<=\w)\.(?=[A-Za-z])", tail)
     # Of orientation.w the w alone says nothing.
-    tail = "_".join(parts[-2:]) if len(parts[-1]) == 1 else parts[-1]
+    tail = "_".join(parts[-2:]) if len(parts[-1]) == 1 or _directs(parts) else parts[-1]
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", tail)
     return [word for word in re.split(r"[^A-Za-z0-9]+", spaced.lower()) if word]
+
+
+def _directs(parts: list[str]) -> bool:
+    """Tell whether the last part of an address only says along which axis the one before it is."""
+    if len(parts) < 2:
+        return False
+    own, before = (concepts_of(tokens_of(part))[0] for part in parts[-2:][::-1])
+    return bool(own) and own <= {"long", "lat", "up"} and bool(before & {"velocity", "acceleration", "rate"})
+
+
+def named_by_axis(infos: Sequence[RawChannelInfo]) -> dict[str, RawChannelInfo]:
+    """Return elements of vectors of three as if they were called x, y and z: ``acc[1]`` as ``acc.y``.
+
+    Those of wheels and joints are left out: they are counted, not directed.
+    """
+    vectors: dict[str, dict[int, RawChannelInfo]] = {}
+    for info in infos:
+        match = re.fullmatch(r"(.+)\[(\d+)\]", info.name)
+        if match:
+            vectors.setdefault(match[1], {})[int(match[2])] = info
+    named = {}
+    for bare, elements in vectors.items():
+        whole = set(re.findall(r"[a-z]+", f"{bare} {elements[min(elements)].type_name}".lower()))
+        counted = concepts_of(tokens_of(bare))[0] & {"wheel", "steer", "torque"} or {"joint", "jointstate"} & whole
+        if set(elements) == {0, 1, 2} and not counted:
+            named |= {info.name: replace(info, name=f"{bare}.{'xyz'[k]}") for k, info in elements.items()}
+    return named
 
 
 def stated_unit(info: RawChannelInfo) -> str | None:

@@ -14,7 +14,14 @@ from split_cli.logs.assembling.gather import row_rate_from_yaw
 from split_cli.logs.drafting.corrections import as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.fields import field_candidates
-from split_cli.logs.drafting.naming import is_command, meanings, spelled_without_unit, stated_unit, words_of
+from split_cli.logs.drafting.naming import (
+    is_command,
+    meanings,
+    named_by_axis,
+    spelled_without_unit,
+    stated_unit,
+    words_of,
+)
 from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
@@ -103,11 +110,12 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
         told = next((stated_unit(i) for i in infos if i.name == sources[0]), None)
         found.append(TrialCandidate(channel, sources, 3, told or unit, convert))
     by_field = {name for candidate in found for name in (*candidate.sources, *names_of(candidate))}
+    axes = named_by_axis(infos)
     for info in infos:
         if info == time or info.type_name == "text" or info.name in by_field:
             continue
         unit = stated_unit(info)
-        for meaning in meanings(info):
+        for meaning in meanings(axes.get(info.name, info)):
             channel = meaning.channel
             si = getattr(find_unit(unit), "si", None) if unit else None
             if channel == "brake" and si == "Pa":

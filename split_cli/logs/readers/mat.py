@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,24 +27,26 @@ def open_mat(path: Path) -> RawRecording:
     """Open a MAT file of version 4, 5 or 7.
 
     Vectors become channels; a struct's fields are addressed as ``struct.field``, the columns of a matrix as
-    ``name[0]``. A structure with time (Simulink) becomes one channel of its name with its own clock.
+    ``name[0]``. A structure with time (Simulink) becomes one channel of its name with its own clock, or one for
+    each signal's label. Objects of MATLAB (timeseries, timetable, Dataset) cannot be read; they are named.
 
     Raises
     ------
     LogError
-        If it is damaged or holds no vector.
+        If it is damaged or holds no vector that can be read.
     """
     from scipy.io import loadmat
+    from scipy.io.matlab import MatlabOpaque
 
     check_mat5(path)
     try:
         content = loadmat(path, struct_as_record=False, squeeze_me=False, chars_as_strings=True)
     except Exception as error:  # SciPy's reader raises a dozen kinds on damaged files
         raise _damaged(path, error) from error
-    leaves = [
-        leaf for key, value in content.items() if not key.startswith("__") for leaf in _leaves(key, value, 0)
-    ]
-    return _recording(path, leaves)
+    variables = {key: value for key, value in content.items() if not key.startswith("__")}
+    objects = [key for key, value in variables.items() if isinstance(value, MatlabOpaque)]
+    leaves = [leaf for key, value in variables.items() if key not in objects for leaf in _leaves(key, value, 0)]
+    return _recording(path, leaves, objects)
 
 
 def open_mat_hdf5(path: Path) -> RawRecording:
@@ -58,14 +60,15 @@ def open_mat_hdf5(path: Path) -> RawRecording:
     import h5py
 
     leaves: list[tuple[str, np.ndarray]] = []
+    objects: list[str] = []
     try:
         with h5py.File(path, "r") as file:
-            _collect_hdf5(file, "", leaves, 0, path.name)
+            _collect_hdf5(file, "", leaves, objects, 0, path.name)
     except LogError:
         raise
     except Exception as error:  # h5py passes on whatever the HDF5 library finds
         raise _damaged(path, error) from error
-    return _recording(path, leaves)
+    return _recording(path, leaves, objects)
 
 
 def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray]]:
@@ -77,21 +80,40 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
             yield from _leaves(f"{name}.{key}", getattr(value, key), depth + 1)
     elif isinstance(value, np.ndarray) and value.dtype == object:
         # Structs and cells come as arrays of objects, a single struct as an array of one.
-        for index, item in enumerate(value.ravel()[:_MOST_COLUMNS]):
-            yield from _leaves(name if value.size == 1 else f"{name}[{index}]", item, depth + 1)
+        items = value.ravel()[:_MOST_COLUMNS]
+        labels = [_label(item) for item in items]
+        labelled = name.endswith(".signals") and all(labels) and len(set(labels)) == len(labels)
+        for index, item in enumerate(items):
+            if labelled:
+                # Beside the structure's time, so that it is their clock.
+                yield from _leaves(f"{name.removesuffix('.signals')}.{labels[index]}", item.values, depth + 1)
+            else:
+                yield from _leaves(name if value.size == 1 else f"{name}[{index}]", item, depth + 1)
     elif isinstance(value, np.ndarray) and (value.dtype.kind in "biuf"):
         yield name, value
 
 
-def _collect_hdf5(group: Any, prefix: str, leaves: list[tuple[str, np.ndarray]], depth: int, where: str) -> None:
+def _label(item: Any) -> str:
+    """Return the label of a signal of a structure with time, without dots; nothing if it has none."""
+    if not {"values", "label"} <= set(getattr(item, "_fieldnames", ())):
+        return ""
+    text = np.asarray(item.label).ravel()
+    return str(text[0]).strip().replace(".", "_") if text.dtype.kind == "U" and len(text) == 1 else ""
+
+
+def _collect_hdf5(
+    group: Any, prefix: str, leaves: list[tuple[str, np.ndarray]], objects: list[str], depth: int, where: str
+) -> None:
     import h5py
 
     for key, item in group.items():
         if key.startswith("#") or depth > _DEEPEST:
             continue
         name = f"{prefix}{key}"
-        if isinstance(item, h5py.Group):
-            _collect_hdf5(item, name + ".", leaves, depth + 1, where)
+        if "MATLAB_object_decode" in item.attrs:
+            objects.append(name)
+        elif isinstance(item, h5py.Group):
+            _collect_hdf5(item, name + ".", leaves, objects, depth + 1, where)
         elif (
             isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and not item.attrs.get("MATLAB_empty", 0)
         ):
@@ -103,7 +125,7 @@ def _collect_hdf5(group: Any, prefix: str, leaves: list[tuple[str, np.ndarray]],
                 leaves.append((name, np.atleast_2d(np.asarray(item[()])).T))
 
 
-def _recording(path: Path, leaves: list[tuple[str, np.ndarray]]) -> RawRecording:
+def _recording(path: Path, leaves: list[tuple[str, np.ndarray]], objects: Sequence[str]) -> RawRecording:
     arrays = {name: values for name, values in leaves if values.size > 1 and values.ndim <= 2}
     notes: list[ReadNote] = []
     clocks = _own_clocks(arrays)
@@ -118,6 +140,15 @@ def _recording(path: Path, leaves: list[tuple[str, np.ndarray]]) -> RawRecording
     scalars = sum(values.size <= 1 for _, values in leaves)
     if scalars:
         note_once(notes, ReadNote("variables of a single value, not listed", path.name, scalars))
+    if objects:
+        shown = ", ".join(objects[:6]) + (" ..." if len(objects) > 6 else "")
+        what = f"objects of MATLAB (timeseries, timetable, Dataset), which cannot be read outside it: {shown}"
+        if not signals:
+            advice = (
+                "In MATLAB, store their numbers: S.t = x.Time; S.vx = x.Data; save('log.mat', '-struct', 'S')."
+            )
+            raise LogError(f"holds only {what}", where=path.name, advice=advice)
+        note_once(notes, ReadNote(what, path.name, len(objects)))
     if not signals:
         raise LogError("holds no vector of numbers", where=path.name)
     return TableRecording(path.name, path, signals, type_name="vector", notes=notes)
