@@ -60,7 +60,14 @@
           const [a, b] = [plot.sx(one.low[i]), plot.sx(one.high[i])];
           layer.append(shape("path", { d: `M${a} ${y}H${b}M${a} ${y - 4}V${y + 4}M${b} ${y - 4}V${y + 4}`, stroke: "var(--ink)", "stroke-width": 1.3, fill: "none" }));
         }
-        if (one.emphasis[i]) layer.append(shape("text", { class: "best", x: Math.max(to, one.high ? plot.sx(one.high[i]) || to : to) + 6, y: y + 4 }, "best"));
+        if (!one.emphasis[i]) return;
+        const [first, last] = one.low && Number.isFinite(one.low[i]) ? [plot.sx(one.low[i]), plot.sx(one.high[i])] : [to, to];
+        const outside = Math.max(to, last) + 6;
+        // Where the frame leaves no room beside the whisker, the word stands on the bar.
+        const fits = outside + 32 <= plot.left + plot.inner || one.kind !== "bars";
+        layer.append(fits
+          ? shape("text", { class: "best", x: outside, y: y + 4 }, "best")
+          : shape("text", { class: "best inside", x: Math.min(to, first) - 6, y: y + 4, "text-anchor": "end" }, "best"));
       }));
     }
 
