@@ -35,17 +35,17 @@ from split_cli.export.provenance import provenance_of  # noqa: E402
 from split_cli.export.symbolic import build_nominal  # noqa: E402
 from split_cli.export.targets import predictor_tables  # noqa: E402
 from split_cli.export.validity import valid_function  # noqa: E402
+from split_cli.learning.cells import without_points  # noqa: E402
 from split_cli.learning.iol import Dictionary  # noqa: E402
+from split_cli.learning.online import OnlineSet  # noqa: E402
 from split_cli.learning.reference import PrintedLearner  # noqa: E402
 from split_cli.prediction import make_predictor  # noqa: E402
+from split_cli.prediction.online import OnlineCommittee  # noqa: E402
 from split_cli.prediction.table import TablePredictor  # noqa: E402
 from split_cli.vehicle.single_track import SingleTrack  # noqa: E402
 from tests.benchmarks.rival_stream import SLOW_QUERIES, Row, Stream, accuracy, each, percentiles, spent, stream_of  # noqa: E402
 from tests.benchmarks.streaming_rivals import log_gp_rows, sky_gp_rows  # noqa: E402
-
-#: Change of mean and variance, in signal deviations and variances, that a committee may neglect in one more row:
-#: a hundredth of the errors that all contestants have.
-NEGLECT = 1e-3
+from tests.factories import make_labels  # noqa: E402
 
 _TIMER = """
 #include "@NAME@.h"
@@ -111,6 +111,19 @@ def our_update(stream: Stream) -> Row:
     return Row("split update (numba)", len(stream.z), s.size, None, *percentiles(times[10:]))
 
 
+def online_update(stream: Stream) -> Row:
+    """Time every sample offered to a set while driving, the committee decomposing the cell it changes."""
+    empty = without_points(stream.trained)
+    online = OnlineSet(empty)
+    online.begin_drive("stream", 0.0)
+    committee = OnlineCommittee(online)
+    labels = [make_labels(stream.z[k : k + 1], stream.y[k : k + 1], empty.vehicle) for k in range(len(stream.z))]
+    times = [spent(lambda one=one: committee.update(online.offer(one).changed)) for one in labels]
+    return Row(
+        "split online, update and committee (Python)", len(stream.z), online.size, None, *percentiles(times[10:])
+    )
+
+
 def printed_update(stream: Stream) -> Row:
     """Time the update as the paper prints it, one inversion a point."""
     s = stream.trained
@@ -137,10 +150,10 @@ def iol_update(stream: Stream, capacity: int, full: np.ndarray) -> Row:
                **found, megabytes=8e-6 * len(dictionary) ** 2)  # fmt: skip
 
 
-def python_predictor(name: str, stream: Stream, full: np.ndarray, **settings: float) -> Row:
+def python_predictor(name: str, stream: Stream, full: np.ndarray) -> Row:
     """Time one of the predictors, asked one query at a time from Python."""
     begin = time.perf_counter()
-    predictor = make_predictor(name, stream.trained, **settings)
+    predictor = make_predictor(name, stream.trained)
     predictor.predict(stream.queries[:1])
     build = time.perf_counter() - begin
     asked = predictor.predict(stream.queries)
@@ -148,8 +161,7 @@ def python_predictor(name: str, stream: Stream, full: np.ndarray, **settings: fl
     queries = [z[None] for z in stream.queries[: None if quick else SLOW_QUERIES]]
     query, jacobian = each(predictor.predict, queries), each(predictor.jacobian, queries)
     memory = predictor.nbytes / 1e6 if name == "table" else None
-    told = "".join(f", {setting} {value:g}" for setting, value in settings.items())
-    return Row(f"{name}{told} (Python)", len(stream.z), stream.trained.size, build, None, None, *query, *jacobian,
+    return Row(f"{name} (Python)", len(stream.z), stream.trained.size, build, None, None, *query, *jacobian,
                **accuracy(asked.mean, asked.variance, stream, full), megabytes=memory)  # fmt: skip
 
 
@@ -313,14 +325,13 @@ def measure(
     build = time.perf_counter() - begin
     rows: list[list[Row]] = []
     for _ in range(repeats):
-        found = [our_update(stream)]
+        found = [our_update(stream), online_update(stream)]
         if size <= 5000:
             found.append(printed_update(stream))
         if size <= 5000:
             found.append(iol_update(stream, 300, full))
         names = ["bcm", "rbcm"] + (["full", "weights", "local", "grbcm"] if dense else [])
         found += [python_predictor(name, stream, full) for name in names]
-        found.append(python_predictor("rbcm", stream, full, neglect=NEGLECT))
         asked = table.predict(stream.queries)
         singles = [q[None] for q in stream.queries]
         times = (*each(table.predict, singles), *each(table.jacobian, singles))
