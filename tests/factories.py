@@ -19,7 +19,7 @@ from split_cli.learning.training_set import TrainingSet, content_digest, write_s
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects.term import Term
 from split_cli.vehicle.flow import Flow
-from split_cli.vehicle.integration import integrate_with_memory
+from split_cli.vehicle.integration import Situation, integrate_with_memory
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
@@ -90,7 +90,13 @@ def make_drive(
     for k in range(len(fine) - 1):
         window = slice(k, k + 2)
         state, memory = integrate_with_memory(
-            model, state, torque[:, window], steer[:, window], period, round(period / 1.25e-3), term_states=memory
+            model,
+            state,
+            torque[:, window],
+            steer[:, window],
+            period,
+            round(period / 1.25e-3),
+            Situation(states=memory),
         )
         states.append(state)
     velocity = np.stack(states, axis=1)

@@ -19,7 +19,7 @@ from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects.recording import Recording, shifted
-from split_cli.vehicle.integration import integrate_with_memory, phi_matrix
+from split_cli.vehicle.integration import Situation, integrate_with_memory, phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = ["Drives", "MemoryModel", "random_memory", "roll_drives"]
@@ -165,7 +165,7 @@ class MemoryModel:
         torque, steer = (np.column_stack([acting[:, 6 + c], last[:, c]]) for c in (0, 1))
         moved, states = integrate_with_memory(
             self.model, acting[:, :6], torque, steer, self.step, self.substeps,
-            time=place_time[:, 0], track_position=place_time[:, 1], term_states=acting[:, 8:],
+            Situation(place_time[:, 0], place_time[:, 1], states=acting[:, 8:]),
         )  # fmt: skip
         _, A = self.linear(acting, np.zeros((len(u), 2 + len(self.memory.plays))), place_time)
         moved[:, 3:6] += self.residual(acting, command, u, A)[0]

@@ -14,7 +14,7 @@ from split_cli.export.memory_check import Drives, MemoryModel, random_memory, ro
 from split_cli.export.reference import AnyReference
 from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
-from split_cli.vehicle.integration import exact_step, integrate_recorded, phi_matrix
+from split_cli.vehicle.integration import Situation, exact_step, integrate_recorded, phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
@@ -127,8 +127,7 @@ def make_step_oracle(
         steer,
         h,
         RK4_SUBSTEPS,
-        time=asked[:, 11],
-        track_position=asked[:, 12],
+        Situation(t=asked[:, 11], s=asked[:, 12]),
     )
     linear = np.concatenate([by_state, by_input], axis=2)
     linear[:, 3:6] += h * phi @ reference.jacobian_by_differences(z) @ slopes

@@ -11,9 +11,10 @@ from split_cli.errors import DriveError
 from split_cli.learning.features import FeatureSet, flow_along, place_of, recording_of
 from split_cli.learning.region import Grid, Region
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.integration import RecordedInputs, integrate_recorded, phi_matrix, recorded_inputs
+from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.windows import RecordedInputs, recorded_inputs
 
 __all__ = [
     "DEFAULT_HORIZON",
@@ -260,7 +261,7 @@ def nominal_errors(
         run_on = np.array([name not in drive.held for name in ("T", "delta")], dtype=float)
         constants = _nominal_constants(model.vehicle)
         return window_errors(vx, vy, r, T, delta, starts, window, drive.period, constants, plain, run_on)
-    inputs = _recorded_inputs(model, drive)
+    inputs = inputs_along(model, drive)
     parts = [
         _window_errors_reference(model, drive, inputs, starts[first : first + _CHUNK], window, plain)
         for first in range(0, len(starts), _CHUNK)
@@ -268,13 +269,13 @@ def nominal_errors(
     return np.concatenate(parts) if parts else np.empty((0, 3))
 
 
-def _recorded_inputs(model: SingleTrack, drive: Drive) -> RecordedInputs:
-    """Return inputs as the terms' delays leave them, and the terms' states at every sample."""
+def inputs_along(model: SingleTrack, drive: Drive) -> RecordedInputs:
+    """Return a drive's inputs as the delays among the terms leave them, and the situation at every sample."""
     velocity = np.stack([drive[name] for name in _VELOCITIES], axis=1)
-    yaw = drive.columns.get("yaw", 0.0)
-    recording = recording_of(drive)
-    situation = {"time": drive["t"], "track_position": place_of(drive), "yaw": yaw}
-    return recorded_inputs(model, velocity, drive["T"], drive["delta"], recording, held=drive.held, **situation)
+    situation = Situation(drive["t"], place_of(drive), drive.columns.get("yaw", 0.0))
+    return recorded_inputs(
+        model, velocity, drive["T"], drive["delta"], recording_of(drive), situation, held=drive.held
+    )
 
 
 def _window_errors_reference(
@@ -282,47 +283,10 @@ def _window_errors_reference(
 ) -> np.ndarray:
     begin = np.stack([drive[name][starts] for name in _VELOCITIES], axis=1)
     end = np.stack([drive[name][starts + window] for name in _VELOCITIES], axis=1)
-    span = starts[:, None] + np.arange(window + 1)
-    torque, steer_angle, memory = inputs.torque[span], inputs.steer_angle[span], inputs.term_states[starts]
-    time, yaw = drive["t"][starts], drive["yaw"][starts] if "yaw" in drive else np.zeros(len(starts))
-    states, place = dict(zip(model.state_names, memory.T, strict=True)) or None, place_of(drive)[starts]
-    situation = {"t": time, "s": place, "yaw": yaw, "states": states}
-    vx, vy, r = begin.T
-    jacobian = model.velocity_jacobian(vx, vy, r, torque[:, 0], steer_angle[:, 0], **situation)
-    substeps = _substeps(jacobian, drive.period, model.vehicle.wheelbase)
-    predicted = np.empty_like(begin)
-    for count in np.unique(substeps):
-        group = substeps == count
-        predicted[group] = integrate_recorded(
-            model,
-            begin[group],
-            torque[group],
-            steer_angle[group],
-            drive.period,
-            int(count),
-            time=time[group],
-            track_position=place[group],
-            yaw=yaw[group],
-            term_states=memory[group],
-            held=inputs.held,
-        )
-    horizon = window * drive.period
-    rate = (end - predicted) / horizon
+    windows, horizon = inputs.windows(starts, window), window * drive.period
+    jacobian = windows.jacobian(model, begin)
+    rate = (end - windows.predict(model, begin, jacobian)) / horizon
     return rate if plain else np.linalg.solve(phi_matrix(jacobian, horizon), rate[:, :, None])[:, :, 0]
-
-
-def _substeps(jacobian: np.ndarray, period: float, wheelbase: float) -> np.ndarray:
-    """Return for each window how many RK4 steps a sample keep |lambda| step <= 1, shape (N,).
-
-    Each window has its own count, so that a label does not depend on what it is computed together with. The
-    spectral radius is bounded by the fourth root of |A^4|, at most 15 % above it for a normal matrix, with the
-    yaw rate scaled by half the wheelbase to a velocity.
-    """
-    scale = np.array([1.0, 1.0, 0.5 * wheelbase])
-    squared = np.linalg.matrix_power(jacobian * scale[:, None] / scale, 2)
-    radius = np.sqrt(np.sqrt(np.linalg.norm(squared @ squared, axis=(1, 2))))
-    count: np.ndarray = np.maximum(1, np.ceil(radius * period)).astype(np.int64)
-    return count
 
 
 def _nominal_constants(car: Vehicle) -> np.ndarray:

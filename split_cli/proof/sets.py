@@ -24,7 +24,7 @@ from split_cli.proof.windows import window_errors
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from split_cli.vehicle.effects.recording import play_response
 from split_cli.vehicle.effects.search import Course
-from split_cli.vehicle.integration import integrate_with_memory
+from split_cli.vehicle.integration import Situation, integrate_with_memory
 from split_cli.vehicle.library import library_path
 from split_cli.vehicle.parameters import MagicFormula, Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -152,7 +152,7 @@ def _integrated(model: SingleTrack, state: np.ndarray, arrived, every: int, subs
         window = slice(k, k + every + 1)
         state, memory = integrate_with_memory(
             model, state, arrived[0][:, window], arrived[1][:, window], _STEP, substeps,
-            time=k * _STEP, term_states=memory if model.state_names else None, held=("T", "delta"),
+            Situation(t=k * _STEP, states=memory), held=("T", "delta"),
         )  # fmt: skip
         states.append(state)
     return states

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from split_cli.proof.recordings import RATE
 from split_cli.vehicle.effects import Recording, Term
-from split_cli.vehicle.integration import integrate_recorded, recorded_inputs, substep_count
+from split_cli.vehicle.integration import Situation
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.windows import recorded_inputs
 
 __all__ = ["FIRST", "HORIZON", "window_errors"]
 
@@ -38,30 +40,16 @@ def window_errors(
         if term.corrects:
             columns = term.correct(columns, recording)
     velocity = np.stack([columns["vx"], columns["vy"], columns["r"]], axis=1)
-    place = {"time": columns["t"], "track_position": columns["s"], "yaw": columns["yaw"]}
+    situation = Situation(columns["t"], columns["s"], columns["yaw"])
     torque, steer = _arrived(vehicle, terms, velocity, columns, recording)
     model = SingleTrack(vehicle, [term for term in terms if not _acts_on_commands(term)])
-    inputs = recorded_inputs(model, velocity, torque, steer, recording, **place)
+    inputs = recorded_inputs(model, velocity, torque, steer, recording, situation)
     steps = int(round(HORIZON * RATE))
     start = np.arange(int(round(FIRST * RATE)), len(velocity) - steps, steps)
 
-    def window(values: np.ndarray) -> np.ndarray:
-        return np.stack([values[start + j] for j in range(steps + 1)], axis=1)
-
-    sample = velocity[start[:: max(1, len(start) // 50)]]
-    jacobian = SingleTrack(vehicle, ()).velocity_jacobian(*sample.T, np.zeros(len(sample)), np.zeros(len(sample)))
-    predicted = integrate_recorded(
-        model,
-        velocity[start],
-        window(inputs.torque),
-        window(inputs.steer_angle),
-        1.0 / RATE,
-        substep_count(jacobian, 1.0 / RATE),
-        **{name: values[start] for name, values in place.items()},
-        term_states=inputs.term_states[start] if model.state_names else None,
-        held=held,
-    )
-    return velocity[start + steps] - predicted
+    begin, windows = velocity[start], replace(inputs.windows(start, steps), held=tuple(held))
+    jacobian = SingleTrack(vehicle, ()).velocity_jacobian(*begin.T, np.zeros(len(begin)), np.zeros(len(begin)))
+    return velocity[start + steps] - windows.predict(model, begin, jacobian)
 
 
 def _acts_on_commands(term: Term) -> bool:

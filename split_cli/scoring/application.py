@@ -8,33 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.learning.features import FeatureSet, recording_of
+from split_cli.learning.features import FeatureSet
 from split_cli.logs.drive import Drive
 from split_cli.prediction import Prediction, Predictor
 from split_cli.prediction.fitc import CONTEXT_INTERVAL, CONTEXT_STATES
-from split_cli.vehicle.integration import RecordedInputs, recorded_inputs
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["correction_from", "features_at", "future_rows", "inputs_along", "predict_rows", "time_per_query"]
+__all__ = ["correction_from", "features_at", "future_rows", "predict_rows", "time_per_query"]
 
 _TIMED_QUERIES = 200
 _LONGEST_TIMING = 2.0
 #: Features that follow the predicted state in a rollout; all others are taken as recorded.
 _OF_STATE = ("alpha_f", "alpha_r", "speed", "vx", "vy", "r")
-
-
-def inputs_along(model: SingleTrack, drive: Drive) -> RecordedInputs:
-    """Return a drive's inputs as the delays among the terms leave them, and the terms' states at every sample."""
-    if not model.terms:
-        return RecordedInputs(drive["T"], drive["delta"], np.empty((len(drive), 0)), drive.held)
-    velocity = np.stack([drive[name] for name in ("vx", "vy", "r")], axis=1)
-    situation = {
-        "time": drive["t"],
-        "yaw": drive.columns.get("yaw", 0.0),
-        "track_position": drive.columns.get("s", 0.0),
-        "held": drive.held,
-    }
-    return recorded_inputs(model, velocity, drive["T"], drive["delta"], recording_of(drive), **situation)
 
 
 def future_rows(drive: Drive, row: int) -> np.ndarray:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.learning.features import place_of
-from split_cli.learning.labels import Labels
+from split_cli.learning.labels import Labels, inputs_along
 from split_cli.logs.assembling.noise import estimate_noise
 from split_cli.logs.drive import Drive, NoiseEstimate
-from split_cli.scoring.application import inputs_along
 from split_cli.scoring.persistence import phi_at
-from split_cli.vehicle.integration import integrate_recorded, substep_count
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = ["NoiseFloor", "fast_motion", "noise_floor"]
@@ -146,17 +143,12 @@ def _flow_derivatives(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the derivatives of f_h by state (N, 3, 3), and by the torque and steer samples (N, 3, K + 1)."""
     state = np.stack([drive[name][rows] for name in _VELOCITIES], axis=1)
-    span = rows[:, None] + np.arange(window + 1)
-    recorded = inputs_along(model, drive)
-    inputs = {"T": recorded.torque[span], "delta": recorded.steer_angle[span]}
-    yaw = drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows))
-    situation = {"yaw": yaw, "time": drive["t"][rows], "term_states": recorded.term_states[rows]}
-    situation |= {"track_position": place_of(drive)[rows], "held": recorded.held}
-    jacobian = model.velocity_jacobian(*state.T, inputs["T"][:, 0], inputs["delta"][:, 0], yaw=yaw)
-    substeps = substep_count(jacobian, drive.period)
+    windows = inputs_along(model, drive).windows(rows, window)
+    inputs = {"T": windows.torque, "delta": windows.steer_angle}
+    jacobian = windows.jacobian(model, state)
 
     def flow(begin: np.ndarray, torque: np.ndarray, steer: np.ndarray) -> np.ndarray:
-        return integrate_recorded(model, begin, torque, steer, drive.period, substeps, **situation)
+        return replace(windows, torque=torque, steer_angle=steer).predict(model, begin, jacobian)
 
     def slope(step: float, change: object) -> np.ndarray:
         return (change(step) - change(-step)) / (2.0 * step)

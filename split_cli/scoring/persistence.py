@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from split_cli.learning.features import place_of
-from split_cli.learning.labels import Labels
+from split_cli.learning.labels import Labels, inputs_along
 from split_cli.logs.drive import Drive
-from split_cli.scoring.application import inputs_along
 from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -16,13 +14,8 @@ __all__ = ["label_persistence_errors", "phi_at", "velocity_persistence_errors"]
 
 def phi_at(model: SingleTrack, drive: Drive, rows: np.ndarray, horizon: float) -> np.ndarray:
     """Return Phi of the nominal model at rows of a drive, shape (N, 3, 3)."""
-    inputs = inputs_along(model, drive)
-    velocity = [drive[name][rows] for name in ("vx", "vy", "r")]
-    yaw = drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows))
-    states = dict(zip(model.state_names, inputs.term_states[rows].T, strict=True)) or None
-    at = (*velocity, inputs.torque[rows], inputs.steer_angle[rows])
-    situation = {"t": drive["t"][rows], "s": place_of(drive)[rows], "yaw": yaw, "states": states}
-    return phi_matrix(model.velocity_jacobian(*at, **situation), horizon)
+    velocity = np.stack([drive[name][rows] for name in ("vx", "vy", "r")], axis=1)
+    return phi_matrix(inputs_along(model, drive).windows(rows, 0).jacobian(model, velocity), horizon)
 
 
 def velocity_persistence_errors(model: SingleTrack, drive: Drive, labels: Labels) -> np.ndarray:

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.learning.features import FeatureSet
+from split_cli.learning.labels import inputs_along
 from split_cli.logs.drive import Drive
-from split_cli.scoring.application import features_at, inputs_along
-from split_cli.vehicle.integration import RecordedInputs, integrate_recorded, phi_matrix, substep_count
+from split_cli.scoring.application import features_at
+from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.windows import RecordedInputs
 
 __all__ = ["Correction", "RolloutSums", "hold_velocity", "roll_out", "rollout_starts", "score_rollouts"]
 
@@ -143,24 +145,10 @@ def _one_step(
     window: int,
     correction: Correction | None,
 ) -> np.ndarray:
-    span = rows[:, None] + np.arange(window + 1)
-    torque, steer, memory = inputs.torque[span], inputs.steer_angle[span], inputs.term_states[rows]
-    velocity = state[:, -3:]
-    yaw = state[:, 2] if state.shape[1] == 6 else (drive["yaw"][rows] if "yaw" in drive else np.zeros(len(rows)))
-    time = drive["t"][rows]
-    place = drive["s"][rows] if "s" in drive else np.zeros(len(rows))
-    situation = {
-        "t": time,
-        "yaw": yaw,
-        "s": place,
-        "states": dict(zip(model.state_names, memory.T, strict=True)) or None,
-    }
-    jacobian = model.velocity_jacobian(*velocity.T, torque[:, 0], steer[:, 0], **situation)
+    windows, velocity = inputs.windows(rows, window), state[:, -3:]
+    jacobian = windows.jacobian(model, state)
     finite = np.isfinite(jacobian).all(axis=(1, 2))
-    substeps = substep_count(jacobian[finite], drive.period)
-    substeps = min(substeps, _MOST_SUBSTEPS)
-    situation = {"time": time, "yaw": yaw, "track_position": place, "term_states": memory, "held": inputs.held}
-    after = integrate_recorded(model, state, torque, steer, drive.period, substeps, **situation)
+    after = windows.predict(model, state, jacobian, _MOST_SUBSTEPS)
     if correction is not None:
         at = features_at(correction.features, model, drive, rows, velocity, correction.z)
         finite &= np.isfinite(at).all(axis=1)

@@ -3,47 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from split_cli.errors import VehicleError
-from split_cli.vehicle.effects.recording import over_samples
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
-    "RecordedInputs",
+    "Situation",
     "exact_step",
     "integrate_recorded",
     "integrate_with_memory",
     "phi_matrix",
-    "recorded_inputs",
-    "substep_count",
 ]
 
 _TAYLOR_TERMS = 13
 _MOST_SUBSTEPS = 1_000
 
 
-def substep_count(jacobian: np.ndarray, period: float) -> int:
-    """Return how many RK4 substeps keep |lambda| step <= 1 for every matrix of a batch.
+@dataclass(frozen=True)
+class Situation:
+    """What a model is told beside velocities and inputs: when and where, its yaw, and what its terms remember.
 
-    Parameters
+    Attributes
     ----------
-    jacobian : ndarray, shape (N, 3, 3)
-        Velocity Jacobians [1/s and mixed].
-    period : float
-        Sample period [s].
-
-    Notes
-    -----
-    |lambda| is the largest eigenvalue magnitude of the batch; eigenvalues of 3 x 3 matrices are cheap.
+    t, s, yaw : array of shape (N,) or float
+        Time [s], track position [m], yaw angle [rad]; 0 where nothing is known.
+    states : ndarray, shape (N, S), or None
+        The terms' states, in the order of ``model.state_names``; None means steady.
     """
-    if len(jacobian) == 0:
-        return 1
-    largest = float(np.max(np.abs(np.linalg.eigvals(jacobian))))
-    return max(1, int(np.ceil(largest * period)))
+
+    t: Any = 0.0
+    s: Any = 0.0
+    yaw: Any = 0.0
+    states: np.ndarray | None = None
+
+    def at(self, rows: np.ndarray) -> Situation:
+        """Return the situation of some rows only."""
+        t, s, yaw = (value[rows] if np.ndim(value) else value for value in (self.t, self.s, self.yaw))
+        return Situation(t, s, yaw, None if self.states is None else self.states[rows])
+
+    def told(self, model: SingleTrack) -> dict[str, Any]:
+        """Return it as `SingleTrack.flow` takes it, states by name."""
+        names = model.state_names
+        states = None if self.states is None else dict(zip(names, self.states.T, strict=True)) or None
+        return {"t": self.t, "s": self.s, "yaw": self.yaw, "states": states}
+
+
+#: Nowhere in particular, from steady.
+NOWHERE = Situation()
 
 
 def integrate_recorded(
@@ -53,11 +63,8 @@ def integrate_recorded(
     steer_angle: np.ndarray,
     period: float,
     substeps: int = 1,
+    situation: Situation = NOWHERE,
     *,
-    time: Any = 0.0,
-    track_position: Any = 0.0,
-    yaw: Any = 0.0,
-    term_states: np.ndarray | None = None,
     held: Sequence[str] = (),
 ) -> np.ndarray:
     """Integrate the model over recorded inputs with classical RK4, many windows at once.
@@ -74,11 +81,8 @@ def integrate_recorded(
         Sample period [s].
     substeps : int
         RK4 steps a sample.
-    time, track_position, yaw : array of shape (N,) or float
-        At the window's start, for terms of time, place and wind. Place advances with v_x; yaw with r.
-    term_states : ndarray, shape (N, S), optional
-        The terms' states at the window's start, in the order of ``model.state_names``, for example from
-        `recorded_inputs`; steady when left out.
+    situation : Situation
+        At the window's start. Place advances with v_x, yaw with r; the yaw of a `state` with pose goes before.
     held : sequence of str
         Which of ``T`` and ``delta`` keep their value until the next sample.
 
@@ -92,10 +96,7 @@ def integrate_recorded(
     VehicleError
         If a term is so fast that following it would take more than 1,000 substeps a sample.
     """
-    return integrate_with_memory(
-        model, state, torque, steer_angle, period, substeps,
-        time=time, track_position=track_position, yaw=yaw, term_states=term_states, held=held,
-    )[0]  # fmt: skip
+    return integrate_with_memory(model, state, torque, steer_angle, period, substeps, situation, held=held)[0]
 
 
 def integrate_with_memory(
@@ -105,27 +106,25 @@ def integrate_with_memory(
     steer_angle: np.ndarray,
     period: float,
     substeps: int = 1,
+    situation: Situation = NOWHERE,
     *,
-    time: Any = 0.0,
-    track_position: Any = 0.0,
-    yaw: Any = 0.0,
-    term_states: np.ndarray | None = None,
     held: Sequence[str] = (),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Integrate as `integrate_recorded` does, and return the terms' states at the end as well, shape (N, S)."""
     with_pose = state.shape[1] == 6
     rows = [np.ascontiguousarray(column) for column in state.T]
     if not with_pose:
-        rows = [track_position + 0.0 * rows[0], yaw + 0.0 * rows[0], *rows]
+        rows = [situation.s + 0.0 * rows[0], situation.yaw + 0.0 * rows[0], *rows]
     else:
-        rows = [track_position + 0.0 * rows[3], rows[2], *rows[3:], rows[0], rows[1]]
+        rows = [situation.s + 0.0 * rows[3], rows[2], *rows[3:], rows[0], rows[1]]
     count = len(rows)
     if getattr(model, "state_names", ()):
-        if term_states is None:
+        memory = situation.states
+        if memory is None:
             place, psi, vx, vy, r = rows[:5]
-            steady = model.flow(vx, vy, r, torque[:, 0], steer_angle[:, 0], yaw=psi, t=time, s=place).values
-            term_states = np.stack([steady[name] + 0.0 * vx for name in model.state_names], axis=1)
-        rows += [np.ascontiguousarray(column) for column in term_states.T]
+            steady = model.flow(vx, vy, r, torque[:, 0], steer_angle[:, 0], yaw=psi, t=situation.t, s=place).values
+            memory = np.stack([steady[name] + 0.0 * vx for name in model.state_names], axis=1)
+        rows += [np.ascontiguousarray(column) for column in memory.T]
         fastest = max(term.fastest_rate(float(np.max(rows[2], initial=0.0))) for term in model.terms)
         if not fastest * period <= _MOST_SUBSTEPS:
             raise VehicleError(
@@ -149,76 +148,12 @@ def integrate_with_memory(
                     steer_angle[:, k] + (b + share / substeps) * dd,
                 ),
                 step,
-                time + (sample + begin) * period,
+                situation.t + (sample + begin) * period,
             )
     _, psi, vx, vy, r, *position = rows[:count]
     course = [*position, psi, vx, vy, r] if with_pose else [vx, vy, r]
-    memory = np.stack(rows[count:], axis=1) if rows[count:] else np.empty((len(state), 0))
-    return np.stack(course, axis=1), memory
-
-
-@dataclass(frozen=True)
-class RecordedInputs:
-    """What a model with memory needs to start a window anywhere in a recording.
-
-    Attributes
-    ----------
-    torque, steer_angle : ndarray, shape (N,)
-        Recorded T [N m] and delta [rad], late by the delays among the terms. Of a held input this is the mean over
-        the sample that begins at the row: a late staircase steps inside its samples.
-    term_states : ndarray, shape (N, S)
-        The terms' states at every sample, in the order of ``model.state_names``, from steady at each segment.
-    held : tuple of str
-        Inputs that are constant over each sample; the others run in straight lines.
-    """
-
-    torque: np.ndarray
-    steer_angle: np.ndarray
-    term_states: np.ndarray
-    held: tuple[str, ...] = ()
-
-
-def recorded_inputs(
-    model: SingleTrack,
-    velocity: np.ndarray,
-    torque: np.ndarray,
-    steer_angle: np.ndarray,
-    recording: Any,
-    *,
-    time: Any = 0.0,
-    track_position: Any = 0.0,
-    yaw: Any = 0.0,
-    held: Sequence[str] = (),
-) -> RecordedInputs:
-    """Follow delays and the terms' states along a whole recording.
-
-    Parameters
-    ----------
-    model : SingleTrack
-    velocity : ndarray, shape (N, 3)
-        Recorded (v_x, v_y, r).
-    torque, steer_angle : ndarray, shape (N,)
-        As recorded: commands, where a term says what becomes of them.
-    recording : split_cli.vehicle.effects.recording.Recording
-        Its clock and segments.
-    time, track_position, yaw : array of shape (N,) or float
-    held : sequence of str
-        Which of ``T`` and ``delta`` keep their value until the next sample.
-    """
-    at, inputs = velocity, {"T": torque, "delta": steer_angle}
-    if held and model.state_names:
-        # Means over samples: lags and delays pass them on as they pass on the course itself.
-        recording = replace(recording, means=True)
-        at = over_samples(velocity, recording)
-        inputs = {name: row if name in held else over_samples(row, recording) for name, row in inputs.items()}
-    flow = model.flow(*at.T, *inputs.values(), t=time, s=track_position, yaw=yaw, recording=recording)
-    columns = [flow.values[name] + np.zeros(len(velocity)) for name in model.state_names]
-    states = np.stack(columns, axis=1) if columns else np.empty((len(velocity), 0))
-    late = {"T": torque, "delta": steer_angle}
-    for term in model.terms:
-        for channel, delay in getattr(term, "input_delays", {}).items():
-            late[channel] = term.delayed(flow, late[channel], delay)
-    return RecordedInputs(late["T"], late["delta"], states, tuple(held))
+    kept = np.stack(rows[count:], axis=1) if rows[count:] else np.empty((len(state), 0))
+    return np.stack(course, axis=1), kept
 
 
 def _rk4(model: SingleTrack, rows: list[np.ndarray], inputs: Any, step: float, time: Any) -> list[np.ndarray]:

@@ -16,7 +16,7 @@ from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import Term
-from split_cli.vehicle.integration import integrate_recorded
+from split_cli.vehicle.integration import Situation, integrate_recorded
 from split_cli.vehicle.single_track import SingleTrack
 from tests.factories import make_drive, road_car
 
@@ -88,7 +88,7 @@ def driven(
         before = state
         state = integrate_recorded(
             model, state, arrived[0][:, window], arrived[1][:, window], step,
-            time=spaced * np.arange(runs) + k * step, track_position=places[-1],
+            situation=Situation(t=spaced * np.arange(runs) + k * step, s=places[-1]),
         )  # fmt: skip
         places.append(np.mod(places[-1] + 0.5 * 0.01 * (before[:, 3] + state[:, 3]), LAP))
         states.append(state)

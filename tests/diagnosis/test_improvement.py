@@ -18,7 +18,7 @@ from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive
 from split_cli.scoring.rollouts import roll_out
 from split_cli.vehicle.effects import CATALOGUE, build_terms
-from split_cli.vehicle.integration import integrate_recorded
+from split_cli.vehicle.integration import Situation, integrate_recorded
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
 from tests.diagnosis.recordings import SIGMA, driven, light_evidence, noisy, prepared, recorded
@@ -143,7 +143,7 @@ def test_a_stretch_of_road_acts_where_it_lies():
     zeros = np.zeros((1, 2))
     state, s, states, places = np.array([[20.0, 0.0, 0.0]]), 0.0, [[20.0, 0.0, 0.0]], [0.0]
     for _ in range(count - 1):
-        after = integrate_recorded(model, state, zeros, zeros, period, 8, track_position=s)
+        after = integrate_recorded(model, state, zeros, zeros, period, 8, Situation(s=s))
         s += 0.5 * period * float(state[0, 0] + after[0, 0])
         state = after
         states.append(state[0])

@@ -19,13 +19,13 @@ from split_cli.export.symbolic import build_nominal
 from split_cli.export.tables import build_tables
 from split_cli.export.verify import verify_folder
 from split_cli.files import sha256_of_file
+from split_cli.learning.labels import inputs_along
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import Drive, write_drive
 from split_cli.prediction import make_predictor
-from split_cli.scoring.application import inputs_along
 from split_cli.scoring.rollouts import Correction, roll_out
 from split_cli.vehicle.effects import build_terms
-from split_cli.vehicle.integration import integrate_with_memory
+from split_cli.vehicle.integration import Situation, integrate_with_memory
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from tests.export.effect_cases import (
@@ -59,7 +59,7 @@ def lagging_drive(vehicle) -> Drive:
     path = [state]
     for k in range(samples - 1):
         inputs = torque[:, k : k + 2], steer[:, k : k + 2]
-        state, memory = integrate_with_memory(model, state, *inputs, PERIOD, 4, term_states=memory)
+        state, memory = integrate_with_memory(model, state, *inputs, PERIOD, 4, Situation(states=memory))
         path.append(state)
     columns = dict(zip(("X", "Y", "yaw", "vx", "vy", "r"), np.stack(path, axis=1).reshape(-1, 6).T, strict=True))
     number = np.repeat(np.arange(runs), samples)
@@ -102,7 +102,7 @@ def test_a_corrected_vehicle_goes_from_training_to_the_controller(corrected, com
     graph = build_nominal(model, training_set.features)
     car = Exported(model, graph, training_set, "car", ctypes.CDLL(str(tmp_path / "car.so")))
     step = casadi.Function.load(str(folder / "out" / "car_step.casadi"))
-    memory = inputs_along(model, drive).term_states
+    memory = inputs_along(model, drive).situation.states
     commands = np.stack([drive["T"], drive["delta"]], axis=1)
     for start, path in zip(starts, expected, strict=True):
         state = np.array([drive[name][start] for name in ("X", "Y", "yaw", "vx", "vy", "r")])

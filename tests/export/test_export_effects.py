@@ -24,9 +24,10 @@ from split_cli.export.tables import build_tables
 from split_cli.export.targets import acados_source
 from split_cli.learning.training_set import write_set
 from split_cli.vehicle.effects import CATALOGUE, Recording
-from split_cli.vehicle.integration import integrate_recorded, integrate_with_memory, recorded_inputs
+from split_cli.vehicle.integration import Situation, integrate_recorded, integrate_with_memory
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.windows import recorded_inputs
 from split_cli.workflows.export import export_set
 from tests.export.effect_cases import (
     CASES,
@@ -68,15 +69,15 @@ def python_drive(case: Exported, substeps: int) -> np.ndarray:
     x, commands, t, s = manoeuvre()
     velocity = np.tile(x[3:6], (len(t), 1))
     clock = Recording.single(STEP, len(t))
-    late = recorded_inputs(case.model, velocity, *commands.T, clock, time=t, track_position=s, yaw=x[2])
+    late = recorded_inputs(case.model, velocity, *commands.T, clock, Situation(t, s, x[2]))
     inputs = late.torque[None], late.steer_angle[None]
     if not case.graph.needs_place_and_time:
         return integrate_recorded(case.model, x[None, :6], *inputs, STEP, substeps)[0]
     state, states = x[None, :6], None
     for k in range(len(t) - 1):
         now = (series[:, k : k + 2] for series in inputs)
-        situation = {"time": t[k], "track_position": s[k], "term_states": states}
-        state, states = integrate_with_memory(case.model, state, *now, STEP, substeps, **situation)
+        situation = Situation(t[k], s[k], states=states)
+        state, states = integrate_with_memory(case.model, state, *now, STEP, substeps, situation)
     return state[0]
 
 

@@ -15,7 +15,7 @@ from split_cli.learning.label_file import read_labels
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import Drive, write_drive
 from split_cli.vehicle.effects import CATALOGUE, Recording
-from split_cli.vehicle.integration import integrate_with_memory
+from split_cli.vehicle.integration import Situation, integrate_with_memory
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import label_drive
@@ -41,7 +41,7 @@ def recorded() -> Drive:
         span = slice(k, k + 2)
         speed = float(np.hypot(state[0, 3], state[0, 4]))
         state, _ = integrate_with_memory(
-            model, state, torque[None, span], steer[None, span], PERIOD, 2, time=t[k], track_position=place
+            model, state, torque[None, span], steer[None, span], PERIOD, 2, Situation(t[k], place)
         )
         place += 0.5 * PERIOD * (speed + float(np.hypot(state[0, 3], state[0, 4])))
         path.append(state[0])

@@ -8,10 +8,11 @@ from scipy.integrate import solve_ivp
 
 from split_cli.vehicle.effects import CATALOGUE, Recording
 from split_cli.vehicle.effects.recording import first_order_response, play_response, shifted
-from split_cli.vehicle.integration import integrate_recorded, recorded_inputs
+from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
+from split_cli.vehicle.windows import recorded_inputs
 
 CAR = Vehicle(
     name="test car", mass=1500.0, yaw_inertia=2600.0, cg_to_front_axle=1.25, cg_to_rear_axle=1.45,
@@ -119,7 +120,7 @@ def test_states_along_a_recording_continue_in_a_window():
     recorded = recorded_inputs(track, np.repeat(start, 400, axis=0), torque, steer, clock)
     np.testing.assert_allclose(recorded.steer_angle, late)
     resumed = integrate_recorded(
-        track, middle, torque[None, 200:], late[None, 200:], PERIOD, term_states=recorded.term_states[200:201]
+        track, middle, torque[None, 200:], late[None, 200:], PERIOD, 1, recorded.situation.at(np.array([200]))
     )
     # The lag along the recording is exact, inside RK4 it is right to (step/tau)^4/120, 5e-8.
     np.testing.assert_allclose(resumed, whole, atol=1e-7)

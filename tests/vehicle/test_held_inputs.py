@@ -9,8 +9,9 @@ import pytest
 
 from split_cli.vehicle.effects import CATALOGUE, Recording
 from split_cli.vehicle.effects.recording import first_order_from_means, first_order_response, over_samples
-from split_cli.vehicle.integration import integrate_recorded, recorded_inputs
+from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.windows import recorded_inputs
 from tests.factories import road_car
 
 PERIOD, FINE = 0.02, 40
@@ -61,7 +62,7 @@ def test_lag_and_delay_of_a_staircase_are_exact(delay):
     np.testing.assert_allclose(found.torque, means, rtol=1e-12)
     # A step inside a sample is told by its mean: the state errs by what a step's place does over a fifth of tau.
     tolerance = 1e-10 if delay == 0.0 else 0.05 * np.abs(np.diff(torque)).max() * PERIOD / tau
-    np.testing.assert_allclose(found.term_states[:, 0], states, atol=tolerance)
+    np.testing.assert_allclose(found.situation.states[:, 0], states, atol=tolerance)
 
 
 def test_the_mean_of_a_response_is_the_response_to_means():
@@ -108,7 +109,7 @@ def test_windows_resume_from_the_memory_of_a_staircase():
     half = count // 2
     resumed = integrate_recorded(
         model, velocity[half : half + 1], torque[None, half:], steer[None, half:], PERIOD, 4,
-        term_states=recorded.term_states[half : half + 1], held=recorded.held,
+        recorded.situation.at(np.array([half])), held=recorded.held,
     )  # fmt: skip
     # RK4 with 5 ms steps follows lags of 60 ms to about 1e-6.
     np.testing.assert_allclose(resumed[0], velocity[-1], atol=2e-5)

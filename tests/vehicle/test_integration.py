@@ -9,9 +9,10 @@ import pytest
 from scipy.integrate import quad_vec, solve_ivp
 from scipy.linalg import expm
 
-from split_cli.vehicle.integration import exact_step, integrate_recorded, phi_matrix, substep_count
+from split_cli.vehicle.integration import Situation, exact_step, integrate_recorded, phi_matrix
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.windows import substep_count
 
 
 class LinearModel:
@@ -66,11 +67,18 @@ def test_rk4_converges_with_the_fourth_power_of_the_step(car):
 def test_the_substep_rule_keeps_the_step_accurate_in_a_stiff_car():
     # At 6 m/s the lateral modes of a light car are near 60 1/s: one step of 50 ms is outside RK4's stability.
     jacobian = np.diag([-0.1, -60.0, -20.0])[None]
-    n = substep_count(jacobian, 0.05)
-    assert n == 3
+    (n,) = substep_count(jacobian, 0.05, 2.7)
+    assert n == 4  # |A^4|^(1/4) is 0.6 % above the largest eigenvalue, which alone would ask for 3.0
     assert np.abs(np.linalg.eigvals(jacobian[0])).max() * 0.05 / n <= 1.0
-    assert substep_count(jacobian, 0.0166) == 1
-    assert substep_count(np.empty((0, 3, 3)), 0.05) == 1
+    assert substep_count(jacobian, 0.0165, 2.7) == [1]
+    assert not len(substep_count(np.empty((0, 3, 3)), 0.05, 2.7))
+
+
+def test_every_window_has_its_own_count_and_what_is_not_finite_one_or_the_most():
+    gentle, stiff = np.diag([-0.1, -6.0, -2.0]), np.diag([-0.1, -60.0, -20.0])
+    broken = np.full((3, 3), np.nan)
+    counts = substep_count(np.stack([gentle, stiff, broken, 1e6 * stiff]), 0.05, 2.7)
+    np.testing.assert_array_equal(counts, [1, 4, 1, 1000])
 
 
 def test_the_substep_rule_bounds_the_error_of_a_sample(car):
@@ -81,7 +89,7 @@ def test_the_substep_rule_bounds_the_error_of_a_sample(car):
     torque, steer = manoeuvre(car, 0.05, period, phase=1.2)
     start = np.array([car.minimum_speed, 0.0, 0.0])
     jacobian = model.velocity_jacobian(*(start[:, None]), torque[:, 0], steer[:, 0])
-    n = substep_count(jacobian, period)
+    (n,) = substep_count(jacobian, period, car.wheelbase)
     step = integrate_recorded(model, start[None], torque, steer, period, n)[0] - start
     exact = fine_solution(model, start, torque, steer, period) - start
     assert np.linalg.norm(step - exact) < 1e-2 * np.linalg.norm(exact)
@@ -234,7 +242,7 @@ def test_terms_of_time_see_the_time_inside_the_step(road_car):
 
     # RK4 is Simpson's rule here, off by h^4/2880 of the change: 3.5e-8.
     inputs = np.zeros((1, 11))
-    end = integrate_recorded(Clock(), np.zeros((1, 3)), inputs, inputs, 0.1, 1, time=np.array([0.5]))
+    end = integrate_recorded(Clock(), np.zeros((1, 3)), inputs, inputs, 0.1, 1, Situation(t=np.array([0.5])))
     assert end[0, 0] == pytest.approx(np.sin(1.5) - np.sin(0.5), abs=1e-7)
 
 
@@ -245,7 +253,7 @@ def test_place_advances_with_the_path(road_car):
 
     inputs = np.zeros((1, 11))
     start = np.array([[4.0, 0.0, 0.0]])
-    end = integrate_recorded(Place(), start, inputs, inputs, 0.1, 1, track_position=np.array([3.0]))
+    end = integrate_recorded(Place(), start, inputs, inputs, 0.1, 1, Situation(s=np.array([3.0])))
     # v_y' = s = 3 + 4 t over 1 s: 3 + 2.
     assert end[0, 1] == pytest.approx(5.0, rel=1e-12)
 

@@ -13,7 +13,8 @@ from split_cli.diagnosis.recording.series import extended_model
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import Labels, compute_labels
 from split_cli.vehicle.effects import Term
-from split_cli.vehicle.integration import integrate_recorded, phi_matrix, recorded_inputs, substep_count
+from split_cli.vehicle.integration import Situation, phi_matrix
+from split_cli.vehicle.windows import recorded_inputs
 
 __all__ = ["BLOCK_SECONDS", "LabelErrors", "blocks_of_time", "in_standard_errors", "label_errors"]
 
@@ -96,23 +97,11 @@ def label_errors(
 def _predict(evidence: Evidence, terms, measured, smooth, rows, window) -> np.ndarray:
     series = evidence.series
     model = extended_model(evidence.vehicle, terms)
-    situation = {"time": series.t, "track_position": series.s, "yaw": series.yaw}
-    held = series.drive.held
+    drive, situation = series.drive, Situation(series.t, series.s, series.yaw)
     recorded = recorded_inputs(
-        model, smooth, series.drive["T"], series.drive["delta"], series.recording, held=held, **situation
+        model, smooth, drive["T"], drive["delta"], series.recording, situation, held=drive.held
     )
-    span = rows[:, None] + np.arange(window + 1)
-    return integrate_recorded(
-        model,
-        measured[rows],
-        recorded.torque[span],
-        recorded.steer_angle[span],
-        series.period,
-        substep_count(evidence.jacobian[rows], series.period),
-        term_states=recorded.term_states[rows],
-        held=held,
-        **{name: values[rows] for name, values in situation.items()},
-    )
+    return recorded.windows(rows, window).predict(model, measured[rows], evidence.jacobian[rows])
 
 
 def blocks_of_time(times: Sequence[np.ndarray], longest: float = BLOCK_SECONDS) -> np.ndarray:
