@@ -64,7 +64,8 @@ class ComparisonRules:
     least_rows: int = number(
         250,
         "rows of 0.04 s",
-        "evidence below which nothing is decided; a quarter of it kept out for a share of the gap",
+        "evidence below which nothing is decided; half of it in a half of the simulation, a quarter of it kept out "
+        "for a share of the gap",
         JUDGEMENT + "ten seconds of driving",
     )
     least_share: float = number(
@@ -233,13 +234,6 @@ class SelectionRules:
 class Abstention:
     """When something is said to have no name."""
 
-    big_effect: float = number(
-        0.5,
-        "1",
-        "share of what a car can have: a match tells where such an effect would hide behind what the simulation "
-        "shows against itself",
-        JUDGEMENT + "half of the way to the bound, for grip about a half",
-    )
     hidden_force: float = number(
         0.2,
         "1",
@@ -272,7 +266,8 @@ class Abstention:
         0.5,
         "1",
         "share from which on it is the greater part: of what the best explanation saves, for one that no real "
-        "car has to be a lead; of the track, for the interval of a stretch's end to leave its place open",
+        "car has to be a lead; of the track, for the interval of a stretch's end to leave its place open; of what a "
+        "car can have, for an effect of which a match tells where it would hide",
         JUDGEMENT + "a half",
     )
     most_leads: int = number(2, "leads", "leads that are reported", JUDGEMENT + "a list of more helps nobody")
@@ -310,13 +305,10 @@ class Allowances:
 class SelfTestRules:
     """What the simulation shows against itself, half by half, and how much more reality has to show."""
 
-    least_rows: int = number(
-        150, "rows of 0.04 s", "rows below which a half tells nothing", JUDGEMENT + "six seconds of driving"
-    )
     unnamed_margin: float = number(
         2.0,
         "1",
-        "by how much more reality has to show without a name",
+        "by how much more reality has to show without a name: of structure, or of the amplitude of a line",
         JUDGEMENT + "reality may cover other ground than the second half did",
     )
     term_margin: float = number(

@@ -18,7 +18,6 @@ KINDS = {
         "screening",
         "comparison.least_rows",
         "comparison.least_share",
-        "self_test.least_rows",
         "believing.rolling_share",
         "believing.lost_share",
         "believing.rolling_seconds",

@@ -129,6 +129,3 @@ class Unnamed:
         4.0, "wheelbases", "longest wave over distance", JUDGEMENT + "longer waves are the track's"
     )
     fewest: int = number(2048, "samples", "length of a recording below which no line is sought", CHOSEN)
-    line_margin: float = number(
-        2.0, "1", "amplitude over that of lines that the simulation has, there or elsewhere", CHOSEN
-    )

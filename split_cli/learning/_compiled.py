@@ -87,7 +87,7 @@ def _multiply(a: ndarray, b: ndarray, out: ndarray) -> None:
 
 @compiled(cache=True)
 def _substeps(A: ndarray, period: float, half_wheelbase: float, work: ndarray) -> int:
-    """Return how many RK4 steps a sample keep |lambda| step <= 1; see labels._substeps."""
+    """Return how many RK4 steps a sample keep |lambda| step <= 1; see vehicle.windows.substep_count."""
     scaled, squared, fourth = work[0], work[1], work[2]
     for i in range(3):
         for j in range(3):

@@ -37,7 +37,7 @@ def test_an_effect_that_would_have_been_named_does_not_hide(nominal_objective, n
     # Half of the way to the nearer bound is what is asked for; a gap of any size is larger than that effect.
     limits = inertia.ranges["scale"]
     nearer = min((limits.lower, limits.upper), key=lambda end: abs(end - 1.0))
-    big = 1.0 + STANDARD.abstention.big_effect * (nearer - 1.0)
+    big = 1.0 + STANDARD.abstention.greater_part * (nearer - 1.0)
     size = effect_to_noise_of_terms(nominal_objective, (inertia.build({"scale": big}),))
     assert size > STANDARD.selection.plain
 

@@ -87,7 +87,7 @@ def strongest_line(
     lines = [
         line
         for line in lines
-        if line.amplitude > policy.unnamed.line_margin * max(map(line.like, own), default=0.0)
+        if line.amplitude > policy.self_test.unnamed_margin * max(map(line.like, own), default=0.0)
     ]
     for line in sorted(lines, key=lambda line: line.p_value):
         if not any(_shows(objective, one, line) for one in simulated):
@@ -170,5 +170,5 @@ def _shows(objective: MarginalLikelihood, one: Evidence, line: Line) -> bool:
     nearby = line.frequency * np.linspace(0.98, 1.02, 9)
     return (
         max(_size(one, left, clock, f, channel)[0] for f in nearby)
-        > line.amplitude / objective.policy.unnamed.line_margin
+        > line.amplitude / objective.policy.self_test.unnamed_margin
     )

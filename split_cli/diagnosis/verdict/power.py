@@ -74,7 +74,7 @@ def hidden_effects(
     if gap_to_noise <= plain:
         return ()
     for one in candidates:
-        for name, value, values in _big(one, objective.policy.abstention.big_effect):
+        for name, value, values in _big(one, objective.policy.abstention.greater_part):
             if _would_be_named(one, name, value, smallest.get(one.term, {})):
                 continue
             term = one.build(values)
