@@ -64,8 +64,8 @@ class ComparisonRules:
     least_rows: int = number(
         250,
         "rows of 0.04 s",
-        "evidence below which nothing is decided; half of it in a half of the simulation, a quarter of it kept out "
-        "for a share of the gap",
+        "evidence below which nothing is decided; half of it in a half of the simulation, a quarter kept out for "
+        "a share of the gap",
         JUDGEMENT + "ten seconds of driving",
     )
     least_share: float = number(
@@ -266,8 +266,8 @@ class Abstention:
         0.5,
         "1",
         "share from which on it is the greater part: of what the best explanation saves, for one that no real "
-        "car has to be a lead; of the track, for the interval of a stretch's end to leave its place open; of what a "
-        "car can have, for an effect of which a match tells where it would hide",
+        "car has to be a lead; of the track, for the interval of a stretch's end to leave its place open; of what "
+        "a car can have, for an effect of which a match tells where it would hide",
         JUDGEMENT + "a half",
     )
     most_leads: int = number(2, "leads", "leads that are reported", JUDGEMENT + "a list of more helps nobody")
