@@ -12,7 +12,7 @@ from split_cli.errors import DriveError, MapError, nearest_names
 from split_cli.files import sha256_of_file
 from split_cli.logs.assembling.clean import join_clock_resets
 from split_cli.logs.assembling.conversion import RawSeries
-from split_cli.logs.assembling.derive import DERIVATIONS, Derived, Situation, derivation_named
+from split_cli.logs.assembling.derive import DERIVATIONS, DerivationInputs, Derived, derivation_named
 from split_cli.logs.assembling.gather import Gathered, gather, topic_of
 from split_cli.logs.assembling.placing import move_to_cg
 from split_cli.logs.assembling.quality import QualityReport
@@ -281,7 +281,7 @@ def _place_and_derive(
             raise MapError(f"--derive {name} needs {', '.join(missing)}", advice="Map or derive it too.")
         settings = signal_map.derivations.get(name.replace("-", "_"), {})
         time = (grid.index - grid.index[0]) * grid.period
-        derived = DERIVATIONS[name].run(Situation(columns, grid.period, slices, vehicle, settings, time))
+        derived = DERIVATIONS[name].run(DerivationInputs(columns, grid.period, slices, vehicle, settings, time))
         columns.update(derived.columns)
         for channel in derived.columns:
             if not derived.keeps_noise:

@@ -51,7 +51,7 @@ class Derived:
 
 
 @dataclass(frozen=True)
-class Situation:
+class DerivationInputs:
     """What a derivation may use.
 
     Attributes
@@ -89,7 +89,7 @@ class Derivation:
     settings : tuple of str
         Keys that the map may give.
     run : callable
-        Situation to Derived.
+        DerivationInputs to Derived.
     choices : tuple of (str, str)
         Settings that name a channel it needs too, each with its default.
     """
@@ -98,7 +98,7 @@ class Derivation:
     makes: tuple[str, ...]
     needs: tuple[str, ...]
     settings: tuple[str, ...]
-    run: Callable[[Situation], Derived]
+    run: Callable[[DerivationInputs], Derived]
     choices: tuple[tuple[str, str], ...] = ()
 
     def inputs(self, settings: Mapping[str, Any], mapped: Collection[str]) -> tuple[str, ...]:
@@ -283,13 +283,13 @@ def derivative(values: np.ndarray, period: float) -> np.ndarray:
     return slope
 
 
-def _require_vehicle(situation: Situation, name: str) -> Vehicle:
+def _require_vehicle(situation: DerivationInputs, name: str) -> Vehicle:
     if situation.vehicle is None:
         raise MapError(f"--derive {name} needs the vehicle", advice="Give it with --vehicle.")
     return situation.vehicle
 
 
-def _settings_number(situation: Situation, name: str, key: str, default: float | None = None) -> float:
+def _settings_number(situation: DerivationInputs, name: str, key: str, default: float | None = None) -> float:
     value = situation.settings.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise MapError(
@@ -299,7 +299,7 @@ def _settings_number(situation: Situation, name: str, key: str, default: float |
     return float(value)
 
 
-def _run_torque_from_acceleration(situation: Situation) -> Derived:
+def _run_torque_from_acceleration(situation: DerivationInputs) -> Derived:
     vehicle = _require_vehicle(situation, "torque-from-acceleration")
     c = situation.columns
     source = situation.settings.get("acceleration", "ax" if "ax" in c else "vx")
@@ -323,7 +323,7 @@ def _run_torque_from_acceleration(situation: Situation) -> Derived:
     return Derived({"T": T}, f"torque {how} by the nominal model of {vehicle.name}", warning)
 
 
-def _run_torque_from_pedals(situation: Situation) -> Derived:
+def _run_torque_from_pedals(situation: DerivationInputs) -> Derived:
     vehicle = _require_vehicle(situation, "torque-from-throttle-and-brake")
     name = "torque_from_throttle_and_brake"
     settings = situation.settings
@@ -355,7 +355,7 @@ def _run_torque_from_pedals(situation: Situation) -> Derived:
     return Derived({"T": T}, f"{how} and {brake} times {gain:.4g} N m a unit", warning)
 
 
-def _run_torque_from_current(situation: Situation) -> Derived:
+def _run_torque_from_current(situation: DerivationInputs) -> Derived:
     name = "torque_from_current"
     channel = str(situation.settings.get("current", "motor_current"))
     if channel not in situation.columns:
@@ -369,7 +369,7 @@ def _run_torque_from_current(situation: Situation) -> Derived:
     )
 
 
-def _run_velocity_from_pose(situation: Situation) -> Derived:
+def _run_velocity_from_pose(situation: DerivationInputs) -> Derived:
     c = situation.columns
     vx, vy, r = velocity_from_pose(c["X"], c["Y"], c["yaw"], situation.period, situation.segments)
     made = {"vx": vx, "vy": vy, "r": r}
@@ -384,12 +384,12 @@ def _run_velocity_from_pose(situation: Situation) -> Derived:
     )
 
 
-def _run_lateral_velocity_from_sideslip(situation: Situation) -> Derived:
+def _run_lateral_velocity_from_sideslip(situation: DerivationInputs) -> Derived:
     c = situation.columns
     return Derived({"vy": c["vx"] * np.tan(c["sideslip"])}, "v_x times the tangent of the measured sideslip angle")
 
 
-def _run_lateral_velocity_from_straights(situation: Situation) -> Derived:
+def _run_lateral_velocity_from_straights(situation: DerivationInputs) -> Derived:
     columns = situation.columns if situation.time is None else {**situation.columns, "t": situation.time}
     k = Kinematics(columns, situation.period, situation.segments)
     stretches = straight_stretches(
@@ -410,7 +410,7 @@ def _run_lateral_velocity_from_straights(situation: Situation) -> Derived:
     )
 
 
-def _run_acceleration_from_velocity(situation: Situation) -> Derived:
+def _run_acceleration_from_velocity(situation: DerivationInputs) -> Derived:
     c = situation.columns
     made = {"ax": np.empty(len(c["vx"])), "ay": np.empty(len(c["vx"]))}
     for run in situation.segments:
