@@ -23,20 +23,22 @@ positive = click.FloatRange(0.0, min_open=True)
     default="tires,drag,rolling",
     show_default=True,
     metavar="LIST",
-    help="What to fit, of tires, drag, rolling, splits, inertia.",
+    help="What to fit: any of tires, drag, rolling, splits, inertia.",
 )
 @click.option(
     "--training-blocks", is_flag=True, help="Leave out the blocks of time that `split evaluate` holds out."
 )
-@click.option("--offsets", is_flag=True, help="Also fit constant offsets of the slip angles.")
-@click.option("--measured-ay", is_flag=True, help="Take the channel ay, not v_y' + v_x r: right on a banked road.")
+@click.option("--offsets", is_flag=True, help="Also fit a constant offset of each slip angle.")
+@click.option(
+    "--measured-ay", is_flag=True, help="Use the channel ay instead of v_y' + v_x r; correct on a banked road."
+)
 @click.option(
     "--max-ax",
     type=positive,
     default=2.0,
     show_default=True,
     metavar="A",
-    help="Limit of |a_x| for the tyres [m/s^2].",
+    help="Largest |a_x| of samples for the tyre fit [m/s^2].",
 )
 @click.option(
     "--max-ay",
@@ -44,7 +46,7 @@ positive = click.FloatRange(0.0, min_open=True)
     default=2.0,
     show_default=True,
     metavar="A",
-    help="Limit of |a_y| for resistances [m/s^2].",
+    help="Largest |a_y| of samples for the fit of drag and rolling resistance [m/s^2].",
 )
 @click.option(
     "--alpha-max",
@@ -54,7 +56,12 @@ positive = click.FloatRange(0.0, min_open=True)
     metavar="RAD",
     help="Largest slip angle.",
 )
-@click.option("--smooth", type=positive, metavar="SECONDS", help="Kernel width; by default from the wheelbase.")
+@click.option(
+    "--smooth",
+    type=positive,
+    metavar="SECONDS",
+    help="Width of the smoothing kernel; by default from the wheelbase.",
+)
 @click.option("--figure", type=click.Path(path_type=Path), metavar="FILE", help="Draw the curves (png, svg, pdf).")
 @click.option("--convert", is_flag=True, help="Convert a CommonRoad, F1TENTH or ForzaETH parameter file instead.")
 @click.option(
@@ -66,11 +73,11 @@ positive = click.FloatRange(0.0, min_open=True)
 @json_option
 def command(files, start, output, parts, training_blocks, offsets, measured_ay, max_ax, max_ay, alpha_max, smooth,
             figure, convert, kind, as_json) -> None:  # fmt: skip
-    """Fit a vehicle file to gentle drives, or convert a foreign one.
+    """Fit a vehicle file to gentle drives, or convert another project's file.
 
-    Tyres come from the axles' lateral forces, drag and rolling resistance from the longitudinal balance. The
-    report holds the error on held-out blocks of time, the slip angles covered, and how far apart equally good
-    curves are; a coefficient that the drives leave open keeps its given value.
+    Tyres are fitted to the axles' lateral forces, drag and rolling resistance to the longitudinal force balance.
+    The report gives the error on held-out blocks of time, the slip angles covered, and how far equally good curves
+    differ. A coefficient that the drives do not determine keeps its given value.
 
     \b
     Example:

@@ -41,18 +41,20 @@ def _horizons(context: click.Context, parameter: click.Parameter, text: str) -> 
 @click.option("--on", "drives", type=existing_file, multiple=True, required=True, metavar="DRIVE",
               help="Drive to run on; repeatable.")  # fmt: skip
 @click.option("--horizon", "horizons", default="0.05,0.5,2", show_default=True, callback=_horizons, metavar="LIST",
-              help="How long models run freely [s].")  # fmt: skip
-@click.option("--exit-code", is_flag=True, help="Leave with 3 when the first model is worse than another one.")
+              help="Durations of free running [s].")  # fmt: skip
+@click.option("--exit-code", is_flag=True, help="Exit with code 3 if the first model is worse than another one.")
 @click.option("--most", "limits", multiple=True, callback=_limits, metavar="STATE=ERROR",
-              help="Leave with 3 when the first model's error at the longest horizon is larger.")  # fmt: skip
+              help="Exit with code 3 if the first model's error at the longest horizon is larger than "
+              "this.")  # fmt: skip
 @output_option("Folder for report.html and compare.csv.", required=False)
 @held_option
 @json_option
 def command(models, drives, horizons, exit_code, limits, output, held, as_json) -> None:
-    """Set models side by side on the same drives: vehicles, trained sets, predictors.
+    """Compare vehicle files, trained sets and predictors on the same drives.
 
-    A MODEL is a vehicle file, a trained set, or a set with a predictor (car.split:full); NAME= before it names it.
-    All run freely over the recorded inputs from the same starts. Intervals are 95 %, from blocks of time.
+    A MODEL is a vehicle file, a trained set, or a set with a predictor (car.split:full). A prefix NAME= gives it a
+    name in the table. All models run freely on the recorded inputs from the same starts, without correction by
+    measurements. Intervals are 95 %, from blocks of time.
 
     \b
     Example:

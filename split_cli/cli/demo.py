@@ -13,7 +13,7 @@ __all__ = ["command"]
 
 
 @click.command("demo")
-@click.option("--samples", type=existing_file, metavar="FOLDER", help="Folder of the sample logs.")
+@click.option("--samples", type=existing_file, metavar="FOLDER", help="Folder with the sample logs.")
 @click.option(
     "-o",
     "--output",
@@ -21,12 +21,12 @@ __all__ = ["command"]
     default=Path("demo-output"),
     show_default=True,
     metavar="FOLDER",
-    help="Where to leave the results.",
+    help="Folder for the results.",
 )
 def command(samples, output) -> None:
-    """Run the whole path on the bundled samples: ingest, train, evaluate, export, diagnose.
+    """Run all steps on the bundled samples: ingest, train, evaluate, export, diagnose.
 
-    Each command is printed before it runs, so that it can be typed again.
+    Each command is printed before it runs, so that you can repeat it.
 
     \b
     Example:

@@ -23,17 +23,22 @@ _CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
 @click.command("diagnose")
 @click.option("--real", "real", type=existing_file, required=True, multiple=True, help="Real drive; repeatable.")
 @click.option("--sim", "simulated", type=existing_file, multiple=True, help="Simulated drive; repeatable.")
-@click.option("--holdout", type=existing_file, multiple=True, help="Real drive to judge on; repeatable.")
+@click.option(
+    "--holdout",
+    type=existing_file,
+    multiple=True,
+    help="Real drive on which the improvement is measured; repeatable.",
+)
 @vehicle_option()
 @click.option("--out", "output", type=click.Path(path_type=Path), required=True, help="Folder to write into.")
-@click.option("--exit-code", is_flag=True, help="Leave with 3 when simulation and reality differ.")
+@click.option("--exit-code", is_flag=True, help="Exit with code 3 if simulation and reality differ.")
 @held_option
 @json_option
 def command(real, simulated, holdout, vehicle_path, output, exit_code, held, as_json) -> None:
-    """Say where a simulation and reality differ, and name the physics that was left out.
+    """Say where a simulation and a real drive differ, and name the physics that the simulation lacks.
 
-    Without --sim the nominal model is the simulation. Without --holdout the last quarter of the real drives is
-    kept out to judge the improvement on.
+    Without --sim the nominal model serves as the simulation. Without --holdout the last quarter of the real drives
+    is held out, and the improvement is measured there.
 
     \b
     Example:

@@ -48,9 +48,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 @click.command("evaluate")
 @click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE...")
 @vehicle_option(required=False)
-@click.option(
-    "--set", "set_path", type=existing_file, metavar="SET", help="Score this trained set on whole drives."
-)
+@click.option("--set", "set_path", type=existing_file, metavar="SET", help="Trained set to score on whole drives.")
 @click.option(
     "--predictor",
     "predictors",
@@ -58,14 +56,14 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     show_default=True,
     callback=_list_of(str),
     metavar="LIST",
-    help="Of bcm, rbcm, grbcm, local, weights, table, full, fitc, iol.",
+    help="Predictors to score: bcm, rbcm, grbcm, local, weights, table, full, fitc, iol.",
 )
 @click.option(
     "--protocol",
     type=click.Choice(["held-out", "paper"]),
     default="held-out",
     show_default=True,
-    help="Held-out blocks of time, or the paper's: 100 samples of a lap, scored on that lap, in sample.",
+    help="held-out: blocks of time unseen in training. paper: 100 samples of a lap, scored on that same lap.",
 )
 @click.option(
     "--features",
@@ -74,20 +72,32 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     show_default=True,
     callback=_feature_sets,
     metavar="LIST",
-    help="z1, z2, z1,z2 or signal names; repeatable. Several are also compared at equal sizes.",
+    help="z1, z2, z1,z2 or signal names; repeatable. Several feature sets are also compared at equal sizes.",
 )
 @click.option(
     "--sizes",
     callback=_list_of(_size),
     metavar="LIST",
-    help="Sizes of that comparison [default: 50,100,200,500,1000,all].",
+    help="Set sizes at which feature sets are compared [default: 50,100,200,500,1000,all].",
 )
 @click.option(
-    "--blocks", type=click.IntRange(2), default=10, show_default=True, help="Blocks of time a drive is cut into."
+    "--blocks", type=click.IntRange(2), default=10, show_default=True, help="Number of time blocks per drive."
 )
-@click.option("--holdout", type=float, default=0.3, show_default=True, metavar="SHARE", help="Share held out.")
 @click.option(
-    "--guard", type=float, default=1.0, show_default=True, metavar="S", help="Unused time beside a held-out block."
+    "--holdout",
+    type=float,
+    default=0.3,
+    show_default=True,
+    metavar="SHARE",
+    help="Share of the time that is held out.",
+)
+@click.option(
+    "--guard",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="S",
+    help="Unused time on either side of a held-out block.",
 )
 @click.option(
     "--rollout",
@@ -95,7 +105,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     show_default=True,
     callback=_list_of(float),
     metavar="LIST",
-    help="Horizons of multi-step predictions [s].",
+    help="Horizons of the multi-step predictions [s].",
 )
 @click.option(
     "--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h, without --set."
@@ -105,13 +115,15 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     type=click.Choice(["held-out", "full"]),
     default="held-out",
     show_default=True,
-    help="How far sets trained here are believed, without --set.",
+    help="Without --set: share of the correction to apply, estimated on held-out blocks or all of it.",
 )
-@click.option("--any-vehicle", is_flag=True, help="Warn, do not refuse, where a drive contradicts the vehicle.")
+@click.option(
+    "--any-vehicle", is_flag=True, help="Warn instead of stopping when a drive contradicts the vehicle file."
+)
 @click.option(
     "--select",
     is_flag=True,
-    help="Try capacities, gain thresholds, cell edges and --features on held-out blocks, and choose.",
+    help="Choose capacity, gain threshold, cell edge and --features by their error on held-out blocks.",
 )
 @click.option(
     "--capacities",
@@ -119,7 +131,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     show_default=True,
     callback=_list_of(int),
     metavar="LIST",
-    help="With --select.",
+    help="Capacities for --select.",
 )
 @click.option(
     "--thresholds",
@@ -127,7 +139,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     show_default=True,
     callback=_list_of(float),
     metavar="LIST",
-    help="With --select.",
+    help="Gain thresholds for --select.",
 )
 @click.option(
     "--cell-edges",
@@ -135,16 +147,17 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     show_default=True,
     callback=_list_of(float),
     metavar="LIST",
-    help="With --select: in usual edges.",
+    help="Cell edges for --select, as multiples of the standard edge.",
 )
 @output_option("Folder for figures and report.html.", required=False)
 @held_option
 @json_option
 def command(drives, vehicle_path, set_path, output, as_json, select, **settings) -> None:
-    """Score predictors beside the nominal model, persistence and the noise floor.
+    """Measure the error of predictors, beside the nominal model, persistence and the noise floor.
 
-    Without --set, a set is trained on the training blocks of the drives, with hyperparameters fitted there, and
-    scored on the held-out blocks. Errors are in label units, pooled over drives by their squares.
+    Without --set, a set is trained on the training blocks of the drives and scored on the held-out blocks. Its
+    hyperparameters come from the training blocks too. Errors are in label units; squared errors are pooled over
+    drives.
 
     \b
     Example:

@@ -13,17 +13,26 @@ __all__ = ["command"]
 
 @click.command("experiments")
 @vehicle_option()
-@click.option("--limit-vehicle", type=existing_file, metavar="FILE", help="Calibrated from tests near the limit.")
-@click.option("--physics-vehicle", type=existing_file, metavar="FILE", help="Corrected by split diagnose.")
-@click.option("--lags-vehicle", type=existing_file, metavar="FILE", help="The given one with lags.")
-@click.option("--only", multiple=True, metavar="NAME", help="Run those whose names begin so; repeatable.")
-@click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Fill this page's tables.")
-@output_option("Folder of results.")
+@click.option(
+    "--limit-vehicle",
+    type=existing_file,
+    metavar="FILE",
+    help="Vehicle file calibrated from tests near the limit.",
+)
+@click.option(
+    "--physics-vehicle", type=existing_file, metavar="FILE", help="Vehicle file corrected by split diagnose."
+)
+@click.option("--lags-vehicle", type=existing_file, metavar="FILE", help="Copy of --vehicle with lags added.")
+@click.option(
+    "--only", multiple=True, metavar="NAME", help="Run only experiments whose names begin with NAME; repeatable."
+)
+@click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Page whose tables are updated.")
+@output_option("Folder for the results.")
 def command(vehicle_path, limit_vehicle, physics_vehicle, lags_vehicle, only, page, output) -> None:
-    """Run the closed-loop experiments of docs/experiments.md, and fill its tables.
+    """Run the closed-loop experiments of docs/experiments.md, and update its tables.
 
-    Every race and every sweep of a manoeuvre is kept in DIR; what is there is not run again. The whole plan takes
-    about an hour on one core.
+    The output folder keeps the result of every race and manoeuvre; those that are there are not run again. The
+    whole plan takes about an hour on one core.
 
     \b
     Example:

@@ -11,10 +11,10 @@ __all__ = ["command"]
 
 @click.command("explain")
 @click.argument("words", nargs=-1, metavar="[COMMAND | COLUMN]...")
-@click.option("--man", is_flag=True, help="Print the manual page of all commands (roff), and stop.")
+@click.option("--man", is_flag=True, help="Print the manual page of all commands (roff) and exit.")
 @json_option
 def command(words, man, as_json) -> None:
-    """Explain columns of printed tables: all of a command's, or one column wherever it is printed.
+    """Explain the columns of printed tables: all columns of one command, or one column in every table.
 
     \b
     Example:

@@ -17,7 +17,7 @@ __all__ = ["command"]
     multiple=True,
     required=True,
     type=click.Choice(["c", "casadi", "npz", "json", "ggv"]),
-    help="What to write; repeatable.",
+    help="Format to write; repeatable.",
 )
 @output_option("Folder to write into.")
 @click.option(
@@ -25,7 +25,7 @@ __all__ = ["command"]
     default="rbcm",
     show_default=True,
     type=click.Choice(["bcm", "rbcm", "table"]),
-    help="Committee of cells, robust committee, or a spline table of the dense process.",
+    help="bcm: committee of cells. rbcm: robust committee. table: spline table of the dense Gaussian process.",
 )
 @click.option("--name", metavar="NAME", help="Prefix of files and functions [default: the set's file name].")
 @click.option(
@@ -33,7 +33,7 @@ __all__ = ["command"]
     default="double",
     show_default=True,
     type=click.Choice(["double", "float"]),
-    help="Numbers of the C target.",
+    help="Number type of the C code.",
 )
 @click.option(
     "--queries",
@@ -41,21 +41,25 @@ __all__ = ["command"]
     show_default=True,
     type=click.IntRange(min=100),
     metavar="N",
-    help="Queries on which the export is compared with Python.",
+    help="Number of queries on which the export is compared with Python.",
 )
 @click.option(
     "--step",
     type=click.FloatRange(min=0, min_open=True),
     metavar="S",
-    help="Controller's interval, used where effects delay commands [default: label interval].",
+    help="Sampling time of the controller, needed if effects delay commands [default: label interval].",
 )
-@click.option("--insist", is_flag=True, help="Export although drives are faulty or too few.")
+@click.option(
+    "--insist",
+    is_flag=True,
+    help="Export in spite of faulty drives, too few labels, or a correction that helps no output.",
+)
 @json_option
 def command(set_path, targets, output, predictor, name, real, queries, step, insist, as_json) -> None:
     """Write a trained set as C, CasADi, npz or json.
 
-    Every target is compared with Python on random and border queries first; if one differs, nothing is written.
-    C is compiled with $CC, or cc, gcc or clang; without a compiler it is written and said to be unverified.
+    Every target is first compared with Python on random and border queries. If one differs, nothing is written.
+    C is compiled with $CC, or cc, gcc or clang. Without a compiler the C is written and reported as unverified.
 
     \b
     Example:

@@ -13,7 +13,7 @@ __all__ = ["command"]
 @click.argument("files", nargs=-1, required=True, type=existing_file, metavar="FILE...")
 @json_option
 def command(files, as_json) -> None:
-    """Tell what a file of ours is: a drive, labels, a trained set, a vehicle, a map, an export, or a recording.
+    """Describe a drive, labels, a trained set, a vehicle file, a signal map, an export, or a recording.
 
     \b
     Example:

@@ -58,49 +58,95 @@ def _spans(
 @click.argument("logs", nargs=-1, type=existing_file, metavar="LOG...")
 @vehicle_option(required=False)
 @click.option(
-    "--map", "maps", multiple=True, metavar="MAP", help="Signal map: a YAML file or a preset; repeatable."
+    "--map",
+    "maps",
+    multiple=True,
+    metavar="MAP",
+    help="Signal map: a YAML file or the name of a preset; repeatable.",
 )
-@output_option("The drive, or a folder for the drives of several logs.", required=False)
+@output_option("Drive to write, or a folder if there are several logs.", required=False)
 @click.option(
-    "--clock", type=click.Choice(["log", "publish", "header"]), help="Which time of the messages to use."
+    "--clock", type=click.Choice(["log", "publish", "header"]), help="Which time stamp of a message to use."
 )
 @click.option(
     "--gap",
     type=float,
     metavar="S",
-    help="Longest step interpolated; by default 0.1, and 2.5 samples of a required channel that comes at 10 Hz.",
+    help="Longest gap to interpolate over [s]. Default: 0.1, or 2.5 samples of a required channel at 10 Hz.",
 )
 @click.option(
-    "--rate", type=float, metavar="HZ", help="Of the drive [default: the slowest required channel, <= 100]."
+    "--rate",
+    type=float,
+    metavar="HZ",
+    help="Sampling rate of the drive [default: of the slowest required channel, at most 100].",
 )
 @click.option(
-    "--delay", "delays", multiple=True, callback=_delays, metavar="CHANNEL=S", help="Channel is late by S."
+    "--delay",
+    "delays",
+    multiple=True,
+    callback=_delays,
+    metavar="CHANNEL=S",
+    help="Correct a channel that is late by S seconds.",
 )
-@click.option("--estimate-delays", is_flag=True, help="Find delays between channels from kinematic identities.")
-@click.option("--derive", multiple=True, metavar="NAME", help="Compute a missing channel; names are in the docs.")
 @click.option(
-    "--topic", "topics", multiple=True, callback=_pairs, metavar="NAME=/TOPIC", help="Use this topic for it."
+    "--estimate-delays",
+    is_flag=True,
+    help="Estimate and correct delays between channels from kinematic identities.",
 )
 @click.option(
-    "--msg-path", "message_paths", multiple=True, type=existing_file, metavar="DIR", help="Folder of .msg files."
+    "--derive", multiple=True, metavar="NAME", help="Compute a missing channel; docs/ingest.md lists the names."
 )
-@click.option("--dbc", "databases", multiple=True, type=existing_file, metavar="FILE", help="Of a CAN log.")
-@click.option("--together", is_flag=True, help="The logs are one drive: files with clocks of their own.")
-@click.option("--row-rate", type=float, metavar="HZ", help="Of a table without a column of time.")
-@click.option("--start", type=float, metavar="S", help="Leave out what is before, from the first sample.")
-@click.option("--end", type=float, metavar="S", help="Leave out what is after, from the first sample.")
-@click.option("--cut", "cuts", multiple=True, callback=_spans, metavar="A:B", help="Leave out A to B [s].")
-@click.option("--keep-going", is_flag=True, help="Write the other drives when a log fails.")
-@click.option("--report", type=click.Path(path_type=Path), metavar="FILE", help="Write a page on the (one) drive.")
-@click.option("--list", "list_only", is_flag=True, help="List the channels of the logs, and stop.")
-@click.option("--list-maps", is_flag=True, help="List the presets, and stop.")
-@click.option("--suggest-map", is_flag=True, help="Print a draft of a map for the log, and stop.")
+@click.option(
+    "--topic",
+    "topics",
+    multiple=True,
+    callback=_pairs,
+    metavar="NAME=/TOPIC",
+    help="Use this topic where the map says NAME.",
+)
+@click.option(
+    "--msg-path",
+    "message_paths",
+    multiple=True,
+    type=existing_file,
+    metavar="DIR",
+    help="Folder with .msg definitions of ROS messages.",
+)
+@click.option(
+    "--dbc",
+    "databases",
+    multiple=True,
+    type=existing_file,
+    metavar="FILE",
+    help="DBC database that decodes a CAN log.",
+)
+@click.option("--together", is_flag=True, help="Join the logs into one drive; each file keeps its own clock.")
+@click.option("--row-rate", type=float, metavar="HZ", help="Sampling rate of a table without a time column.")
+@click.option(
+    "--start",
+    type=float,
+    metavar="S",
+    help="Leave out everything before this time, counted from the first sample.",
+)
+@click.option(
+    "--end", type=float, metavar="S", help="Leave out everything after this time, counted from the first sample."
+)
+@click.option(
+    "--cut", "cuts", multiple=True, callback=_spans, metavar="A:B", help="Leave out the time from A to B [s]."
+)
+@click.option("--keep-going", is_flag=True, help="Continue with the other logs when one fails.")
+@click.option(
+    "--report", type=click.Path(path_type=Path), metavar="FILE", help="Write an HTML report; for one drive only."
+)
+@click.option("--list", "list_only", is_flag=True, help="List the channels of the logs and exit.")
+@click.option("--list-maps", is_flag=True, help="List the preset signal maps and exit.")
+@click.option("--suggest-map", is_flag=True, help="Print a draft signal map for the log and exit.")
 @engine_options
 @json_option
 def command(logs, maps, vehicle_path, output, topics, message_paths, databases, as_json, **options) -> int:
     """Read recordings into drives: one uniform clock, SI units, ISO 8855 axes at the CG.
 
-    What was converted, assumed, dropped and found inconsistent is printed and stored in the drive.
+    The command prints what it converted, assumed, dropped and found inconsistent, and stores it in the drive.
 
     \b
     Example:

@@ -14,18 +14,31 @@ __all__ = ["command"]
 @click.command("init")
 @click.argument("logs", nargs=-1, required=True, type=existing_file, metavar="LOG...")
 @output_option("Folder for the two files [default: the current one].", required=False)
-@click.option("--together", is_flag=True, help="The logs are one drive: files with clocks of their own.")
-@click.option("--row-rate", type=float, metavar="HZ", help="Of a table without a column of time.")
-@click.option("--dbc", "databases", multiple=True, type=existing_file, metavar="FILE", help="Of a CAN log.")
+@click.option("--together", is_flag=True, help="Join the logs into one drive; each file keeps its own clock.")
+@click.option("--row-rate", type=float, metavar="HZ", help="Sampling rate of a table without a time column.")
 @click.option(
-    "--msg-path", "message_paths", multiple=True, type=existing_file, metavar="DIR", help="Folder of .msg files."
+    "--dbc",
+    "databases",
+    multiple=True,
+    type=existing_file,
+    metavar="FILE",
+    help="DBC database that decodes a CAN log.",
+)
+@click.option(
+    "--msg-path",
+    "message_paths",
+    multiple=True,
+    type=existing_file,
+    metavar="DIR",
+    help="Folder with .msg definitions of ROS messages.",
 )
 @json_option
 def command(logs, output, together, row_rate, databases, message_paths, as_json) -> None:
-    """Draft a signal map and a vehicle file for a recording, and say what to do next.
+    """Draft a signal map and a vehicle file for a recording, and print the next steps.
 
-    Writes map.yaml and vehicle.yaml; neither may exist. Every line of the map says what judged it, or why it is
-    left open. Every value of the vehicle file is empty, with what it is and where to find it.
+    The command writes map.yaml and vehicle.yaml; neither may exist. Each line of the map states the check that
+    supports it, or why it is left open. All values of the vehicle file are empty; comments explain each value and
+    where to find it.
 
     \b
     Example:

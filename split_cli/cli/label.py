@@ -22,12 +22,22 @@ __all__ = ["command"]
 @click.command("label")
 @click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE|FOLDER...")
 @vehicle_option()
-@output_option("Label file to write (Parquet); a folder, where several drives are given.")
-@click.option("--features", default="z2", show_default=True, help="z2, z1, or a comma-separated list of names.")
-@click.option("--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h.")
-@click.option("--stride", type=int, metavar="N", help="Samples between labels; default: the horizon.")
+@output_option("Label file to write (Parquet), or a folder if there are several drives.")
 @click.option(
-    "--plain-labels", "plain", is_flag=True, help="The paper's plain difference, damped; for reproduction."
+    "--features",
+    default="z2",
+    show_default=True,
+    help="Inputs of the correction: z2, z1, or a comma-separated list of signals.",
+)
+@click.option("--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h.")
+@click.option(
+    "--stride", type=int, metavar="N", help="Samples between two labels; default: as many as the horizon has."
+)
+@click.option(
+    "--plain-labels",
+    "plain",
+    is_flag=True,
+    help="Compute labels by the paper's plain damped difference, to reproduce the paper.",
 )
 @held_option
 @engine_options
@@ -35,10 +45,10 @@ __all__ = ["command"]
 def command(
     drives, vehicle_path, output, features, horizon, stride, plain, held, engine, scheduler, jobs, as_json
 ) -> None:
-    """Compute what the nominal model gets wrong, sample by sample.
+    """Compute the error of the nominal model, sample by sample.
 
-    A label is the rate of v_x, v_y and r that the nominal model leaves out over h, integrated over the recorded
-    inputs. It does not depend on h unless --plain-labels is given.
+    A label is the missing rate of v_x, v_y and r: the rate that the nominal model lacks over the interval h when
+    it is integrated with the recorded inputs. Its size does not depend on h, except with --plain-labels.
 
     \b
     Example:

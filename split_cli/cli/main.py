@@ -20,22 +20,22 @@ __all__ = ["COMMANDS", "group", "main"]
 COMMANDS = {
     "init": "Draft a signal map and a vehicle file for a recording.",
     "ingest": "Read recordings into drives on one clock, in SI units.",
-    "label": "Compute what the nominal model gets wrong, sample by sample.",
-    "train": "Learn drives into a trained set, cell by cell.",
+    "label": "Compute the error of the nominal model, sample by sample.",
+    "train": "Learn the error of the nominal model from drives into a trained set.",
     "evaluate": "Score predictors and features on held-out blocks of time.",
-    "compare": "Set models side by side on the same drives.",
+    "compare": "Compare models on the same drives.",
     "export": "Write a trained set as C, CasADi, npz or json.",
-    "calibrate": "Fit a vehicle file to gentle drives, or convert a foreign one.",
+    "calibrate": "Fit a vehicle file to gentle drives, or convert another project's file.",
     "diagnose": "Say where a simulation and a real drive differ, and why.",
-    "prove": "Conceal known effects, diagnose them blind, and score.",
-    "race": "Race the plant with a controller that learns while it drives.",
+    "prove": "Validate the diagnosis on cases with hidden, known effects.",
+    "race": "Race the simulated car with a controller that learns while it drives.",
     "maneuver": "Drive ISO 3888 and brake-and-avoid between cones.",
-    "experiments": "Run the closed-loop experiments and fill their page.",
-    "simulate": "Drive the double-track plant and write its logs.",
+    "experiments": "Run the closed-loop experiments and update their page.",
+    "simulate": "Simulate the double-track car and write its logs.",
     "explain": "Explain the columns of printed tables.",
-    "info": "Tell what a file of ours is.",
-    "verify": "Check a trained set or an export against itself.",
-    "demo": "Run the whole path on the bundled samples.",
+    "info": "Describe a file: its kind, content and origin.",
+    "verify": "Check the integrity of a file or folder of this program.",
+    "demo": "Run all steps on the bundled samples.",
 }
 
 _COREUTILS_OPTIONS = (
@@ -114,10 +114,12 @@ def _not_coreutils(name: str) -> str:
 
 @click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="split", message="%(prog)s %(version)s")
-@click.option("--quiet", is_flag=True, help="Say only what is wrong; results go to stdout as ever.")
-@click.option("--verbose", is_flag=True, help="Tell every step, also where nobody watches.")
+@click.option("--quiet", is_flag=True, help="Print only warnings and errors; results still go to stdout.")
+@click.option("--verbose", is_flag=True, help="Report every step, also without a terminal.")
 @click.option("--legend", is_flag=True, help="Explain the columns below every table.")
-@click.option("--config", metavar="FILE", help="Options of commands; over ./split.yaml and the user's own.")
+@click.option(
+    "--config", metavar="FILE", help="YAML file with options; it overrides ./split.yaml and the user's file."
+)
 @click.pass_context
 def group(context, quiet, verbose, legend, config) -> None:
     """Turn driving logs into vehicle models that a controller can trust.
@@ -129,8 +131,8 @@ def group(context, quiet, verbose, legend, config) -> None:
       split evaluate lap2.parquet --vehicle car.yaml --set car.split
       split export car.split --target c -o controller/
 
-    Figures and tables go to stdout, progress and notes to stderr. Exit codes: 0 done, 1 the input is at fault,
-    2 usage, 3 a gate is shut (--exit-code). --quiet, --verbose and --legend may stand anywhere.
+    Results go to stdout, progress and notes to stderr. Exit codes: 0 success, 1 faulty input, 2 wrong usage,
+    3 a check failed (--exit-code, --most). --quiet, --verbose and --legend may stand anywhere on the line.
     """
     from split_cli.cli.settings import default_options, settings_files
     from split_cli.cli.voice import Loud, Quiet

@@ -22,41 +22,65 @@ __all__ = ["command"]
 @click.command("maneuver")
 @click.argument("scenario")
 @vehicle_option()
-@click.option("--start-set", type=existing_file, metavar="FILE", help="A trained set; else nominal.")
-@click.option("--predictor", default="bcm", show_default=True, help="Evaluates the set.")
-@click.option("--car", default="road_car", show_default=True, help="road_car, f1tenth_car or formula_car.")
+@click.option(
+    "--start-set",
+    type=existing_file,
+    metavar="FILE",
+    help="Trained set to drive with; without one, the nominal model.",
+)
+@click.option("--predictor", default="bcm", show_default=True, help="Predictor that evaluates the set.")
+@click.option(
+    "--car", default="road_car", show_default=True, help="Simulated car: road_car, f1tenth_car or formula_car."
+)
 @click.option(
     "--speed",
     "speeds",
     type=float,
     multiple=True,
     metavar="M/S",
-    help="Entry speed; repeat for a sweep  [default: 14, 10 and 14 m/s of the three].",
+    help="Entry speed; repeatable  [default: 14 for iso3888-1, 10 for iso3888-2, 14 for brake-avoid].",
 )
-@click.option("--grip", type=float, default=1.0, show_default=True, help="Of the road: 1 dry, 0.5 wet.")
-@click.option("--p-ellipse", type=float, default=0.95, show_default=True, help="Share of the axles' peak allowed.")
-@click.option("--p-long", type=float, default=0.9, show_default=True, help="Weight of braking force in it.")
-@click.option("--guarded", is_flag=True, help="Limits that move with the load that braking shifts, a bound of the "
-              "torque, and with a set the peaks that its labels tell.")  # fmt: skip
-@click.option("--max-torque", type=float, metavar="NM", help="Cap of driving torque  [default: the vehicle's].")
-@click.option("--width", type=float, metavar="M", help="Of the car's body  [default: 1.15 of its track].")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
-@click.option("--exact-sensors", is_flag=True, help="No noise.")
-@click.option("--no-delay", is_flag=True, help="Commands take effect at once, not one interval later.")
+@click.option(
+    "--grip", type=float, default=1.0, show_default=True, help="Friction scale of the road: 1 dry, 0.5 wet."
+)
+@click.option(
+    "--p-ellipse",
+    type=float,
+    default=0.95,
+    show_default=True,
+    help="Share of the axles' peak force that the controller may use.",
+)
+@click.option(
+    "--p-long",
+    type=float,
+    default=0.9,
+    show_default=True,
+    help="Weight of the longitudinal force in the friction ellipse.",
+)
+@click.option("--guarded", is_flag=True, help="Use force limits that follow load transfer, a torque limit "
+"and, with a "
+              "set, the tyre peaks that its labels show.")  # fmt: skip
+@click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
+@click.option(
+    "--width", type=float, metavar="M", help="Width of the car's body  [default: 1.15 times its track width]."
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Random seed of the sensor noise.")
+@click.option("--exact-sensors", is_flag=True, help="Simulate sensors without noise.")
+@click.option("--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later.")
 @click.option(
     "--set",
     "set_output",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Learn the first run into a new set, and write it.",
+    help="Train a new set on the first run, and write it.",
 )
-@output_option("First run's drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
+@output_option("Drive of the first run to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
 def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **options) -> None:
     """Drive SCENARIO between cones: iso3888-1, iso3888-2 or brake-avoid.
 
-    Tracking MPC with the vehicle's nominal model, or with a trained set added. Lanes follow from the car's width
-    as in ISO 3888; a cone counts as hit when the body touches it.
+    A tracking MPC drives with the vehicle's nominal model, or with a trained set added. The lane widths follow
+    from the car's width as in ISO 3888. A cone counts as hit when the body touches it.
 
     \b
     Example:

@@ -28,7 +28,12 @@ existing_file = click.Path(path_type=Path, readable=False)
 def vehicle_option(required: bool = True) -> Callable:
     """``--vehicle FILE``, the vehicle YAML."""
     return click.option(
-        "--vehicle", "vehicle_path", type=existing_file, required=required, metavar="FILE", help="Vehicle YAML."
+        "--vehicle",
+        "vehicle_path",
+        type=existing_file,
+        required=required,
+        metavar="FILE",
+        help="Vehicle file (YAML).",
     )
 
 
@@ -39,8 +44,8 @@ def held_option(function: Callable) -> Callable:
         default="",
         metavar="NAMES",
         callback=lambda context, parameter, text: tuple(name.strip() for name in text.split(",") if name.strip()),
-        help="Inputs (T,delta) that keep their value until the next sample, whatever the files say; "
-        "default: as the files say, else straight lines.",
+        help="Inputs (T,delta) to treat as constant until the next sample. By default the files decide; "
+        "other inputs are interpolated linearly.",
     )(function)
 
 
@@ -52,8 +57,8 @@ def json_option(function: Callable) -> Callable:
 def engine_options(function: Callable) -> Callable:
     """``--engine``, ``--scheduler``, ``--jobs``: where the work is done; results do not depend on it."""
     for option in (
-        click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes to use."),
-        click.option("--scheduler", metavar="ADDRESS", help="A running Dask scheduler, tcp://HOST:PORT."),
+        click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Number of processes."),
+        click.option("--scheduler", metavar="ADDRESS", help="Address of a running Dask scheduler, tcp://HOST:PORT."),
         click.option(
             "--engine", type=click.Choice(["process", "dask"]), default="process", show_default=True,
             help="Work on this machine or on a Dask cluster; the result is the same.",

@@ -11,14 +11,16 @@ from split_cli.cli.options import existing_file, json_option, print_json, print_
 __all__ = ["command"]
 
 _folder = click.Path(path_type=Path, file_okay=False)
-_jobs = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
+_jobs = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Number of processes.")
 
 
 @click.group("prove", context_settings={"help_option_names": ["-h", "--help"]})
 def command() -> None:
-    """Conceal known effects, diagnose them blind, unseal the answers and score.
+    """Validate the diagnosis on simulated or recorded drives with hidden, known effects.
 
-    Every step takes up where it stopped. Seeds 0 to 999 are for development, those from 1000000 on for reports.
+    generate writes cases, and their true effects into a file whose hash it prints (the seal). identify diagnoses
+    the cases without reading that file. score compares both. An interrupted step continues where it stopped. Seeds
+    0 to 999 are for development, those from 1000000 on for reports.
 
     \b
     Example:
@@ -33,18 +35,18 @@ def command() -> None:
 @command.command("generate")
 @click.argument("folder", type=_folder)
 @click.option("--seed", type=int, required=True, help="The same seed gives the same cases.")
-@click.option("--cases", type=click.IntRange(1), default=40, show_default=True, help="How many.")
+@click.option("--cases", type=click.IntRange(1), default=40, show_default=True, help="Number of cases.")
 @click.option(
     "--kinds",
     default="null,single,pair,strange",
     show_default=True,
     help="Kinds of cases; also hard-pair, set, nominal-set and whole-car.",
 )
-@click.option("--sets", is_flag=True, help="Sets of three to five effects instead: --kinds set,nominal-set.")
+@click.option("--sets", is_flag=True, help="Short for --kinds set,nominal-set: sets of three to five effects.")
 @_jobs
 @json_option
 def generate(folder, seed, cases, kinds, sets, jobs, as_json) -> None:
-    """Write cases, seal their answers, and print the seal."""
+    """Write cases and their hidden answers, and print the hash of the answers (the seal)."""
     from split_cli.workflows.proving.prove import generate_cases
 
     kinds = "set,nominal-set" if sets else kinds
@@ -54,11 +56,11 @@ def generate(folder, seed, cases, kinds, sets, jobs, as_json) -> None:
 
 @command.command("identify")
 @click.argument("folder", type=_folder)
-@click.option("--limit", type=click.IntRange(1), help="Only the first so many cases.")
+@click.option("--limit", type=click.IntRange(1), help="Diagnose only this many cases, from the first.")
 @_jobs
 @json_option
 def identify(folder, limit, jobs, as_json) -> None:
-    """Diagnose the cases that have no result yet; the seal of the answers is printed first."""
+    """Diagnose the cases that have no result yet, without their answers; print the seal first."""
     from split_cli.workflows.proving.prove import check_seal, identify_cases
 
     _tell_seal(check_seal(folder), as_json)
@@ -71,7 +73,7 @@ def identify(folder, limit, jobs, as_json) -> None:
 @click.option("--markdown", type=click.Path(path_type=Path), help="Write all tables to this file as well.")
 @json_option
 def score(folder, baselines, markdown, as_json) -> None:
-    """Unseal the answers and score what was identified."""
+    """Read the answers, check their seal, and score the diagnoses."""
     from split_cli.proof.tables import markdown_of, target_rows
     from split_cli.workflows.proving.prove import score_cases
 
@@ -100,16 +102,21 @@ def _numbers(text: str | None) -> list[float]:
 @click.argument("drives", type=existing_file, nargs=-1, required=True)
 @click.option("--vehicle", "vehicle_path", type=existing_file, required=True, help="Vehicle YAML.")
 @click.option("-o", "--output", type=_folder, required=True, help="Folder to write into.")
-@click.option("--faults", help="Only these, separated by commas; a wrong name lists those there are.")
+@click.option("--faults", help="Only these faults, separated by commas. A wrong name lists all names.")
 @click.option("--block", type=float, default=10.0, show_default=True, help="Length of the blocks of time [s].")
-@click.option("--halves", is_flag=True, help="Deal first and second half instead of blocks.")
-@click.option("--multiples", help="Sizes over those promised for the pair without a fault, as 0.5,1,1.5.")
+@click.option(
+    "--halves", is_flag=True, help="Use the first and second half of a drive instead of alternating blocks."
+)
+@click.option(
+    "--multiples",
+    help="Fault sizes as multiples of the detection limit of the pair without a fault, e.g. 0.5,1,1.5.",
+)
 @json_option
 def recording(drives, vehicle_path, output, faults, block, halves, multiples, as_json) -> None:
-    """Put known faults into real recordings, and see whether they are found.
+    """Add known faults to real recordings, and test whether the diagnosis finds them.
 
-    Blocks of time of a drive are dealt in turn: one half stays as it is and stands for the simulation, the other
-    gets the fault. One more pair has no fault.
+    Alternating blocks of time of a drive form two halves. One half stays as it is and stands for the simulation;
+    the other gets the fault. One more pair has no fault.
     """
     from split_cli.workflows.proving.prove_recording import prove_recording
 
@@ -121,8 +128,14 @@ def recording(drives, vehicle_path, output, faults, block, halves, multiples, as
 
 
 @command.command("multibody")
-@click.option("--seed", type=int, default=1, show_default=True, help="Of tracks, driver and noise.")
-@click.option("--car", type=click.IntRange(1, 3), default=2, show_default=True, help="Of the foreign package.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Random seed of tracks, driver and noise.")
+@click.option(
+    "--car",
+    type=click.IntRange(1, 3),
+    default=2,
+    show_default=True,
+    help="Number of the car in commonroad-vehicle-models.",
+)
 @click.option(
     "--model",
     type=click.Choice(["multibody", "drift"]),
@@ -131,7 +144,7 @@ def recording(drives, vehicle_path, output, faults, block, halves, multiples, as
     help="The package's 29-state car, or its single track with combined slip and wheels that spin.",
 )
 @click.option("-o", "--output", type=_folder, required=True, help="Folder to write into.")
-@click.option("--faults", help="Put in these, separated by commas, or all; a wrong name lists those there are.")
+@click.option("--faults", help="Add only these faults, separated by commas, or all. A wrong name lists all names.")
 @json_option
 def multibody(seed, car, model, output, faults, as_json) -> None:
     """Take a car of commonroad-vehicle-models as reality, a calibrated single track as simulation.

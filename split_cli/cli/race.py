@@ -26,69 +26,93 @@ __all__ = ["command"]
     "--track",
     default="small",
     show_default=True,
-    help="handling (2.3 km), small (580 m), oval, f1tenth, or a centre-line CSV with the columns "
+    help="Track: handling (2.3 km), small (580 m), oval, f1tenth, or a centre-line CSV with the columns "
     "x_m,y_m,w_tr_right_m,w_tr_left_m.",
 )
-@click.option("--car", default="road_car", show_default=True, help="road_car, f1tenth_car or formula_car.")
-@click.option("--laps", type=int, default=3, show_default=True, help="After the nominal lap 0.")
+@click.option(
+    "--car", default="road_car", show_default=True, help="Simulated car: road_car, f1tenth_car or formula_car."
+)
+@click.option(
+    "--laps",
+    type=int,
+    default=3,
+    show_default=True,
+    help="Number of laps after lap 0, which is driven with the nominal model.",
+)
 @click.option(
     "--learner",
     "learners",
     multiple=True,
     default=("split",),
     show_default="split",
-    help="none; iol (one dictionary, Kabzan et al. 2019); or split (a set a cell, this project's). Repeat it to "
-    "race several and compare them in one report.",
+    help="none; iol (one dictionary, Kabzan et al. 2019); or split (this project's: a small set in each cell). "
+    "Repeat the option to compare several learners in one report.",
 )
 @click.option(
     "--start-set",
     type=existing_file,
     metavar="FILE",
-    help="A trained set to begin with; without one, lap 0 is nominal and the kernel is fitted to it.",
+    help="Trained set to start from. Without one, lap 0 is nominal and the kernel is fitted to it.",
 )
 @click.option(
     "--predictor",
     default="bcm",
     show_default=True,
-    help="Evaluates the set: bcm follows every update, others are built anew after each lap.",
+    help="Predictor that evaluates the set. bcm follows every update; others are rebuilt after each lap.",
 )
-@click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Cap of speed.")
-@click.option("--max-torque", type=float, metavar="NM", help="Cap of driving torque  [default: the vehicle's].")
-@click.option("--grip", type=float, default=1.0, show_default=True, help="Of the road: 1 dry, 0.5 wet.")
-@click.option("--p-ellipse", type=float, metavar="SHARE", help="Of the axles' peak, what the controller allows "
-              f"with what was learned  [default: {SHARE_LEARNED}].")  # fmt: skip
-@click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same while the nominal model drives: lap "
-              f"0, and every lap of none  [default: --p-ellipse, or {SHARE_NOMINAL}].")  # fmt: skip
-@click.option("--p-unknown", type=float, metavar="SHARE", help="The same where the residual knows nothing; from "
-              "there to --p-ellipse in proportion to what it knows  [default: --p-ellipse].")  # fmt: skip
-@click.option("--told-grip", type=float, default=1.0, show_default=True, help="What the controller takes for the "
-              "road's grip before anything is learned.")  # fmt: skip
-@click.option("--learn-grip/--no-learn-grip", default=True, show_default=True, help="Move the slip limits to the "
-              "peaks of the tyres that the labels tell, after each lap.")  # fmt: skip
-@click.option("--margin", type=float, default=MARGIN, show_default=True, metavar="M", help="Kept from the car's "
-              "side to the border.")  # fmt: skip
-@click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, help="Weight of braking force in "
-              "the ellipse.")  # fmt: skip
-@click.option("--guarded/--unguarded", default=True, show_default=True, help="Limits that move with the load that "
-              "braking shifts, a bound of the torque, and learned peaks where nothing else is known.")  # fmt: skip
-@click.option("--features", default="z2", show_default=True, help="z2, z1 or a list such as z2's and vx.")
-@click.option("--hyperparameters", default="fit", show_default=True, help="fit (to lap 0), default, or YAML.")
+@click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Largest speed.")
+@click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
+@click.option(
+    "--grip", type=float, default=1.0, show_default=True, help="Friction scale of the road: 1 dry, 0.5 wet."
+)
+@click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force "
+              f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].")  # fmt: skip
+@click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share with the nominal model: "
+              f"in lap 0, and in every lap of learner none  [default: --p-ellipse, or "
+              f"{SHARE_NOMINAL}].")  # fmt: skip
+@click.option("--p-unknown", type=float, metavar="SHARE", help="The same share where there are no training data. "
+              "It rises to --p-ellipse with the information that the data hold  [default: "
+              "--p-ellipse].")  # fmt: skip
+@click.option("--told-grip", type=float, default=1.0, show_default=True, help="Friction scale that the "
+              "controller assumes before it has learned.")  # fmt: skip
+@click.option("--learn-grip/--no-learn-grip", default=True, show_default=True, help="After each lap, move "
+              "the slip limits to the tyres' peaks that the labels show.")  # fmt: skip
+@click.option("--margin", type=float, default=MARGIN, show_default=True, metavar="M", help="Distance to keep "
+              "between the car's side and the track border.")  # fmt: skip
+@click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, help="Weight of the longitudinal "
+              "force in the friction ellipse.")  # fmt: skip
+@click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "
+              "load transfer, a torque limit, and learned tyre peaks where the model has no data.")  # fmt: skip
+@click.option(
+    "--features",
+    default="z2",
+    show_default=True,
+    help="Inputs of the correction: z2, z1 or a comma-separated list of signals.",
+)
+@click.option(
+    "--hyperparameters", default="fit", show_default=True, help="Kernel: fit (to lap 0), default, or a YAML file."
+)
 @click.option(
     "--iol-update",
     type=click.Choice(["printed", "incremental"]),
     default="printed",
     show_default=True,
-    help="What an update of iol costs: every gain by an inversion, or the incremental inverse.",
+    help="Update of iol: one matrix inversion per gain as printed in its paper, or an incremental inverse.",
 )
 @click.option("--tightening", type=float, default=0.0, show_default=True, metavar="SIGMA",
-              help="Move the borders in by so many standard deviations of the predicted position.")  # fmt: skip
-@click.option("--width", type=float, metavar="M", help="Of the car's body  [default: 1.15 of its track].")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
-@click.option("--exact-sensors", is_flag=True, help="No noise.")
-@click.option("--no-delay", is_flag=True, help="Commands take effect at once, not one interval later.")
+              help="Move the track borders inwards by this many standard deviations of the predicted "
+              "position.")  # fmt: skip
+@click.option(
+    "--width", type=float, metavar="M", help="Width of the car's body  [default: 1.15 times its track width]."
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Random seed of the sensor noise.")
+@click.option("--exact-sensors", is_flag=True, help="Simulate sensors without noise.")
+@click.option("--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later.")
 @click.option("--set", "set_output", type=click.Path(path_type=Path), metavar="FILE",
               help="Save the set after each lap.")  # fmt: skip
-@click.option("--report", type=click.Path(path_type=Path), metavar="FILE", help="Write a page with the laps.")
+@click.option(
+    "--report", type=click.Path(path_type=Path), metavar="FILE", help="Write an HTML report of the laps."
+)
 @output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
 def command(

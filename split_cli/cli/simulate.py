@@ -12,59 +12,66 @@ __all__ = ["command"]
 
 
 @click.command("simulate")
-@click.option("--car", default="road_car", show_default=True, help="road_car, f1tenth_car or formula_car.")
-@click.option("--track", help="Laps of a track: handling (2.3 km), small (580 m), oval or f1tenth.")
-@click.option("--maneuver", help="Instead of laps, a standard test; a wrong name lists those there are.")
 @click.option(
-    "--calibration-tests", is_flag=True, help="Instead of either, the gentle tests as one drive (Parquet)."
+    "--car", default="road_car", show_default=True, help="Simulated car: road_car, f1tenth_car or formula_car."
 )
-@click.option("--laps", type=float, default=1.0, show_default=True, help="How many, fractions too.")
-@click.option("--duration", type=float, metavar="S", help="Drive for so long instead of a number of laps.")
+@click.option("--track", help="Track for laps: handling (2.3 km), small (580 m), oval or f1tenth.")
+@click.option("--maneuver", help="Standard test instead of laps. A wrong name lists all names.")
+@click.option(
+    "--calibration-tests",
+    is_flag=True,
+    help="Instead of either, drive the gentle calibration tests as one drive (Parquet).",
+)
+@click.option("--laps", type=float, default=1.0, show_default=True, help="Number of laps; fractions are allowed.")
+@click.option("--duration", type=float, metavar="S", help="Duration of the drive, instead of a number of laps.")
 @click.option(
     "--lead-in",
     type=float,
     default=0.0,
     metavar="S",
-    help="Begin recording so long after the start, when tyres and actuators have settled.",
+    help="Time between the start and the first recorded sample, so that tyres and actuators settle.",
 )
-@click.option("--driver", default="brisk", show_default=True, help="smooth, brisk, racer or novice.")
+@click.option("--driver", default="brisk", show_default=True, help="Driver: smooth, brisk, racer or novice.")
 @click.option(
     "--aggressiveness",
     type=float,
     metavar="SHARE",
-    help="Share of the car's grip that is used  [default: 0.6 for laps, 0.35 for tests].",
+    help="Share of the car's grip that the driver uses  [default: 0.6 for laps, 0.35 for tests].",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Of driver and sensors.")
-@click.option("--format", help="mcap, csv or parquet  [default: from the name of the output].")
+@click.option("--seed", type=int, default=0, show_default=True, help="Random seed of driver and sensors.")
+@click.option("--format", help="Log format: mcap, csv or parquet  [default: from the name of the output].")
 @click.option(
     "--instruments",
     default="full",
     show_default=True,
-    help="full; lean (state, inertial at 50 Hz, commands); or perfect (no noise, no delay).",
+    help="Sensors: full; lean (state, inertial at 50 Hz, commands); or perfect (no noise, no delay).",
 )
-@click.option("--workshop-units", is_flag=True, help="A CSV in km/h, deg, deg/s and g instead of SI.")
+@click.option(
+    "--workshop-units", is_flag=True, help="Write the CSV in km/h, deg, deg/s and g instead of SI units."
+)
 @click.option(
     "--effect",
     "effects",
     multiple=True,
     metavar="NAME:P=VALUE,...",
-    help="Something the driver does not know of, for split diagnose to find; repeatable. A wrong name lists "
-    "those there are.",
+    help="Add an effect that the driver does not know, for split diagnose to find; repeatable. A wrong name "
+    "lists all names.",
 )
 @click.option(
     "--truth",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Write the noise-free states, and the effects, as a drive too.",
+    help="Also write the noise-free states and the effects, as a drive.",
 )
 @output_option("Log to write.")
 @json_option
 def command(output, truth, as_json, **settings) -> None:
-    """Drive the double-track plant and write what its sensors recorded.
+    """Simulate a double-track car and write what its sensors record.
 
-    MCAP logs hold ROS 2 messages at unequal rates whose header time is not the log time; CSV and Parquet have one
-    clock of 100 Hz. T is the total wheel torque and delta the road-wheel angle, both as commanded; what the
-    actuators made of them is in MCAP logs and in the truth. Equal settings and seeds give equal logs.
+    MCAP logs hold ROS 2 messages at different rates, with a header time that differs from the log time. CSV and
+    Parquet logs have one clock of 100 Hz. T is the total wheel torque and delta the road-wheel angle, both as
+    commanded. The values after the actuators are in MCAP logs and in the --truth file. Equal settings and seeds
+    give equal logs.
 
     \b
     Example:

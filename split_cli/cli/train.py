@@ -40,58 +40,86 @@ class TimeSpan(click.ParamType):
 @click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE|LABELS|FOLDER...")
 @vehicle_option()
 @output_option("Trained set to write (NAME.split).")
-@click.option("--append", is_flag=True, help="Continue the set that -o names, with its own settings.")
-@click.option("--features", help="z2 (default), z1, or a comma-separated list of names.")
+@click.option("--append", is_flag=True, help="Add drives to the existing set that -o names; its settings stay.")
+@click.option(
+    "--features", help="Inputs of the correction: z2 (default), z1, or a comma-separated list of signals."
+)
 @click.option(
     "--hyperparameters",
     metavar="fit|default|FILE",
-    help="Length scales and variances, fixed once a set is made; default: fit.",
+    help="Length scales and variances of the kernel; fixed once a set exists. Default: fit.",
 )
 @click.option("--horizon", type=float, metavar="S", help="Label interval h; default 0.05.")
-@click.option("--stride", type=int, metavar="N", help="Samples between labels; default: the horizon.")
-@click.option("--capacity", type=int, metavar="M", help="Points a cell keeps, 10; points iol keeps in all, 300.")
+@click.option(
+    "--stride", type=int, metavar="N", help="Samples between two labels; default: as many as the horizon has."
+)
+@click.option(
+    "--capacity",
+    type=int,
+    metavar="M",
+    help="Largest number of points in a cell (default 10); with iol in the whole set (default 300).",
+)
 @click.option(
     "--learner",
     type=click.Choice(["split", "iol"]),
-    help="split: cell by cell (default). iol: the rival, one dictionary, every point judged again.",
-)
-@click.option("--threshold", type=float, help="Gain a point needs to enter a cell with room; default 1e-3.")
-@click.option("--cell-edge", type=float, metavar="FACTOR", help="Edge of the cells, in usual edges; default 1.")
-@click.option(
-    "--forgetting", type=float, metavar="S", help="Weigh gains down with age, time constant S; default off."
+    help="split: one small set in each cell (default). iol: one dictionary for all, for comparison.",
 )
 @click.option(
-    "--plain-labels", "plain", is_flag=True, help="The paper's plain difference, damped; for reproduction."
+    "--threshold",
+    type=float,
+    help="Smallest information gain of a point that a cell accepts while it has room; default 1e-3.",
+)
+@click.option(
+    "--cell-edge",
+    type=float,
+    metavar="FACTOR",
+    help="Edge length of the cells as a multiple of the standard edge; default 1.",
+)
+@click.option(
+    "--forgetting",
+    type=float,
+    metavar="S",
+    help="Reduce the gain of old points with this time constant; default: off.",
+)
+@click.option(
+    "--plain-labels",
+    "plain",
+    is_flag=True,
+    help="Compute labels by the paper's plain damped difference, to reproduce the paper.",
 )
 @click.option(
     "--trust",
     metavar="held-out|full|VX,VY,R",
-    help="Share of each correction to apply; default: what held-out blocks show. full: the paper's way.",
+    help="Share of each correction to apply. Default: the share that held-out blocks support. full: all of it, "
+    "as in the paper.",
 )
 @click.option(
     "--lag",
     type=click.Choice(["held-out", "none"]),
-    help="A torque that arrives late: put into the set where held-out blocks gain by it (default), or not.",
+    help="Model a lag of the torque if held-out blocks improve by it (held-out, the default), or never (none).",
 )
-@click.option("--any-vehicle", is_flag=True, help="Warn, do not refuse, where a drive contradicts the vehicle.")
+@click.option(
+    "--any-vehicle", is_flag=True, help="Warn instead of stopping when a drive contradicts the vehicle file."
+)
 @click.option(
     "--exclude",
     type=TimeSpan(),
     multiple=True,
-    help="Do not learn this stretch of time of the drives [s]; repeatable.",
+    help="Leave this stretch of time out of training [s]; repeatable.",
 )
 @held_option
-@click.option("--per-lap", is_flag=True, help="Also print what each lap added: the paper's table.")
+@click.option("--per-lap", is_flag=True, help="Also print what each lap added, as in the paper's table.")
 @json_option
 def command(drives, vehicle_path, output, append, per_lap, as_json, **settings) -> None:
-    """Learn what the nominal model gets wrong, cell by cell, into a trained set.
+    """Learn the error of the nominal model from drives into a trained set.
 
-    Each drive is labelled once. Files that `split label` wrote for this vehicle spare the labelling of their
-    drives; labels alone train without the recording, with a --trust that is given, since none can be found.
+    Each drive is labelled once. Drives that `split label` has labelled for this vehicle are not labelled again.
+    Label files also train without their drives, but then --trust must be given, since it cannot be estimated.
 
-    Drives are learned in the order given; with the same hyperparameters and trust one run and several appended
-    ones give the same file, bit for bit. Printed are, a drive and in total, samples by what became of them,
-    updates of the set, its size, non-empty cells, their share of the valid region, time a sample and memory.
+    Drives are learned in the order given. With the same hyperparameters and trust, one run and several appended
+    runs give the same file, bit for bit. For each drive and in total, the table gives the samples used and
+    rejected, updates and size of the set, non-empty cells, their share of the valid region, time per sample and
+    memory.
 
     \b
     Example:

@@ -14,14 +14,20 @@ __all__ = ["command"]
 @click.argument("path", type=existing_file, metavar="FILE|FOLDER")
 @json_option
 def command(path, as_json) -> None:
-    """Check any file or folder of this program against itself.
+    """Check the integrity of a file or folder that this program wrote.
 
-    A drive or labels: checksums of the pages, ranges, clock, sources that lie beside it, and whether the channels
-    fit together. A vehicle, a map, hyperparameters: every key and value. A set: its digest, order, capacity, that
-    every point lies in its cell, and every marginal gain against the inverse of its cell's kernel matrix. The
-    folder of an export: the hash of every file, the set beside it, then the self-test in C and the stored queries
-    of every other target. A diagnosis: its document, the report against it, its vehicles. A folder of drives: each
-    of them, and against the manifest. Exit code 1 when something fails.
+    \b
+    What is checked:
+    - drive, labels: page checksums, ranges, clock, source files beside it, consistency of the channels
+    - vehicle, map, hyperparameters: every key and value
+    - trained set: digest, order, capacity, the cell of every point, and every marginal gain against the
+      inverse of its cell's kernel matrix
+    - export folder: the hash of every file, the set beside it, the self-test in C, and the stored queries
+      of every other target
+    - diagnosis folder: its JSON document, the report against it, its vehicle files
+    - folder of drives: each drive, and all of them against the manifest
+
+    The exit code is 1 if a check fails.
 
     \b
     Example:
