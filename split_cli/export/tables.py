@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from split_cli.errors import ExportError
-from split_cli.learning.kernel import correlation
 from split_cli.learning.training_set import TrainingSet
+from split_cli.prediction.bcm import committee_tables
 from split_cli.prediction.table import TablePredictor
 
 __all__ = ["SKIP_TOLERANCE", "BcmTables", "TableData", "build_tables", "require_usable", "table_data"]
@@ -211,41 +211,26 @@ def build_tables(training_set: TrainingSet, real: str = "double", robust: bool =
     """
     require_usable(training_set)
     precision = np.float32 if real == "float" else np.float64
-    kernel, offsets = training_set.kernel, np.asarray(training_set.offsets, dtype=np.int64)
-    z, y = np.asarray(training_set.z, dtype=float), np.asarray(training_set.y, dtype=float)
-    ratio = kernel.noise_variance / kernel.signal_variance
-    cells = len(offsets) - 1
-    reference = np.empty((cells, z.shape[1]))
-    points, gains, weights = np.empty_like(z), np.empty((len(z), 3)), np.empty((len(z), 3))
-    radius, smallest, energy = np.empty(cells), np.empty((cells, 3)), np.empty((cells, 3))
-    eigenvectors = []
-    for cell in range(cells):
-        rows = slice(offsets[cell], offsets[cell + 1])
-        middle = 0.5 * (z[rows].min(axis=0) + z[rows].max(axis=0))
-        reference[cell] = middle.astype(precision)
-        points[rows] = (z[rows] - reference[cell]) / kernel.length_scales
-        radius[cell] = np.sqrt(np.square(points[rows]).sum(axis=1).max())
-        values, vectors = np.linalg.eigh(correlation(z[rows], z[rows], kernel.length_scales))
-        # Rounding can make the eigenvalue of nearly coinciding points slightly negative; the true one is not.
-        damped = np.maximum(values, 0.0)[:, None] + ratio
-        turned = vectors.T @ y[rows]
-        gains[rows], weights[rows] = 1.0 / damped, turned / damped
-        smallest[cell] = damped.min(axis=0)
-        energy[cell] = (turned**2 / damped).sum(axis=0) / kernel.signal_variance
-        eigenvectors.append(vectors.ravel())
+    kernel, exact = training_set.kernel, committee_tables(training_set)
+    offsets, counts, z = exact.offsets, np.diff(exact.offsets), np.asarray(training_set.z, dtype=float)
+    first = offsets[:-1]
+    middle = 0.5 * (np.minimum.reduceat(z, first) + np.maximum.reduceat(z, first))
+    reference = middle.astype(precision).astype(float)
+    points = (z - np.repeat(reference, counts, axis=0)) / kernel.length_scales
+    radius = np.sqrt(np.maximum.reduceat(np.square(points).sum(axis=1), first))
     tolerance = SKIP_TOLERANCE[real]
-    reach = _reach(radius, np.diff(offsets), smallest, energy, tolerance)
+    reach = _reach(radius, counts, exact.smallest, exact.energy, tolerance)
     rounded = {
         "length_scales": kernel.length_scales,
         "signal_variance": kernel.signal_variance,
-        "noise_ratio": ratio,
+        "noise_ratio": kernel.noise_variance / kernel.signal_variance,
         "trust": training_set.trust.array,
         "doubt": training_set.trust.doubts(kernel.signal_variance),
         "reference": reference,
         "points": points,
-        "eigenvectors": np.concatenate(eigenvectors),
-        "gains": gains,
-        "weights": weights,
+        "eigenvectors": exact.vectors,
+        "gains": exact.gains,
+        "weights": exact.turned,
     }
     rounded = {name: values.astype(precision).astype(float) for name, values in rounded.items()}
     # Rounded up, so that the bound survives the rounding.

@@ -45,14 +45,16 @@ class Kernel:
 
 
 def correlation(a: np.ndarray, b: np.ndarray, length_scales: np.ndarray) -> np.ndarray:
-    """Return exp(-|a_i - b_j|^2/2) with features divided by their length scales, shape (N, M).
+    """Return exp(-|a_i - b_j|^2/2) with features divided by their length scales, shape (..., N, M).
+
+    `a` has shape (..., N, D) and `b` (..., M, D), alike in the axes before.
 
     Notes
     -----
     SPLIT paper, the Squared Exponential kernel with sigma_f = 1. Distances are summed feature by feature, not by
     the expanded square, so that near points keep their digits.
     """
-    squared = np.zeros((len(a), len(b)))
+    squared = np.zeros((*a.shape[:-1], b.shape[-2]))
     for feature, scale in enumerate(length_scales):
-        squared += np.square((a[:, feature, None] - b[None, :, feature]) / scale)
+        squared += np.square((a[..., :, None, feature] - b[..., None, :, feature]) / scale)
     return np.exp(-0.5 * squared)

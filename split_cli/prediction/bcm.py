@@ -17,7 +17,7 @@ __all__ = ["BcmPredictor", "CommitteeTables", "RbcmPredictor", "committee_tables
 
 @dataclass(frozen=True)
 class CommitteeTables:
-    """Everything about the cells that does not depend on the query; what an exporter stores.
+    """Everything about the cells that does not depend on the query; exports round it and store it.
 
     Attributes
     ----------
@@ -36,8 +36,10 @@ class CommitteeTables:
         Sum of the absolute weights (C_i + rho I)^-1 y_i.
     lower, upper : ndarray, shape (C, D)
         Box around each cell's points, in length scales.
-    inverse_norm : ndarray, shape (C, 3)
-        Largest eigenvalue of (C_i + rho I)^-1.
+    smallest : ndarray, shape (C, 3)
+        Smallest eigenvalue of C_i + rho I.
+    energy : ndarray, shape (C, 3)
+        y^T (C_i + rho I)^-1 y over the signal variance, y the cell's labels.
     floor : ndarray, shape (C, 3)
         Smallest value 1 - q_i/S0 can take, rho/(n_i + rho): reached by n_i points at the query.
     """
@@ -51,7 +53,8 @@ class CommitteeTables:
     weight_sum: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
-    inverse_norm: np.ndarray
+    smallest: np.ndarray
+    energy: np.ndarray
     floor: np.ndarray
 
 
@@ -67,25 +70,36 @@ def committee_tables(training_set: TrainingSet) -> CommitteeTables:
     vectors = np.empty(vector_offsets[-1])
     gains, turned = np.empty((len(points), 3)), np.empty((len(points), 3))
     box = np.empty((2, cells, points.shape[1]))
-    inverse_norm, weight_sum = np.empty((cells, 3)), np.empty((cells, 3))
+    smallest, energy, weight_sum = np.empty((3, cells, 3))
     for count in np.unique(counts):
         members = np.flatnonzero(counts == count)
         rows = offsets[members, None] + np.arange(count)
-        inside = points[rows]
-        box[0, members], box[1, members] = inside.min(axis=1), inside.max(axis=1)
-        squared = np.square(inside[:, :, None] - inside[:, None, :]).sum(axis=-1)
-        values, columns = np.linalg.eigh(np.exp(-0.5 * squared))
+        box[0, members], box[1, members] = points[rows].min(axis=1), points[rows].max(axis=1)
+        inside = training_set.z[rows]
+        values, columns = np.linalg.eigh(kernel.correlation(inside, inside))
         # A kernel matrix has no negative eigenvalue; below zero is rounding, at most about 1e-15.
         damped = np.maximum(values, 0.0)[:, :, None] + ratio
-        gains[rows] = 1.0 / damped
-        turned[rows] = np.einsum("cje,cjo->ceo", columns, training_set.y[rows]) / damped
+        labels = columns.transpose(0, 2, 1) @ training_set.y[rows]
+        gains[rows], turned[rows] = 1.0 / damped, labels / damped
         slots = vector_offsets[members, None] + np.arange(count * count)
         vectors[slots] = columns.reshape(len(members), -1)
-        inverse_norm[members] = 1.0 / damped[:, 0]
+        smallest[members] = damped[:, 0]
+        energy[members] = (labels**2 / damped).sum(axis=1) / kernel.signal_variance
         weight_sum[members] = np.abs(np.einsum("cje,ceo->cjo", columns, turned[rows])).sum(axis=1)
     floor = np.ascontiguousarray(ratio / (counts[:, None] + ratio))
     return CommitteeTables(
-        points, offsets, vectors, vector_offsets, gains, turned, weight_sum, box[0], box[1], inverse_norm, floor
+        points,
+        offsets,
+        vectors,
+        vector_offsets,
+        gains,
+        turned,
+        weight_sum,
+        box[0],
+        box[1],
+        smallest,
+        energy,
+        floor,
     )
 
 
@@ -153,7 +167,7 @@ class BcmPredictor(Predictor):
         share = self.neglect / (2.0 * len(counts))
         deviation = np.sqrt(self.training_set.kernel.signal_variance)
         with np.errstate(divide="ignore"):
-            variance = np.log(counts[:, None] * self.tables.inverse_norm / share)
+            variance = np.log(counts[:, None] / self.tables.smallest / share)
             mean = 2.0 * np.log(self.tables.weight_sum / (share * deviation))
         return np.ascontiguousarray(np.maximum(np.maximum(variance, mean).max(axis=1), 0.0))
 
