@@ -13,11 +13,12 @@ import numpy as np
 
 from split_cli.errors import DriveError, SplitError
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects import CATALOGUE, Recording
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
     "FAULTS",
+    "FaultKind",
     "InjectedFault",
     "faults_for",
     "faults_of_sizes",
@@ -39,11 +40,14 @@ class InjectedFault:
         Id of the catalogue that names it; empty for none.
     parameters : tuple of (str, float)
         True values; a parameter that is not among them is neutral.
+    variant : str
+        Of the term.
     """
 
     name: str
     term: str
     parameters: tuple[tuple[str, float], ...]
+    variant: str = ""
 
     @property
     def value(self) -> float:
@@ -51,16 +55,30 @@ class InjectedFault:
         return self.parameters[0][1] if self.parameters else 0.0
 
 
-FAULTS: dict[str, tuple[str, str, tuple[float, float, float]]] = {
-    "steering late": ("steer_delay", "delay", (0.16, 0.08, 0.04)),
-    "steering scaled": ("steer_gain", "gain", (0.80, 0.90, 0.95)),
-    "steering offset": ("steer_offset", "offset", (0.020, 0.010, 0.005)),
-    "velocity rotated": ("sensor_misalignment", "angle", (0.04, 0.02, 0.01)),
-    "velocity moved": ("sensor_lever_arm", "dx", (1.6, 0.8, 0.4)),
-    "clocks shifted": ("sensor_delay", "delay", (0.16, 0.08, 0.04)),
-    "torque scaled": ("drive_gain", "drive_gain", (0.60, 0.80, 0.90)),
+@dataclass(frozen=True)
+class FaultKind:
+    """A kind of fault: the term, its variant and parameter that name it, and three sizes of it."""
+
+    term: str
+    parameter: str
+    sizes: tuple[float, float, float]
+    variant: str = ""
+
+
+FAULTS: dict[str, FaultKind] = {
+    "steering late": FaultKind("steer_delay", "delay", (0.16, 0.08, 0.04)),
+    "steering scaled": FaultKind("steer_gain", "gain", (0.80, 0.90, 0.95)),
+    "steering offset": FaultKind("steer_offset", "offset", (0.020, 0.010, 0.005)),
+    "velocity rotated": FaultKind("sensor_misalignment", "angle", (0.04, 0.02, 0.01)),
+    "velocity moved": FaultKind("sensor_lever_arm", "dx", (1.6, 0.8, 0.4)),
+    "speed scaled": FaultKind("speed_scale", "scale", (0.90, 0.95, 0.98), "vx"),
+    "yaw rate late": FaultKind("channel_delay", "r", (0.16, 0.08, 0.04), "r"),
+    "yaw rate scaled": FaultKind("yaw_rate_scale", "scale", (0.90, 0.95, 0.98)),
+    "yaw rate biased": FaultKind("yaw_rate_bias", "r", (0.020, 0.010, 0.005)),
+    "clocks shifted": FaultKind("sensor_delay", "delay", (0.16, 0.08, 0.04)),
+    "torque scaled": FaultKind("drive_gain", "drive_gain", (0.60, 0.80, 0.90)),
 }
-"""Name: term, parameter, and three sizes [s], [1], [rad], [rad], [m] for a wheelbase of 2.7 m, [s], [1]."""
+"""By name; sizes in [s], [1], [rad], [rad], [m] for a wheelbase of 2.7 m, [1], [s], [1], [rad/s], [s], [1]."""
 
 
 def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None) -> list[InjectedFault]:
@@ -77,20 +95,20 @@ def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None
     require_known(only or (), FAULTS)
     derived = drive.metadata.kinds.get("T", "").startswith("derived")
     found = [InjectedFault("none", "", ())]
-    for name, (term, parameter, sizes) in FAULTS.items():
-        if (only and name not in only) or (derived and term in ("drive_gain", "sensor_delay")):
+    for name, kind in FAULTS.items():
+        if (only and name not in only) or (derived and kind.term in ("drive_gain", "sensor_delay")):
             continue
-        for size in sizes:
-            value = size * vehicle.wheelbase / 2.7 if term == "sensor_lever_arm" else size
-            parameters = ((parameter, value),)
-            if term == "drive_gain":
+        for size in kind.sizes:
+            value = size * vehicle.wheelbase / 2.7 if kind.term == "sensor_lever_arm" else size
+            parameters = ((kind.parameter, value),)
+            if kind.term == "drive_gain":
                 parameters += (("brake_gain", value),)
-            found.append(InjectedFault(name, term, parameters))
+            found.append(InjectedFault(name, kind.term, parameters, kind.variant))
     return found
 
 
 def faults_of_sizes(
-    faults: Iterable[InjectedFault], promised: Mapping[str, float], factors: Sequence[float]
+    faults: Iterable[InjectedFault], promised: Mapping[tuple[str, str], float], factors: Sequence[float]
 ) -> list[InjectedFault]:
     """Return each kind of fault in multiples of the size from which on it is promised to be named.
 
@@ -98,18 +116,18 @@ def faults_of_sizes(
     ----------
     faults : iterable of InjectedFault
         Of each kind one or more; those without a term are returned as they are.
-    promised : mapping of str to float
-        By term, the value of its first parameter; a term without one is left out.
+    promised : mapping of (str, str) to float
+        By term and parameter; a fault whose first parameter is not there is left out.
     factors : sequence of float
         Multiples of what the fault does to the recording: of a gain, how far one over it lies from 1.
     """
-    kinds = {fault.term: fault for fault in reversed(list(faults))}
-    found = [fault for term, fault in kinds.items() if not term]
-    for term, fault in reversed(kinds.items()):
-        if not term or term not in promised:
+    kinds = {fault.name: fault for fault in reversed(list(faults))}
+    found = [fault for fault in kinds.values() if not fault.term]
+    for fault in reversed(kinds.values()):
+        (name, _), *_ = fault.parameters or (("", 0.0),)
+        if (fault.term, name) not in promised:
             continue
-        (name, _), *_ = fault.parameters
-        neutral, value = CATALOGUE[term].neutral[name], promised[term]
+        neutral, value = CATALOGUE[fault.term].neutral[name], promised[fault.term, name]
         for factor in factors:
             ratio = neutral == 1.0
             size = 1.0 / (1.0 + factor * (1.0 / value - 1.0)) if ratio else neutral + factor * (value - neutral)
@@ -138,22 +156,22 @@ def inject(drive: Drive, fault: InjectedFault) -> Drive:
         return drive
     value = fault.value
     columns = dict(drive.columns)
-    changes: dict[str, Callable[[], dict[str, np.ndarray]]] = {
+    commands: dict[str, Callable[[], dict[str, np.ndarray]]] = {
         "steer_delay": lambda: {"delta": _earlier(drive, "delta", value)},
         "steer_gain": lambda: {"delta": columns["delta"] / value},
         "steer_offset": lambda: {"delta": columns["delta"] - value},
-        "sensor_misalignment": lambda: _turned(columns, value),
-        "sensor_lever_arm": lambda: {"vy": columns["vy"] + value * columns["r"]},
         "sensor_delay": lambda: {name: _earlier(drive, name, value) for name in ("T", "delta")},
         "drive_gain": lambda: {"T": columns["T"] / value},
     }
-    return replace(drive, columns={**columns, **changes[fault.term]()}, sha256="")
+    changed = commands[fault.term]() if fault.term in commands else _misread(drive, fault)
+    return replace(drive, columns={**columns, **changed}, sha256="")
 
 
-def _turned(columns: dict[str, np.ndarray], angle: float) -> dict[str, np.ndarray]:
-    cosine, sine = np.cos(angle), np.sin(angle)
-    vx, vy = columns["vx"], columns["vy"]
-    return {"vx": cosine * vx + sine * vy, "vy": cosine * vy - sine * vx}
+def _misread(drive: Drive, fault: InjectedFault) -> dict[str, np.ndarray]:
+    """Return the columns that a faulty sensor recorded, and all others."""
+    term = CATALOGUE[fault.term](dict(fault.parameters), fault.variant)
+    recording = Recording(drive.period, tuple((run.start, run.stop) for run in drive.segments()))
+    return term.corrupt(dict(drive.columns), recording)
 
 
 def _earlier(drive: Drive, channel: str, by: float) -> np.ndarray:

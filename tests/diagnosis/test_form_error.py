@@ -17,6 +17,7 @@ from split_cli.diagnosis.search.form_error import (
     saved_beside_form_error,
 )
 from split_cli.diagnosis.search.selection import nothing, select_terms
+from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, late, noisy_objective
 
 
@@ -144,3 +145,18 @@ def test_what_a_named_term_may_get_wrong_is_no_evidence_for_another(behind, dela
     apart = replace(delay, residuals=delay.residuals + 0.05 * rng.standard_normal(len(delay.residuals)))
     apart = replace(apart, cost=float(apart.residuals @ apart.residuals))
     assert saved_beside_form_error(behind, apart, delay) == pytest.approx(apart.cost - delay.cost, rel=0.1)
+
+
+def test_of_tyres_either_axle_may_be_wrong_by_itself(behind):
+    """The pieces add up to the effect; one tyre curve errs at the rear alone, which turns the car as no channel does."""
+    grip = CATALOGUE["friction_scale"]({"scale": 0.9}, "curve")
+    varied = module._varied(behind, (grip,), 0)
+    effect = behind.residual(()) - behind.residual((grip,))
+    assert varied[:, [0, 6, 12]].sum(axis=1) == pytest.approx(effect, abs=1e-9)
+    # At the rear m v_y' gains what I r'/l_r loses: the two channels of the third piece before they are whitened.
+    (one,) = behind.evidence
+    rates = module._by_force(one.left(()) - one.left((grip,)), one.vehicle)[:, :, 2]
+    car = one.vehicle
+    across, turning = car.mass * rates[:, 1], car.yaw_inertia * rates[:, 2]
+    assert np.abs(rates).max() > 0.0
+    np.testing.assert_allclose(turning, -car.cg_to_rear_axle * across, atol=1e-12 * np.abs(turning).max())

@@ -41,7 +41,7 @@ def test_the_term_that_names_a_fault_undoes_it(name, drive):
     def errors(one, terms):
         return window_errors({**one.columns, "s": one["t"] * 0.0}, VEHICLE, terms)
 
-    term = CATALOGUE[fault.term](dict(fault.parameters))
+    term = CATALOGUE[fault.term](dict(fault.parameters), fault.variant)
     clean, repaired, broken = errors(drive, ()), errors(faulty, [term]), errors(faulty, ())
     # Delays interpolate between samples; a sine of 3 rad/s is then right to (3 x 0.01)^2/8 of itself.
     inner = slice(5, -5)
@@ -65,14 +65,15 @@ def test_blocks_share_no_sample_and_are_far_from_each_other(drive):
 
 
 def test_sizes_are_multiples_of_what_a_fault_does(drive):
-    promised = {"steer_gain": 0.8, "steer_offset": 0.01, "drive_gain": 0.5}
+    sizes = {"steer_gain": ("gain", 0.8), "steer_offset": ("offset", 0.01), "drive_gain": ("drive_gain", 0.5)}
+    promised = {(term, name): value for term, (name, value) in sizes.items()}
     found = faults_of_sizes(faults_for(drive, VEHICLE), promised, (1.0, 2.0))
     sizes = {term: [f.value for f in found if f.term == term] for term in {f.term for f in found}}
     # A command over 0.8 is a quarter more than it was; twice that is a half more.
     assert sizes["steer_gain"] == pytest.approx([0.8, 1.0 / 1.5])
     assert sizes["steer_offset"] == pytest.approx([0.01, 0.02])
     # Nothing was promised of the others; the pair without a fault stays.
-    assert set(sizes) == {"", *promised}
+    assert set(sizes) == {"", *(term for term, _ in promised)}
     assert all(dict(f.parameters)["brake_gain"] == f.value for f in found if f.term == "drive_gain")
 
 

@@ -11,11 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from split_cli.diagnosis.baseline.body import alters_body
 from split_cli.diagnosis.baseline.discrepancy import scaled_features
 from split_cli.diagnosis.innovations.evidence import Evidence
-from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.vehicle.effects import Term
+from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
     "costs_beside_form_error",
@@ -26,7 +28,7 @@ __all__ = [
 
 
 def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
-    """Return the cost of each fit with a share of every effect of them all free, by channel and operating point.
+    """Return the cost of each fit with a share of every effect of them all free, by piece and operating point.
 
     What one of them might get wrong is free for the others too: else the one would win that can bend most.
 
@@ -43,8 +45,9 @@ def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) 
 def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: Fit) -> float:
     """Return what an explanation saves against another, the other's terms free to be wrong by their share.
 
-    What single-track terms get wrong of a real car's effect is of their own kind, channel by channel, and varies
-    with the operating point. Evidence for a further term is what it saves beyond that.
+    What single-track terms get wrong of a real car's effect is of their own kind, and varies with the operating
+    point: axle by axle of what alters tyres, else channel by channel. Evidence for a further term is what it saves
+    beyond that.
     """
     form_error = _columns(objective, [(before.terms, k) for k in range(len(before.parts))])
     here, there = _costs(form_error, [before.residuals, after.residuals])
@@ -87,20 +90,28 @@ def _costs(form_error: np.ndarray, residuals: Sequence[np.ndarray]) -> list[floa
 
 
 def _varied(objective: MarginalLikelihood, terms: tuple[Term, ...], k: int) -> np.ndarray:
-    """Return what one term adds, channel by channel and times each function, as residuals, shape (R, 18)."""
+    """Return what one term adds, piece by piece and times each function, as residuals, shape (R, 18)."""
     others = terms[:k] + terms[k + 1 :]
-    return objective.stack([one.whitener(_variations(one, terms, others)) for one in objective.evidence])
+    by_axle = terms[k].through_tires and not alters_body(terms[k]) and not alters_inputs(terms[k])
+    return objective.stack([one.whitener(_variations(one, terms, others, by_axle)) for one in objective.evidence])
 
 
-def _variations(one: Evidence, terms: Sequence[Term], others: Sequence[Term]) -> np.ndarray:
+def _variations(one: Evidence, terms: Sequence[Term], others: Sequence[Term], by_axle: bool) -> np.ndarray:
     """Return the defects that terms take off beyond others, varied, shape (N - 1, 3, 18)."""
     effect = one.left(others) - one.left(terms)
+    pieces = _by_force(effect, one.vehicle) if by_axle else effect[:, :, None] * np.eye(3)
     functions = _functions(one)
-    out = np.zeros((len(effect), 3, 3 * functions.shape[1]))
-    for channel in range(3):
-        columns = slice(channel * functions.shape[1], (channel + 1) * functions.shape[1])
-        out[:, channel, columns] = effect[:, channel, None] * functions
-    return out
+    return (pieces[:, :, :, None] * functions[:, None, None, :]).reshape(len(effect), 3, -1)
+
+
+def _by_force(effect: np.ndarray, vehicle: Vehicle) -> np.ndarray:
+    """Return what of an effect (N, 3) is of the force along the car, at the front, at the rear: (N, 3, 3).
+
+    A yaw moment is the small difference of two large ones. What one tyre curve gets wrong of either axle adds to it
+    in full, however little the two make together.
+    """
+    matrix = vehicle.force_matrix()
+    return (effect @ np.linalg.inv(matrix).T)[:, None, :] * matrix
 
 
 def _functions(one: Evidence) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import brentq
@@ -14,11 +14,11 @@ from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import over_allowance, p_of_effect
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.together import together
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects import CATALOGUE, Term
 
 __all__ = ["smallest_named"]
 
-_ROUNDS = 3  # an effect of twice the size saves nearly four times as much, and what is left of that is learned
+_ROUNDS = 8  # an effect of twice the size saves nearly four times as much; past a tyre's peak it hardly saves more
 _FURTHEST = 1e4
 _BY_CHANCE = 2.0  # standard errors: a projection of noise on what an effect moves is mostly less
 # Steps after which what alters inputs, and what does not, is as told.
@@ -47,9 +47,10 @@ def smallest_named(
     Notes
     -----
     Were an effect there, its term would save the squared length of what it moves in the whitened rows, less what
-    the difference that is there already may take off: nobody knows the sign of an effect beforehand. Its size is
-    searched where the test that is asked of every name is passed just so. Chance makes it pass a little earlier or
-    later; what looks the same may be named in its stead.
+    the difference that is there already may take off: nobody knows the sign of an effect beforehand. A fault of one
+    sign moves the rows as its term of the other does, and not as far to either side where much is curved; what is
+    told holds for both. Its size is searched where the test that is asked of every name is passed just so. Chance
+    makes it pass a little earlier or later; what looks the same may be named in its stead.
     """
     variants: dict[str, list[Candidate]] = {}
     for one in candidates:
@@ -65,11 +66,16 @@ def smallest_named(
     found = dict(zip((one.label for one in every), together(smallest, every), strict=True))
     out = []
     for term, several in variants.items():
-        # Which of them is there nobody knows: what is reported holds for all.
-        worst = max(several, key=lambda one: found[one.label][0])
-        units = CATALOGUE[term].parameter_units(worst.variant)
-        values = found[worst.label][1]
-        out.append(Detectable(term, {name: (values[name], units[name]) for name in values}))
+        # Which of them is there nobody knows: what is reported holds for all. Each late channel is its own effect.
+        alone = [one for one in several if len(one.ranges) == 1]
+        apart = len({frozenset(one.ranges) for one in several}) > 1 and bool(alone)
+        told = alone if apart else [max(several, key=lambda one: found[one.label][0])]
+        parameters = {
+            name: (value, CATALOGUE[term].parameter_units(one.variant)[name])
+            for one in told
+            for name, value in found[one.label][1].items()
+        }
+        out.append(Detectable(term, parameters))
     return tuple(out)
 
 
@@ -93,30 +99,51 @@ def _smallest(
             )
         return float(margin)
 
-    values, factor, inside = dict(start), 1.0, True
+    values, factor = dict(start), 1.0
     for _ in range(_ROUNDS):
         term = candidate.build(values)
-        moved = objective.whiten(objective.residual((term,)) - objective.shift((term,))) - bare.residuals
-        length, size = float(np.sqrt(moved @ moved)), over_allowance(objective, (term,), ())
-        # What is there already may point the other way, and has to be made up for first.
-        against = abs(float(moved @ bare.residuals)) / max(length, 1e-300)
-        against = max(against - _BY_CHANCE * np.sqrt(variance_inflation), 0.0)
+        size = over_allowance(objective, (term,), ())
+        ways = [_moved(objective, bare, one, variance_inflation) for one in (term, *_other_sign(candidate, values))]
 
-        def passes(log: float, length=length, size=size, against=against) -> float:
-            return excess(np.exp(log) * size, max(np.exp(log) * length - against, 1e-6) ** 2)
+        def passes(log: float, size=size, ways=ways) -> float:
+            seen = min(np.exp(log) * length - against for length, against in ways)
+            return excess(np.exp(log) * size, max(seen, 1e-6) ** 2)
 
         far = np.log(_FURTHEST)
-        if not length > 0.0 or passes(far) < 0.0:
-            inside = False
+        if not min(length for length, _ in ways) > 0.0 or passes(far) < 0.0:
             break
         log = -far if passes(-far) > 0.0 else brentq(passes, -far, far, xtol=0.01)
         factor *= float(np.exp(log))
-        values = candidate.moved(start, factor)
+        values, everyday = candidate.moved(start, factor), False
         if candidate.is_everyday(values):
             # As large as this it is seen, and yet no fault.
             factor *= min(limit.everyday / abs(values[name]) for name, limit in candidate.ranges.items())
-            values = candidate.moved(start, factor)
-        inside = candidate.allows(values)
-        if not inside or abs(log) < near:
+            values, everyday = candidate.moved(start, factor), True
+        if not candidate.allows(values):
             break
-    return (factor, values) if inside else (np.inf, {})
+        if everyday or abs(log) < near:
+            return factor, values
+    return np.inf, {}
+
+
+def _moved(
+    objective: MarginalLikelihood, bare: Fit, term: Term, variance_inflation: float
+) -> tuple[float, float]:
+    """Return how far a term moves the whitened rows, and how much of that what is there already may take off.
+
+    What is there may point the other way, and has to be made up for first.
+    """
+    moved = objective.whiten(objective.residual((term,)) - objective.shift((term,))) - bare.residuals
+    length = float(np.sqrt(moved @ moved))
+    against = abs(float(moved @ bare.residuals)) / max(length, 1e-300)
+    return length, max(against - _BY_CHANCE * np.sqrt(variance_inflation), 0.0)
+
+
+def _other_sign(candidate: Candidate, values: Mapping[str, float]) -> tuple[Term, ...]:
+    """Return the term as far to the other side, a ratio's inverse; none where a car has but one side of it."""
+    neutral = CATALOGUE[candidate.term].neutral
+    sized = [name for name in values if neutral.get(name) is not None]
+    if any(not candidate.ranges[name].lower < neutral[name] < candidate.ranges[name].upper for name in sized):
+        return ()
+    turned = {name: 1.0 / values[name] if neutral[name] == 1.0 else 2.0 * neutral[name] - values[name] for name in sized}
+    return (candidate.build({**values, **turned}),)

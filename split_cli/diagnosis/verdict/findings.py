@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -12,13 +13,13 @@ from split_cli.diagnosis.policy import STANDARD, Abstention, Policy
 from split_cli.diagnosis.remainder.autocorrelation import ResidualAutocorrelation, residual_autocorrelation
 from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.search.baselines import SearchOutcome
-from split_cli.diagnosis.search.fitting import Fit, fit_parts
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well, without_parts
 from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
-from split_cli.diagnosis.statement.separation import exact_mimics
+from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.diagnosis.verdict.constancy import bends, parameter_drifts
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
@@ -55,19 +56,18 @@ def describe(
     if contradicted:
         unexplained, kept = True, {one.term for one in findings if not one.exported}
     elif unexplained:
-        # Where something is left, terms that explain less than it does imitate what has no name.
-        explained = 1.0 - remainder.share
-        kept = {one.term for one in findings if one.gap_explained * explained > remainder.share}
-        kept |= _told_by_witnesses(objective, selection)
+        kept -= _imitating(findings, remainder) - _told_by_witnesses(objective, selection)
     kept -= _vague(selection, findings, rules)
     while len(kept) < len(findings):
-        # Those that stay are fitted again without the others, and asked again.
-        unexplained = True
+        # Those that stay are fitted again without the others, and asked again. What is not believed may yet be
+        # there, so that values hold with and without it.
+        unexplained, beside = True, {one.term: one.parameters for one in findings}
         selection = _only(objective, selection, kept)
         left = residuals_beside_form_error(objective, selection.chosen)
         remainder = _remainder(structure, selection, variance_inflation, left)
-        findings = _findings(objective, selection, remainder.share)
+        findings = _findings(objective, selection, remainder.share, beside)
         kept = {one.term for one in findings} - _vague(selection, findings, rules)
+        kept -= _imitating(findings, remainder) - _told_by_witnesses(objective, selection)
     return selection, findings, remainder, unexplained
 
 
@@ -86,6 +86,25 @@ def _told_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> s
         if part.term.corrects and before - after > rules.fixed_share * before:
             told.add(part.candidate.term)
     return told
+
+
+def _imitating(findings: Sequence[Finding], remainder: RemainderTest) -> set[str]:
+    """Return terms that explain no more than is left, which they may imitate: that has no name.
+
+    What a term took that is not believed for this has no name either. It may as well be of the terms that are
+    declared to look like it, of which each has to explain more than both: a centre of gravity that pulls against a
+    stiffness, say, where the balance of the axles is all that is left.
+    """
+    shares = {one.term: one.gap_explained * (1.0 - remainder.share) for one in findings}
+    out: set[str] = set()
+    while True:
+        nameless = {
+            term: remainder.share + sum(shares[other] for other in out if look_alike(term, other)) for term in shares
+        }
+        more = {term for term in shares if term not in out and shares[term] <= nameless[term]}
+        if not more:
+            return out
+        out |= more
 
 
 def _vague(selection: Selection, findings: Sequence[Finding], rules: Abstention) -> set[str]:
@@ -182,6 +201,9 @@ def _only(objective: MarginalLikelihood, selection: Selection, terms: set[str]) 
     ]
     parts = tuple(selection.chosen.parts[k] for k in keep)
     chosen = fit_parts(objective, parts) if parts else selection.base
+    others = tuple(_as_another(part, selection.rivals[k]) for part, k in zip(chosen.parts, keep, strict=True))
+    if any(another is not part for another, part in zip(others, chosen.parts, strict=True)):
+        chosen = fit_parts(objective, others)
     return replace(
         selection,
         chosen=chosen,
@@ -192,7 +214,22 @@ def _only(objective: MarginalLikelihood, selection: Selection, terms: set[str]) 
     )
 
 
-def _findings(objective: MarginalLikelihood, selection: Selection, unnamed: float) -> tuple[Finding, ...]:
+def _as_another(part: Part, rivals: Sequence[Rival]) -> Part:
+    """Return the term that a part has become by its values, a fade of grip that is over at once; else the part."""
+    if not part.candidate.is_another(part.values):
+        return part
+    own = part.candidate
+    alike = (rival.fit.parts[-1] for rival in rivals)
+    return next((one for one in alike if look_alike(own.term, one.candidate.term)), part)
+
+
+def _findings(
+    objective: MarginalLikelihood,
+    selection: Selection,
+    unnamed: float,
+    beside: Mapping[str, Mapping[str, ParameterEstimate]] = MappingProxyType({}),
+) -> tuple[Finding, ...]:
+    """Return what is named; intervals also hold what `beside` tells of a term's parameters."""
     chosen = selection.chosen
     estimates = parameter_estimates(objective, chosen)
     total = max(selection.base.cost - chosen.cost, 1e-9)
@@ -203,6 +240,7 @@ def _findings(objective: MarginalLikelihood, selection: Selection, unnamed: floa
         term, variant = part.candidate.term, part.candidate.variant
         alternatives = _alternatives(objective, selection, k)
         parameters = _with_variants(objective, selection, k, estimates[k], unnamed)
+        parameters = _covering(parameters, beside.get(term, {}))
         out.append(
             Finding(
                 term,
@@ -233,9 +271,15 @@ def _with_variants(
     """
     out = dict(own)
     for sibling in explaining_as_well(objective, selection, k, selection.siblings[k], unnamed):
-        theirs = parameter_estimates(objective, sibling.fit)[-1]
-        out = {name: one.covering(theirs[name]) if name in theirs else one for name, one in out.items()}
+        out = _covering(out, parameter_estimates(objective, sibling.fit)[-1])
     return out
+
+
+def _covering(
+    own: Mapping[str, ParameterEstimate], others: Mapping[str, ParameterEstimate]
+) -> dict[str, ParameterEstimate]:
+    """Return estimates whose intervals hold those of others of the same name, too."""
+    return {name: one.covering(others[name]) if name in others else one for name, one in own.items()}
 
 
 def _alternatives(objective: MarginalLikelihood, selection: Selection, k: int) -> tuple[str, ...]:

@@ -104,12 +104,16 @@ def prove_recording(
     return results
 
 
-def _promised(folder: Path) -> Mapping[str, float]:
-    """Return the sizes that a diagnosis promises to name, by term: the first parameter's."""
+def _promised(folder: Path) -> Mapping[tuple[str, str], float]:
+    """Return the sizes that a diagnosis promises to name, by term and parameter."""
     path = folder / "diagnosis" / "diagnosis.json"
     told = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"detectable": []}
-    values = {one["term"]: [each["value"] for each in one["parameters"].values()] for one in told["detectable"]}
-    return {term: several[0] for term, several in values.items() if several and several[0] is not None}
+    values = {
+        (one["term"], name): each["value"]
+        for one in told["detectable"]
+        for name, each in one["parameters"].items()
+    }
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def _one(path: Path, fault: InjectedFault, number: int, output: Path, block: float | None) -> InjectionResult:
