@@ -103,7 +103,9 @@ def _smallest(
     for _ in range(_ROUNDS):
         term = candidate.build(values)
         size = over_allowance(objective, (term,), ())
-        ways = [_moved(objective, bare, one, variance_inflation) for one in (term, *_other_sign(candidate, values))]
+        ways = [
+            _moved(objective, bare, one, variance_inflation) for one in (term, *_other_sign(candidate, values))
+        ]
 
         def passes(log: float, size=size, ways=ways) -> float:
             seen = min(np.exp(log) * length - against for length, against in ways)
@@ -126,9 +128,7 @@ def _smallest(
     return np.inf, {}
 
 
-def _moved(
-    objective: MarginalLikelihood, bare: Fit, term: Term, variance_inflation: float
-) -> tuple[float, float]:
+def _moved(objective: MarginalLikelihood, bare: Fit, term: Term, variance_inflation: float) -> tuple[float, float]:
     """Return how far a term moves the whitened rows, and how much of that what is there already may take off.
 
     What is there may point the other way, and has to be made up for first.
@@ -145,5 +145,7 @@ def _other_sign(candidate: Candidate, values: Mapping[str, float]) -> tuple[Term
     sized = [name for name in values if neutral.get(name) is not None]
     if any(not candidate.ranges[name].lower < neutral[name] < candidate.ranges[name].upper for name in sized):
         return ()
-    turned = {name: 1.0 / values[name] if neutral[name] == 1.0 else 2.0 * neutral[name] - values[name] for name in sized}
+    turned = {
+        name: 1.0 / values[name] if neutral[name] == 1.0 else 2.0 * neutral[name] - values[name] for name in sized
+    }
     return (candidate.build({**values, **turned}),)

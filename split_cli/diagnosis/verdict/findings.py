@@ -99,7 +99,8 @@ def _imitating(findings: Sequence[Finding], remainder: RemainderTest) -> set[str
     out: set[str] = set()
     while True:
         nameless = {
-            term: remainder.share + sum(shares[other] for other in out if look_alike(term, other)) for term in shares
+            term: remainder.share + sum(shares[other] for other in out if look_alike(term, other))
+            for term in shares
         }
         more = {term for term in shares if term not in out and shares[term] <= nameless[term]}
         if not more:
