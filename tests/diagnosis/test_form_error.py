@@ -148,7 +148,7 @@ def test_what_a_named_term_may_get_wrong_is_no_evidence_for_another(behind, dela
 
 
 def test_of_tyres_either_axle_may_be_wrong_by_itself(behind):
-    """The pieces add up to the effect; a tyre curve that errs at the rear alone turns the car as no channel does."""
+    """The pieces add up to the effect; a curve that errs at the rear alone turns the car as no channel does."""
     grip = CATALOGUE["friction_scale"]({"scale": 0.9}, "curve")
     varied = module._varied(behind, (grip,), 0)
     effect = behind.residual(()) - behind.residual((grip,))

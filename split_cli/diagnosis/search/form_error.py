@@ -107,8 +107,8 @@ def _variations(one: Evidence, terms: Sequence[Term], others: Sequence[Term], by
 def _by_force(effect: np.ndarray, vehicle: Vehicle) -> np.ndarray:
     """Return what of an effect (N, 3) is of the force along the car, at the front, at the rear: (N, 3, 3).
 
-    A yaw moment is the small difference of two large ones. What one tyre curve gets wrong of either axle adds to it
-    in full, however little the two make together.
+    A yaw moment is the small difference of two large ones. What one tyre curve gets wrong of either axle
+    adds to it in full, however little the two make together.
     """
     matrix = vehicle.force_matrix()
     return (effect @ np.linalg.inv(matrix).T)[:, None, :] * matrix

@@ -47,10 +47,10 @@ def smallest_named(
     Notes
     -----
     Were an effect there, its term would save the squared length of what it moves in the whitened rows, less what
-    the difference that is there already may take off: nobody knows the sign of an effect beforehand. A fault of one
-    sign moves the rows as its term of the other does, and where much is curved not as far to either side; what is
-    told holds for both. Its size is searched where the test that is asked of every name is passed just so. Chance
-    makes it pass a little earlier or later; what looks the same may be named in its stead.
+    the difference that is there already may take off: nobody knows the sign of an effect beforehand. A fault of
+    one sign moves the rows as its term of the other does, and where much is curved not as far to either side; what
+    is told holds for both. Its size is searched where the test that is asked of every name is passed just so.
+    Chance makes it pass a little earlier or later; what looks the same may be named in its stead.
     """
     variants: dict[str, list[Candidate]] = {}
     for one in candidates:
