@@ -14,8 +14,9 @@ from split_cli.workflows.racing.maneuver import ManeuverSettings
 
 def lap(number: int, time: float | None, outside: float = 0.0) -> dict:
     return {
-        "number": number, "time": time, "outside": outside, "mean_speed": 16.0, "max_lateral": 0.85, "updates": 4,
-        "size": 3, "cells": 2, "error_before": [0.4, 0.5, 0.3], "error_after": [0.4, 0.25, 0.1], "failures": 0,
+        "number": number, "time": time, "outside": outside, "margin": 0.8, "mean_speed": 16.0,
+        "max_lateral": 0.85, "updates": 4, "size": 3, "cells": 2, "failures": 0,
+        "error_before": [0.4, 0.5, 0.3], "error_after": [0.4, 0.25, 0.1],
         "motion_before": [0.4, 0.5, 0.3], "motion_after": [0.2, 0.1, 0.03],
         "solver_ms": [5.0, 9.0, 10.0], "step_ms": [8.0, 12.0, 15.0], "update_ms": [1.0, 2.0, 3.0],
     }  # fmt: skip
@@ -55,7 +56,7 @@ def test_a_lap_off_the_track_does_not_count_and_the_page_is_filled(tmp_path, sam
     # Lap 0 of a learner is the nominal model's, and no gain of its own.
     assert "| nominal | 0 | 1 of 3 | 40.00 | 0.0 | 40.00 | 0.0 |" in made["gain-small"]
     assert "| split | 0 | 2 of 2 | 36.00 | 10.0 | 37.00 | 7.5 |" in made["gain-small"]
-    assert "0.50 | 16.00" in made["laps-small"] and "not finished" in made["laps-small"]
+    assert "0.50 | 0.80 | 16.00" in made["laps-small"] and "not finished" in made["laps-small"]
     assert "1.00 / 0.50 / 0.33" in made["laps-small"]
     # The motion's error fell from 0.4, 0.5, 0.3 to 0.2, 0.1, 0.03.
     assert "| split | 0 | 2 | 0.400, 0.500, 0.300 | 0.200, 0.100, 0.030 | 50 / 80 / 90 |" in made["errors-small"]

@@ -91,8 +91,8 @@ def _markdown(header: list[str], rows: list[list[str]]) -> str:
 
 def _lap_table(group: list[dict]) -> str:
     header = [
-        "model", "seed", "lap", "time s", "outside m", "mean speed m/s", "max a_y g", "updates", "set", "cells",
-        "error v_x, v_y, r", "of nominal", "failures",
+        "model", "seed", "lap", "time s", "outside m", "margin m", "mean speed m/s", "max a_y g", "updates", "set",
+        "cells", "error v_x, v_y, r", "of nominal", "failures",
     ]  # fmt: skip
     rows = []
     for race in group:
@@ -101,7 +101,8 @@ def _lap_table(group: list[dict]) -> str:
             share = " / ".join(f"{a / b:.2f}" if b else "-" for a, b in zip(after, before, strict=True))
             time = "not finished" if lap["time"] is None else f"{lap['time']:.2f}"
             rows.append([
-                race["model"], str(race["settings"]["seed"]), str(lap["number"]), time, f"{lap['outside']:.2f}",
+                race["model"], str(race["settings"]["seed"]), str(lap["number"]), time,
+                f"{lap['outside']:.2f}", f"{lap['margin']:.2f}",
                 f"{lap['mean_speed']:.2f}", f"{lap['max_lateral']:.2f}", str(lap["updates"]), str(lap["size"]),
                 str(lap["cells"]), ", ".join(f"{v:.3f}" for v in after), share, str(lap["failures"]),
             ])  # fmt: skip
