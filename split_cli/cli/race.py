@@ -78,7 +78,7 @@ __all__ = ["command"]
 @click.option("--learn-grip/--no-learn-grip", default=True, show_default=True, help="After each lap, move "
               "the slip limits to the tyres' peaks that the labels show.")  # fmt: skip
 @click.option("--margin", type=float, default=MARGIN, show_default=True, metavar="M", help="Distance to keep "
-              "between the car's side and the track border.")  # fmt: skip
+              "between the car's side and the track border, besides what earlier laps needed.")  # fmt: skip
 @click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, help="Weight of the longitudinal "
               "force in the friction ellipse.")  # fmt: skip
 @click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "

@@ -75,7 +75,11 @@ def _check_numbers(settings: RaceSettings) -> None:
     for name, value in shares:
         if not 0.0 < value < 1.0:
             raise SplitError(f"a share of the peak between 0 and 1 was expected, got {value:g}", where=name)
-    for name, value in [("--tightening", settings.tightening), *(("--margin", one.margin) for one in inner)]:
+    for name, value in [
+        ("--tightening", settings.tightening),
+        ("deviation", settings.deviation),
+        *(("--margin", one.margin) for one in inner),
+    ]:
         if not 0.0 <= value < 1e3:
             raise SplitError(f"must not be negative, got {value:g}", where=name)
     if settings.seed < 0:
