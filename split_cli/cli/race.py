@@ -122,8 +122,8 @@ def command(
     """Race the double-track plant with a contouring controller that learns while it drives.
 
     The controller (MPCC, 80 steps of 50 ms) drives with the vehicle's nominal model plus what the learner has
-    found so far. Lap 0 is nominal; a race begins with a flying start. Every error stands beside the nominal one,
-    and a lap on which a side of the car left the track is marked.
+    found so far. The nominal model drives lap 0, and a learner learns it; a race begins with a flying start. Every
+    error stands beside the nominal one, and a lap on which a side of the car left the track is marked.
 
     \b
     Example:
