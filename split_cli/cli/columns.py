@@ -30,6 +30,7 @@ COLUMNS: dict[str, dict[str, str]] = {
         "accepted": "samples inside the valid region, which may be learned from",
     },
     "evaluate": {
+        "+-": "standard error of the value to its left",
         "NLPD": "negative log predictive density of the labels, over all outputs; less is better",
         "after s": "how long the model ran freely over the recorded inputs [s]",
         "behind": "by how much the mean squared error exceeds that of the best candidate [1]",
