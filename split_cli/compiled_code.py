@@ -16,7 +16,7 @@ __all__ = ["cache_folder", "compiled", "provide_cache"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_VARIABLE = "NUMBA_CACHE_DIR"
+_VARIABLE, _FIGURES = "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
 
 
 def compiled(**options: Any) -> Callable[[Function], Function]:
@@ -32,6 +32,8 @@ def provide_cache(package: str, environment: Mapping[str, str] | None = None) ->
 
     Numba keeps compiled code beside the source, else in the user's cache folder; where neither can be written,
     as in a read-only container, it fails at import. Then a private folder below the temporary one is taken.
+    Matplotlib keeps its list of fonts in the home folder, and warns at each start where it cannot; it gets a part
+    of the same private folder.
 
     Parameters
     ----------
@@ -46,6 +48,7 @@ def provide_cache(package: str, environment: Mapping[str, str] | None = None) ->
         What to tell the user, when another folder than usual had to be taken.
     """
     environment = os.environ if environment is None else environment
+    _place_fonts(environment)
     usual = (os.path.join(package, "__pycache__"), _user_cache(environment))
     if environment.get(_VARIABLE) or any(map(_can_hold_folders, usual)):
         return None
@@ -57,6 +60,18 @@ def provide_cache(package: str, environment: Mapping[str, str] | None = None) ->
         )
     os.environ[_VARIABLE] = folder
     return f"compiled code is kept in {folder}: neither the installation nor the home folder can be written"
+
+
+def _place_fonts(environment: Mapping[str, str]) -> None:
+    """Give matplotlib a private folder for its list of fonts where the user's own cannot be written."""
+    home = os.path.expanduser("~")
+    usual = environment.get("XDG_CONFIG_HOME") or os.path.join(home, ".config"), _user_cache(environment)
+    if environment.get(_FIGURES) or all(map(_can_hold_folders, usual)):
+        return
+    folder = cache_folder()
+    if folder is not None:
+        os.environ[_FIGURES] = os.path.join(folder, "matplotlib")
+        os.makedirs(os.environ[_FIGURES], mode=0o700, exist_ok=True)
 
 
 def cache_folder() -> str | None:

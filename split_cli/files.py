@@ -26,6 +26,7 @@ __all__ = [
     "read_text",
     "refuse_no_regular_file",
     "refuse_overwriting_inputs",
+    "refuse_place_without_access",
     "refuse_what_cannot_be_written",
     "sha256_of_file",
 ]
@@ -314,9 +315,28 @@ def refuse_what_cannot_be_written(target: str | os.PathLike[str]) -> None:
     Raises
     ------
     SplitError
-        If the directory does not exist, or the target is a folder or a device.
+        If the directory does not exist or cannot be written, or the target is a folder or a device.
     """
     _refuse_what_is_no_file(_real_target(target), str(target))
+    refuse_place_without_access(target)
+
+
+def refuse_place_without_access(target: str | os.PathLike[str]) -> None:
+    """Check that what holds a file or folder can be written into, before the work is done whose result it takes.
+
+    Raises
+    ------
+    SplitError
+        If the folder that would hold it exists and cannot be written: no permission, or a read-only file system.
+    """
+    real = Path(os.path.realpath(target))
+    place = real if real.is_dir() else real.parent
+    if place.is_dir() and not os.access(place, os.W_OK | os.X_OK):
+        raise SplitError(
+            f"cannot be written: no permission to write into {place}, or it is read-only",
+            where=str(target),
+            advice="Nothing was computed. Name another place.",
+        )
 
 
 def _real_target(target: str | os.PathLike[str]) -> Path:

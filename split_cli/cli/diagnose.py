@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import click
 
-from split_cli.cli.options import existing_file, held_option, json_option, print_table, vehicle_option
+from split_cli.cli.options import (
+    existing_file,
+    held_option,
+    json_option,
+    output_option,
+    print_table,
+    vehicle_option,
+)
 from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
@@ -30,7 +36,7 @@ _CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
     help="Real drive on which the improvement is measured; repeatable.",
 )
 @vehicle_option()
-@click.option("--out", "output", type=click.Path(path_type=Path), required=True, help="Folder to write into.")
+@output_option("Folder to write into.", names=("--out",))
 @click.option("--exit-code", is_flag=True, help="Exit with code 3 if simulation and reality differ.")
 @held_option
 @json_option

@@ -10,6 +10,8 @@ from typing import Any
 
 import click
 
+from split_cli.files import refuse_place_without_access
+
 __all__ = [
     "engine_options",
     "existing_file",
@@ -68,17 +70,23 @@ def engine_options(function: Callable) -> Callable:
     return function
 
 
-def output_option(meaning: str, required: bool = True) -> Callable:
-    """``-o PATH``."""
+def output_option(meaning: str, required: bool = True, names: Sequence[str] = ("-o", "--output")) -> Callable:
+    """``-o PATH``, whose place must be open to writing before the command begins its work."""
     return click.option(
-        "-o",
-        "--output",
+        *names,
         "output",
         type=click.Path(path_type=Path),
         required=required,
         metavar="PATH",
+        callback=_writable,
         help=meaning,
     )
+
+
+def _writable(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    if path is not None:
+        refuse_place_without_access(path)
+    return path
 
 
 def print_json(result: Any) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from split_cli.cli.options import existing_file, json_option, print_json, print_table
+from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
 
 __all__ = ["command"]
 
@@ -101,7 +101,7 @@ def _numbers(text: str | None) -> list[float]:
 @command.command("recording")
 @click.argument("drives", type=existing_file, nargs=-1, required=True)
 @click.option("--vehicle", "vehicle_path", type=existing_file, required=True, help="Vehicle YAML.")
-@click.option("-o", "--output", type=_folder, required=True, help="Folder to write into.")
+@output_option("Folder to write into.")
 @click.option("--faults", help="Only these faults, separated by commas. A wrong name lists all names.")
 @click.option("--block", type=float, default=10.0, show_default=True, help="Length of the blocks of time [s].")
 @click.option(
@@ -143,7 +143,7 @@ def recording(drives, vehicle_path, output, faults, block, halves, multiples, as
     show_default=True,
     help="The package's 29-state car, or its single track with combined slip and wheels that spin.",
 )
-@click.option("-o", "--output", type=_folder, required=True, help="Folder to write into.")
+@output_option("Folder to write into.")
 @click.option("--faults", help="Add only these faults, separated by commas, or all. A wrong name lists all names.")
 @json_option
 def multibody(seed, car, model, output, faults, as_json) -> None:

@@ -19,6 +19,7 @@ def nothing_else(tmp_path, monkeypatch):
     monkeypatch.setattr(compiled_code.tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr(compiled_code.os, "access", lambda path, mode: str(path).startswith(str(tmp_path)))
     monkeypatch.setitem(os.environ, "NUMBA_CACHE_DIR", "")
+    monkeypatch.setitem(os.environ, "MPLCONFIGDIR", "")
     return tmp_path
 
 
@@ -27,6 +28,9 @@ def test_a_private_folder_is_taken_and_said(nothing_else):
     folder = os.environ["NUMBA_CACHE_DIR"]
     assert folder in said and folder.startswith(str(nothing_else))
     assert stat.S_IMODE(os.stat(folder).st_mode) == 0o700
+    # Matplotlib would warn at every start; its list of fonts goes there too.
+    assert os.environ["MPLCONFIGDIR"] == os.path.join(folder, "matplotlib")
+    assert stat.S_IMODE(os.stat(os.environ["MPLCONFIGDIR"]).st_mode) == 0o700
 
 
 def test_a_folder_that_others_may_write_to_is_not_taken(nothing_else):

@@ -8,10 +8,14 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import pytest
+from click.testing import CliRunner
 
+from split_cli.cli.main import group as main_group
 from split_cli.errors import LogError, SplitError, VehicleError
 from split_cli.files import atomic_directory, atomic_path, exclusive_access
 from split_cli.logs.readers import open_recording
@@ -137,3 +141,27 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path, read, kind):
 
 def test_an_error_does_nothing_to_a_terminal():
     assert str(SplitError("bad\x1b[31m \u202e name", where="a\rb\x9b")) == r"a\x0db\x9b: bad\x1b[31m \u202e name"
+
+
+def every_command(group: click.Group) -> Iterator[click.Command]:
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        if isinstance(command, click.Group):
+            yield from every_command(command)
+        else:
+            yield command
+
+
+def test_a_place_that_cannot_be_written_is_said_before_any_work(tmp_path, monkeypatch):
+    """Of every command that has an output; the user that runs the tests may be allowed everything."""
+    monkeypatch.setattr(os, "access", lambda path, mode: not str(path).startswith(str(tmp_path)))
+    refused = []
+    for command in every_command(main_group):
+        for option in command.params:
+            if option.name == "output":
+                done = CliRunner().invoke(command, [option.opts[0], str(tmp_path / "out")])
+                assert isinstance(done.exception, SplitError), (command.name, done.output)
+                assert "no permission" in str(done.exception) and "Nothing was computed" in str(done.exception)
+                refused.append(command.name)
+    assert {"ingest", "train", "diagnose", "race", "simulate", "evaluate", "export"} <= set(refused)
