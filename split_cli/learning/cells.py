@@ -197,9 +197,10 @@ def warm_up() -> None:
     )
 
 
-def _check_belongs(training_set: TrainingSet, labels: Labels) -> None:
+def _check_belongs(training_set: TrainingSet, labels: Labels, digest: str | None = None) -> None:
+    """Refuse labels of another kind than the set's; `digest` is that of its vehicle, where it is known."""
     advice = "Train a set of its own for it."
-    if labels.vehicle_digest != training_set.vehicle.digest():
+    if labels.vehicle_digest != (training_set.vehicle.digest() if digest is None else digest):
         raise SetError("its labels are of another vehicle than the set", where=labels.drive, advice=advice)
     for what, theirs, ours in (
         ("features", labels.features.names, training_set.features.names),
@@ -234,6 +235,8 @@ class _Cells:
         self.position = {number: index for index, number in enumerate(self.numbers)}
         self.count = np.diff(training_set.offsets).astype(np.int64)
         self.slots = {name: self._blank(name, len(self.numbers)) for name in (*_POINT_ARRAYS, "clock")}
+        #: Which of the samples offered together each slot was written from; -1 between offers.
+        self.origin = np.full((len(self.numbers), training_set.capacity), -1, dtype=np.int64)
         filled = self._filled()
         for name in _POINT_ARRAYS:
             self.slots[name][filled] = getattr(training_set, name)
@@ -255,7 +258,10 @@ class _Cells:
         self.base.append(self.base[-1] + labels.duration)
         candidates = np.flatnonzero(labels.accepted)
         parts = [candidates[first : first + batch] for first in range(0, len(candidates), batch)]
-        outcome = np.concatenate([self._offer(labels, rows, source, begin) for rows in parts] or [np.empty(0)])
+        grid = self.set.grid
+        numbers = (grid.pack(grid.index(labels.z[rows])[0]) for rows in parts)
+        given = zip(parts, numbers, strict=True)
+        outcome = np.concatenate([self._offer(labels, *both, source, begin) for both in given] or [np.empty(0)])
         kept, inserted, replaced = (int(np.count_nonzero(outcome == code)) for code in range(3))
         return SetSource(
             name=labels.drive,
@@ -272,16 +278,19 @@ class _Cells:
             duration=labels.duration,
         )
 
-    def _offer(self, labels: Labels, rows: np.ndarray, source: int, begin: float) -> np.ndarray:
-        """Offer the labels at `rows`; return for each 0 (gain too small), 1 (inserted) or 2 (replaced a point)."""
+    def _offer(
+        self, labels: Labels, rows: np.ndarray, numbers: np.ndarray, source: int, begin: float
+    ) -> np.ndarray:
+        """Offer the labels at `rows`, which lie in the cells `numbers`; return what became of each, shape (N,).
+
+        0 (gain too small), 1 (inserted) or 2 (replaced a point).
+        """
         from split_cli.learning._compiled import update_cells
 
         z, t = labels.z[rows], labels.t[rows]
-        numbers = self.set.grid.pack(self.set.grid.index(z)[0])
         order = np.argsort(numbers, kind="stable")
         distinct, first = np.unique(numbers[order], return_index=True)
         cells = self._cells_of(distinct.tolist())
-        origin = np.full((len(self.count), self.set.capacity), -1, dtype=np.int64)
         outcome, repairs, broken = update_cells(
             np.append(first, len(order)),
             cells,
@@ -295,8 +304,11 @@ class _Cells:
             self.slots["z"],
             self.slots["gamma"],
             self.slots["clock"],
-            origin,
+            self.origin,
         )
+        # Only cells that were offered something can have changed.
+        origin = self.origin[cells]
+        self.origin[cells] = -1
         if broken >= 0:
             raise SetError(
                 f"the points of cell {self.numbers[broken]} cannot be told apart: their kernel matrix is singular",
@@ -306,8 +318,8 @@ class _Cells:
         if repairs:
             text = f"{labels.drive}: {repairs} kernel matrices of cells needed jitter, at most 1e-10"
             warnings.warn(NumericalRepairWarning(text), stacklevel=4)
-        written = origin >= 0
-        taken = rows[origin[written]]
+        offered, slot = np.nonzero(origin >= 0)
+        written, taken = (cells[offered], slot), rows[origin[offered, slot]]
         for name in ("y", "t", "row"):
             self.slots[name][written] = getattr(labels, name)[taken]
         self.slots["source"][written] = source
@@ -324,6 +336,7 @@ class _Cells:
             # Doubling, so that learning sample by sample does not copy everything at each new cell.
             more = max(len(self.numbers), 2 * room) - room
             self.count = np.concatenate([self.count, np.zeros(more, dtype=np.int64)])
+            self.origin = np.concatenate([self.origin, np.full((more, self.set.capacity), -1, dtype=np.int64)])
             for name, values in self.slots.items():
                 self.slots[name] = np.concatenate([values, self._blank(name, more)])
         return np.array([self.position[number] for number in numbers], dtype=np.int64)

@@ -15,6 +15,9 @@ from split_cli.learning.training_set import SetSource, TrainingSet
 __all__ = ["CellChange", "OnlineSet"]
 
 
+_TOO_LITTLE = Reason.GAIN.word
+
+
 @dataclass(frozen=True)
 class CellChange:
     """What one offer did.
@@ -47,6 +50,7 @@ class OnlineSet:
 
     def __init__(self, training_set: TrainingSet) -> None:
         self.header = training_set
+        self._digest = training_set.vehicle.digest()
         self._cells = _Cells(training_set)
         self._sources = list(training_set.sources)
         self._open: _Tally | None = None
@@ -77,24 +81,28 @@ class OnlineSet:
         tally = self._open
         if tally is None:
             raise SetError("no drive was begun", where=labels.drive)
-        _check_belongs(self.header, labels)
-        labels = labels.inside(self.header.grid)
+        _check_belongs(self.header, labels, self._digest)
+        grid = self.header.grid
+        index, has_cell = grid.index(labels.z)
+        accepted = labels.accepted
+        if not (accepted & has_cell).all():
+            labels = labels.inside(grid)
+            accepted = labels.accepted
+            tally.rejected.update(labels.counts())
         tally.samples += len(labels)
-        tally.rejected.update(labels.counts())
         tally.horizon = labels.horizon
-        rows = np.flatnonzero(labels.accepted)
+        rows = np.flatnonzero(accepted)
         if not len(rows):
             return CellChange((), 0)
         begin = self._cells.base[-1] - tally.start_time
-        outcome = self._cells._offer(labels, rows, len(self._sources), begin)
+        numbers = grid.pack(index[rows])
+        outcome = self._cells._offer(labels, rows, numbers, len(self._sources), begin)
         tally.accepted += len(rows)
         tally.insertions += int(np.count_nonzero(outcome == 1))
         tally.replacements += int(np.count_nonzero(outcome == 2))
-        tally.rejected[Reason.GAIN.word] += int(np.count_nonzero(outcome == 0))
-        taken = rows[outcome > 0]
-        numbers = self.header.grid.pack(self.header.grid.index(labels.z[taken])[0]) if len(taken) else ()
-        changed = tuple(dict.fromkeys(self._cells.position[int(number)] for number in numbers))
-        return CellChange(changed, len(taken))
+        tally.rejected[_TOO_LITTLE] += int(np.count_nonzero(outcome == 0))
+        taken = numbers[outcome > 0].tolist()
+        return CellChange(tuple(dict.fromkeys(self._cells.position[number] for number in taken)), len(taken))
 
     def end_drive(self, duration: float, sha256: str = "") -> TrainingSet:
         """End the drive and return the set as it is now."""

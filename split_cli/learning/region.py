@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -98,13 +99,18 @@ class Grid:
         """Bits of a cell number each feature's index takes."""
         return 62 // len(self.edges)
 
-    @property
+    @cached_property
+    def _arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Edges and bounds, shape (D,) each: asked for with every sample while driving."""
+        return np.array(self.edges), np.array(self.lower), np.array(self.upper)
+
+    @cached_property
     def first(self) -> np.ndarray:
         """Index of each feature's first cell, shape (D,); minus infinity where there is no bound."""
         index: np.ndarray = np.floor(np.array(self.lower) / np.array(self.edges) + 1e-9)
         return index
 
-    @property
+    @cached_property
     def last(self) -> np.ndarray:
         """Index of each feature's last cell, shape (D,); infinity where there is no bound."""
         index: np.ndarray = np.ceil(np.array(self.upper) / np.array(self.edges) - 1e-9) - 1.0
@@ -113,14 +119,15 @@ class Grid:
     def index(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the cell index a feature, int64 shape (N, D), and whether the sample has a cell, shape (N,)."""
         z = np.asarray(z, dtype=float)
-        edges, lower, upper = np.array(self.edges), np.array(self.lower), np.array(self.upper)
+        edges, lower, upper = self._arrays
         half = 1 << (self.bits - 1)
         with np.errstate(invalid="ignore"):
             position = np.floor(z / edges)
             # A value on the upper bound belongs to the cell below it: the last cell is closed. At the lower bound
             # the division may round into a cell that is not there.
-            position = np.where((z >= lower) & (z <= upper), np.clip(position, self.first, self.last), position)
-            valid = ((z >= lower) & (z <= upper) & (np.abs(position) < half)).all(axis=1)
+            within = (z >= lower) & (z <= upper)
+            position = np.where(within, np.minimum(np.maximum(position, self.first), self.last), position)
+            valid = (within & (np.abs(position) < half)).all(axis=1)
         index = np.where(valid[:, None], position, 0.0).astype(np.int64)
         return index, valid
 

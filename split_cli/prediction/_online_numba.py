@@ -1,4 +1,4 @@
-"""The committee over cells of fixed room, compiled: mean, variance and the mean's Jacobian in one visit."""
+"""The committee over cells of fixed room, compiled: a cell's decomposition, and all answers in one visit."""
 
 from __future__ import annotations
 
@@ -7,9 +7,47 @@ from numpy import ndarray
 
 from split_cli.compiled_code import compiled
 
-__all__ = ["committee"]
+__all__ = ["committee", "decompose"]
 
 _FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
+
+
+@compiled(cache=True)
+def decompose(
+    cell: int,
+    z: ndarray,
+    y: ndarray,
+    scales: ndarray,
+    ratio: ndarray,
+    points: ndarray,
+    turned: ndarray,
+    gains: ndarray,
+    vectors: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+) -> None:
+    """Write what `committee` needs of a cell with points `z` (n, D) and labels `y` (n, 3) into the row `cell`.
+
+    C = V diag(lambda) V^T of the correlations between points, gains 1/(lambda + rho) and V^T y times them.
+    """
+    n, D = z.shape
+    own = z / scales
+    correlations = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            squared = 0.0
+            for d in range(D):
+                squared += (own[i, d] - own[j, d]) ** 2
+            correlations[i, j] = np.exp(-0.5 * squared)
+    values, columns = np.linalg.eigh(correlations)
+    for d in range(D):
+        lower[cell, d], upper[cell, d] = own[:, d].min(), own[:, d].max()
+    for e in range(n):
+        points[cell, e], vectors[cell, e, :n] = own[e], columns[e]
+        for o in range(3):
+            # A kernel matrix has no negative eigenvalue; below zero is rounding.
+            gains[cell, e, o] = 1.0 / (max(values[e], 0.0) + ratio[o])
+            turned[cell, e, o] = (columns[:, e] * y[:, o]).sum() * gains[cell, e, o]
 
 
 @compiled(cache=True, fastmath=_FASTMATH)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from split_cli.learning.online import OnlineSet
-from split_cli.prediction._online_numba import committee
+from split_cli.prediction._online_numba import committee, decompose
 
 __all__ = ["OnlineCommittee"]
 
@@ -39,6 +39,7 @@ class OnlineCommittee:
         header = online.header
         self.kernel = header.kernel
         self.width, self.capacity = len(header.features.names), header.capacity
+        self.scales = np.ascontiguousarray(self.kernel.length_scales, dtype=float)
         self.ratio = np.ascontiguousarray(self.kernel.noise_variance / self.kernel.signal_variance)
         self.reach = -2.0 * float(np.log(neglect))
         self.cells = 0
@@ -68,15 +69,11 @@ class OnlineCommittee:
         self.cells = max(self.cells, needed)
         for position in positions:
             z, y = self.online.cell(position)
-            n = len(z)
-            points = z / self.kernel.length_scales
-            squared = np.square(points[:, None, :] - points[None, :, :]).sum(axis=-1)
-            values, columns = np.linalg.eigh(np.exp(-0.5 * squared))
-            damped = np.maximum(values, 0.0)[:, None] + self.ratio
-            self.count[position] = n
-            self.points[position, :n], self.vectors[position, :n, :n] = points, columns
-            self.gains[position, :n], self.turned[position, :n] = 1.0 / damped, (columns.T @ y) / damped
-            self.lower[position], self.upper[position] = points.min(axis=0), points.max(axis=0)
+            self.count[position] = len(z)
+            decompose(
+                position, z, y, self.scales, self.ratio, self.points, self.turned, self.gains, self.vectors,
+                self.lower, self.upper,
+            )  # fmt: skip
 
     def along(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mean (N, 3), latent variance (N, 3) and the mean's Jacobian (N, 3, D) at `z`, shape (N, D)."""
