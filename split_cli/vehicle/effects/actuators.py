@@ -28,7 +28,7 @@ _ZERO = "judgement: six degrees at the wheel, 90 at a steering wheel, would be s
 
 
 class DriveDelay(Delayed):
-    """Torque that arrives `delay` late: T(t - delay). Only a command can show it."""
+    """The torque arrives late by `delay`: T(t - delay). Only a logged command can show it."""
 
     id = "drive_delay"
     late_inputs = ("T",)
@@ -46,7 +46,7 @@ class DriveDelay(Delayed):
 
 
 class DriveGain(Term):
-    """Torque that arrives scaled: drive_gain T where T > 0, brake_gain T where T < 0."""
+    """The torque is scaled: drive_gain T where T > 0, brake_gain T where T < 0."""
 
     id = "drive_gain"
     units: ClassVar = {"drive_gain": "1", "brake_gain": "1"}
@@ -93,10 +93,11 @@ class DriveGain(Term):
 
 
 class DriveLag(Lagging):
-    """Torque that builds up: tau T' = T_command - T, steady at each start.
+    """The torque follows its command with a first-order lag: tau T' = T_command - T, steady at each start.
 
-    The variant ``along`` lets only the force along the car lag, F_x = (T - T_command)/r_e beside the plain model.
-    Training puts it into a set (scoring/torque_lag.py), whose lateral corrections are learned beside the command.
+    In the variant ``along`` only the longitudinal force lags: F_x = (T - T_command)/r_e is added to the plain
+    model. Training adds this variant to a set (scoring/torque_lag.py), because the lateral corrections of the
+    set are learned with the command.
     """
 
     id = "drive_lag"
@@ -131,7 +132,7 @@ class DriveLag(Lagging):
 
 
 class SteerDelay(Delayed):
-    """Steering that answers `delay` late: delta(t - delay)."""
+    """The steering responds late by `delay`: delta(t - delay)."""
 
     id = "steer_delay"
     late_inputs = ("delta",)
@@ -150,7 +151,7 @@ class SteerDelay(Delayed):
 
 
 class SteerGain(Term):
-    """A steering ratio off its nominal: gain delta."""
+    """The steering ratio differs from the nominal one: gain delta."""
 
     id = "steer_gain"
     through_tires: ClassVar = True
@@ -179,10 +180,10 @@ class SteerGain(Term):
 
 
 class SteerBacklash(Term):
-    """Play between command and wheel, of total `width`: the wheel keeps its angle until it is pushed or pulled.
+    """The steering has play of total `width`: the wheel keeps its angle until it is pushed or pulled.
 
-    As a differential equation the wheel is drawn to the edge of the play at 200 1/s; along a recording the exact
-    play operator is used, centred at each start.
+    As a differential equation, the wheel is drawn to the edge of the play at 200 1/s. Along a recording the
+    exact play operator is used, centred at each start.
     """
 
     id = "steer_backlash"
@@ -217,7 +218,10 @@ class SteerBacklash(Term):
 
 
 class SteerLag(Lagging):
-    """Steering that builds up: tau delta' = delta_command - delta, steady at each start."""
+    """The steering follows its command with a first-order lag: tau delta' = delta_command - delta.
+
+    The lag is steady at each start.
+    """
 
     id = "steer_lag"
     through_tires: ClassVar = True
@@ -242,7 +246,7 @@ class SteerLag(Lagging):
 
 
 class SteerOffset(Term):
-    """A steering zero off its place: delta + offset, after all else in the actuator."""
+    """The steering has a zero offset: delta + offset, applied after all other actuator terms."""
 
     id = "steer_offset"
     units: ClassVar = {"offset": "rad"}

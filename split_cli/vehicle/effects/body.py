@@ -57,11 +57,13 @@ def least_mass(vehicle: Vehicle) -> float:
 
 
 class Mass(Term):
-    """A heavier or lighter car: m scale.
+    """The car is heavier or lighter: m scale.
 
-    Variants: the axles' capacity D and their rolling resistance stay (default), or follow the load, in proportion
-    (``loaded``) or degressively (``degressive``, as in `load_transfer`).
-    Only forces over m and I_z are seen, so the same motion has another reading, below.
+    Variants: the axles' capacity D and their rolling resistance stay (default), follow the load in proportion
+    (``loaded``), or follow it degressively (``degressive``, as in `load_transfer`).
+
+    Only forces divided by m and I_z are observable, so other terms together can explain the same motion; see
+    below.
     """
 
     id = "mass"
@@ -108,7 +110,7 @@ class Mass(Term):
 
 
 class YawInertia(Term):
-    """Another yaw inertia: I_z scale. Seen in transients only."""
+    """The yaw inertia differs: I_z scale. The effect shows in transients only."""
 
     id = "yaw_inertia"
     units: ClassVar = {"scale": "1"}
@@ -138,9 +140,10 @@ class YawInertia(Term):
 
 
 class CgShift(Term):
-    """A centre of gravity dx further forward: l_f - dx, l_r + dx; the recording stays at the true one.
+    """The centre of gravity lies dx further forward: l_f - dx, l_r + dx. The recording refers to the true one.
 
-    Variants: D stays (default), or follows the static loads, in proportion (``loaded``) or degressively.
+    Variants: D stays (default), or follows the static loads in proportion (``loaded``) or degressively
+    (``degressive``).
     """
 
     id = "cg_shift"

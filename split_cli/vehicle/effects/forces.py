@@ -20,7 +20,7 @@ _STORM = "judgement: 30 m/s for a full-size car, a violent storm, in which nobod
 
 
 class AeroDrag(Term):
-    """Drag beyond the nominal: F_x gains -drag v_x^2.
+    """The drag is larger than the nominal one: F_x gains -drag v_x^2.
 
     Source: any text on vehicle dynamics, for example Rajamani (2012), section 4.1.1.
     """
@@ -59,10 +59,11 @@ class AeroDrag(Term):
 
 
 class RollingResistance(Term):
-    """A constant force against the wheels' rolling, shared by the axles as their static loads.
+    """A constant force opposes the wheels' rolling, shared by the axles like their static loads.
 
-    The front one's share points along its wheels, as the nominal resistance does, and turns the car a little less.
-    Vehicles drive forward here, so its sign is fixed. Source: Rajamani (2012), section 4.1.2.
+    The front share points along the front wheels, as the nominal resistance does, and so slightly reduces
+    turning. Vehicles only drive forward here, so the sign of the force is fixed. Source: Rajamani (2012),
+    section 4.1.2.
     """
 
     id = "rolling_resistance"
@@ -101,14 +102,17 @@ class RollingResistance(Term):
 
 
 class YawMomentDifferential(Term):
-    """A locked axle drags its wheels at different speeds and resists turning: M_z gains -yaw_damping r.
+    """A locked axle forces its wheels to equal speeds and resists turning: M_z gains -yaw_damping r.
 
-    The wheels' slips are -+ r w/(2 v_x) and saturate like any tyre's; the term is the linear part. Variant
-    ``driven``: under the same force the inner wheel, which carries less, slips more, and what is dragged is what
-    that leaves of the difference of speeds: r - v_x (F_x/F_z) (a_y/g)/(4 L) in place of r, with F_x and F_z of the
-    driving axle. The quarter was fitted to two of the project's simulated cars (0.25 and 0.26); a car h high and w
-    wide on tyres of slip stiffness K F_z has 4 h L/(K w^2) for little load transfer, which is 0.11 and 0.17 for
-    these. Source: Milliken and Milliken (1995), chapter 20.
+    The wheels' slips are -+ r w/(2 v_x), with the track width w. They saturate like any tyre's slip; the term
+    is the linear part.
+
+    Variant ``driven``: the inner wheel carries less load and slips more under the same force. This reduces the
+    difference of the wheel speeds, so r - v_x (F_x/F_z) (a_y/g)/(4 L) replaces r, with F_x and F_z of the
+    driving axle. The factor 1/4 was fitted to two of the project's simulated cars (0.25 and 0.26). For small
+    load transfer, theory gives 4 h L/(K w^2) for a car with CG height h, track width w and tyres of slip
+    stiffness K F_z. That is 0.11 and 0.17 for these two cars. Source: Milliken and Milliken (1995), chapter
+    20.
     """
 
     id = "yaw_moment_differential"
@@ -154,11 +158,11 @@ class YawMomentDifferential(Term):
 
 
 class Wind(Term):
-    """Air that moves over the ground with (wx, wy) in X, Y; the car meets u = v - R(yaw)^T w.
+    """The air moves over the ground with (wx, wy) in X, Y; the car meets u = v - R(yaw)^T w.
 
-    F = -c |u| u per axis in place of the nominal drag, with the nominal C_w lengthwise. The side coefficient of
-    a body is several times C_w; the variants take 1 (default), 2.5 (``side``) and 6 (``broadside``) times.
-    Without nominal drag the term does nothing. Source: Hucho (1998), chapter 5.
+    F = -c |u| u per axis replaces the nominal drag. Lengthwise c is the nominal C_w. The side coefficient of a
+    body is several times C_w; the variants take 1 (default), 2.5 (``side``) and 6 (``broadside``) times.
+    Without nominal drag the term has no effect. Source: Hucho (1998), chapter 5.
     """
 
     id = "wind"

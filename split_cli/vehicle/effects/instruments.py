@@ -55,13 +55,16 @@ class _Instrument(Term):
 
 
 class VelocityBias(_Instrument):
-    """A recorded velocity that points beside the true one by an angle that changes in time.
+    """The recorded velocity deviates from the true direction by an angle that changes in time.
 
     Recorded v_y is v_y + angle(t) v_x to first order, counter-clockwise positive: the velocity is turned by
-    R(angle). By default the angle drifts, angle + drift (t - t_middle), `angle` its mean over the drive.
-    Variant ``step``: it is `angle` before the time `at` and `angle` + `step` after, as of an observer set anew.
-    A constant angle is `sensor_misalignment` with the opposite sign. Source: rotation; estimates of the slip angle
-    that integrate inertial sensors drift so (Bevly, Ryu and Gerdes, 2006). Witnesses: position and yaw.
+    R(angle). By default the angle drifts as angle + drift (t - t_middle), so that `angle` is its mean over the
+    drive. Variant ``step``: the angle is `angle` before the time `at` and `angle` + `step` after it, as if an
+    observer were reset.
+
+    A constant angle is `sensor_misalignment` with the opposite sign. Slip angle estimates that integrate
+    inertial sensors drift in this way (Bevly, Ryu and Gerdes, 2006). Redundant channels (witnesses): position
+    and yaw.
     """
 
     id = "velocity_bias"
@@ -119,12 +122,12 @@ class VelocityBias(_Instrument):
 
 
 class AccelerationBias(_Instrument):
-    """Accelerometers off zero: recorded a_x + ax, a_y + ay.
+    """The accelerometers have a zero offset: recorded a_x + ax, a_y + ay.
 
-    A mounting that is tilted by an angle measures g times it; so does a road that leans, which also moves the car.
-    Variants ``ax`` and ``ay`` have one of them, also where only one was recorded. Source: definition of specific
-    force. Witness: the recorded velocities, whose rates are a_x = v_x' - v_y r and
-    a_y = v_y' + v_x r.
+    A sensor that is tilted by an angle measures g times that angle. An inclined road causes the same reading,
+    but it also moves the car. Variants ``ax`` and ``ay`` have one offset only, also if only one channel was
+    recorded. Source: definition of specific force. Witness: the recorded velocities, since a_x = v_x' - v_y r
+    and a_y = v_y' + v_x r.
     """
 
     id = "acceleration_bias"
@@ -161,9 +164,9 @@ class AccelerationBias(_Instrument):
 
 
 class YawRateBias(_Instrument):
-    """A gyroscope off zero: recorded yaw rate r + r_0, with r_0 the parameter `r`.
+    """The gyroscope has a zero offset: recorded yaw rate r + r_0, with r_0 the parameter `r`.
 
-    Source: the usual model of a rate gyroscope. Witness: the turn of the recorded yaw angle.
+    Source: the usual model of a rate gyroscope. Witness: the rate of the recorded yaw angle.
     """
 
     id = "yaw_rate_bias"
@@ -219,10 +222,12 @@ class _Scale(_Instrument):
 
 
 class SpeedScale(_Scale):
-    """A speed out of scale: recorded v_x and v_y are `scale` times the true ones, as of one sensor for both.
+    """The recorded speed has a scale error: v_x and v_y are `scale` times the true ones.
 
-    Variant ``vx``: v_x alone, as by a worn wheel beside another source of v_y.
-    Source: v = omega r_e with a radius that is off. Witness: the way between positions.
+    By default one sensor measures both.
+
+    Variant ``vx``: v_x alone is scaled, as with a worn wheel and another source of v_y. Source: v = omega r_e
+    with a wrong radius. Witness: the distance between positions.
     """
 
     id = "speed_scale"
@@ -236,9 +241,9 @@ class SpeedScale(_Scale):
 
 
 class YawRateScale(_Scale):
-    """A yaw rate out of scale: the recorded one is `scale` times the true one.
+    """The recorded yaw rate has a scale error: it is `scale` times the true one.
 
-    Source: the usual model of a rate gyroscope. Witness: the turn of the recorded yaw angle.
+    Source: the usual model of a rate gyroscope. Witness: the rate of the recorded yaw angle.
     """
 
     id = "yaw_rate_scale"
@@ -248,12 +253,13 @@ class YawRateScale(_Scale):
 
 
 class ChannelDelay(_Instrument):
-    """One channel late against the others: its variant names it, the recorded one is that of `delay` before.
+    """One channel is late relative to the others by the parameter that has its name; the variant selects it.
 
-    Variant ``velocity`` has v_x and v_y late, as a satellite receiver makes them. The signal is late; noise stays
-    where it is. Source: a transport delay. Witnesses: yaw for r, position for the velocities, and accelerations
-    for either, since a_x = v_x' - v_y r and a_y = v_y' + v_x r hold in every car. Velocities that were derived
-    from position are late against nothing. All channels late together are `sensor_delay`.
+    In the variant ``velocity`` v_x and v_y are late, as from a satellite receiver. Only the signal is delayed;
+    the noise stays where it is. Source: a transport delay. Witnesses: yaw for r, position for the velocities,
+    and accelerations for both, since a_x = v_x' - v_y r and a_y = v_y' + v_x r hold for every car. Velocities
+    that were derived from position cannot be late relative to it. A delay of all channels together is
+    `sensor_delay`.
     """
 
     id = "channel_delay"

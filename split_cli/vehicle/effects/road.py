@@ -86,10 +86,10 @@ class _Incline(Term):
 
 
 class RoadGrade(_Incline):
-    """Gravity along the car, uphill positive: F_x gains -m g sin(angle(s)).
+    """The road has a grade, uphill positive: F_x gains -m g sin(angle(s)).
 
     Source: Rajamani (2012), equation 4.1. A constant angle is the same as rolling resistance and is never
-    claimed as a grade; the variants over s are.
+    reported as a grade; the variants over s are.
     """
 
     id = "road_grade"
@@ -123,7 +123,7 @@ class RoadGrade(_Incline):
 
 
 class RoadBank(_Incline):
-    """Gravity across the car, left side higher positive: v_y' gains -g sin(angle(s)).
+    """The road has a bank, left side higher positive: v_y' gains -g sin(angle(s)).
 
     Source: Rajamani (2012), equation 2.31, with the left side higher.
     """

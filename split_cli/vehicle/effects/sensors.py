@@ -27,7 +27,7 @@ _CRABS = 0.0087
 
 
 class SensorLeverArm(Term):
-    """A velocity sensor dx ahead of where it is said to be: recorded v_y = v_y + dx r."""
+    """The velocity sensor is mounted dx ahead of its stated position: recorded v_y = v_y + dx r."""
 
     id = "sensor_lever_arm"
     units: ClassVar = {"dx": "m"}
@@ -67,7 +67,7 @@ class SensorLeverArm(Term):
 
 
 class SensorMisalignment(Term):
-    """A velocity sensor turned counter-clockwise by `angle`: it records R(-angle) (v_x, v_y)."""
+    """The velocity sensor is turned counter-clockwise by `angle`: it records R(-angle) (v_x, v_y)."""
 
     id = "sensor_misalignment"
     units: ClassVar = {"angle": "rad"}
@@ -105,11 +105,11 @@ class SensorMisalignment(Term):
 
 
 class SensorDelay(Delayed):
-    """Every measured channel late against the commands by `delay`.
+    """Every measured channel is late by `delay` relative to the commands.
 
-    Either the recording is corrected (`correct` moves the measured channels earlier), or the model is evaluated
-    on the measured channels' clock (`actuate` takes commands as they were): never both. The second needs no
-    interpolation of noisy channels.
+    There are two ways to account for it, and only one is used at a time. Either the recording is corrected
+    (`correct` moves the measured channels earlier). Or the model is evaluated on the measured channels' clock
+    (`actuate` takes earlier commands). The second way needs no interpolation of noisy channels.
     """
 
     id = "sensor_delay"

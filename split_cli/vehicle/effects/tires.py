@@ -84,10 +84,10 @@ def _scale_grip(axle: AxleFlow, scale: Any, whole_curve: bool) -> None:
 
 
 class CombinedSlip(Term):
-    """A tyre that drives or brakes has less grip sideways: F_y sqrt(1 - strength (F_x/D)^2) per axle.
+    """An axle that drives or brakes has less lateral grip: F_y sqrt(1 - strength (F_x/D)^2) per axle.
 
-    Strength 1 is the friction ellipse with equal axes. Source: Pacejka (2012), section 3.2; Rajamani (2012),
-    section 13.5. F_x is the nominal longitudinal force of the axle.
+    Strength 1 is the friction ellipse with equal axes. F_x is the nominal longitudinal force of the axle.
+    Source: Pacejka (2012), section 3.2; Rajamani (2012), section 13.5.
     """
 
     id = "combined_slip"
@@ -134,9 +134,10 @@ class CombinedSlip(Term):
 
 
 class FrictionScale(Term):
-    """Grip of the whole road. Default: the peak, scale D sin(C atan(B alpha/scale)), which keeps the stiffness.
+    """The grip of the whole road differs: by default the peak, scale D sin(C atan(B alpha/scale)).
 
-    Variant ``curve`` scales the whole curve. Source: Pacejka (2012), section 4.3.1, the factor lambda_mu.
+    The default keeps the stiffness. Variant ``curve`` scales the whole curve. Source: Pacejka (2012), section
+    4.3.1, the factor lambda_mu.
     """
 
     id = "friction_scale"
@@ -173,7 +174,10 @@ class FrictionScale(Term):
 
 
 class FrictionPatch(Term):
-    """Grip on one stretch, [s_start, s_end), axle by axle as each gets there; variants as `friction_scale`."""
+    """The grip differs on one stretch, [s_start, s_end), for each axle while it is there.
+
+    The variants are those of `friction_scale`.
+    """
 
     id = "friction_patch"
     through_tires: ClassVar = True
@@ -213,10 +217,10 @@ class FrictionPatch(Term):
 
 
 class GripFade(Term):
-    """Grip that drifts with time: 1 - final_loss (1 - exp(-t/tau)), t from the drive's first sample.
+    """The grip changes with time: 1 - final_loss (1 - exp(-t/tau)), t from the drive's first sample.
 
-    A negative loss is grip that grows (tyres that warm up). When t stays short against tau only their ratio
-    is seen. Variants as `friction_scale`.
+    A negative loss is growing grip (tyres that warm up). If t stays short compared with tau, only the ratio of
+    final_loss to tau is observable. The variants are those of `friction_scale`.
     """
 
     id = "grip_fade"
@@ -261,9 +265,10 @@ class GripFade(Term):
 
 
 class TireRelaxation(Term):
-    """Lateral force builds up over distance: length F' = v_x (F_ss - F) per axle.
+    """The lateral force builds up over distance: length F' = v_x (F_ss - F) per axle.
 
-    Source: Pacejka (2012), section 5.4. It is a lag in distance: twice the speed, half the time.
+    The term is a lag in distance, so at twice the speed its time constant is half. Source: Pacejka (2012),
+    section 5.4.
     """
 
     id = "tire_relaxation"
@@ -308,12 +313,12 @@ class TireRelaxation(Term):
 
 
 class LoadTransfer(Term):
-    """Accelerating moves load to the rear: dF_z = m a_x h/L, and D follows load.
+    """Acceleration moves load to the rear axle: dF_z = m a_x h/L, and D follows the load.
 
-    `cg_height` is the total h. a_x is the plane's specific force from this same model's forces, with lateral
-    forces as they are before the transfer. Variants: ``peak`` keeps the stiffness and moves the peak
-    only; ``degressive`` moves the peak by the power 0.9 of the load and the stiffness by 0.5.
-    Source: Rajamani (2012), section 4.1.5 (longitudinal tyre load).
+    `cg_height` is the total height h. a_x is the specific force in the vehicle plane, from the forces of this
+    same model; the lateral forces in it are those before the transfer. Variants: ``peak`` keeps the stiffness
+    and scales the peak only; ``degressive`` scales the peak by the power 0.9 of the load and the stiffness by
+    the power 0.5. Source: Rajamani (2012), section 4.1.5 (longitudinal tyre load).
     """
 
     id = "load_transfer"
@@ -366,7 +371,7 @@ class LoadTransfer(Term):
 
 
 class TireStiffness(Term):
-    """Stiffness of an axle's tyres: B front_scale, B rear_scale; the peak stays."""
+    """The tyres of an axle have another stiffness: B front_scale, B rear_scale. The peak stays."""
 
     id = "tire_stiffness"
     through_tires: ClassVar = True
@@ -399,9 +404,10 @@ class TireStiffness(Term):
 
 
 class AeroDownforce(Term):
-    """Axle load that grows with speed: D (1 + c v_x^2/F_z,static), c `front` and `rear`; rolling resistance too.
+    """The axle load grows with speed: D (1 + c v_x^2/F_z,static), with c `front` and `rear`.
 
-    Source: Milliken and Milliken (1995), chapter 15. Variants as `load_transfer`.
+    The rolling resistance grows likewise. The variants are those of `load_transfer`. Source: Milliken and
+    Milliken (1995), chapter 15.
     """
 
     id = "aero_downforce"
