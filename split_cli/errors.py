@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Any
 
 __all__ = [
     "DriveError",
@@ -44,7 +45,7 @@ class SplitError(Exception):
         # One line on stderr, whatever a library's message or a file's name brought along.
         super().__init__(printable(" ".join(text.split("\n"))))
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[Any, ...]:
         """Rebuild from the parts: worker processes send errors back pickled."""
         return _rebuild, (type(self), self.what, self.where, self.advice)
 
@@ -92,8 +93,7 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     unfit = [c for c in set(text) if not c.isprintable()]
-    codes = {c: f"\\x{ord(c):02x}" if ord(c) < 256 else f"\\u{ord(c):04x}" for c in unfit}
-    return text.translate(str.maketrans(codes))
+    return text.translate({ord(c): f"\\x{ord(c):02x}" if ord(c) < 256 else f"\\u{ord(c):04x}" for c in unfit})
 
 
 def nearest_names(name: str, known: Iterable[str], count: int = 3) -> str:

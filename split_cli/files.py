@@ -11,8 +11,8 @@ import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from split_cli.errors import SplitError
 
@@ -130,7 +130,7 @@ def _swapped(temporary: Path, target: Path, produced: list[Path]) -> bool:
     except (OSError, AttributeError):
         return False
     here, flags = _AT_WORKING_FOLDER, ctypes.c_uint(_EXCHANGE)
-    return exchange(here, os.fsencode(temporary), here, os.fsencode(target), flags) == 0
+    return bool(exchange(here, os.fsencode(temporary), here, os.fsencode(target), flags) == 0)
 
 
 def _stands_in(folder: Path) -> bool:
@@ -270,7 +270,7 @@ def refuse_no_regular_file(path: str | os.PathLike[str], error: type[SplitError]
             raise error(f"is {kind}, a file was expected", where=str(path), advice="Save what it delivers first.")
 
 
-def open_to_read(path: str | os.PathLike[str], error: type[SplitError] = SplitError) -> BinaryIO:
+def open_to_read(path: str | os.PathLike[str], error: type[SplitError] = SplitError) -> BufferedReader:
     """Open a regular file for reading bytes; see `refuse_no_regular_file`."""
     refuse_no_regular_file(path, error)
     return open(path, "rb")
