@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from split_cli.diagnosis.search.exchange import merged, said_of, split
+from split_cli.diagnosis.search.exchange import joined, merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing, select_terms
@@ -50,6 +50,15 @@ def test_a_peak_and_both_stiffnesses_merge_into_a_curve():
     assert said_of(both, found) == "another variant in place of tire_stiffness"
     alone = select_terms(objective, explore.candidates, VARIANCE_INFLATION)
     assert [term.id for term in alone.terms] == ["friction_scale"]
+
+
+def test_steering_and_torque_late_by_the_same_join_into_late_sensors_and_by_unlike_do_not():
+    for steer, found_terms in ((0.08, {"sensor_delay"}), (0.02, None)):
+        late_inputs = {"steer": partial(behind, delay=steer), "torque": partial(behind, delay=0.08)}
+        explore = explorer(noisy_objective(driven(21, **late_inputs), 5), *ACTUATORS)
+        both = fitted(explore, steer_delay={"delay": steer}, drive_delay={"delay": 0.08})
+        found = joined(explore, nothing(explore.objective), both, (True, True))
+        assert (set(found.names) if found else None) == found_terms
 
 
 def test_late_sensors_split_into_a_lag_and_a_delay_where_that_is_what_acts():

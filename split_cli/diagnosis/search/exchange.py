@@ -8,10 +8,10 @@ from itertools import product
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
-from split_cli.diagnosis.statement.separation import look_alike
+from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["merged", "said_of", "split"]
+__all__ = ["joined", "merged", "said_of", "split"]
 
 
 def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
@@ -31,6 +31,24 @@ def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> 
                 fit = fit_parts(explore.objective, (*others, Part(sibling, dict(kept.values))))
                 if explore.price(fit) < least:
                     best, least = fit, explore.price(fit)
+    return best
+
+
+def joined(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
+    """Return the best explanation with two parts replaced by the one term that is both, where that is no dearer.
+
+    Steering and torque that are late by the same are sensors that are late.
+    """
+    best, least = None, explore.price(chosen)
+    for one in explore.candidates:
+        pairs = {frozenset(terms.split("+")) for terms in exact_mimics(one.term, one.variant) if "+" in terms}
+        own = [part for part in chosen.parts if any(part.candidate.term in pair for pair in pairs)]
+        if not one.starts or frozenset(part.candidate.term for part in own) not in pairs:
+            continue
+        others = [part for part in chosen.parts if part not in own]
+        fit = fit_parts(explore.objective, (*others, Part(one, nearest_start(one, own[0]))))
+        if explore.price(fit) < least:
+            best, least = fit, explore.price(fit)
     return best
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.exchange import merged, said_of, split
+from split_cli.diagnosis.search.exchange import joined, merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
@@ -46,6 +46,8 @@ __all__ = [
     "with_chosen",
     "without_parts",
 ]
+
+_FEW = 3  # names, up to which terms added one at a time are not tried against all at once unless something is left
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,8 @@ def select_terms(
     """Add the term that saves most while one earns its price, then drop those that no longer do.
 
     Where the best first term leaves something, the search begins anew from the next best: two terms together may
-    be one that is not the best alone. Where that something has structure, all terms are fitted at once before.
+    be one that is not the best alone. Where that something has structure, all terms are fitted at once before; and
+    where many have been added, which may leave nothing and yet stand for few that are not among them.
 
     Parameters
     ----------
@@ -145,7 +148,8 @@ def select_terms(
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
     jointly = None
-    if found.left_something and leaves_structure(found.with_what_matters(base, rules)):
+    many = found.names > _FEW
+    if many or (found.left_something and leaves_structure(found.with_what_matters(base, rules))):
         jointly = _all_at_once(explore, base, found.with_what_matters(base, rules))
     if jointly is not None:
         chosen, history = jointly, [*found.history, f"all at once: {said_of(found.chosen, jointly)}"]
@@ -222,7 +226,7 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
             break
         history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
         selection, exchanged = _examined(explore, base, better.fit), True
-    for move in (merged, split):
+    for move in (merged, joined, split):
         other = move(explore, selection.base, selection.chosen, selection.named)
         if other is not None:
             history.append(said_of(selection.chosen, other))
