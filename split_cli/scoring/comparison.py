@@ -142,14 +142,17 @@ def _ratio(draws: Mapping[str, np.ndarray], name: str, other: str) -> tuple[np.n
 def _ends(values: np.ndarray) -> np.ndarray:
     if not np.isfinite(values).all():
         return np.full((2, *values.shape[1:]), np.nan)
-    return np.percentile(values, _INTERVAL, axis=0)
+    ends: np.ndarray = np.percentile(values, _INTERVAL, axis=0)
+    return ends
 
 
 def _rank_at(one: RunErrors) -> list[ModelScore]:
     draws = _draws(one)
     count = draws["count"]
     rmse = {name: np.sqrt(draws[name] / count[:, None]) for name in one.errors}
-    best = [min(one.errors, key=lambda name, k=k: rmse[name][0, k]) for k in range(3)]
+    names = list(one.errors)
+    least = [[float(rmse[name][0, k]) for name in names] for k in range(3)]
+    best = [names[min(range(len(names)), key=sizes.__getitem__)] for sizes in least]
     with np.errstate(divide="ignore", invalid="ignore"):
         total = {name: np.sqrt(draws[name] / draws[""]).mean(axis=1) for name in one.errors}
     first = min(total, key=lambda name: total[name][0])

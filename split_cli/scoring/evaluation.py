@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +17,9 @@ from split_cli.scoring.noise import NoiseFloor, noise_floor
 from split_cli.scoring.persistence import label_persistence_errors, velocity_persistence_errors
 from split_cli.scoring.rollouts import (
     Correction,
-    RolloutSums,
     hold_velocity,
     roll_out,
     rollout_starts,
-    score_rollouts,
 )
 from split_cli.scoring.splits import BlockSplit
 from split_cli.vehicle.single_track import SingleTrack
@@ -35,7 +34,6 @@ __all__ = [
     "baseline_tallies",
     "pooled_noise_floor",
     "predictor_tally",
-    "rollout_sums",
     "rollout_trajectories",
     "score",
 ]
@@ -88,11 +86,11 @@ class ScoreTally:
         return cls(ErrorSums.of(errors), ErrorSums.of(errors[valid]), probability)
 
     def __add__(self, other: ScoreTally) -> ScoreTally:
-        both = self.probability is not None and other.probability is not None
+        mine, theirs = self.probability, other.probability
         return ScoreTally(
             self.everywhere + other.everywhere,
             self.valid + other.valid,
-            self.probability + other.probability if both else None,
+            None if mine is None or theirs is None else mine + theirs,
         )
 
 
@@ -176,7 +174,7 @@ def predictor_tally(held: HeldOutSamples, predictor: Predictor) -> tuple[ScoreTa
     return ScoreTally.of(tested.y - prediction.mean, tested.accepted, prediction.variance + noise), prediction
 
 
-def score(name: str, tally: ScoreTally, baselines: dict[str, ScoreTally], **known: object) -> Score:
+def score(name: str, tally: ScoreTally, baselines: dict[str, ScoreTally], **known: Any) -> Score:
     """Turn sums into figures of merit; `known` fills the other fields of `Score`."""
     errors, valid, probability = tally.everywhere, tally.valid, tally.probability
     return Score(
@@ -210,20 +208,6 @@ def pooled_noise_floor(model: SingleTrack, drives: Sequence[HeldOutSamples]) -> 
         squares += len(tested) * floor.rms**2
         count += len(tested)
     return NoiseFloor(np.sqrt(squares / count), "; ".join(notes)) if count else NoiseFloor(None, "no test samples")
-
-
-def rollout_sums(
-    held: HeldOutSamples,
-    model: SingleTrack,
-    predictors: dict[tuple[str, str], tuple[HeldOutSamples, Predictor]],
-    steps: int,
-) -> dict[tuple[str, str], RolloutSums]:
-    """Roll out every contestant from the same start points of a drive's test blocks, and sum the squared errors.
-
-    Parameters as of `rollout_trajectories`.
-    """
-    starts, trajectories = rollout_trajectories(held, model, predictors, steps)
-    return score_rollouts(held.drive, starts, held.labels.window, trajectories)
 
 
 def rollout_trajectories(

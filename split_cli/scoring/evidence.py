@@ -205,14 +205,15 @@ def _widen(test: np.ndarray, drive: Drive) -> np.ndarray:
     margin = int(np.ceil(_GUARD / drive.period))
     edges = np.concatenate([[0], np.cumsum(test)])
     rows = np.arange(len(test))
-    return edges[np.minimum(rows + margin + 1, len(test))] > edges[np.maximum(rows - margin, 0)]
+    near: np.ndarray = edges[np.minimum(rows + margin + 1, len(test))] > edges[np.maximum(rows - margin, 0)]
+    return near
 
 
 def _conditions(drive: Drive, number: int, model: SingleTrack) -> np.ndarray:
     """Return the conditions of every row, shape (rows, C); means over an interval are taken by the caller."""
 
     def rate(name: str) -> np.ndarray:
-        change = np.abs(np.diff(drive[name], append=drive[name][-1])) / drive.period
+        change: np.ndarray = np.abs(np.diff(drive[name], append=drive[name][-1])) / drive.period
         change[np.append(np.diff(drive.segment) != 0, True)] = 0.0
         return change
 
@@ -220,13 +221,15 @@ def _conditions(drive: Drive, number: int, model: SingleTrack) -> np.ndarray:
         rate("T"), rate("delta"), drive["vx"], np.abs(drive["vx"] * drive["r"]), drive["T"], drive["t"],
         np.full(len(drive), float(number)),
     ]  # fmt: skip
-    return np.nan_to_num(np.stack(columns, axis=1))
+    conditions: np.ndarray = np.nan_to_num(np.stack(columns, axis=1))
+    return conditions
 
 
 def _means(values: np.ndarray, first: np.ndarray, length: int) -> np.ndarray:
     """Return the means of columns over `length` rows from each of `first`, shape (N, C)."""
     sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    return (sums[first + length] - sums[first]) / length
+    means: np.ndarray = (sums[first + length] - sums[first]) / length
+    return means
 
 
 def _one_step(held: _HeldOut) -> list[TrustEvidence]:
@@ -247,9 +250,9 @@ def _one_step(held: _HeldOut) -> list[TrustEvidence]:
         change = np.zeros((len(labels), 3))
         change[:, state] = told.mean[:, state]
         error, moved = labels.y[:, state], movement[:, state]
-        rest = (held.block[labels.row], situation, told.variance[:, state], rivals)
-        rest = (*rest, None if nominal is None else nominal[:, state])
-        found.append(TrustEvidence(state, 0.0, error, change, moved, *rest))
+        block, by_file = held.block[labels.row], None if nominal is None else nominal[:, state]
+        variance = told.variance[:, state]
+        found.append(TrustEvidence(state, 0.0, error, change, moved, block, situation, variance, rivals, by_file))
     return found
 
 
@@ -266,7 +269,8 @@ def _rivals(drive: Drive, labels: Labels) -> np.ndarray:
     columns = [drive[name][late] - drive[name][early]
                for name in ("T", "delta") for late, early in pairwise(edges)]  # fmt: skip
     speed = drive["vx"][labels.row]
-    return np.nan_to_num(np.stack([*columns, speed, speed**2], axis=1))
+    rivals: np.ndarray = np.nan_to_num(np.stack([*columns, speed, speed**2], axis=1))
+    return rivals
 
 
 def _rolled_out(held: _HeldOut) -> list[TrustEvidence]:

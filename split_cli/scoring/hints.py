@@ -73,7 +73,8 @@ def _missing(drive: Drive, used: Labels, vehicle: Vehicle, name: str, output: in
     state = [np.asarray(drive[channel], dtype=float)[first] for channel in ("vx", "vy", "r")]
     inputs = {channel: np.asarray(drive[channel], dtype=float) for channel in ("T", "delta")}
     change = (inputs[name][last] - inputs[name][first]) / used.horizon
-    return -_slope(SingleTrack(vehicle), state, inputs, first, name, output) * change
+    missing: np.ndarray = -_slope(SingleTrack(vehicle), state, inputs, first, name, output) * change
+    return missing
 
 
 def _late(missing: np.ndarray, y: np.ndarray) -> tuple[float, float, float] | None:
@@ -96,11 +97,13 @@ def _slope(
 ) -> np.ndarray:
     """Return the derivative of an output's rate by an input, shape (N,), by central differences."""
     step = 1e-4 if name == "delta" else 1e-4 * model.vehicle.max_torque
+    vx, vy, r = state
     ends = []
     for sign in (1.0, -1.0):
         at = {key: values[rows] + (sign * step if key == name else 0.0) for key, values in inputs.items()}
-        ends.append(SingleTrack(model.vehicle, ()).velocity_derivative(*state, at["T"], at["delta"])[output])
-    return (ends[0] - ends[1]) / (2.0 * step)
+        ends.append(SingleTrack(model.vehicle, ()).velocity_derivative(vx, vy, r, at["T"], at["delta"])[output])
+    slope: np.ndarray = (ends[0] - ends[1]) / (2.0 * step)
+    return slope
 
 
 def _fit(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,9 +100,10 @@ class ProbabilitySums:
         density = 0.5 * (normalised + np.log(2.0 * np.pi * variance)).sum(axis=0)
         standard = np.sqrt(normalised)
 
-        def inside(levels: np.ndarray) -> np.ndarray:
+        def inside(levels: Sequence[float] | np.ndarray) -> np.ndarray:
             bound = np.sqrt(2.0) * erfinv(np.asarray(levels))
-            return (standard[None] <= bound[:, None, None]).sum(axis=1).astype(float)
+            held: np.ndarray = np.sum(standard[None] <= bound[:, None, None], axis=1).astype(float)
+            return held
 
         return cls(density, inside(INTERVALS), inside(_LEVELS), int(finite.sum()))
 

@@ -14,6 +14,7 @@ from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = ["NoiseFloor", "fast_motion", "noise_floor"]
 
+Direction = np.ndarray | float
 _VELOCITIES = ("vx", "vy", "r")
 _INPUTS = ("T", "delta")
 _LABELS = (("v_x", "v_y", "r"), ("m/s^2", "m/s^2", "rad/s^2"))
@@ -135,7 +136,8 @@ def _propagate(gains: np.ndarray, noise: NoiseEstimate, at: np.ndarray) -> np.nd
     lag = np.abs(at[:, None] - at[None, :])
     known = np.asarray(noise.autocorrelation)
     correlation = np.where(lag < len(known), known[np.minimum(lag, len(known) - 1)], 0.0)
-    return noise.sigma**2 * np.einsum("nik,kl,njl->nij", gains, correlation, gains)
+    propagated: np.ndarray = (noise.sigma or 0.0) ** 2 * np.einsum("nik,kl,njl->nij", gains, correlation, gains)
+    return propagated
 
 
 def _flow_derivatives(
@@ -144,23 +146,24 @@ def _flow_derivatives(
     """Return the derivatives of f_h by state (N, 3, 3), and by the torque and steer samples (N, 3, K + 1)."""
     state = np.stack([drive[name][rows] for name in _VELOCITIES], axis=1)
     windows = inputs_along(model, drive).windows(rows, window)
-    inputs = {"T": windows.torque, "delta": windows.steer_angle}
     jacobian = windows.jacobian(model, state)
 
-    def flow(begin: np.ndarray, torque: np.ndarray, steer: np.ndarray) -> np.ndarray:
-        return replace(windows, torque=torque, steer_angle=steer).predict(model, begin, jacobian)
-
-    def slope(step: float, change: object) -> np.ndarray:
-        return (change(step) - change(-step)) / (2.0 * step)
+    def slope(step: float, of: Direction, of_torque: Direction, of_steer: Direction) -> np.ndarray:
+        """Return the derivative of f_h along a direction of state, torque and steer samples."""
+        ends = []
+        for sign in (1.0, -1.0):
+            torque = windows.torque + sign * step * of_torque
+            steer_angle = windows.steer_angle + sign * step * of_steer
+            moved = replace(windows, torque=torque, steer_angle=steer_angle)
+            ends.append(moved.predict(model, state + sign * step * of, jacobian))
+        along: np.ndarray = (ends[0] - ends[1]) / (2.0 * step)
+        return along
 
     by_state = np.empty((len(rows), 3, 3))
-    for i in range(3):
-        unit = np.eye(3)[i]
-        by_state[:, :, i] = slope(1e-5, lambda e, d=unit: flow(state + e * d, inputs["T"], inputs["delta"]))
+    for i, unit in enumerate(np.eye(3)):
+        by_state[:, :, i] = slope(1e-5, unit, 0.0, 0.0)
     by_torque, by_steer = np.empty((2, len(rows), 3, window + 1))
-    for k in range(window + 1):
-        unit = np.eye(window + 1)[k]
-        step = 1e-5 * model.vehicle.max_torque
-        by_torque[:, :, k] = slope(step, lambda e, d=unit: flow(state, inputs["T"] + e * d, inputs["delta"]))
-        by_steer[:, :, k] = slope(1e-6, lambda e, d=unit: flow(state, inputs["T"], inputs["delta"] + e * d))
+    for k, unit in enumerate(np.eye(window + 1)):
+        by_torque[:, :, k] = slope(1e-5 * model.vehicle.max_torque, 0.0, unit, 0.0)
+        by_steer[:, :, k] = slope(1e-6, 0.0, 0.0, unit)
     return by_state, by_torque, by_steer

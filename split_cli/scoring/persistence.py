@@ -55,6 +55,6 @@ def label_persistence_errors(labels: Labels) -> np.ndarray:
     latest = np.searchsorted(labels.row, labels.row - labels.window, side="right") - 1
     known = latest >= 0
     known &= labels.segment[np.maximum(latest, 0)] == labels.segment
-    errors = labels.y - labels.y[np.maximum(latest, 0)]
+    errors: np.ndarray = labels.y - labels.y[np.maximum(latest, 0)]
     errors[~known] = np.nan
     return errors

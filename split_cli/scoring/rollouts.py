@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import RecordedInputs
 
 __all__ = ["Correction", "RolloutSums", "hold_velocity", "roll_out", "rollout_starts", "score_rollouts"]
+
+Model = TypeVar("Model", bound=Hashable)
 
 _MOST_STARTS = 200
 _MOST_SUBSTEPS = 50  # a sample; a rollout that needs more is leaving the finite numbers
@@ -89,7 +92,7 @@ def rollout_starts(
     """
     fit = rows & (drive["vx"] > minimum_speed)
     blocked = np.concatenate([[0], np.cumsum(~fit)])
-    starts = np.arange(max(len(drive) - length, 0))
+    starts: np.ndarray = np.arange(max(len(drive) - length, 0))
     starts = starts[(blocked[starts + length + 1] == blocked[starts])]
     starts = starts[drive.segment[starts + length] == drive.segment[starts]]
     if len(starts) > most:
@@ -178,8 +181,8 @@ def hold_velocity(drive: Drive, starts: np.ndarray, steps: int, window: int) -> 
 
 
 def score_rollouts(
-    drive: Drive, starts: np.ndarray, window: int, trajectories: Mapping[Hashable, np.ndarray]
-) -> dict[Hashable, RolloutSums]:
+    drive: Drive, starts: np.ndarray, window: int, trajectories: Mapping[Model, np.ndarray]
+) -> dict[Model, RolloutSums]:
     """Compare rollouts with the recording; start points where any model diverged count for none.
 
     Parameters

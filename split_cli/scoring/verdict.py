@@ -97,7 +97,8 @@ def number_blocks(time: np.ndarray, segment: np.ndarray, first: int = 0) -> np.n
     driven = np.concatenate([[0.0], np.cumsum(np.where(np.diff(segment) == 0, np.diff(time), 0.0))])
     length = max(_BLOCK_SECONDS, driven[-1] / _MOST_BLOCKS)
     count = max(1, int(driven[-1] / length))
-    return first + np.minimum((driven / max(driven[-1], 1e-9) * count).astype(np.int64), count - 1)
+    block: np.ndarray = first + np.minimum((driven / max(driven[-1], 1e-9) * count).astype(np.int64), count - 1)
+    return block
 
 
 def compare(name: str, features: str, parts: Sequence[BlockErrors], seed: int = 0) -> tuple[Comparison, ...]:
@@ -143,8 +144,8 @@ def compare(name: str, features: str, parts: Sequence[BlockErrors], seed: int = 
                 else (_divide(rmse[0, state], rmse[other, state]), float("nan"), float("nan"))
                 for other in (1, 2)
             ]
-            values = (float(value) for value in rmse[:, state])
-            found.append(Comparison(name, features, label, horizon, len(numbers), *values, *ratios))
+            ours, of_file, of_held = (float(value) for value in rmse[:, state])
+            found.append(Comparison(name, features, label, horizon, len(numbers), ours, of_file, of_held, *ratios))
     return tuple(found)
 
 
@@ -261,7 +262,7 @@ def rollout_errors(
     step = max(1, round(horizon / held.labels.horizon))
     rows = starts + step * window
     truth = np.stack([held.drive[name][rows] for name in ("vx", "vy", "r")], axis=1)
-    errors = [
+    ours, of_file, of_held = (
         truth - trajectories[name][:, step - 1, -3:] for name in (key, (NOMINAL, ""), (VELOCITY_PERSISTENCE, ""))
-    ]
-    return BlockErrors(horizon, *errors, block[starts])
+    )
+    return BlockErrors(horizon, ours, of_file, of_held, block[starts])

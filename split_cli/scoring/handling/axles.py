@@ -70,7 +70,8 @@ def axle_forces(drive: Drive, vehicle: Vehicle, labels: Labels | None = None) ->
 def force_deviation(vehicle: Vehicle, prediction: Prediction) -> np.ndarray:
     """Return the standard deviation of a predicted residual as forces [N], shape (N, 3)."""
     matrix = np.linalg.inv(vehicle.force_matrix())
-    return np.sqrt(prediction.variance @ (matrix**2).T)
+    deviation: np.ndarray = np.sqrt(prediction.variance @ (matrix**2).T)
+    return deviation
 
 
 def binned(

@@ -42,7 +42,8 @@ def lateral_acceleration(drive: Drive) -> np.ndarray:
     """Return a_y at the CG [m/s^2], shape (N,): recorded, else v_y' + v_x r."""
     if "ay" in drive:
         return drive["ay"]
-    return derivative(drive["vy"], drive) + drive["vx"] * drive["r"]
+    lateral: np.ndarray = derivative(drive["vy"], drive) + drive["vx"] * drive["r"]
+    return lateral
 
 
 def distance(drive: Drive) -> np.ndarray:

@@ -57,8 +57,8 @@ def steering_response(drive: Drive, minimum_speed: float = 0.0) -> SteeringRespo
     """
     length = round(WINDOW / drive.period)
     window = np.hanning(length + 1)[:-1]
-    power_in = power_out = cross = 0.0
-    count = 0
+    power_in, power_out = np.zeros((2, length // 2 + 1))
+    cross, count = np.zeros(length // 2 + 1, dtype=complex), 0
     for run in drive.segments():
         for begin in range(run.start, run.stop - length + 1, max(1, length // 2)):
             part = slice(begin, begin + length)

@@ -84,10 +84,10 @@ def understeer_of(drive: Drive, vehicle: Vehicle) -> Understeer | None:
     """
     grip = (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
     limit = min(_LINEAR, _OF_GRIP * grip)
-    channels = (drive[name] for name in ("vx", "vy", "r", "delta"))
+    vx, vy, r, delta = (drive[name] for name in ("vx", "vy", "r", "delta"))
     with np.errstate(divide="ignore", invalid="ignore"):
-        front, rear = slip_angles(*channels, vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle)
-        kinematic = vehicle.wheelbase * drive["r"] / drive["vx"]
+        front, rear = slip_angles(vx, vy, r, delta, vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle)
+        kinematic = vehicle.wheelbase * r / vx
     # One filter for all: a relation that holds for signals holds for signals filtered alike.
     smooth = _Smooth(drive)
     a_y = smooth.rate(drive["vy"]) + smooth(drive["vx"] * drive["r"])
@@ -155,7 +155,8 @@ def _regress(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> tupl
 
     def solve(weights: np.ndarray) -> np.ndarray:
         matrix = (weights @ gram).reshape(width, width)
-        return np.linalg.lstsq(matrix, weights @ right, rcond=1e-10)[0] / scale
+        solution: np.ndarray = np.linalg.lstsq(matrix, weights @ right, rcond=1e-10)[0] / scale
+        return solution
 
     best = solve(np.ones(blocks))
     spread = float(np.std([solve(weights)[0] for weights in drawn])) * np.sqrt(blocks / max(blocks - 1, 1))
