@@ -158,18 +158,9 @@ def _solve(a: ndarray, b0: float, b1: float, b2: float) -> tuple[float, float, f
 
 @compiled(cache=True)
 def window_errors(
-    vx: ndarray,
-    vy: ndarray,
-    r: ndarray,
-    T: ndarray,
-    delta: ndarray,
-    starts: ndarray,
-    window: int,
-    period: float,
-    p: ndarray,
-    plain: bool,
-    run_on: ndarray,
-) -> ndarray:
+    vx: ndarray, vy: ndarray, r: ndarray, T: ndarray, delta: ndarray, starts: ndarray, window: int,
+    period: float, p: ndarray, plain: bool, run_on: ndarray,
+) -> ndarray:  # fmt: skip
     """Return the labels y of windows, shape (N, 3); the compiled twin of labels._window_errors_reference.
 
     `run_on` is 1 for T and for delta where they run on to the next sample in a straight line, 0 where held.
@@ -283,14 +274,8 @@ def _least(gamma: ndarray, clock: ndarray, n: int, now: float, forgetting: float
 
 @compiled(cache=True)
 def _exceeds(
-    z: ndarray,
-    points: ndarray,
-    n: int,
-    inverse_scales: ndarray,
-    inverse: ndarray,
-    k: ndarray,
-    bound: float,
-) -> bool:
+    z: ndarray, points: ndarray, n: int, inverse_scales: ndarray, inverse: ndarray, k: ndarray, bound: float,
+) -> bool:  # fmt: skip
     """Return whether 1 - |L^-1 k|^2 exceeds `bound`.
 
     The sum of squares only grows, also in floating point, so a sample is turned away as soon as the partial sum
@@ -310,20 +295,10 @@ def _exceeds(
 
 @compiled(cache=True)
 def update_cells(
-    groups: ndarray,
-    cell_of_group: ndarray,
-    order: ndarray,
-    z_new: ndarray,
-    clock_new: ndarray,
-    inverse_scales: ndarray,
-    threshold: float,
-    forgetting: float,
-    count: ndarray,
-    z: ndarray,
-    gamma: ndarray,
-    clock: ndarray,
-    origin: ndarray,
-) -> tuple[ndarray, int, int]:
+    groups: ndarray, cell_of_group: ndarray, order: ndarray, z_new: ndarray, clock_new: ndarray,
+    inverse_scales: ndarray, threshold: float, forgetting: float, count: ndarray, z: ndarray, gamma: ndarray,
+    clock: ndarray, origin: ndarray,
+) -> tuple[ndarray, int, int]:  # fmt: skip
     """Offer samples to their cells, cell by cell, each cell's samples in their order.
 
     Parameters

@@ -39,23 +39,10 @@ def _correlations(z: ndarray, points: ndarray, begin: int, count: int, c: ndarra
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def _predict_one(
-    z: ndarray,
-    points: ndarray,
-    turned: ndarray,
-    gains: ndarray,
-    vectors: ndarray,
-    offsets: ndarray,
-    vector_offsets: ndarray,
-    lower: ndarray,
-    upper: ndarray,
-    reach: ndarray,
-    floor: ndarray,
-    robust: bool,
-    c: ndarray,
-    t: ndarray,
-    mean: ndarray,
-    spread: ndarray,
-) -> None:
+    z: ndarray, points: ndarray, turned: ndarray, gains: ndarray, vectors: ndarray, offsets: ndarray,
+    vector_offsets: ndarray, lower: ndarray, upper: ndarray, reach: ndarray, floor: ndarray, robust: bool,
+    c: ndarray, t: ndarray, mean: ndarray, spread: ndarray,
+) -> None:  # fmt: skip
     """Fill `mean` with Sum mu/(1-p) / precision and `spread` with 1/precision, both over the three outputs."""
     n0 = n1 = n2 = 0.0
     d0 = d1 = d2 = 1.0
@@ -106,104 +93,46 @@ def _predict_one(
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def predict(
-    z: ndarray,
-    points: ndarray,
-    turned: ndarray,
-    gains: ndarray,
-    vectors: ndarray,
-    offsets: ndarray,
-    vector_offsets: ndarray,
-    lower: ndarray,
-    upper: ndarray,
-    reach: ndarray,
-    floor: ndarray,
-    robust: bool,
+    z: ndarray, points: ndarray, turned: ndarray, gains: ndarray, vectors: ndarray, offsets: ndarray,
+    vector_offsets: ndarray, lower: ndarray, upper: ndarray, reach: ndarray, floor: ndarray, robust: bool,
     capacity: int,
-) -> tuple[ndarray, ndarray]:
+) -> tuple[ndarray, ndarray]:  # fmt: skip
     """Return mean (N, 3) and variance in units of the signal variance (N, 3), one thread."""
     mean = np.empty((z.shape[0], 3))
     spread = np.empty((z.shape[0], 3))
     c, t = np.empty(capacity), np.empty(capacity)
     for i in range(z.shape[0]):
         _predict_one(
-            z[i],
-            points,
-            turned,
-            gains,
-            vectors,
-            offsets,
-            vector_offsets,
-            lower,
-            upper,
-            reach,
-            floor,
-            robust,
-            c,
-            t,
-            mean[i],
-            spread[i],
-        )
+            z[i], points, turned, gains, vectors, offsets, vector_offsets, lower, upper, reach, floor, robust,
+            c, t, mean[i], spread[i],
+        )  # fmt: skip
     return mean, spread
 
 
 @compiled(cache=True, fastmath=_FASTMATH, parallel=True)
 def predict_parallel(
-    z: ndarray,
-    points: ndarray,
-    turned: ndarray,
-    gains: ndarray,
-    vectors: ndarray,
-    offsets: ndarray,
-    vector_offsets: ndarray,
-    lower: ndarray,
-    upper: ndarray,
-    reach: ndarray,
-    floor: ndarray,
-    robust: bool,
+    z: ndarray, points: ndarray, turned: ndarray, gains: ndarray, vectors: ndarray, offsets: ndarray,
+    vector_offsets: ndarray, lower: ndarray, upper: ndarray, reach: ndarray, floor: ndarray, robust: bool,
     capacity: int,
-) -> tuple[ndarray, ndarray]:
+) -> tuple[ndarray, ndarray]:  # fmt: skip
     """`predict` with the queries shared out over threads; the same bits, since a query is never split."""
     mean = np.empty((z.shape[0], 3))
     spread = np.empty((z.shape[0], 3))
     for i in numba.prange(z.shape[0]):
         c, t = np.empty(capacity), np.empty(capacity)
         _predict_one(
-            z[i],
-            points,
-            turned,
-            gains,
-            vectors,
-            offsets,
-            vector_offsets,
-            lower,
-            upper,
-            reach,
-            floor,
-            robust,
-            c,
-            t,
-            mean[i],
-            spread[i],
-        )
+            z[i], points, turned, gains, vectors, offsets, vector_offsets, lower, upper, reach, floor, robust,
+            c, t, mean[i], spread[i],
+        )  # fmt: skip
     return mean, spread
 
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def jacobian(
-    z: ndarray,
-    points: ndarray,
-    turned: ndarray,
-    gains: ndarray,
-    vectors: ndarray,
-    offsets: ndarray,
-    vector_offsets: ndarray,
-    lower: ndarray,
-    upper: ndarray,
-    reach: ndarray,
-    floor: ndarray,
-    robust: bool,
+    z: ndarray, points: ndarray, turned: ndarray, gains: ndarray, vectors: ndarray, offsets: ndarray,
+    vector_offsets: ndarray, lower: ndarray, upper: ndarray, reach: ndarray, floor: ndarray, robust: bool,
     capacity: int,
-) -> ndarray:
+) -> ndarray:  # fmt: skip
     """Return the mean's Jacobian with respect to scaled features, (N, 3, D).
 
     mean = A/P with A = Sum b mu u, P = 1 + Sum b p u, u = 1/(1-p); b = 1 or, robust, log(u)/2, so that b' = u/2;
@@ -273,14 +202,9 @@ def jacobian(
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def weighted_sum(
-    z: ndarray,
-    points: ndarray,
-    weights: ndarray,
-    offsets: ndarray,
-    lower: ndarray,
-    upper: ndarray,
+    z: ndarray, points: ndarray, weights: ndarray, offsets: ndarray, lower: ndarray, upper: ndarray,
     reach: ndarray,
-) -> tuple[ndarray, ndarray]:
+) -> tuple[ndarray, ndarray]:  # fmt: skip
     """Return the sum of weights (P, 3) times correlations, (N, 3), and its slopes by scaled features."""
     features = z.shape[1]
     out, slope = np.zeros((z.shape[0], 3)), np.zeros((z.shape[0], 3, features))

@@ -14,18 +14,9 @@ _FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 
 @compiled(cache=True)
 def decompose(
-    cell: int,
-    z: ndarray,
-    y: ndarray,
-    scales: ndarray,
-    ratio: ndarray,
-    points: ndarray,
-    turned: ndarray,
-    gains: ndarray,
-    vectors: ndarray,
-    lower: ndarray,
-    upper: ndarray,
-) -> None:
+    cell: int, z: ndarray, y: ndarray, scales: ndarray, ratio: ndarray, points: ndarray, turned: ndarray,
+    gains: ndarray, vectors: ndarray, lower: ndarray, upper: ndarray,
+) -> None:  # fmt: skip
     """Write what `committee` needs of a cell with points `z` (n, D) and labels `y` (n, 3) into the row `cell`.
 
     C = V diag(lambda) V^T of the correlations between points, gains 1/(lambda + rho) and V^T y times them.
@@ -52,18 +43,9 @@ def decompose(
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def committee(
-    z: ndarray,
-    count: ndarray,
-    cells: int,
-    points: ndarray,
-    turned: ndarray,
-    gains: ndarray,
-    vectors: ndarray,
-    lower: ndarray,
-    upper: ndarray,
-    ratio: ndarray,
-    reach: float,
-) -> tuple[ndarray, ndarray, ndarray]:
+    z: ndarray, count: ndarray, cells: int, points: ndarray, turned: ndarray, gains: ndarray, vectors: ndarray,
+    lower: ndarray, upper: ndarray, ratio: ndarray, reach: float,
+) -> tuple[ndarray, ndarray, ndarray]:  # fmt: skip
     """Return mean (N, 3), variance over signal variance (N, 3) and Jacobian by scaled features (N, 3, D).
 
     As `_compiled.predict` and `_compiled.jacobian`, for arrays whose first axis are cells and whose second are
