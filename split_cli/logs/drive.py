@@ -238,6 +238,14 @@ def read_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
         what = "is a folder, a drive is a file" if path.is_dir() else "no such file"
         raise DriveError(what, where=str(path))
     try:
+        drive = _drive_from_table(_read_table(path), path)
+    except (UnicodeDecodeError, pa.ArrowException) as error:  # text is decoded when it is asked for
+        raise DriveError(f"is damaged ({str(error).splitlines()[0][:160]})", where=str(path)) from error
+    return drive.with_held(held) if held else drive
+
+
+def _read_table(path: Path) -> pa.Table:
+    try:
         if path.suffix.lower() == ".csv":
             table = pa.csv.read_csv(path)
         else:
@@ -251,24 +259,24 @@ def read_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
         ) from error
     if table.num_rows < 2:
         raise DriveError(f"holds {table.num_rows} samples", where=str(path), advice="A drive needs two or more.")
-    try:
-        drive = _drive_from_table(table, path)
-    except (UnicodeDecodeError, pa.ArrowException) as error:  # text is decoded when it is asked for
-        raise DriveError(f"is damaged ({str(error).splitlines()[0][:160]})", where=str(path)) from error
-    return drive.with_held(held) if held else drive
+    return table
 
 
 def _drive_from_table(table: pa.Table, path: Path) -> Drive:
     metadata, period = _metadata_from_schema(table.schema.metadata or {}, path)
     columns: dict[str, np.ndarray] = {}
     segment: np.ndarray | None = None
-    for header, column in zip(table.column_names, table.columns, strict=True):
-        name, unit = split_name_and_unit(header)
+    while table.num_columns:
+        # A column goes as soon as it is read, so that a long drive is not held twice.
+        name, unit = split_name_and_unit(table.column_names[0])
+        column, table = table.column(0), table.remove_column(0)
         try:
-            values = column.to_numpy()
-            values = values.astype(np.int32) if name == "segment" else values.astype(float)
+            values = np.array(column.to_numpy(), dtype=np.int32 if name == "segment" else float)
         except (TypeError, ValueError):
             continue  # text columns ride along in logs; a drive has no use for them
+        finally:
+            del column
+            pa.default_memory_pool().release_unused()
         if name == "segment":
             segment = values
         else:
