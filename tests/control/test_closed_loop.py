@@ -17,6 +17,7 @@ from split_cli.control.scenarios import CONE_RADIUS, build_scenario, cones_hit
 from split_cli.errors import SplitError
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import read_drive
+from split_cli.workflows.racing.driving import next_deviation
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.settings import RaceSettings
@@ -60,6 +61,15 @@ def test_two_laps_of_a_ring_are_driven_learned_and_written(tmp_path):
     recorded = read_drive(drive)
     assert recorded["t"][-1] - recorded["t"][0] == pytest.approx(nominal["time"] + learned["time"], abs=0.2)
     assert invoke("info", str(trained)).exit_code == 0
+
+
+def test_the_margin_is_what_the_lap_before_has_needed():
+    # The plan kept 1.1 m and the car had 0.4 m left: 0.7 m were needed.
+    # Had it kept to its plan, 0.8 of 0.8 m stay.
+    assert next_deviation(0.8, 1.1, -0.4) == pytest.approx(0.7)
+    assert next_deviation(0.8, 1.1, -1.1) == pytest.approx(0.64)
+    # A car that was off the track needed more than it was given.
+    assert next_deviation(0.8, 1.1, 0.1) == pytest.approx(1.2)
 
 
 def test_a_lane_change_is_driven_between_its_cones(tmp_path):

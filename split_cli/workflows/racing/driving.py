@@ -30,7 +30,7 @@ from split_cli.workflows.racing.settings import RaceSettings
 from split_cli.workflows.racing.study import blank_header, make_learner, studied_header
 from split_cli.workflows.racing.tally import Tally
 
-__all__ = ["Race"]
+__all__ = ["Race", "next_deviation"]
 
 RUN_UP_SHARE, LONGEST_RUN_UP = 0.3, 200.0
 """Of a lap [1] and at most [m]: the way before the line, so that lap 0 starts flying as others do."""
@@ -41,6 +41,26 @@ takes milliseconds, and a lap has hundreds of intervals."""
 
 LEFT_BEHIND = 1.0
 """A car whose whole width and this much more [m] is beyond the border has left the track, and its lap ends."""
+
+
+def next_deviation(before: float, margin: float, beyond: float) -> float:
+    """Return by how much more than the least margin the next lap's plan keeps to the border [m].
+
+    Parameters
+    ----------
+    before : float
+        What this lap's plan kept so [m].
+    margin : float
+        What this lap's plan kept to the border in all [m].
+    beyond : float
+        Farthest that a side of the car was beyond the border, negative within the track [m].
+
+    Notes
+    -----
+    The lap came nearer to the border than planned by `margin` + `beyond`, whether the model, noise or the price of
+    a soft border is at fault. `DEVIATION_KEPT` of what was kept stays in any case.
+    """
+    return max(margin + beyond, DEVIATION_KEPT * before)
 
 
 class Race:
@@ -197,7 +217,7 @@ class Race:
         self.traces.append(np.array(tally.trace))
         outside = self.laps[-1].outside
         self.say(f"lap {number}: " + (f"{time:.2f} s, {outside:.2f} m outside" if time else self.ended))
-        controller.deviation = max(tally.beyond + margin, DEVIATION_KEPT * controller.deviation)
+        controller.deviation = next_deviation(controller.deviation, margin, tally.beyond)
         self.spans[number] = (tally.first, len(world.rows))
         self.model.residual = self.learner.residual
         if trained is not None and trained.size:
