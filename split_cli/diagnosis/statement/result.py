@@ -86,7 +86,7 @@ class Finding:
     term, variant : str
     parameters : mapping of str to ParameterEstimate
     gap_explained : float
-        Share of the held-out improvable squared error.
+        Share of the held-out squared error above the noise floor that returns when this term alone is removed.
     alternatives : tuple of str
         Terms that fit as well on this data, and exact degeneracies; a pair is written ``a+b``.
     sentence : str
