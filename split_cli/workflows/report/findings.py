@@ -39,7 +39,9 @@ def _finding(order: int, finding: Finding) -> str:
         else "A fault of the measurement, not of the car; it stays out of the vehicle file."
     )
     rows = [_parameter(name, estimate) for name, estimate in finding.parameters.items()]
-    explained = bar_row("Share of the difference that this effect explains", finding.gap_explained, percent(finding.gap_explained))
+    explained = bar_row(
+        "Share of the difference that this effect explains", finding.gap_explained, percent(finding.gap_explained)
+    )
     return (
         f'<article class="card" id="finding-{order}" aria-labelledby="finding-{order}-title">'
         f'<h3 id="finding-{order}-title">{escape(finding_headline(finding))} <code>{escape(name)}</code></h3>'
