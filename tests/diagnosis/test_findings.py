@@ -1,9 +1,20 @@
 """What may be called a finding: an effect whose interval leaves out that there is none."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
+from split_cli.diagnosis.verdict import findings
 from split_cli.diagnosis.verdict.findings import is_apart_from_none
+
+
+def test_values_hold_with_and_without_what_is_not_believed():
+    """A scale of 0.68 (0.57 to 0.78) alone, 0.45 (0.34 to 0.56) beside what left: either may be."""
+    alone = {"scale": ParameterEstimate(0.68, 0.05, "1", (0.57, 0.78))}
+    covering = findings._covering(alone, {"scale": ParameterEstimate(0.45, 0.05, "1", (0.34, 0.56))})
+    assert covering["scale"].value == 0.68 and covering["scale"].interval_95 == (0.34, 0.78)
+    assert findings._covering(alone, {}) == alone
 
 
 def finding(term: str, **intervals: tuple[float, float]) -> Finding:
@@ -28,3 +39,15 @@ def finding(term: str, **intervals: tuple[float, float]) -> Finding:
 )
 def test_a_finding_leaves_out_that_there_is_no_effect(term, intervals, expected):
     assert is_apart_from_none(finding(term, **intervals)) is expected
+
+
+def test_what_explains_no_more_than_is_left_and_its_untrusted_look_alikes_has_no_name():
+    """0.092 of the whole for the centre of gravity: more than the 0.08 left, less with a stiffness's 0.028."""
+    left = SimpleNamespace(share=0.08)
+    shares = {"friction_scale": 0.6, "cg_shift": 0.1, "tire_stiffness": 0.03}
+    told = [SimpleNamespace(term=term, gap_explained=share) for term, share in shares.items()]
+    assert findings._imitating(told, left) == {"cg_shift", "tire_stiffness"}
+    assert findings._imitating(told[:2], left) == set()
+    # A lag of the drive looks like neither.
+    beside = SimpleNamespace(term="drive_lag", gap_explained=0.1)
+    assert findings._imitating([*told, beside], left) == {"cg_shift", "tire_stiffness"}

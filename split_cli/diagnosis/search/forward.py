@@ -111,7 +111,8 @@ def search_forward(
             objective, last.candidate, chosen.cost - best.cost
         )
         spread = witnessed <= p_value or is_spread(objective, best, len(best.parts) - 1, chosen, rules)
-        first_p = min(first_p, p_value if spread else 1.0)
+        # What any sound recording has is sure, and lends no sureness to a name beside it.
+        first_p = min(first_p, p_value if spread and not (small and p_value < rules.level) else 1.0)
         if small or not spread:
             history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
             nuisances += 1

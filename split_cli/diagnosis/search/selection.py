@@ -89,7 +89,8 @@ class Selection:
     history : tuple of str
         What was added or removed, in order, in words.
     first_p : float
-        Smallest minimum-effect p value of a term that was tried, times the number of terms tried.
+        Smallest minimum-effect p value of a term that was tried, times the number of terms tried; of none that any
+        sound recording has, or that halves of the simulation differ by as much.
     first : tuple of Fit
         What each term, in each variant that promised most, explains alone, best first.
     """
