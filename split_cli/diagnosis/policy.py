@@ -95,6 +95,12 @@ class SelectionRules:
         "share of the lap from which on a stretch is no stretch",
         JUDGEMENT + "what acts nearly all round",
     )
+    few_names: int = number(
+        3,
+        "terms",
+        "named terms up to which the search over all terms at once is only run if structure is left",
+        JUDGEMENT + "computing time: three effects at once are usual, and the search adds half a minute",
+    )
     full_fits: int = number(
         9, "fits", "candidates that are fitted fully in each step", JUDGEMENT + "computing time"
     )

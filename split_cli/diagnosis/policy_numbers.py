@@ -27,6 +27,7 @@ KINDS = {
         "unnamed.fewest",
     ),
     "effort": (
+        "selection.few_names",
         "selection.full_fits",
         "selection.followed",
         "selection.considered",

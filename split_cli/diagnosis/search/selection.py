@@ -47,8 +47,6 @@ __all__ = [
     "without_parts",
 ]
 
-_FEW = 3  # names, up to which terms added one at a time are not tried against all at once unless something is left
-
 
 @dataclass(frozen=True)
 class Rival:
@@ -149,7 +147,7 @@ def select_terms(
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
     jointly = None
-    many = found.names > _FEW
+    many = found.names > rules.few_names
     if many or (found.left_something and leaves_structure(found.with_what_matters(base, rules))):
         jointly = _all_at_once(explore, base, found.with_what_matters(base, rules))
     if jointly is not None:
