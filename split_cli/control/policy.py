@@ -16,6 +16,7 @@ __all__ = [
     "FAR",
     "FEASIBLE",
     "FIRST_DEVIATION",
+    "FIRST_STEPS",
     "FREE",
     "GRIP_DOUBT",
     "GRIP_RANGE",
@@ -104,6 +105,10 @@ plan of 4 s outlives."""
 
 ANEW = 4
 """Programmes from the line on after a plan that spins [1]: what fits into an interval of 50 ms."""
+
+FIRST_STEPS = (1.0, 0.5, 0.25)
+"""Shares of a programme's step that are taken in turn until a first plan is found [1]: a line search by halving.
+A plan that is found with a share is a fixed point of whole steps too."""
 
 PROGRESS_ACCELERATION = 30.0
 """Bound of the rate of the progress speed [m/s^2]: three times what tyres give, so that it never decides."""

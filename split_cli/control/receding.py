@@ -15,6 +15,7 @@ from split_cli.control.policy import (
     ANEW,
     ELLIPSE_SLACK,
     FAR,
+    FIRST_STEPS,
     FREE,
     MAX_STEER,
     PATIENCE,
@@ -207,15 +208,23 @@ class RecedingController(ABC):
     def begin(self, x: np.ndarray, s: float, iterations: int = 30) -> None:
         """Find a first plan from state `x`, shape (n_model,), at arc length `s` [m].
 
+        The guess may be far from a plan that the car can follow, and whole steps from there may lead to one that
+        spins, about which no programme has a solution. Then the search begins again with shorter steps.
+
         Raises
         ------
         ControllerLost
             If no plan is found, or the first plan breaks its bounds by much: an infeasible start.
         """
-        self.plan = self.first_plan(np.asarray(x, dtype=float), s)
         solved = False
-        for _ in range(iterations):
-            solved = self._iterate()[0]
+        for share in FIRST_STEPS:
+            self.plan = self.first_plan(np.asarray(x, dtype=float), s)
+            for _ in range(iterations):
+                solved = self._iterate(share)[0]
+                if not solved:
+                    break
+            if solved:
+                break
         if not solved:
             raise ControllerLost(
                 f"no plan was found from {x[3]:.1f} m/s at {s:.0f} m",
@@ -288,8 +297,8 @@ class RecedingController(ABC):
         tries = [self._iterate() for _ in range(ANEW)]
         return sum(one[1] for one in tries), sum(one[2] for one in tries)
 
-    def _iterate(self) -> tuple[bool, float, float]:
-        """Solve one programme about the plan and take its step."""
+    def _iterate(self, share: float = 1.0) -> tuple[bool, float, float]:
+        """Solve one programme about the plan and take a share of its step [1]."""
         plan, N = self.plan, self.horizon
         start = time.thread_time()
         found = self.model.linearize(plan.x[:N, : self.n_model], plan.u[:, :2])
@@ -297,8 +306,8 @@ class RecedingController(ABC):
         solution = self.programme.solve(self._assemble(found))
         if not solution.solved:
             return False, solution.seconds, residual_seconds
-        plan.x[1:] += solution.x * self.x_scale
-        plan.u += solution.u * self.u_scale
+        plan.x[1:] += share * solution.x * self.x_scale
+        plan.u += share * solution.u * self.u_scale
         return True, solution.seconds, residual_seconds
 
     def dynamics(self, found: Linearization) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
+from split_cli.control import receding
 from split_cli.control.limits import Limits, slip_limit
 from split_cli.control.model import ControlModel
 from split_cli.control.mpc import Mpc, MpcSettings
@@ -17,6 +18,8 @@ from split_cli.control.policy import ANEW, PATIENCE
 from split_cli.control.receding import Actuators, ControllerLost
 from split_cli.control.residual import NoResidual, ResidualValues
 from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.racing.driving import Race
+from split_cli.workflows.racing.experiments import PLAN
 
 CAR = read_vehicle(FilePath(__file__).resolve().parents[2] / "sample_logs" / "road_car.yaml")
 ACTUATORS = Actuators(1000.0, 5600.0)
@@ -131,6 +134,22 @@ def test_borders_move_in_by_the_spread_that_the_variance_makes():
     assert moved[1:] == pytest.approx(2.0 * np.array(spread)[1:], rel=0.03)
     narrow = replace(point, left=np.full(20, 2.0), right=np.full(20, 2.0))
     assert tight._tightened(found, narrow).max() <= 1.185 + 0.5 * (2.0 - 1.185) + 1e-9
+
+
+def test_a_first_plan_is_found_by_shorter_steps_where_whole_ones_lead_to_a_spin(monkeypatch):
+    """A road of half the grip: whole steps from the guess reach a plan about which nothing is solved."""
+    (wet,) = PLAN.chosen(("wet-nominal-0",))
+    with monkeypatch.context() as patch:
+        patch.setattr(receding, "FIRST_STEPS", (1.0,))
+        with pytest.raises(ControllerLost, match="no plan was found"):
+            Race(wet.settings, CAR, None, print).begin()
+    race = Race(wet.settings, CAR, None, print)
+    race.begin()
+    plan, states = race.controller.plan, race.controller.n_model
+    # The plan is the model's own motion, and its speeds are those of a wet road.
+    following = race.model.linearize(plan.x[:-1, :states], plan.u[:, :2]).following
+    assert np.abs(following - plan.x[1:, :states])[:, :6].max() < 0.05
+    assert plan.x[:, 3].max() < 15.0
 
 
 def test_a_controller_that_fails_goes_on_with_its_plan_and_then_gives_up(monkeypatch):
