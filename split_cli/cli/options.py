@@ -10,8 +10,6 @@ from typing import Any
 
 import click
 
-from split_cli.files import refuse_place_without_access
-
 __all__ = [
     "engine_options",
     "existing_file",
@@ -85,6 +83,8 @@ def output_option(meaning: str, required: bool = True, names: Sequence[str] = ("
 
 def _writable(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
     if path is not None:
+        from split_cli.files import refuse_place_without_access
+
         refuse_place_without_access(path)
     return path
 
