@@ -100,7 +100,7 @@ def diagnose(
     case = gather_case(vehicle, series, policy)
     reach, kept = settings.reach, _rows(case)
     if kept < settings.least_rows and case.simulated:
-        reach = settings.far_reach
+        reach = 2.0 * settings.reach
         case = case.compared(reach, policy)
         kept = _rows(case)
     share = kept / max(sum(len(one.at) for one in case.real), 1)
@@ -139,7 +139,7 @@ def diagnose(
             if simulated
             else ()
         )
-        if hidden and hidden[0].share > policy.abstention.hidden_force:
+        if hidden and hidden[0].share > policy.selection.fair_share:
             reasons = [no_match_in_words(hidden[0], gap)]
             stated = _undecided(reasons, share, inputs, described)
             return replace(stated, not_judged=(*stated.not_judged, *not_judged), detectable=detectable)

@@ -55,17 +55,15 @@ class ComparisonRules:
     reach: float = number(
         0.35,
         "1",
-        "distance in scaled features up to which a real row lies where the simulation has been",
+        "distance in scaled features up to which a real row lies where the simulation has been; twice as far "
+        "where hardly any row is nearer",
         CHOSEN,
-    )
-    far_reach: float = number(
-        0.7, "1", "the same distance where hardly any row is nearer", JUDGEMENT + "twice the usual reach"
     )
     least_rows: int = number(
         250,
         "rows of 0.04 s",
         "evidence below which nothing is decided; half of it in a half of the simulation, a quarter kept out for "
-        "a share of the gap",
+        "a share of the gap; length at most of a block when a simulation is dealt into halves",
         JUDGEMENT + "ten seconds of driving",
     )
     least_share: float = number(
@@ -125,34 +123,13 @@ class SelectionRules:
     same_share: float = number(
         0.15, "1", "share of what a term saves that another may lack and still be as good", CHOSEN
     )
-    same_form_error: float = number(
-        0.01, "1", "share of what the chosen term saves that no single-track model fits better than", CHOSEN
-    )
-    least_witnessed: float = number(
-        0.20,
-        "effect-to-noise ratio",
-        "size in what a recording knows twice from which on a sensor's fault is no model-form error",
-        CHOSEN,
-    )
-    witnesses_agree: float = number(
-        1.5,
-        "1",
-        "factor between a sensor's fault and what its witnesses make of it, up to which they confirm it alone",
-        JUDGEMENT + "half as much again: the rest of the fit has model-form error",
-    )
     form_error_across: float = number(
         0.07, "1", "model-form error over the size of the chosen terms, where they hardly act", CHOSEN
-    )
-    settled: float = number(
-        0.8,
-        "1",
-        "share of what is left in a channel: a term that takes more is no model-form error of others",
-        JUDGEMENT + "nearly all of it",
     )
     settled_noise: float = number(
         4.0,
         "1",
-        "variance left over noise variance from which on `settled` applies",
+        "variance left over noise variance from which on a term that takes nearly all is no model-form error",
         JUDGEMENT + "twice the noise",
     )
     considered: int = number(
@@ -174,11 +151,14 @@ class SelectionRules:
         "variance inflation by model-form error from which on a place is believed like any few moments",
         CHOSEN,
     )
-    fixed_share: float = number(
+    fair_share: float = number(
         0.2,
         "1",
-        "share of the cost to be saved with a fixed baseline",
-        CHOSEN + "; halves of one recording save a ninth",
+        "share that matters: of the cost, to be saved with a fixed baseline; of the variance left in a channel, "
+        "below which a term has taken nearly all; of the forces on the drives, averaged over 2 s, from which on "
+        "an effect that could hide leaves no match",
+        CHOSEN + "; halves of one recording save a ninth of the cost, and a force wrong by a fifth spoils any "
+        "prediction",
     )
     sure_level: float = number(
         1e-12, "1", "p value below which a name needs no second search with a fixed baseline", CHOSEN
@@ -218,8 +198,9 @@ class SelectionRules:
         0.10,
         "1",
         "model-form error over the size of what makes it: prior deviation of a term's, least share of larger "
-        "terms and of the shared discrepancy that is a term of its own, least uncertainty of a "
-        "parameter that acts through the tyres",
+        "terms and of the shared discrepancy that is a term of its own, least uncertainty of a parameter that "
+        "acts through the tyres, and by which a variant has to run better freely; its square is the share of a "
+        "cost, which grows with the square of a size",
         JUDGEMENT + "two curves stand for four tyres",
     )
     range_deviations: float = number(
@@ -228,24 +209,17 @@ class SelectionRules:
         "between no effect and the largest that a car can have, in the prior of all terms at once",
         THEORY + "a range holds 95 % of the cars",
     )
-    runs_better: float = number(
-        0.9,
-        "1",
-        "free-running error, over that of the best in one step, below which a variant takes its place",
-        JUDGEMENT + "the error of a rollout is known no better",
-    )
+
+    @property
+    def form_error_cost(self) -> float:
+        """Share of a cost that model-form error makes: costs grow with the square of a size."""
+        return self.form_error_share**2
 
 
 @dataclass(frozen=True)
 class Abstention:
     """When something is said to have no name."""
 
-    hidden_force: float = number(
-        0.2,
-        "1",
-        "share of the forces on the drives, averaged over 2 s, from which on such an effect leaves no match",
-        JUDGEMENT + "a force wrong by a fifth spoils any prediction; less matters to few uses",
-    )
     share: float = number(0.08, "1", "share of the gap without a name from which on it is unexplained", CHOSEN)
     effect_to_noise: float = number(
         0.12,
@@ -292,7 +266,8 @@ class Allowances:
     unnamed: float = number(
         0.10,
         "effect-to-noise ratio",
-        "size below which a difference without a name is none, and a further term is not named",
+        "size below which a difference without a name is none, and a further term is not named; twice that, in "
+        "what a recording knows twice, from which on a sensor's fault is no model-form error",
         CHOSEN,
     )
     discrepancy_share: float = number(
@@ -318,7 +293,11 @@ class SelfTestRules:
         JUDGEMENT + "reality may cover other ground than the second half did",
     )
     term_margin: float = number(
-        1.5, "1", "by how much more reality has to show of a term, or of residual autocorrelation", CHOSEN
+        1.5,
+        "1",
+        "by how much more reality has to show of a term, or of residual autocorrelation; factor up to which "
+        "witnesses confirm a sensor's fault alone",
+        CHOSEN,
     )
     apart: float = number(
         1.96,
@@ -329,9 +308,6 @@ class SelfTestRules:
     kindred: float = number(0.33, "1", "share of the largest term's saving that any term may show", CHOSEN)
     blocks: int = number(
         8, "blocks", "blocks of driving time at least that are dealt in turn", JUDGEMENT + "four to either side"
-    )
-    longest_block: float = number(
-        10.0, "s", "length of such a block at most", JUDGEMENT + "as `split prove recording` deals recordings"
     )
 
 

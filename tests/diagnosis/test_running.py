@@ -10,7 +10,6 @@ import pytest
 import split_cli.diagnosis.search.running as running
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors
-from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.remainder.flexible import flexible_rows
 from split_cli.diagnosis.remainder.structure import Structure, build_structure
 from split_cli.diagnosis.search.candidates import Range
@@ -72,13 +71,6 @@ def test_an_error_is_the_geometric_mean_of_rms_over_what_noise_makes(objective, 
     )
 
 
-@pytest.fixture(scope="module")
-def any_share(structure):
-    """The same with a policy under which variants are compared however little is left without a name."""
-    policy = STANDARD.altered("selection", same_form_error=-1.0)
-    return replace(structure, objective=replace(structure.objective, policy=policy))
-
-
 def test_the_variant_that_runs_takes_the_place_of_one_that_does_not(structure, variants, wrong):
     """The wrong variant leaves something without a name; the right one is among what explains the data as well."""
     found = with_variants_that_run(structure, variants, wrong, VARIANCE_INFLATION)
@@ -92,15 +84,15 @@ def test_where_nothing_is_left_without_a_name_one_step_decides(objective, struct
     assert with_variants_that_run(structure, variants, selection, VARIANCE_INFLATION) is selection
 
 
-def test_a_variant_that_runs_as_well_takes_no_place(any_share, variants, wrong, monkeypatch):
+def test_a_variant_that_runs_as_well_takes_no_place(structure, variants, wrong, monkeypatch):
     for error, taken in ((0.95, False), (0.85, True)):
         monkeypatch.setattr(
             running, "free_running_errors", lambda objective, fits, e=error: [1.0, *[e] * len(fits[1:])]
         )
-        found = with_variants_that_run(any_share, variants, wrong, VARIANCE_INFLATION)
+        found = with_variants_that_run(structure, variants, wrong, VARIANCE_INFLATION)
         assert (found is not wrong) == taken
 
 
-def test_no_variant_takes_a_place_that_would_lose_a_name(any_share, variants, wrong):
+def test_no_variant_takes_a_place_that_would_lose_a_name(structure, variants, wrong):
     named_twice = replace(wrong, named=(True, True))
-    assert with_variants_that_run(any_share, variants, named_twice, VARIANCE_INFLATION) is named_twice
+    assert with_variants_that_run(structure, variants, named_twice, VARIANCE_INFLATION) is named_twice

@@ -153,7 +153,7 @@ def _brings_back(again: SearchOutcome, marginalised: Selection, rules: Selection
     """
     selection, objective = again.selection, again.structure.objective
     saved = selection.base.cost - selection.chosen.cost
-    fair = saved > rules.fixed_share * selection.base.cost
+    fair = saved > rules.fair_share * selection.base.cost
     if marginalised.terms and marginalised.first_p < rules.sure_level and not _alters_alone(marginalised):
         # What is beyond doubt gives way to nothing less sure.
         fair = fair and selection.first_p <= marginalised.first_p
@@ -162,7 +162,7 @@ def _brings_back(again: SearchOutcome, marginalised: Selection, rules: Selection
         fair = fair or selection.first_p < min(rules.sure_level, marginalised.first_p)
     if selection.terms and all(term.corrects for term in selection.terms):
         before, after = (objective.witnesses_cost(fit.residuals) for fit in (selection.base, selection.chosen))
-        fair = fair or before - after > rules.fixed_share * before
+        fair = fair or before - after > rules.fair_share * before
     chosen: set[str] = set()
     for part in marginalised.chosen.parts if selection.first_p < rules.sure_level else ():
         # A whole friction curve is its peak with both stiffnesses: under either name the first search chose it.

@@ -15,14 +15,14 @@ import numpy as np
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.comparable import comparable
-from split_cli.diagnosis.innovations.evidence import ROW_SECONDS, Evidence
+from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.objective import (
     DiscrepancyPosterior,
     MarginalLikelihood,
     build_objective,
     learn_discrepancy,
 )
-from split_cli.diagnosis.policy import STANDARD, Policy, SelfTestRules
+from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
@@ -147,7 +147,7 @@ def self_test(
     sides = _Sides(
         tuple(graded), positions, rows, discrepancy, variance_inflation, reach, posterior is not None, policy
     )
-    dealings = (_every_other_block(graded, policy.self_test), _first_half(graded))
+    dealings = (_every_other_block(graded, policy), _first_half(graded))
     halves = [[mask ^ turned for mask in first] for first in dealings for turned in (False, True)]
     tests = together(lambda teaching: _test_half(sides, teaching, offers), halves)
     tests = [test for test in tests if test is not None]
@@ -164,7 +164,7 @@ def self_test(
     )
 
 
-def _every_other_block(graded: Sequence[Evidence], rules: SelfTestRules) -> list[np.ndarray]:
+def _every_other_block(graded: Sequence[Evidence], policy: Policy) -> list[np.ndarray]:
     """Return the rows in every other block of driving time, of each recording, shape (G,).
 
     Halves in blocks cover the same ground, as the two drives of a comparison do where rows are compared: the first
@@ -173,7 +173,7 @@ def _every_other_block(graded: Sequence[Evidence], rules: SelfTestRules) -> list
     between the first and the second half alone; so the recording is dealt both ways.
     """
     total = sum(len(one.at) for one in graded)
-    length = int(np.clip(total // rules.blocks, 1, round(rules.longest_block / ROW_SECONDS)))
+    length = int(np.clip(total // policy.self_test.blocks, 1, policy.comparison.least_rows))
     first = np.cumsum([0, *(len(one.at) for one in graded)])
     return [
         (before + np.arange(len(one.at))) // length % 2 == 0 for before, one in zip(first, graded, strict=False)

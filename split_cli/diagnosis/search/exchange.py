@@ -60,7 +60,7 @@ def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
     """
     rules = explore.rules
     widened = max(explore.variance_inflation, explore.objective.form_error_inflation)
-    burden = rules.same_form_error * (base.cost - chosen.cost) / explore.variance_inflation
+    burden = rules.form_error_cost * (base.cost - chosen.cost) / explore.variance_inflation
     best, least = None, explore.price(chosen) - burden - rules.tie
     for k, part in enumerate(chosen.parts):
         others = chosen.parts[:k] + chosen.parts[k + 1 :]

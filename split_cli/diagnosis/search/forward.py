@@ -56,7 +56,7 @@ class Found:
         Too small to be reported, it would yet be taken for more or less of the others.
         """
         refused, saved = self.chosen.cost - self.with_refused.cost, base.cost - self.chosen.cost
-        return self.with_refused if refused > rules.same_form_error * saved else self.chosen
+        return self.with_refused if refused > rules.form_error_cost * saved else self.chosen
 
     @property
     def left_something(self) -> bool:
@@ -188,7 +188,7 @@ def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> 
     objective, rules = explore.objective, explore.rules
     k = len(further.parts) - 1
     # What witnesses show is the instrument's own, whatever the model gets wrong.
-    if not is_witnessed(objective, further, k, rules):
+    if not is_witnessed(objective, further, k):
         if is_form_error(
             objective, sizes_of_terms(objective, further.terms, chosen.terms), sizes, chosen, further, rules
         ):

@@ -44,7 +44,7 @@ def with_variants_that_run(
     rules = objective.policy.selection
     left = structure.fit(chosen.residuals, variance_inflation)
     unnamed = structure.unnamed_share(left, selection.base.cost - chosen.cost, variance_inflation)
-    if unnamed <= rules.same_form_error:
+    if unnamed <= rules.form_error_cost:
         return selection
     others = [
         sibling.fit
@@ -55,7 +55,7 @@ def with_variants_that_run(
         return selection
     own, *theirs = free_running_errors(objective, [chosen, *others])
     best = int(np.argmin(theirs))
-    if not theirs[best] < rules.runs_better * own:
+    if not theirs[best] < (1.0 - rules.form_error_share) * own:
         return selection
     found = with_chosen(Explorer(objective, tuple(candidates), variance_inflation), selection, others[best])
     if sum(found.named) < sum(selection.named):

@@ -141,7 +141,7 @@ def select_terms(
     first = explore(base)
     found = search_forward(explore, base, first)
     # Several terms may imitate one, and fit better by the model-form error of the one.
-    burden = rules.same_form_error * (base.cost - found.chosen.cost) / variance_inflation
+    burden = rules.form_error_cost * (base.cost - found.chosen.cost) / variance_inflation
 
     def score(found: Found) -> float:
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
@@ -290,7 +290,7 @@ def _believed_together(
     named: list[int] = []
     for k in sorted(sizes, key=lambda k: -sizes[k].max()):
         larger = sizes_with_form_error(objective, tuple(chosen.terms[i] for i in named))
-        witnessed = is_witnessed(objective, chosen, k, rules)
+        witnessed = is_witnessed(objective, chosen, k)
         if not named or witnessed or not is_form_error(objective, sizes[k], larger, without[k], chosen, rules):
             named.append(k)
     return tuple(k in named for k in range(len(chosen.parts)))
@@ -336,7 +336,7 @@ def explaining_as_well(
     # An excess is measured in what model-form error makes of chance; so is what it is compared with.
     saved = (selection.without[k].cost - selection.chosen.cost) / max(objective.form_error_inflation / margin, 1.0)
     share = min(1.0 / max(part_over_allowance(objective, selection.chosen, k), 1e-9), 1.0) ** 2
-    allowed = max(rules.same_excess, max(share, rules.same_form_error, form_error / margin) * saved)
+    allowed = max(rules.same_excess, max(share, rules.form_error_cost, form_error / margin) * saved)
     by_chance = rules.same_share * saved
     return [
         rival

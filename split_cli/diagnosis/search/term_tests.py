@@ -83,11 +83,14 @@ def error_of_sum(difference: np.ndarray) -> float:
     return float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9
 
 
-def is_witnessed(objective: MarginalLikelihood, fit: Fit, k: int, rules: SelectionRules) -> bool:
+def is_witnessed(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
     """Return whether a sensor's fault moves what a recording knows twice, which no model-form error does."""
     if not fit.parts[k].term.corrects:
         return False
-    return objective.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :]) > rules.least_witnessed
+    return (
+        objective.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
+        > 2.0 * objective.policy.allowances.unnamed
+    )
 
 
 def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> float:
@@ -102,7 +105,7 @@ def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, r
     With d what the part moves of the witnesses, their means taken off, and e what they contradict without it, the
     share of the fault that they confirm is d^T e/d^T d.
     """
-    if not (fit.parts[k].term.moves_samples and is_witnessed(objective, fit, k, rules)):
+    if not (fit.parts[k].term.moves_samples and is_witnessed(objective, fit, k)):
         return 1.0
     before, after = (objective.of_witnesses(one.residuals) for one in (without, fit))
     floor = objective.witness_floors.get(fit.parts[k].candidate.effect, 0.0)
@@ -110,7 +113,8 @@ def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, r
     if min(float(moved @ moved), float(before @ before - after @ after)) < max(floor, rules.same_excess):
         return 1.0
     share, error = _confirmed(objective, moved, before)
-    if not 1.0 / rules.witnesses_agree < share < rules.witnesses_agree:
+    agree = objective.policy.self_test.term_margin
+    if not 1.0 / agree < share < agree:
         return 1.0
     return float(2.0 * norm.sf(share / error))
 
@@ -127,7 +131,7 @@ def witnesses_disagree(objective: MarginalLikelihood, fit: Fit, k: int, rules: S
 
     A bias moves the mean alone, about which `MarginalLikelihood.of_witnesses` says nothing.
     """
-    if not is_witnessed(objective, fit, k, rules):
+    if not is_witnessed(objective, fit, k):
         return 0.0
     others = fit.terms[:k] + fit.terms[k + 1 :]
     before, after = (objective.of_witnesses(objective.residual(terms)) for terms in (others, fit.terms))
@@ -176,7 +180,7 @@ def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fi
     left, still = (fit.residuals[: 3 * rows].reshape(rows, 3)[:, channel] for fit in (before, after))
     noise = 0.5 * np.mean(np.diff(still) ** 2)
     much, little = np.mean(left**2) - noise, np.mean(still**2) - noise
-    return bool(much > rules.settled_noise * noise and little < (1.0 - rules.settled) * much)
+    return bool(much > rules.settled_noise * noise and little < rules.fair_share * much)
 
 
 def sizes_of_terms(

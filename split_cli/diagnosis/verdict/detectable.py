@@ -95,7 +95,7 @@ def _smallest(
             margin = min(margin, np.log(saved / apart))
         if objective.fixed_baseline:
             margin = min(
-                margin, np.log(saved / (saved + bare.cost)) - np.log(objective.policy.selection.fixed_share)
+                margin, np.log(saved / (saved + bare.cost)) - np.log(objective.policy.selection.fair_share)
             )
         return float(margin)
 

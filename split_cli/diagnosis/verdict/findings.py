@@ -83,7 +83,7 @@ def _told_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> s
     after = objective.witnesses_cost(selection.chosen.residuals)
     for part, without in zip(selection.chosen.parts, selection.without, strict=True):
         before = objective.witnesses_cost(without.residuals)
-        if part.term.corrects and before - after > rules.fixed_share * before:
+        if part.term.corrects and before - after > rules.fair_share * before:
             told.add(part.candidate.term)
     return told
 
