@@ -34,15 +34,15 @@ class FeatureSet:
         """Whether these are the three features the valid region is defined over."""
         return self.names == Z2.names
 
-    def compute(self, model: SingleTrack, drive: Drive) -> np.ndarray:
-        """Return the features of every sample of a drive, shape (N, D).
+    def compute(self, model: SingleTrack, drive: Drive, recording: Recording | None = None) -> np.ndarray:
+        """Return the features of every sample of a drive, shape (N, D); `recording` as of `flow_along`.
 
         Raises
         ------
         DriveError
             If a feature is neither computed nor a channel of the drive.
         """
-        flow = flow_along(model, drive)
+        flow = flow_along(model, drive, recording)
         drive = _on_the_sensors_clock(model, drive, flow)
         computed = {
             "alpha_f": flow.front.slip_angle,
@@ -61,13 +61,23 @@ class FeatureSet:
         return np.ascontiguousarray(np.stack(columns, axis=1))
 
 
-def flow_along(model: SingleTrack, drive: Drive) -> Flow:
-    """Evaluate a model on every sample of a drive, the memory of its terms followed along each segment."""
+def flow_along(model: SingleTrack, drive: Drive, recording: Recording | None = None) -> Flow:
+    """Evaluate a model on every sample of a drive, the memory of its terms followed along each segment.
+
+    Parameters
+    ----------
+    model : SingleTrack
+    drive : Drive
+    recording : Recording, optional
+        The drive's clock, with what terms remember at its first row where it is a piece of a longer drive; by
+        default that of a whole drive.
+    """
     yaw = drive.columns.get("yaw", 0.0)
     channels = (drive[name] for name in ("vx", "vy", "r", "T", "delta"))
     # Samples that are not finite are counted and rejected by who asks.
     with np.errstate(invalid="ignore"):
-        return model.flow(*channels, yaw=yaw, t=drive["t"], s=place_of(drive), recording=recording_of(drive))
+        clock = recording or recording_of(drive)
+        return model.flow(*channels, yaw=yaw, t=drive["t"], s=place_of(drive), recording=clock)
 
 
 def _on_the_sensors_clock(model: SingleTrack, drive: Drive, flow: Flow) -> Drive:

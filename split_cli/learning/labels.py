@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -11,6 +12,7 @@ from split_cli.errors import DriveError
 from split_cli.learning.features import FeatureSet, flow_along, place_of, recording_of
 from split_cli.learning.region import Grid, Region
 from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects.recording import Memory, Recording
 from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -18,6 +20,7 @@ from split_cli.vehicle.windows import RecordedInputs, recorded_inputs
 
 __all__ = [
     "DEFAULT_HORIZON",
+    "PIECE_ROWS",
     "Labels",
     "Reason",
     "compute_labels",
@@ -27,6 +30,8 @@ __all__ = [
 
 DEFAULT_HORIZON = 0.05
 _CHUNK = 4096  # temporaries of that length stay in the cache
+#: Rows that are labelled at once [1]: a long drive then takes no more memory than its labels.
+PIECE_ROWS = 2**18
 _VELOCITIES = ("vx", "vy", "r")
 
 
@@ -126,6 +131,12 @@ class Labels:
         last = np.minimum(self.row + self.window + 1, len(rows))
         return self.take(blocked[last] == blocked[self.row])
 
+    def between(self, first: int, last: int) -> Labels:
+        """Return the labels whose whole window lies on the rows [first, last), which are counted from `first`."""
+        begin, end = np.searchsorted(self.row, (first, last - self.window))
+        kept = self.take(slice(int(begin), int(end)))
+        return replace(kept, row=kept.row - first)
+
     @property
     def nbytes(self) -> int:
         """Memory of the arrays [bytes]."""
@@ -195,18 +206,28 @@ def compute_labels(
     y = Phi^-1 B_d^+ (x(t + h) - f_h(x(t)))/h with f_h the nominal model integrated by RK4 over the recorded
     inputs and Phi = (1/h) int_0^h exp(A s) ds, A the nominal Jacobian at t. SPLIT paper, the residual model,
     has the plain difference; Phi undoes what the stiff lateral dynamics damp within h (docs/errata.md).
+
+    The drive is labelled piece by piece, with what the terms remember handed on: the labels do not depend on the
+    pieces. With delays among the terms it is labelled as a whole.
     """
     region = region or Region.of(vehicle)
     model = SingleTrack(vehicle)
     window = window_samples(horizon, drive.period)
     starts = _window_starts(drive, window, window if stride is None else stride)
-    z = features.compute(model, drive)[starts]
-    reason = _reject(drive, model, region, starts, window, z)
-    y = np.full((len(starts), 3), np.nan)
-    usable = ~np.isin(reason, (Reason.GAP, Reason.NON_FINITE, Reason.SPEED))
-    y[usable] = nominal_errors(model, drive, starts[usable], window, plain=plain)
+    t, z = np.empty(len(starts)), np.empty((len(starts), len(features.names)))
+    y, reason = np.full((len(starts), 3), np.nan), np.empty(len(starts), dtype=np.int8)
+    for rows, piece in _pieces(model, drive, starts, window):
+        local = starts[rows] - piece.first
+        t[rows] = piece.drive["t"][local]
+        z[rows] = features.compute(model, piece.drive, piece.recording)[local]
+        reason[rows] = _reject(piece, model, region, local, window, z[rows])
+        usable = ~np.isin(reason[rows], (Reason.GAP, Reason.NON_FINITE, Reason.SPEED))
+        y[rows][usable] = nominal_errors(
+            model, piece.drive, local[usable], window, plain=plain, recording=piece.recording
+        )
     # A vanishing Phi or a diverging window shows as a value that is not finite: it must not be learned.
-    reason[usable & ~np.isfinite(y).all(axis=1)] = Reason.NON_FINITE
+    computed = ~np.isin(reason, (Reason.GAP, Reason.NON_FINITE, Reason.SPEED))
+    reason[computed & ~np.isfinite(y).all(axis=1)] = Reason.NON_FINITE
     time = drive["t"]
     return Labels(
         drive=drive.name,
@@ -219,13 +240,39 @@ def compute_labels(
         plain=plain,
         start_time=float(time[0]),
         duration=float(time[-1] - time[0]),
-        t=time[starts],
+        t=t,
         row=starts,
         segment=drive.segment[starts],
         z=z,
         y=y,
         reason=reason,
     )
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Rows of a drive from `first` on, with the recording that knows what came before."""
+
+    drive: Drive
+    first: int
+    recording: Recording | None
+
+
+def _pieces(model: SingleTrack, drive: Drive, starts: np.ndarray, window: int) -> Iterator[tuple[slice, _Piece]]:
+    """Yield the drive in pieces of `PIECE_ROWS`, each with the range of `starts` whose windows lie in it."""
+    delayed = any(getattr(term, "input_delays", None) for term in model.terms)
+    length = len(drive) if delayed else PIECE_ROWS
+    entering: dict[str, float] = {}
+    for begin in range(0, len(drive), length):
+        # A row before, and one behind the last window: slopes and means over samples reach that far.
+        first, last = max(begin - 1, 0), min(begin + length + window + 2, len(drive))
+        part = drive.stretch(first, last)
+        recording = None
+        if model.state_names and length < len(drive):
+            memory = Memory(min(begin + length, len(drive)) - 1 - first, entering)
+            recording, entering = replace(recording_of(part), memory=memory), memory.leaving
+        begins, ends = np.searchsorted(starts, (begin, begin + length))
+        yield slice(int(begins), int(ends)), _Piece(part, first, recording)
 
 
 def nominal_errors(
@@ -236,6 +283,7 @@ def nominal_errors(
     *,
     plain: bool = False,
     compiled: bool = True,
+    recording: Recording | None = None,
 ) -> np.ndarray:
     """Return y for windows that start at rows `starts`, shape (N, 3) [m/s^2], [m/s^2], [rad/s^2].
 
@@ -252,6 +300,8 @@ def nominal_errors(
     compiled : bool
         Whether the compiled path may serve; it covers the nominal model without terms and agrees with the plain
         one to rounding.
+    recording : Recording, optional
+        As of `flow_along`.
     """
     if compiled and not model.terms:
         from split_cli.learning._compiled import window_errors
@@ -261,7 +311,7 @@ def nominal_errors(
         run_on = np.array([name not in drive.held for name in ("T", "delta")], dtype=float)
         constants = _nominal_constants(model.vehicle)
         return window_errors(vx, vy, r, T, delta, starts, window, drive.period, constants, plain, run_on)
-    inputs = inputs_along(model, drive)
+    inputs = inputs_along(model, drive, recording)
     parts = [
         _window_errors_reference(model, drive, inputs, starts[first : first + _CHUNK], window, plain)
         for first in range(0, len(starts), _CHUNK)
@@ -269,13 +319,15 @@ def nominal_errors(
     return np.concatenate(parts) if parts else np.empty((0, 3))
 
 
-def inputs_along(model: SingleTrack, drive: Drive) -> RecordedInputs:
-    """Return a drive's inputs as the delays among the terms leave them, and the situation at every sample."""
+def inputs_along(model: SingleTrack, drive: Drive, recording: Recording | None = None) -> RecordedInputs:
+    """Return a drive's inputs as the delays among the terms leave them, and the situation at every sample.
+
+    `recording` as of `flow_along`.
+    """
     velocity = np.stack([drive[name] for name in _VELOCITIES], axis=1)
     situation = Situation(drive["t"], place_of(drive), drive.columns.get("yaw", 0.0))
-    return recorded_inputs(
-        model, velocity, drive["T"], drive["delta"], recording_of(drive), situation, held=drive.held
-    )
+    clock = recording or recording_of(drive)
+    return recorded_inputs(model, velocity, drive["T"], drive["delta"], clock, situation, held=drive.held)
 
 
 def _window_errors_reference(
@@ -319,9 +371,10 @@ def _window_starts(drive: Drive, window: int, stride: int) -> np.ndarray:
 
 
 def _reject(
-    drive: Drive, model: SingleTrack, region: Region, starts: np.ndarray, window: int, z: np.ndarray
+    piece: _Piece, model: SingleTrack, region: Region, starts: np.ndarray, window: int, z: np.ndarray
 ) -> np.ndarray:
     """Return the reason of every start, int8 shape (N,)."""
+    drive = piece.drive
     last = np.empty(len(drive), dtype=np.int64)
     for run in drive.segments():
         last[run] = run.stop - 1
@@ -332,7 +385,7 @@ def _reject(
     before = np.concatenate([[0], np.cumsum(broken)])
     non_finite = before[np.minimum(starts + window + 1, len(drive))] > before[starts]
     non_finite |= ~np.isfinite(z).all(axis=1)
-    flow = flow_along(model, drive)
+    flow = flow_along(model, drive, piece.recording)
     alpha_f, alpha_r = flow.front.slip_angle[starts], flow.rear.slip_angle[starts]
     tests = (
         (Reason.GAP, gap),

@@ -14,7 +14,8 @@ import pyarrow.parquet
 
 from split_cli.errors import DriveError, nearest_names
 from split_cli.files import atomic_path, refuse_no_regular_file, sha256_of_file
-from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, convert_to_si, split_name_and_unit
+from split_cli.logs.columns_of_file import ColumnsOfFile, column_in_si
+from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, split_name_and_unit
 
 __all__ = [
     "INPUT_CHANNELS",
@@ -23,6 +24,7 @@ __all__ = [
     "NoiseEstimate",
     "Source",
     "metadata_of_drive",
+    "open_drive",
     "read_drive",
     "untold_inputs",
     "write_drive",
@@ -30,6 +32,8 @@ __all__ = [
 
 DRIVE_FORMAT = "split-drive/1"
 INPUT_CHANNELS = ("T", "delta")
+#: Rows from which on `open_drive` leaves columns in the file [1]: 11 of them take 46 MB.
+_LONG = 2**19
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,8 @@ class Drive:
     name : str
         Name of the file, without folder.
     columns : mapping of str to ndarray
-        Channel name to samples `(N,)`, float64, SI units; always has ``t`` and the required channels.
+        Channel name to samples `(N,)`, float64, SI units; always has ``t`` and the required channels. Of a long
+        drive that `open_drive` opened each is read from the file when it is asked for.
     segment : ndarray of int32, shape (N,)
         Changes at every gap; nothing may be computed across a change.
     period : float
@@ -137,10 +142,12 @@ class Drive:
                 where=self.name,
                 advice=nearest_names(missing[0], self.columns) + " Map it with `split ingest --map`.",
             )
-        length = len(self.columns["t"])
-        for name, values in self.columns.items():
-            if len(values) != length:
-                raise DriveError(f"column {name} has {len(values)} samples, t has {length}", where=self.name)
+        length = len(self.segment)
+        if not isinstance(self.columns, ColumnsOfFile):
+            length = len(self.columns["t"])
+            for name, values in self.columns.items():
+                if len(values) != length:
+                    raise DriveError(f"column {name} has {len(values)} samples, t has {length}", where=self.name)
         if len(self.segment) != length:
             raise DriveError(f"segment has {len(self.segment)} samples, t has {length}", where=self.name)
 
@@ -205,6 +212,14 @@ class Drive:
         ends = np.append(starts[1:], len(self))
         return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
+    def stretch(self, first: int, last: int) -> Drive:
+        """Return the rows [first, last) as they are: views of the columns, or a part of a long drive's file."""
+        if isinstance(self.columns, ColumnsOfFile):
+            columns = self.columns.rows(first, last)
+        else:
+            columns = {name: values[first:last] for name, values in self.columns.items()}
+        return replace(self, columns=columns, segment=self.segment[first:last])
+
     def select(self, rows: np.ndarray | slice) -> Drive:
         """Return the drive restricted to `rows` (a slice or a boolean mask); a removed run starts a segment."""
         if isinstance(rows, slice):
@@ -232,16 +247,42 @@ def read_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
         If the file cannot be read, lacks a required column, is empty, holds non-finite values in a required
         column, or its clock is not uniform inside segments.
     """
-    path = Path(path)
-    refuse_no_regular_file(path, DriveError)
-    if not path.is_file():
-        what = "is a folder, a drive is a file" if path.is_dir() else "no such file"
-        raise DriveError(what, where=str(path))
+    path = _existing(path)
     try:
         drive = _drive_from_table(_read_table(path), path)
     except (UnicodeDecodeError, pa.ArrowException) as error:  # text is decoded when it is asked for
         raise DriveError(f"is damaged ({str(error).splitlines()[0][:160]})", where=str(path)) from error
     return drive.with_held(held) if held else drive
+
+
+def open_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
+    """Return a drive as `read_drive` does; of a long Parquet the columns stay in the file.
+
+    The drive is equal to the one that is read. Every access of a column reads it, so it serves what goes through a
+    drive piece by piece (`Drive.stretch`) or column by column.
+    """
+    path = _existing(path)
+    if path.suffix.lower() == ".csv":
+        return read_drive(path, held)
+    try:
+        columns = ColumnsOfFile(path)
+    except (pa.ArrowException, OSError, ValueError):
+        return read_drive(path, held)  # which says what is wrong
+    if columns.length <= _LONG or not columns.is_plain or "t" not in columns:
+        return read_drive(path, held)
+    metadata, period = _metadata_from_schema(columns.schema.metadata or {}, path)
+    segment = columns["segment"].astype(np.int32) if "segment" in columns else None
+    drive = _checked_drive(columns.without("segment"), segment, period, metadata, path)
+    return drive.with_held(held) if held else drive
+
+
+def _existing(path: str | Path) -> Path:
+    path = Path(path)
+    refuse_no_regular_file(path, DriveError)
+    if not path.is_file():
+        what = "is a folder, a drive is a file" if path.is_dir() else "no such file"
+        raise DriveError(what, where=str(path))
+    return path
 
 
 def _read_table(path: Path) -> pa.Table:
@@ -280,14 +321,22 @@ def _drive_from_table(table: pa.Table, path: Path) -> Drive:
         if name == "segment":
             segment = values
         else:
-            if unit and name in CHANNELS:
-                expected = CHANNELS[name].unit
-                values = convert_to_si(values, unit, expected=expected, channel=name, where=str(path))
             if name in columns:
                 raise DriveError(f"two columns are {name}", where=str(path), advice="Leave one.")
-            columns[name] = values
+            columns[name] = column_in_si(values, name, unit, path)
     if "t" not in columns:
         raise DriveError("the drive lacks t", where=str(path), advice=nearest_names("t", columns))
+    return _checked_drive(columns, segment, period, metadata, path)
+
+
+def _checked_drive(
+    columns: Mapping[str, np.ndarray],
+    segment: np.ndarray | None,
+    period: float | None,
+    metadata: DriveMetadata,
+    path: Path,
+) -> Drive:
+    """Return a drive of columns, its segments and period found where the file does not say them."""
     time = columns["t"]
     if segment is None:
         segment = _segments_from_time(time, path)
@@ -300,7 +349,8 @@ def _drive_from_table(table: pa.Table, path: Path) -> Drive:
 
 def _check_drive(drive: Drive, path: Path) -> None:
     for name in ("t", *REQUIRED_CHANNELS):
-        bad = np.flatnonzero(~np.isfinite(drive.columns[name]))
+        values = drive.columns[name]
+        bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             raise DriveError(
                 f"{len(bad)} non-finite values in {name}, the first in row {bad[0]}",
@@ -308,16 +358,16 @@ def _check_drive(drive: Drive, path: Path) -> None:
                 advice="Run the recording through `split ingest`, which drops and counts them.",
             )
         limit = CHANNELS[name].limit
-        bad = np.flatnonzero(np.abs(drive.columns[name]) > limit)
+        bad = np.flatnonzero(np.abs(values) > limit)
         if len(bad):
             raise DriveError(
-                f"{name} is {drive.columns[name][bad[0]]:g} in row {bad[0]}, beyond {limit:g} no number is a "
-                "measurement",
+                f"{name} is {values[bad[0]]:g} in row {bad[0]}, beyond {limit:g} no number is a measurement",
                 where=str(path),
                 advice="Check units, or run the recording through `split ingest`, which drops and counts them.",
             )
+    time = drive.columns["t"]
     for run in drive.segments():
-        step = np.diff(drive.columns["t"][run])
+        step = np.diff(time[run])
         uneven = np.flatnonzero(np.abs(step - drive.period) > 0.02 * drive.period + 1e-6)
         if len(uneven):
             row = run.start + int(uneven[0])

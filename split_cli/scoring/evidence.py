@@ -48,6 +48,14 @@ class TrainingDrive:
     drive: Drive
     labels: Labels
 
+    def middle(self, most: int) -> TrainingDrive:
+        """Return the `most` rows in the middle of a longer drive, with their labels."""
+        length = len(self.drive)
+        if length <= most:
+            return self
+        first = (length - most) // 2
+        return TrainingDrive(self.drive.stretch(first, first + most), self.labels.between(first, first + most))
+
 
 @dataclass(frozen=True)
 class TrustEvidence:
@@ -167,14 +175,7 @@ def _spread(drives: Sequence[TrainingDrive]) -> list[TrainingDrive]:
     """Return drives of at most `MOST_ROWS` rows together, taken evenly; of a longer one its middle."""
     rows = sum(len(part.drive) for part in drives)
     chosen = list(drives)[:: max(1, -(-rows // MOST_ROWS))] if rows > MOST_ROWS else list(drives)
-    cut = []
-    for part in chosen:
-        length, most = len(part.drive), MOST_ROWS // len(chosen)
-        middle = np.zeros(length, dtype=bool)
-        first = max(0, (length - most) // 2)
-        middle[first : first + most] = True
-        cut.append(part if length <= MOST_ROWS else TrainingDrive(part.drive, part.labels.within(middle)))
-    return cut
+    return [part if len(part.drive) <= MOST_ROWS else part.middle(MOST_ROWS // len(chosen)) for part in chosen]
 
 
 def _number_blocks(drives: Sequence[TrainingDrive]) -> list[np.ndarray]:

@@ -19,6 +19,7 @@ _LEAST_CORRELATION = 0.3
 _CLEAR = 4.0
 _BLOCKS = 12
 _FEWEST = 200
+_CHUNK = 2**16  # labels looked at at once
 #: Delays that are worth a word [s]: a quarter of a label's interval, and the slowest actuator of a road car.
 _RANGE = (0.012, 0.5)
 _INPUTS = (
@@ -43,11 +44,10 @@ def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle) -> tuple[str, ..
     nominal model. tau is the least-squares slope, its error the jackknife's over blocks of time. A lag and a delay
     look alike to first order, and so does a late time stamp: the diagnosis tells them apart.
     """
-    used = labels.take(labels.accepted)
+    used = labels if labels.accepted.all() else labels.take(labels.accepted)
     told = []
     for name, output, label, rate, what, term in _INPUTS:
-        missing = _missing(drive, used, vehicle, name, output)
-        found = _late(missing, used.y[:, output])
+        found = _late(_missing(drive, used, vehicle, name, output), used.y[:, output])
         if found is not None:
             delay, error, correlation = found
             told.append(
@@ -70,10 +70,12 @@ def torque_delay(drives: Sequence[Drive], labels: Sequence[Labels], vehicle: Veh
 def _missing(drive: Drive, used: Labels, vehicle: Vehicle, name: str, output: int) -> np.ndarray:
     """Return what a label lacks for every second that an input is late, shape (N,)."""
     first, last = used.row, used.row + used.window
-    state = [np.asarray(drive[channel], dtype=float)[first] for channel in ("vx", "vy", "r")]
-    inputs = {channel: np.asarray(drive[channel], dtype=float) for channel in ("T", "delta")}
-    change = (inputs[name][last] - inputs[name][first]) / used.horizon
-    missing: np.ndarray = -_slope(SingleTrack(vehicle), state, inputs, first, name, output) * change
+    at = {channel: drive[channel][first] for channel in ("vx", "vy", "r", "T", "delta")}
+    missing: np.ndarray = (drive[name][last] - at[name]) / used.horizon
+    model = SingleTrack(vehicle, ())
+    for begin in range(0, len(first), _CHUNK):
+        rows = slice(begin, begin + _CHUNK)
+        missing[rows] *= -_slope(model, {channel: values[rows] for channel, values in at.items()}, name, output)
     return missing
 
 
@@ -87,21 +89,10 @@ def _late(missing: np.ndarray, y: np.ndarray) -> tuple[float, float, float] | No
     return (delay, error, correlation) if sure and _RANGE[0] < delay < _RANGE[1] else None
 
 
-def _slope(
-    model: SingleTrack,
-    state: list[np.ndarray],
-    inputs: dict[str, np.ndarray],
-    rows: np.ndarray,
-    name: str,
-    output: int,
-) -> np.ndarray:
+def _slope(model: SingleTrack, at: dict[str, np.ndarray], name: str, output: int) -> np.ndarray:
     """Return the derivative of an output's rate by an input, shape (N,), by central differences."""
     step = 1e-4 if name == "delta" else 1e-4 * model.vehicle.max_torque
-    vx, vy, r = state
-    ends = []
-    for sign in (1.0, -1.0):
-        at = {key: values[rows] + (sign * step if key == name else 0.0) for key, values in inputs.items()}
-        ends.append(SingleTrack(model.vehicle, ()).velocity_derivative(vx, vy, r, at["T"], at["delta"])[output])
+    ends = [model.velocity_derivative(**{**at, name: at[name] + change})[output] for change in (step, -step)]
     slope: np.ndarray = (ends[0] - ends[1]) / (2.0 * step)
     return slope
 

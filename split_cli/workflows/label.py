@@ -16,7 +16,7 @@ from split_cli.learning.label_file import write_labels
 from split_cli.learning.labels import DEFAULT_HORIZON, compute_labels
 from split_cli.learning.region import Region, build_grid
 from split_cli.logs.assembling.quality import stored_findings
-from split_cli.logs.drive import Drive, read_drive, untold_inputs
+from split_cli.logs.drive import Drive, open_drive, untold_inputs
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.engine import Engine
 from split_cli.workflows.recordings import RecordingCorrection
@@ -81,7 +81,7 @@ def label_drive(
     refuse_overwriting_inputs(output, (drive_path, vehicle_path))
     vehicle = read_vehicle(vehicle_path)
     correct = RecordingCorrection(vehicle)
-    drive = correct(read_drive(drive_path, held))
+    drive = correct(open_drive(drive_path, held))
     region = Region.of(vehicle)
     labels = compute_labels(
         drive, vehicle, parse_features(features), region, horizon=horizon, stride=stride, plain=plain

@@ -49,8 +49,8 @@ class RecordingCorrection:
 
     def __call__(self, drive: Drive) -> Drive:
         """Return a drive corrected; the first one given is that which s counts along."""
-        columns = dict(drive.columns)
         if self.counts_places and "s" not in drive:
+            columns = dict(drive.columns)
             # A drive may be read several times: the first is known by what it is, not by when it comes.
             key = drive.name, drive.sha256
             if self._first is None:
@@ -59,10 +59,13 @@ class RecordingCorrection:
             columns["s"], kind = track_position(drive, self._reference, first=key == self._first)
             if kind != "position":
                 self._told[f"{drive.name} has no position: its s is the distance driven"] = None
-        return self.sensors(replace(drive, columns=columns))
+            drive = replace(drive, columns=columns)
+        return self.sensors(drive)
 
     def sensors(self, drive: Drive) -> Drive:
         """Return a drive with the faults of its sensors taken off, and nothing else."""
+        if not self._sensors:
+            return drive
         columns = dict(drive.columns)
         for term in self._sensors:
             columns = term.correct(columns, recording_of(drive))

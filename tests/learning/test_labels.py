@@ -13,7 +13,8 @@ from split_cli.learning.features import Z1, Z2, FeatureSet
 from split_cli.learning.label_file import read_labels, write_labels
 from split_cli.learning.labels import Reason, compute_labels, nominal_errors
 from split_cli.learning.region import Region
-from split_cli.logs.drive import Drive
+from split_cli.logs.columns_of_file import ColumnsOfFile
+from split_cli.logs.drive import Drive, open_drive, read_drive, write_drive
 from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
@@ -242,3 +243,34 @@ def test_a_label_file_gives_the_labels_back(tmp_path):
     (tmp_path / "c.parquet").write_bytes((tmp_path / "a.parquet").read_bytes()[:-20])
     with pytest.raises(DriveError, match="cannot be read as labels"):
         read_labels(tmp_path / "c.parquet")
+
+
+@pytest.mark.parametrize("held", [(), ("T", "delta")])
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (),
+        (EffectSpec("drive_lag", {"tau": 0.3}, "along"), EffectSpec("steer_lag", {"tau": 0.8})),
+        (EffectSpec("steer_backlash", {"width": 0.01}), EffectSpec("tire_relaxation", {"length": 3.0})),
+        (EffectSpec("grip_fade", {"final_loss": 0.1, "tau": 9.0}), EffectSpec("drive_delay", {"delay": 0.07})),
+    ],
+    ids=["plain", "lags", "play", "delays"],
+)
+def test_labels_are_the_same_to_the_bit_whatever_the_pieces(effects, held, monkeypatch, tmp_path):
+    car = road_car(effects=effects)
+    made = make_drive(3, segments=4, seconds=7.0, vehicle=CAR).with_held(held)
+    made.columns["vx"][40:60] = 2.0  # rejected, and beside accepted ones
+    write_drive(made, tmp_path / "a.parquet")
+    features = FeatureSet(("alpha_f", "steer_rate", "T"))
+    whole = compute_labels(read_drive(tmp_path / "a.parquet"), car, features, horizon=0.1, stride=3)
+    assert len(np.unique(whole.reason)) >= 3
+    monkeypatch.setattr("split_cli.logs.drive._LONG", 100)
+    long = open_drive(tmp_path / "a.parquet")
+    assert isinstance(long.columns, ColumnsOfFile)
+    # Borders inside segments, on theirs and beside them.
+    for rows in (57, 351, 352):
+        monkeypatch.setattr("split_cli.learning.labels.PIECE_ROWS", rows)
+        for drive in (made, long):
+            again = compute_labels(drive, car, features, horizon=0.1, stride=3)
+            for name in ("t", "row", "segment", "z", "y", "reason"):
+                assert getattr(again, name).tobytes() == getattr(whole, name).tobytes(), (name, rows)

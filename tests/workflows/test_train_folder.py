@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from split_cli.errors import SetError
-from split_cli.logs.drive import write_drive
+from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.training.train import TrainSettings, train_set
 from tests.factories import MissingForce, make_drive, road_car
@@ -36,6 +36,31 @@ def test_a_folder_and_its_drives_give_the_same_set_bit_for_bit(folder, tmp_path)
     train_set(drives, folder / "car.yaml", tmp_path / "one.split", DEFAULT)
     train_set([folder / "in"], folder / "car.yaml", tmp_path / "all.split", DEFAULT)
     assert (tmp_path / "one.split").read_bytes() == (tmp_path / "all.split").read_bytes()
+
+
+def test_a_long_drive_gives_the_same_set_bit_for_bit_as_a_short_one(folder, tmp_path, monkeypatch):
+    drive = folder / "in" / "a.parquet"
+    whole = train_set([drive], folder / "car.yaml", tmp_path / "whole.split")
+    assert whole.trust.origin == "held-out"
+    monkeypatch.setattr("split_cli.logs.drive._LONG", 100)
+    monkeypatch.setattr("split_cli.learning.labels.PIECE_ROWS", 333)
+    pieces = train_set([drive], folder / "car.yaml", tmp_path / "pieces.split")
+    assert (tmp_path / "whole.split").read_bytes() == (tmp_path / "pieces.split").read_bytes()
+    assert pieces.notes == whole.notes
+
+
+def test_trust_of_a_drive_beyond_its_bound_is_found_on_the_middle(folder, tmp_path, monkeypatch):
+    drive = read_drive(folder / "in" / "a.parquet")
+    write_drive(drive.stretch(104, 1104), tmp_path / "middle.parquet")
+    middle = train_set([tmp_path / "middle.parquet"], folder / "car.yaml", tmp_path / "b.split", DEFAULT)
+    for place in ("workflows.training.new_set", "scoring.evidence"):
+        monkeypatch.setattr(f"split_cli.{place}.MOST_ROWS", 1000)
+    whole = train_set([folder / "in" / "a.parquet"], folder / "car.yaml", tmp_path / "a.split", DEFAULT)
+    assert "trust was found on the middle 0.333 minutes of a.parquet" in whole.notes
+    # Labels of the whole drive are learned. They begin at other rows, so the evidence is alike, not the same.
+    assert whole.total.samples > middle.total.samples + 100
+    assert whole.trust.blocks == middle.trust.blocks
+    assert whole.trust.share == pytest.approx(middle.trust.share, abs=0.3)
 
 
 def test_of_a_grown_folder_only_what_is_new_is_learned(folder, tmp_path):

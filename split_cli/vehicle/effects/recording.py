@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from split_cli.compiled_code import compiled
 
 __all__ = [
+    "Memory",
     "Recording",
     "first_order_from_means",
     "first_order_response",
@@ -19,6 +20,25 @@ __all__ = [
     "play_response",
     "shifted",
 ]
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What terms remember where one piece of a recording ends and the next one begins.
+
+    Attributes
+    ----------
+    row : int
+        Row of this piece at which the next one begins.
+    entering : mapping of str to float
+        States at row 0; one that is not named begins steady.
+    leaving : dict of str to float
+        States at `row`, filled while the piece is evaluated.
+    """
+
+    row: int
+    entering: Mapping[str, float]
+    leaving: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -33,11 +53,15 @@ class Recording:
         First row and one past the last, of every run without a gap; memory starts anew, steady, at each.
     means : bool
         Whether the rows are means over the sample that begins there, instead of values at its begin.
+    memory : Memory or None
+        Where the rows are a piece of a longer recording. The response is then the whole recording's, to the bit.
+        Shifts do not cross the piece's begin.
     """
 
     period: float
     segments: tuple[tuple[int, int], ...]
     means: bool = False
+    memory: Memory | None = None
 
     @classmethod
     def single(cls, period: float, length: int) -> Recording:
@@ -62,7 +86,7 @@ def shifted(source: Any, delay: float, recording: Recording) -> np.ndarray:
     return out
 
 
-def first_order_response(target: Any, rate: Any, recording: Recording) -> np.ndarray:
+def first_order_response(target: Any, rate: Any, recording: Recording, name: str = "") -> np.ndarray:
     """Return y with y' = rate (target - y), y steady at each start, exact for targets linear between samples.
 
     Parameters
@@ -70,6 +94,9 @@ def first_order_response(target: Any, rate: Any, recording: Recording) -> np.nda
     target : array, shape (N,)
     rate : float or array of shape (N,)
         [1/s], not negative; taken as its mean over a sample.
+    recording : Recording
+    name : str
+        By which the recording's memory, if it has one, knows y.
 
     Notes
     -----
@@ -83,10 +110,10 @@ def first_order_response(target: Any, rate: Any, recording: Recording) -> np.nda
     # (1 - e^-q)/q without cancellation at q near 0.
     mean = np.where(q > 1e-8, -np.expm1(-q) / np.maximum(q, 1e-8), 1.0 - 0.5 * q)
     kept, mean = (np.broadcast_to(one, (max(len(target) - 1, 0),)) for one in (kept, mean))
-    return _recur(target, kept, mean, _starts(recording))
+    return _recur(target, kept, mean, recording, _kept_as(name, recording))
 
 
-def first_order_from_means(target: Any, rate: Any, recording: Recording) -> np.ndarray:
+def first_order_from_means(target: Any, rate: Any, recording: Recording, name: str = "") -> np.ndarray:
     """Return y at the begin of every sample, of targets (N,) given by their means over samples; steady at starts.
 
     Notes
@@ -98,7 +125,7 @@ def first_order_from_means(target: Any, rate: Any, recording: Recording) -> np.n
     rate = np.broadcast_to(np.asarray(rate, dtype=float), target.shape)[:-1]
     kept = np.exp(-np.maximum(rate * recording.period, 0.0))
     # Means of 1 take the slope between rows out of the recursion for straight lines.
-    return _recur(target, kept, np.ones_like(kept), _starts(recording))
+    return _recur(target, kept, np.ones_like(kept), recording, f"{name} at the begin")
 
 
 def over_samples(values: np.ndarray, recording: Recording) -> np.ndarray:
@@ -113,25 +140,39 @@ def over_samples(values: np.ndarray, recording: Recording) -> np.ndarray:
     return out
 
 
-def play_response(source: Any, width: float, recording: Recording) -> np.ndarray:
+def play_response(source: Any, width: float, recording: Recording, name: str = "") -> np.ndarray:
     """Return what a play of total `width` lets through: y+ = clip(y, u+ - width/2, u+ + width/2).
 
     It is centred at each start.
     """
     source = np.ascontiguousarray(source, dtype=float)
-    return _drag(source, 0.5 * float(width), _starts(recording))
+    half, starts = 0.5 * float(width), _starts(recording)
+    return _continued(
+        lambda begin: _kernels()[1](source, half, starts, begin), recording, _kept_as(name, recording)
+    )
+
+
+def _kept_as(name: str, recording: Recording) -> str:
+    """Return a state's name in the memory: a held recording is followed both by values and by means."""
+    return f"{name} of {'means' if recording.means else 'values'}"
 
 
 def _starts(recording: Recording) -> np.ndarray:
     return np.array([begin for begin, _ in recording.segments], dtype=np.int64)
 
 
-def _recur(target: np.ndarray, kept: np.ndarray, mean: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    return _kernels()[0](target, kept, mean, starts)
+def _recur(target: np.ndarray, kept: np.ndarray, mean: np.ndarray, recording: Recording, name: str) -> np.ndarray:
+    return _continued(lambda begin: _kernels()[0](target, kept, mean, _starts(recording), begin), recording, name)
 
 
-def _drag(source: np.ndarray, half: float, starts: np.ndarray) -> np.ndarray:
-    return _kernels()[1](source, half, starts)
+def _continued(run: Callable[[float], np.ndarray], recording: Recording, name: str) -> np.ndarray:
+    """Return what `run` makes of the state a piece begins with (NaN: steady), and keep what the next needs."""
+    memory = recording.memory
+    if memory is None:
+        return run(np.nan)
+    out = run(memory.entering.get(name, np.nan))
+    memory.leaving[name] = float(out[memory.row])
+    return out
 
 
 @lru_cache(maxsize=1)
@@ -139,12 +180,14 @@ def _kernels() -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
     """Compile the two recursions on first use; numba is not worth loading for models without memory."""
 
     @compiled(cache=True, nogil=True)
-    def recur(target: np.ndarray, kept: np.ndarray, mean: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    def recur(
+        target: np.ndarray, kept: np.ndarray, mean: np.ndarray, starts: np.ndarray, begin: float
+    ) -> np.ndarray:
         out = np.empty_like(target)
         upcoming = 0
         for k in range(len(target)):
             if upcoming < len(starts) and starts[upcoming] == k:
-                out[k] = target[k]
+                out[k] = begin if k == 0 and not np.isnan(begin) else target[k]
                 upcoming += 1
             else:
                 before, stays = target[k - 1], kept[k - 1]
@@ -153,12 +196,12 @@ def _kernels() -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
         return out
 
     @compiled(cache=True, nogil=True)
-    def drag(source: np.ndarray, half: float, starts: np.ndarray) -> np.ndarray:
+    def drag(source: np.ndarray, half: float, starts: np.ndarray, begin: float) -> np.ndarray:
         out = np.empty_like(source)
         upcoming = 0
         for k in range(len(source)):
             if upcoming < len(starts) and starts[upcoming] == k:
-                out[k] = source[k]
+                out[k] = begin if k == 0 and not np.isnan(begin) else source[k]
                 upcoming += 1
             else:
                 out[k] = min(max(out[k - 1], source[k] - half), source[k] + half)

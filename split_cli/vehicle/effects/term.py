@@ -248,9 +248,9 @@ class Term:
         if flow.recording is not None:
             # Responding in time and taking means over samples can change places: the response to means, in
             # straight lines from one sample's middle to the next, is the response's mean.
-            value = first_order_response(target, rate, flow.recording)
+            value = first_order_response(target, rate, flow.recording, key)
             if flow.recording.means:
-                flow.values[key] = first_order_from_means(target, rate, flow.recording)
+                flow.values[key] = first_order_from_means(target, rate, flow.recording, key)
                 return value
         elif flow.states is None:
             value = target
@@ -264,7 +264,7 @@ class Term:
         """Return the state `name` that `source` drags along with a total play of `width`."""
         key = f"{self.id}.{name}"
         if flow.recording is not None:
-            value = play_response(source, width, flow.recording)
+            value = play_response(source, width, flow.recording, key)
             if flow.recording.means:
                 # A row's mean has dragged the state only once its sample has begun.
                 flow.values[key] = shifted(value, flow.recording.period, flow.recording)

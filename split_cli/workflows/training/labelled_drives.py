@@ -17,7 +17,7 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.label_file import drive_of_labels, read_labels, write_labels
 from split_cli.learning.labels import Labels, compute_labels, window_samples
 from split_cli.learning.region import Region
-from split_cli.logs.drive import Drive, read_drive, untold_inputs
+from split_cli.logs.drive import Drive, open_drive, untold_inputs
 from split_cli.scoring.hints import late_inputs
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.label import drive_notes
@@ -149,7 +149,7 @@ class LabelledDrives:
         if source.drive is None:
             return None
         self.say(f"reading {source.name}")
-        drive = self._correct(read_drive(source.drive, self.labelling.held))
+        drive = self._correct(open_drive(source.drive, self.labelling.held))
         if number not in self._checked:
             self._checked.add(number)
             self._notes += vehicle_doubts([drive], self.labelling.vehicle, self.labelling.any_vehicle)

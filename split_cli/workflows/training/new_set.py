@@ -139,7 +139,10 @@ def _recorded(drives: LabelledDrives) -> list[TrainingDrive]:
         if parts and rows > MOST_ROWS:
             drives.note(f"trust was found on the first {len(parts)} of {len(drives)} drives")
             break
-        parts.append(TrainingDrive(drive, drives.labels(number, drive)))
+        parts.append(TrainingDrive(drive, drives.labels(number, drive)).middle(MOST_ROWS))
+        if len(drive) > MOST_ROWS:
+            minutes = MOST_ROWS * drive.period / 60.0
+            drives.note(f"trust was found on the middle {minutes:.3g} minutes of {drive.name}")
     return parts
 
 

@@ -1,0 +1,107 @@
+"""Columns of a long drive, read from its file when they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+
+from split_cli.errors import DriveError
+from split_cli.signals import CHANNELS, convert_to_si, split_name_and_unit
+
+__all__ = ["ColumnsOfFile", "column_in_si"]
+
+_BATCH = 2**16  # rows decoded at once
+
+
+class ColumnsOfFile(Mapping[str, np.ndarray]):
+    """The columns of a Parquet, as a mapping that holds none of them.
+
+    A column that is asked for is read as a whole; `rows` reads some rows of all. The file stays open, so that all
+    of it is of one state.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    pa.ArrowException, OSError
+        If the file is no Parquet.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = pa.parquet.ParquetFile(path, page_checksum_verification=True)
+        self.schema = self._file.schema_arrow
+        self.length: int = self._file.metadata.num_rows
+        titles = [(*split_name_and_unit(title), title) for title in self.schema.names]
+        self._titles = {name: (title, unit) for name, unit, title in titles}
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether all columns are numbers, each of a name of its own."""
+        numbers = (pa.types.is_floating(field.type) or pa.types.is_integer(field.type) for field in self.schema)
+        return len(self._titles) == len(self.schema.names) and all(numbers)
+
+    def without(self, name: str) -> ColumnsOfFile:
+        """Return the mapping without one column."""
+        other = object.__new__(ColumnsOfFile)
+        other.__dict__.update(self.__dict__)
+        other._titles = {known: title for known, title in self._titles.items() if known != name}
+        return other
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return a whole column, shape (N,)."""
+        return self.rows(0, self.length, (name,))[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._titles)
+
+    def __len__(self) -> int:
+        return len(self._titles)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._titles
+
+    def rows(self, first: int, last: int, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+        """Return the rows [first, last) of some columns, by default of all, in SI.
+
+        Raises
+        ------
+        DriveError
+            If the file is damaged.
+        KeyError
+            If a column is not there.
+        """
+        titles = self._titles if names is None else {name: self._titles[name] for name in names}
+        out = {name: np.empty(last - first) for name in titles}
+        counts = [self._file.metadata.row_group(i).num_rows for i in range(self._file.num_row_groups)]
+        ends = np.cumsum(counts)
+        groups = [i for i, end in enumerate(ends) if end > first and end - counts[i] < last]
+        at = int(ends[groups[0]] - counts[groups[0]]) if groups else last
+        wanted = [title for title, _ in titles.values()]
+        try:
+            for batch in self._file.iter_batches(_BATCH, row_groups=groups, columns=wanted, use_threads=False):
+                low, high = max(first, at), min(last, at + batch.num_rows)
+                if low < high:
+                    part = batch.slice(low - at, high - low)
+                    for name, (title, unit) in titles.items():
+                        values = np.array(part.column(title).to_numpy(zero_copy_only=False), dtype=float)
+                        out[name][low - first : high - first] = column_in_si(values, name, unit, self.path)
+                at += batch.num_rows
+                if at >= last:
+                    break
+        except (pa.ArrowException, OSError) as error:
+            raise DriveError(f"is damaged ({str(error).splitlines()[0][:160]})", where=str(self.path)) from error
+        return out
+
+
+def column_in_si(values: np.ndarray, name: str, unit: str | None, path: Path) -> np.ndarray:
+    """Return a column of a drive's file in SI; without a unit SI is taken."""
+    if not unit or name not in CHANNELS:
+        return values
+    return convert_to_si(values, unit, expected=CHANNELS[name].unit, channel=name, where=str(path))
