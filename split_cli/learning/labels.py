@@ -12,7 +12,7 @@ from split_cli.errors import DriveError
 from split_cli.learning.features import FeatureSet, flow_along, place_of, recording_of
 from split_cli.learning.region import Grid, Region
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.effects.recording import Memory, Recording
+from split_cli.vehicle.effects.recording import Handover, Recording
 from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -269,7 +269,7 @@ def _pieces(model: SingleTrack, drive: Drive, starts: np.ndarray, window: int) -
         part = drive.stretch(first, last)
         recording = None
         if model.state_names and length < len(drive):
-            memory = Memory(min(begin + length, len(drive)) - 1 - first, entering)
+            memory = Handover(min(begin + length, len(drive)) - 1 - first, entering)
             recording, entering = replace(recording_of(part), memory=memory), memory.leaving
         begins, ends = np.searchsorted(starts, (begin, begin + length))
         yield slice(int(begins), int(ends)), _Piece(part, first, recording)

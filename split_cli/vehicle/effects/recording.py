@@ -12,7 +12,7 @@ import numpy as np
 from split_cli.compiled_code import compiled
 
 __all__ = [
-    "Memory",
+    "Handover",
     "Recording",
     "first_order_from_means",
     "first_order_response",
@@ -23,7 +23,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Memory:
+class Handover:
     """What terms remember where one piece of a recording ends and the next one begins.
 
     Attributes
@@ -53,7 +53,7 @@ class Recording:
         First row and one past the last, of every run without a gap; memory starts anew, steady, at each.
     means : bool
         Whether the rows are means over the sample that begins there, instead of values at its begin.
-    memory : Memory or None
+    memory : Handover or None
         Where the rows are a piece of a longer recording. The response is then the whole recording's, to the bit.
         Shifts do not cross the piece's begin.
     """
@@ -61,7 +61,7 @@ class Recording:
     period: float
     segments: tuple[tuple[int, int], ...]
     means: bool = False
-    memory: Memory | None = None
+    memory: Handover | None = None
 
     @classmethod
     def single(cls, period: float, length: int) -> Recording:
