@@ -124,7 +124,7 @@ def diagnose(
         policy.screening,
     )
     outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)
-    if outcome.known.ratio > policy.selection.much_form_error:
+    if outcome.known.ratio > policy.selection.much_over_noise:
         not_judged += (_MUCH_FORM_ERROR,)
     # What a named sensor accounts for contradicts nothing any more.
     contradictions = out_of_scale(*positions, outcome.selection.terms, policy.screening)
@@ -205,7 +205,7 @@ def _compare(case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[
         # Physics that has a name, and is too small to be called by it, is no difference.
         unnamed = structure.fit(selection.chosen.residuals, outcome.variance_inflation)
     line = strongest_line(structure.objective, selection.terms, case.simulated)
-    line = line if line is not None and line.effect_to_noise > policy.abstention.effect_to_noise else None
+    line = line if line is not None and line.effect_to_noise > policy.allowances.unnamed else None
     autocorrelation = residual_autocorrelation(structure, selection.chosen.residuals)
     ways = [
         unnamed.p_value,

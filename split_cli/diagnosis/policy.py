@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import Field, asdict, dataclass, fields, replace
+from statistics import NormalDist
 from typing import Any
 
 from split_cli.diagnosis.policy_numbers import CHOSEN, JUDGEMENT, THEORY, kind_of, number
@@ -30,6 +31,11 @@ __all__ = [
     "deciding_numbers",
     "numbers_by_kind",
 ]
+
+
+def _two_sided(level: float) -> float:
+    """Return the size that a normal deviate exceeds with probability `level`."""
+    return NormalDist().inv_cdf(1.0 - level / 2.0)
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,11 @@ class ComparisonRules:
         0.1, "1", "compared share of the real drive below which what has no name is not decided", CHOSEN
     )
 
+    @property
+    def deviations(self) -> float:
+        """Standard errors of a normal deviate at the level, two-sided: that a saving needs, block by block."""
+        return _two_sided(self.level)
+
 
 @dataclass(frozen=True)
 class SelectionRules:
@@ -78,7 +89,8 @@ class SelectionRules:
     price: float = number(
         8.0,
         "chi squared",
-        "cost that a searched parameter has to save, before variance inflation",
+        "cost, after variance inflation, that a searched parameter has to save; up to which another explanation "
+        "is as good, and a channel's witnesses say too little",
         THEORY + "between the prices of AIC (2) and BIC (ln n, about 9 for an hour's rows)",
     )
     most_nuisances: int = number(
@@ -86,12 +98,6 @@ class SelectionRules:
         "terms",
         "nuisance terms, which save more than chance but are too small to name",
         CHOSEN,
-    )
-    most_of_lap: float = number(
-        0.75,
-        "1",
-        "share of the lap from which on a stretch is no stretch",
-        JUDGEMENT + "what acts nearly all round",
     )
     few_names: int = number(
         3,
@@ -108,47 +114,29 @@ class SelectionRules:
         "best candidates in which the shared model discrepancy follows the inputs they change",
         JUDGEMENT + "computing time",
     )
-    same_within: float = number(
-        2.5,
-        "standard errors",
-        "paired block difference up to which two explanations are as good",
-        THEORY + "98.8 % of a normal deviate, two-sided",
-    )
-    same_excess: float = number(
-        9.0,
-        "chi squared",
-        "cost above the chosen explanation up to which another is as good, after variance inflation",
-        THEORY + "three standard errors of one parameter",
-    )
-    same_share: float = number(
-        0.15, "1", "share of what a term saves that another may lack and still be as good", CHOSEN
-    )
     form_error_across: float = number(
         0.07, "1", "model-form error over the size of the chosen terms, where they hardly act", CHOSEN
-    )
-    settled_noise: float = number(
-        4.0,
-        "1",
-        "variance left over noise variance from which on a term that takes nearly all is no model-form error",
-        JUDGEMENT + "twice the noise",
     )
     considered: int = number(
         3, "terms", "further terms that are considered in each step, those that save most", CHOSEN
     )
-    spread: float = number(
-        3.5,
+    sure: float = number(
+        15.0,
         "standard errors",
-        "saving that a term needs, from differences block by block",
-        THEORY + "5e-4 of a normal deviate, two-sided",
+        "size of a term, from scores block by block, from which on it need not save in enough blocks of time",
+        CHOSEN,
     )
-    sure: float = number(15.0, "standard errors", "or its size, from scores block by block", CHOSEN)
     plain: float = number(
-        1.0, "effect-to-noise ratio", "or its size against noise", THEORY + "as large as the noise"
+        1.0,
+        "effect-to-noise ratio",
+        "size from which on a term need not either, and a remainder is unexplained however large the gap",
+        THEORY + "as large as the noise",
     )
-    much_form_error: float = number(
+    much_over_noise: float = number(
         3.0,
         "1",
-        "variance inflation by model-form error from which on a place is believed like any few moments",
+        "variance over that of noise from which on there is much: between halves of a simulation, so that a place "
+        "is believed like any few moments; in a channel, so that who takes nearly all is no model-form error",
         CHOSEN,
     )
     fair_share: float = number(
@@ -156,7 +144,7 @@ class SelectionRules:
         "1",
         "share that matters: of the cost, to be saved with a fixed baseline; of the variance left in a channel, "
         "below which a term has taken nearly all; of the forces on the drives, averaged over 2 s, from which on "
-        "an effect that could hide leaves no match",
+        "an effect that could hide leaves no match; of what a term saves, that another may lack and be as good",
         CHOSEN + "; halves of one recording save a ninth of the cost, and a force wrong by a fifth spoils any "
         "prediction",
     )
@@ -188,27 +176,27 @@ class SelectionRules:
         "level of the tests of a name, after counting the terms tried, and of what is left without one",
         JUDGEMENT + "a usual level",
     )
-    searched_places: float = number(
-        14.0,
-        "chi squared",
-        "what the best of some thousand stretches saves of model-form error beyond one stretch",
-        THEORY + "2 ln 1000",
-    )
     form_error_share: float = number(
         0.10,
         "1",
         "model-form error over the size of what makes it: prior deviation of a term's, least share of larger "
         "terms and of the shared discrepancy that is a term of its own, least uncertainty of a parameter that "
-        "acts through the tyres, and by which a variant has to run better freely; its square is the share of a "
-        "cost, which grows with the square of a size",
+        "acts through the tyres, by which a variant has to run better freely, and of the whole gap, from which on "
+        "a remainder is unexplained; its square is the share of a cost, which grows with the square of a size",
         JUDGEMENT + "two curves stand for four tyres",
     )
-    range_deviations: float = number(
-        2.0,
+    deviations: float = number(
+        1.96,
         "standard deviations",
-        "between no effect and the largest that a car can have, in the prior of all terms at once",
-        THEORY + "a range holds 95 % of the cars",
+        "that hold 95 %: of cars, between no effect and the largest that a car can have; of recordings of one "
+        "car, over what halves of the simulation differ by",
+        THEORY + "95 % of a normal deviate, two-sided",
     )
+
+    @property
+    def same_within(self) -> float:
+        """Standard errors of a paired difference, block by block, up to which two explanations are as good."""
+        return _two_sided(self.level)
 
     @property
     def form_error_cost(self) -> float:
@@ -221,21 +209,6 @@ class Abstention:
     """When something is said to have no name."""
 
     share: float = number(0.08, "1", "share of the gap without a name from which on it is unexplained", CHOSEN)
-    effect_to_noise: float = number(
-        0.12,
-        "effect-to-noise ratio",
-        "size below which nothing is called unexplained, and model-form error of other terms is a nuisance",
-        CHOSEN,
-    )
-    size: float = number(
-        0.12,
-        "1",
-        "size of the remainder over that of the gap from which on it is unexplained whatever its share",
-        CHOSEN,
-    )
-    most: float = number(
-        0.6, "effect-to-noise ratio", "size of the remainder from which on it is unexplained in any case", CHOSEN
-    )
     most_alternatives: int = number(
         4,
         "terms",
@@ -260,14 +233,12 @@ class Allowances:
     term: float = number(
         0.05, "effect-to-noise ratio", "size below which a term is not named, beside a simulation", CHOSEN
     )
-    bare: float = number(
-        0.09, "effect-to-noise ratio", "the same against the bare nominal model, which misses more", CHOSEN
-    )
     unnamed: float = number(
         0.10,
         "effect-to-noise ratio",
-        "size below which a difference without a name is none, and a further term is not named; twice that, in "
-        "what a recording knows twice, from which on a sensor's fault is no model-form error",
+        "size below which a difference without a name is none, a further term is not named, nor any against the "
+        "bare nominal model; twice that, from which on a remainder is unexplained whatever its share, and in what "
+        "a recording knows twice, a sensor's fault is no model-form error",
         CHOSEN,
     )
     discrepancy_share: float = number(
@@ -277,9 +248,6 @@ class Allowances:
         1e-4, "1", "share of the discrepancy's cost that a flexible fit may save without a difference", CHOSEN
     )
     term_floor: float = number(1e-5, "1", "the same for a single term", CHOSEN)
-    form_error_a_parameter: float = number(
-        1.8, "chi squared", "what a flexible fit may save beyond chance by each effective parameter", CHOSEN
-    )
 
 
 @dataclass(frozen=True)
@@ -289,7 +257,8 @@ class SelfTestRules:
     unnamed_margin: float = number(
         2.0,
         "1",
-        "by how much more reality has to show without a name: of structure, or of the amplitude of a line",
+        "by how much more reality has to show without a name: than the simulation, of structure or of a line's "
+        "amplitude; than chance, by each effective parameter of a flexible fit",
         JUDGEMENT + "reality may cover other ground than the second half did",
     )
     term_margin: float = number(
@@ -298,12 +267,6 @@ class SelfTestRules:
         "by how much more reality has to show of a term, or of residual autocorrelation; factor up to which "
         "witnesses confirm a sensor's fault alone",
         CHOSEN,
-    )
-    apart: float = number(
-        1.96,
-        "standard deviations",
-        "size of a term over that by which halves of the simulation differ, from which on it is one",
-        THEORY + "95 % of a normal deviate",
     )
     kindred: float = number(0.33, "1", "share of the largest term's saving that any term may show", CHOSEN)
     blocks: int = number(
@@ -330,7 +293,7 @@ class Reporting:
     everywhere: float = number(
         0.8,
         "1",
-        "share of the samples from which on a region is everywhere",
+        "share of the samples, or of the lap, from which on a region is everywhere and a stretch is none",
         JUDGEMENT + "it tells nobody where to look",
     )
     local_gap: float = number(0.3, "1", "share of the gap that a place or a time has to hold", CHOSEN)

@@ -36,10 +36,10 @@ KINDS = {
         "selection.beginnings",
     ),
     "telling": (
+        "comparison.holdout_share",
         "abstention.most_leads",
         "reporting.least_dependence",
         "reporting.clearly_more",
-        "reporting.everywhere",
         "reporting.local_gap",
         "reporting.local_ratio",
         "reporting.stable",

@@ -17,7 +17,7 @@ from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit, Part, fit_parts
 from split_cli.diagnosis.search.forward import other_beginnings, refusal
 from split_cli.diagnosis.search.selection import (
     Selection,
@@ -274,12 +274,12 @@ def test_one_term_is_preferred_to_two_that_say_the_same():
 
 def test_other_beginnings_are_other_terms_that_save_nearly_as_much(pair):
     first = Explorer(pair, candidates_of(pair, *NAMES), VARIANCE_INFLATION)(nothing(pair))
-    everything = replace(STANDARD.selection, same_share=1.0, beginnings=9)
+    everything = replace(STANDARD.selection, fair_share=1.0, beginnings=9)
     assert other_beginnings(first, nothing(pair), everything) == first[1:]
     assert len(other_beginnings(first, nothing(pair), replace(everything, beginnings=2))) == 2
     saved = nothing(pair).cost - first[0].cost
     for share in (0.05, 0.5):
-        told = other_beginnings(first, nothing(pair), replace(everything, same_share=share))
+        told = other_beginnings(first, nothing(pair), replace(everything, fair_share=share))
         assert told == [fit for fit in first[1:] if nothing(pair).cost - fit.cost > (1.0 - share) * saved]
 
 
@@ -305,15 +305,15 @@ def test_what_could_be_form_error_or_chance_explains_as_well(pair, chosen_pair):
     k = 0
     saved = chosen_pair.without[k].cost - chosen_pair.chosen.cost
     (rival, *_) = chosen_pair.rivals[k]
-    share = max(STANDARD.allowances.bare / term_size(pair, chosen_pair.chosen, k), 0.1) ** 2
+    share = max(STANDARD.allowances.unnamed / term_size(pair, chosen_pair.chosen, k), 0.1) ** 2
 
     def as_well(excess: float, z: float) -> bool:
         return bool(explaining_as_well(pair, chosen_pair, k, [replace(rival, excess=excess, z=z)]))
 
     # By model-form error: whatever the standard error.
     assert as_well(0.99 * share * saved, 50.0) and not as_well(1.01 * share * saved, 50.0)
-    # By chance: within 2.5 standard errors, and by no more than 15 % of what the term saves.
-    assert as_well(0.14 * saved, 2.4) and not as_well(0.14 * saved, 2.6) and not as_well(0.16 * saved, 1.0)
+    # By chance: within 2.58 standard errors, and by no more than 20 % of what the term saves.
+    assert as_well(0.19 * saved, 2.5) and not as_well(0.19 * saved, 2.7) and not as_well(0.21 * saved, 1.0)
 
 
 def test_the_p_value_of_a_term_grows_with_what_the_simulation_shows_against_itself(pair, chosen_pair):
@@ -360,7 +360,7 @@ def test_the_best_of_many_places_has_to_save_more_where_there_is_form_error():
     for _ in range(200):
         sums = np.concatenate([[0.0], np.cumsum(rng.standard_normal(rows))])
         best.append(max(float(np.max((sums[n:] - sums[:-n]) ** 2)) / n for n in lengths))
-    assert np.mean(stats.chi2.sf(best, 1.0 + STANDARD.selection.searched_places) < 0.05) < 0.08
+    assert np.mean(stats.chi2.sf(best, 1.0 + SEARCHED_PLACES) < 0.05) < 0.08
     assert np.mean(stats.chi2.sf(best, 6.0) < 0.05) > 0.2
 
 
@@ -382,7 +382,7 @@ def test_a_stretch_over_nearly_the_whole_lap_is_none():
     patches = candidates_of(objective, "friction_patch")
     for fit in Explorer(objective, patches, VARIANCE_INFLATION)(nothing(objective)):
         values = fit.parts[0].values
-        assert (values["s_end"] - values["s_start"]) % LAP <= 0.75 * LAP
+        assert (values["s_end"] - values["s_start"]) % LAP <= 0.8 * LAP
     selection = select_terms(
         objective, [*patches, *candidates_of(objective, "friction_scale")], VARIANCE_INFLATION
     )

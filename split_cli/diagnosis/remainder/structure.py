@@ -99,10 +99,9 @@ class Structure:
         """Return the saving that a dictionary's model-form error may bring with so many parameters."""
         if self.objective.posterior is None:
             return 0.0
-        allowances = self.objective.policy.allowances
-        form_error = (
-            allowances.form_error_a_parameter * freedom + allowances.structure_floor * self.objective.shared_cost
-        )
+        policy = self.objective.policy
+        form_error = policy.self_test.unnamed_margin * freedom
+        form_error += policy.allowances.structure_floor * self.objective.shared_cost
         return max(form_error, self.objective.unnamed_floor)
 
     def unnamed_share(self, left: FlexibleFit, named: float, variance_inflation: float) -> float:
@@ -155,7 +154,7 @@ def term_allowances(objective: MarginalLikelihood) -> np.ndarray:
     """Return the effect-to-noise ratios in v_x, v_y and r below which a term is not named, shape (3,)."""
     allowances = objective.policy.allowances
     if objective.posterior is None:
-        return np.full(3, allowances.bare)
+        return np.full(3, allowances.unnamed)
     return np.maximum(allowances.term, allowances.discrepancy_share * discrepancy_to_noise(objective))
 
 

@@ -95,7 +95,7 @@ def search(
     first = _search(objective, rows, candidates, known)
     # What leans or weighs may stand for an input that is off, which a marginalised baseline hides.
     sure = _alters_alone(first.selection) and first.selection.first_p < policy.selection.sure_level
-    if known.ratio <= policy.selection.much_form_error or sure:
+    if known.ratio <= policy.selection.much_over_noise or sure:
         return first
     progress("naming with a fixed baseline")
     return settled(first, search_again(case, candidates, objective, reach=reach), policy.selection)
@@ -214,11 +214,11 @@ def _search(
     gap = structure.fit(base.residuals, variance_inflation)
     objective = replace(objective, form_error_inflation=known.form_error_inflation_of(gap, objective.policy))
     structure = replace(structure, objective=objective)
-    rules = objective.policy.abstention
+    policy = objective.policy
 
     def leaves_structure(fit: Fit) -> bool:
         left = structure.fit(residuals_beside_form_error(objective, fit), variance_inflation)
-        return left.p_value < objective.policy.selection.level and left.effect_to_noise > rules.effect_to_noise
+        return left.p_value < policy.selection.level and left.effect_to_noise > policy.allowances.unnamed
 
     selection = select_terms(objective, candidates, variance_inflation, leaves_structure)
     selection = with_variants_that_run(structure, candidates, selection, variance_inflation)

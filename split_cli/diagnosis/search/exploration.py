@@ -163,8 +163,8 @@ class Explorer:
             return True
         if "s_start" not in part.values:
             return False
-        reach = part.candidate.ranges["s_end"].upper
-        return (part.values["s_end"] - part.values["s_start"]) % reach > self.rules.most_of_lap * reach
+        reach, most = part.candidate.ranges["s_end"].upper, self.objective.policy.reporting.everywhere
+        return (part.values["s_end"] - part.values["s_start"]) % reach > most * reach
 
 
 def nearest_start(candidate: Candidate, part: Part) -> dict[str, float]:

@@ -12,6 +12,7 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.effects import Term
 
 __all__ = [
+    "SEARCHED_PLACES",
     "Fit",
     "Part",
     "Prior",
@@ -27,6 +28,9 @@ __all__ = [
 _ITERATIONS = 12
 _JOINT_ITERATIONS = 6  # of all terms at once, to see which of them are needed
 _REFRESHES = 1
+_PLACES = 50  # into which a lap is cut to look for a stretch
+#: What the best of all stretches saves of model-form error beyond any one [chi squared], 2 ln of their number.
+SEARCHED_PLACES = 2.0 * np.log(_PLACES * (_PLACES - 1) / 2)
 
 
 @dataclass(frozen=True)
@@ -303,7 +307,7 @@ def scan_places(
     closed = objective.evidence[0].series.lap_length is not None
     if candidate.located == "wave":
         return _scan_waves(left, effect, s, reach / 4.0, closed)
-    bins = int(np.clip(reach / (0.02 * reach), 20, 60))
+    bins = _PLACES
     place = np.minimum((s / reach * bins).astype(int), bins - 1)
     score = np.bincount(place, effect * left, minlength=bins)
     information = np.bincount(place, effect**2, minlength=bins)

@@ -133,7 +133,7 @@ def other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) -> 
     saved = base.cost - first[0].cost if first else 0.0
     for fit in first[1:]:
         term = fit.parts[-1].candidate.term
-        if term != first[0].parts[-1].candidate.term and base.cost - fit.cost > (1.0 - rules.same_share) * saved:
+        if term != first[0].parts[-1].candidate.term and base.cost - fit.cost > (1.0 - rules.fair_share) * saved:
             out.setdefault(term, fit)
     return list(out.values())[: rules.beginnings]
 

@@ -60,7 +60,7 @@ def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
     placed = tuple(part for part in current.parts if part.candidate.located)
     begun = fit_parts(explore.objective, placed) if placed else nothing
     parts = _everything(explore, begun)
-    priors = [_prior(part.candidate, explore.rules.range_deviations) for part in parts]
+    priors = [_prior(part.candidate, explore.rules.deviations) for part in parts]
     fit, curvature = fit_with_prior(explore.objective, parts, priors)
     kept = _not_needless(explore, fit.parts, curvature)
     if not kept:

@@ -156,7 +156,7 @@ def select_terms(
         for other in other_beginnings(first, base, rules) if found.left_something else ():
             found = min(found, search_forward(explore, base, [other]), key=score)
         chosen, history = found.with_what_matters(base, rules), list(found.history)
-        refused, small = chosen is not found.chosen, objective.policy.abstention.effect_to_noise
+        refused, small = chosen is not found.chosen, objective.policy.allowances.unnamed
         if refused and term_size(objective, chosen, len(chosen.parts) - 1) < small:
             history.append(f"{chosen.parts[-1].candidate.label} kept as a nuisance")
         else:
@@ -200,7 +200,7 @@ def _is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool
     """
     rules, more = explore.rules, len(fit.parts) > len(than.parts)
     # Of explanations that are as good, the one with fewer terms stays.
-    least = rules.same_excess if more else rules.tie
+    least = rules.price if more else rules.tie
     if explore.price(fit) > explore.price(than) - least:
         return False
     there, here = costs_beside_form_error(explore.objective, [than, fit])
@@ -336,8 +336,8 @@ def explaining_as_well(
     # An excess is measured in what model-form error makes of chance; so is what it is compared with.
     saved = (selection.without[k].cost - selection.chosen.cost) / max(objective.form_error_inflation / margin, 1.0)
     share = min(1.0 / max(part_over_allowance(objective, selection.chosen, k), 1e-9), 1.0) ** 2
-    allowed = max(rules.same_excess, max(share, rules.form_error_cost, form_error / margin) * saved)
-    by_chance = rules.same_share * saved
+    allowed = max(rules.price, max(share, rules.form_error_cost, form_error / margin) * saved)
+    by_chance = rules.fair_share * saved
     return [
         rival
         for rival in rivals

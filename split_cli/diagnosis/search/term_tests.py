@@ -12,7 +12,7 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.remainder.structure import discrepancy_to_noise, minimum_effect_p, term_allowances
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.fitting import Fit
+from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit
 from split_cli.vehicle.effects import Term
 
 __all__ = [
@@ -50,8 +50,8 @@ def is_spread(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rul
     and if it stands for something else they do not. What is larger than the noise is seen however seldom it acts.
     Where there is much model-form error it is worst somewhere, and a place says no more than any few moments.
     """
-    seldom = fit.parts[k].candidate.located and objective.form_error_inflation <= rules.much_form_error
-    if seldom or block_z(objective, fit, without) > rules.spread:
+    seldom = fit.parts[k].candidate.located and objective.form_error_inflation <= rules.much_over_noise
+    if seldom or block_z(objective, fit, without) > objective.policy.comparison.deviations:
         return True
     return block_t(objective, fit, without) > rules.sure or term_size(objective, fit, k) > rules.plain
 
@@ -110,7 +110,7 @@ def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, r
     before, after = (objective.of_witnesses(one.residuals) for one in (without, fit))
     floor = objective.witness_floors.get(fit.parts[k].candidate.effect, 0.0)
     moved = before - after
-    if min(float(moved @ moved), float(before @ before - after @ after)) < max(floor, rules.same_excess):
+    if min(float(moved @ moved), float(before @ before - after @ after)) < max(floor, rules.price):
         return 1.0
     share, error = _confirmed(objective, moved, before)
     agree = objective.policy.self_test.term_margin
@@ -136,7 +136,7 @@ def witnesses_disagree(objective: MarginalLikelihood, fit: Fit, k: int, rules: S
     others = fit.terms[:k] + fit.terms[k + 1 :]
     before, after = (objective.of_witnesses(objective.residual(terms)) for terms in (others, fit.terms))
     moved = before - after
-    if float(moved @ moved) < rules.same_excess:
+    if float(moved @ moved) < rules.price:
         return 0.0
     share, error = _confirmed(objective, moved, before)
     return max(abs(share - 1.0) - rules.same_within * error, 0.0)
@@ -148,7 +148,7 @@ def is_apart_from_itself(objective: MarginalLikelihood, candidate: Candidate, sa
     What a term saves grows with the square of its size: halves that differ by a size are a draw of how far two
     recordings of one car lie apart.
     """
-    return saved > objective.policy.self_test.apart**2 * objective.own_savings.get(candidate.effect, 0.0)
+    return saved > objective.policy.selection.deviations**2 * objective.own_savings.get(candidate.effect, 0.0)
 
 
 def is_form_error(
@@ -180,7 +180,7 @@ def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fi
     left, still = (fit.residuals[: 3 * rows].reshape(rows, 3)[:, channel] for fit in (before, after))
     noise = 0.5 * np.mean(np.diff(still) ** 2)
     much, little = np.mean(left**2) - noise, np.mean(still**2) - noise
-    return bool(much > rules.settled_noise * noise and little < rules.fair_share * much)
+    return bool(much > rules.much_over_noise * noise and little < rules.fair_share * much)
 
 
 def sizes_of_terms(
@@ -253,5 +253,5 @@ def p_of_effect(
     known = p_value(candidate.complexity, variance_inflation, floor)
     if objective.form_error_inflation <= variance_inflation:
         return known
-    searched = candidate.complexity + (objective.policy.selection.searched_places if candidate.located else 0.0)
+    searched = candidate.complexity + (SEARCHED_PLACES if candidate.located else 0.0)
     return max(known, p_value(searched, objective.form_error_inflation, 0.0))

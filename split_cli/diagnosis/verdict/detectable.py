@@ -90,7 +90,7 @@ def _smallest(
         """Return by how much an effect, its size over what is allowed, passes, above 0, or fails, below."""
         p_value = p_of_effect(objective, candidate, size, saved, variance_inflation)
         margin = np.log(level) - np.log(max(p_value, 1e-300))
-        apart = objective.policy.self_test.apart**2 * objective.own_savings.get(candidate.effect, 0.0)
+        apart = objective.policy.selection.deviations**2 * objective.own_savings.get(candidate.effect, 0.0)
         if apart > 0.0:
             margin = min(margin, np.log(saved / apart))
         if objective.fixed_baseline:

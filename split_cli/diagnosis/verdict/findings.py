@@ -49,7 +49,7 @@ def describe(
     autocorrelation = residual_autocorrelation(structure, left)
     unexplained = (
         not findings
-        or _is_unexplained(findings, remainder, autocorrelation, outcome, rules)
+        or _is_unexplained(findings, remainder, autocorrelation, outcome)
         or _is_bent(objective, selection, variance_inflation)
     )
     kept = {one.term for one in findings}
@@ -145,28 +145,25 @@ def _is_unexplained(
     remainder: RemainderTest,
     autocorrelation: ResidualAutocorrelation,
     outcome: SearchOutcome,
-    rules: Abstention,
 ) -> bool:
     """Return whether what is left is structured and large, or wanders."""
-    large = max(2.0 * rules.effect_to_noise, min(rules.size * outcome.gap.effect_to_noise, rules.most))
+    policy = outcome.structure.objective.policy
+    least, selection = policy.allowances.unnamed, policy.selection
+    large = max(2.0 * least, min(selection.form_error_share * outcome.gap.effect_to_noise, selection.plain))
     if (
-        is_autocorrelated(autocorrelation, outcome.known.autocorrelation, outcome.structure.objective.policy)
+        is_autocorrelated(autocorrelation, outcome.known.autocorrelation, policy)
         and autocorrelation.effect_to_noise > large
     ):
         return True
-    if (
-        remainder.p_value >= outcome.structure.objective.policy.selection.level
-        or remainder.effect_to_noise < rules.effect_to_noise
-    ):
+    if remainder.p_value >= selection.level or remainder.effect_to_noise < least:
         return False
-    return remainder.effect_to_noise > large or remainder.share > rules.share
+    return remainder.effect_to_noise > large or remainder.share > policy.abstention.share
 
 
 def is_autocorrelated(autocorrelation: ResidualAutocorrelation, usual: float, policy: Policy = STANDARD) -> bool:
     """Return whether rows vary together by more than they usually do, and by enough to matter."""
-    rules = policy.abstention
     return (
-        autocorrelation.effect_to_noise > rules.effect_to_noise
+        autocorrelation.effect_to_noise > policy.allowances.unnamed
         and autocorrelation.p_value(usual, policy.self_test) < policy.selection.level
     )
 

@@ -76,7 +76,7 @@ def _as_good(
     rules, out = objective.policy.abstention, {}
     for fit in selection.first:
         one = fit.parts[-1].candidate
-        enough = selection.base.cost - fit.cost >= (1.0 - objective.policy.selection.same_share) * saved
+        enough = selection.base.cost - fit.cost >= (1.0 - objective.policy.selection.fair_share) * saved
         if enough and one.term not in {but, *out} and not one.at_limit(fit.parts[-1].values):
             out[one.term] = (one.term, one.variant, parameter_estimates(objective, fit)[-1])
     return tuple(out.values())[: rules.most_leads]
