@@ -10,6 +10,7 @@ from split_cli.cli.options import (
     engine_options,
     existing_file,
     json_option,
+    log_options,
     output_option,
     print_json,
     print_table,
@@ -104,24 +105,7 @@ def _spans(
     metavar="NAME=/TOPIC",
     help="Use this topic where the map says NAME.",
 )
-@click.option(
-    "--msg-path",
-    "message_paths",
-    multiple=True,
-    type=existing_file,
-    metavar="DIR",
-    help="Folder with .msg definitions of ROS messages.",
-)
-@click.option(
-    "--dbc",
-    "databases",
-    multiple=True,
-    type=existing_file,
-    metavar="FILE",
-    help="DBC database that decodes a CAN log.",
-)
-@click.option("--together", is_flag=True, help="Join the logs into one drive; each file keeps its own clock.")
-@click.option("--row-rate", type=float, metavar="HZ", help="Sampling rate of a table without a time column.")
+@log_options
 @click.option(
     "--start",
     type=float,

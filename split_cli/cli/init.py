@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from split_cli.cli.options import existing_file, json_option, output_option, print_json
+from split_cli.cli.options import existing_file, json_option, log_options, output_option, print_json
 
 __all__ = ["command"]
 
@@ -14,24 +14,7 @@ __all__ = ["command"]
 @click.command("init")
 @click.argument("logs", nargs=-1, required=True, type=existing_file, metavar="LOG...")
 @output_option("Folder for the two files [default: the current one].", required=False)
-@click.option("--together", is_flag=True, help="Join the logs into one drive; each file keeps its own clock.")
-@click.option("--row-rate", type=float, metavar="HZ", help="Sampling rate of a table without a time column.")
-@click.option(
-    "--dbc",
-    "databases",
-    multiple=True,
-    type=existing_file,
-    metavar="FILE",
-    help="DBC database that decodes a CAN log.",
-)
-@click.option(
-    "--msg-path",
-    "message_paths",
-    multiple=True,
-    type=existing_file,
-    metavar="DIR",
-    help="Folder with .msg definitions of ROS messages.",
-)
+@log_options
 @json_option
 def command(logs, output, together, row_rate, databases, message_paths, as_json) -> None:
     """Draft a signal map and a vehicle file for a recording, and print the next steps.

@@ -9,6 +9,7 @@ from split_cli.cli.options import (
     existing_file,
     held_option,
     json_option,
+    label_options,
     output_option,
     print_json,
     print_table,
@@ -30,15 +31,7 @@ __all__ = ["command"]
     help="Inputs of the correction: z2, z1, or a comma-separated list of signals.",
 )
 @click.option("--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h.")
-@click.option(
-    "--stride", type=int, metavar="N", help="Samples between two labels; default: as many as the horizon has."
-)
-@click.option(
-    "--plain-labels",
-    "plain",
-    is_flag=True,
-    help="Compute labels by the paper's plain damped difference, to reproduce the paper.",
-)
+@label_options
 @held_option
 @engine_options
 @json_option

@@ -15,6 +15,8 @@ __all__ = [
     "existing_file",
     "held_option",
     "json_option",
+    "label_options",
+    "log_options",
     "output_option",
     "print_json",
     "print_table",
@@ -66,6 +68,46 @@ def engine_options(function: Callable) -> Callable:
     ):  # fmt: skip
         function = option(function)
     return function
+
+
+def log_options(function: Callable) -> Callable:
+    """``--together``, ``--row-rate``, ``--msg-path``, ``--dbc``: what a log does not say of itself."""
+    for option in (
+        _definitions("--dbc", "databases", "FILE", "DBC database that decodes a CAN log."),
+        _definitions("--msg-path", "message_paths", "DIR", "Folder with .msg definitions of ROS messages."),
+        click.option(
+            "--row-rate", type=float, metavar="HZ", help="Sampling rate of a table without a time column."
+        ),
+        click.option(
+            "--together", is_flag=True, help="Join the logs into one drive; each file keeps its own clock."
+        ),
+    ):
+        function = option(function)
+    return function
+
+
+def label_options(function: Callable) -> Callable:
+    """``--stride``, ``--plain-labels``: which labels are computed, and how."""
+    for option in (
+        click.option(
+            "--plain-labels",
+            "plain",
+            is_flag=True,
+            help="Compute labels by the paper's plain damped difference, to reproduce the paper.",
+        ),
+        click.option(
+            "--stride",
+            type=int,
+            metavar="N",
+            help="Samples between two labels; default: as many as the horizon has.",
+        ),
+    ):
+        function = option(function)
+    return function
+
+
+def _definitions(flag: str, name: str, metavar: str, meaning: str) -> Callable:
+    return click.option(flag, name, multiple=True, type=existing_file, metavar=metavar, help=meaning)
 
 
 def output_option(meaning: str, required: bool = True, names: Sequence[str] = ("-o", "--output")) -> Callable:

@@ -8,6 +8,7 @@ from split_cli.cli.options import (
     existing_file,
     held_option,
     json_option,
+    label_options,
     output_option,
     print_json,
     print_table,
@@ -50,9 +51,7 @@ class TimeSpan(click.ParamType):
     help="Length scales and variances of the kernel; fixed once a set exists. Default: fit.",
 )
 @click.option("--horizon", type=float, metavar="S", help="Label interval h; default 0.05.")
-@click.option(
-    "--stride", type=int, metavar="N", help="Samples between two labels; default: as many as the horizon has."
-)
+@label_options
 @click.option(
     "--capacity",
     type=int,
@@ -80,12 +79,6 @@ class TimeSpan(click.ParamType):
     type=float,
     metavar="S",
     help="Reduce the gain of old points with this time constant; default: off.",
-)
-@click.option(
-    "--plain-labels",
-    "plain",
-    is_flag=True,
-    help="Compute labels by the paper's plain damped difference, to reproduce the paper.",
 )
 @click.option(
     "--trust",

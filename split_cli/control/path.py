@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -117,10 +117,6 @@ class Path:
         """Return the arc length [m] of the nearest place of the whole line."""
         i = int(np.argmin(np.hypot(self.x - x, self.y - y)))
         return self.project(x, y, i * self.spacing, reach=2.0 * self.spacing)
-
-    def with_width(self, left: float, right: float) -> Path:
-        """Return the line with constant distances to its borders [m]."""
-        return replace(self, left=np.full(len(self.x), float(left)), right=np.full(len(self.x), float(right)))
 
 
 def contour_and_lag(point: PathPoint, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,12 +8,13 @@ has one signed slack s with the cost w s^2: lower <= C x + s <= upper.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi
 import numpy as np
 
-from split_cli.control.policy import FEASIBLE, FREE, MAXIMUM_ITERATIONS, MODES
+from split_cli.control.policy import ATTEMPTS, FEASIBLE, FREE
 
 __all__ = ["QPData", "QPSolution", "StageQP"]
 
@@ -123,8 +124,9 @@ class StageQP:
         N.
     states, inputs, rows : int
         n, m, g.
-    iterations : int
-        Most iterations of the interior point method; the paper's 40.
+    attempts : sequence of (str, int)
+        HPIPM's modes, tried one after the other until an answer is accepted, each with the most iterations of the
+        interior point method; the paper's are 40.
 
     Notes
     -----
@@ -135,12 +137,12 @@ class StageQP:
     """
 
     def __init__(
-        self, horizon: int, states: int, inputs: int, rows: int, iterations: int = MAXIMUM_ITERATIONS
+        self, horizon: int, states: int, inputs: int, rows: int, attempts: Sequence[tuple[str, int]] = ATTEMPTS
     ) -> None:
         self.horizon, self.states, self.inputs, self.rows = horizon, states, inputs, rows
         self._layout()
         self._pattern_of_programme()
-        self._fast, self._safe = (_Bound(self._build_solver(mode, iterations), self._h, self._a) for mode in MODES)
+        self._solvers = [_Bound(self._build_solver(*one), self._h, self._a) for one in attempts]
 
     def _layout(self) -> None:
         """Number the variables and rows of the whole programme."""
@@ -203,12 +205,15 @@ class StageQP:
 
     def solve(self, data: QPData) -> QPSolution:
         """Solve one programme; a failure is an answer with ``solved`` false, not an exception."""
-        self._fill(self._fast, data)
+        first, *others = self._solvers
+        self._fill(first, data)
         start = time.thread_time()
-        solution = self._answer(self._fast, data)
-        if not solution.solved:
-            self._fill(self._safe, data)
-            solution = self._answer(self._safe, data)
+        solution = self._answer(first, data)
+        for other in others:
+            if solution.solved:
+                break
+            self._fill(other, data)
+            solution = self._answer(other, data)
         return replace(solution, seconds=time.thread_time() - start)
 
     def _answer(self, programme: _Bound, data: QPData) -> QPSolution:
@@ -218,7 +223,7 @@ class StageQP:
 
     def dense(self, data: QPData) -> tuple[np.ndarray, ...]:
         """Return (H, g, A, lba, uba, lbx, ubx) of the programme as dense arrays, for a reference solver."""
-        p = self._fast
+        p = self._solvers[0]
         self._fill(p, data)
         H = np.array(casadi.DM(self._sparsity["h"], self._h))
         A = np.array(casadi.DM(self._sparsity["a"], self._a))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, minimize
 
+from split_cli.control.policy import ATTEMPTS
 from split_cli.control.qp import QPData, StageQP
 
 
@@ -102,16 +103,14 @@ def test_bounds_that_no_input_reaches_are_a_failure_and_the_next_programme_is_so
 @pytest.mark.parametrize("seed", range(3))
 def test_the_fast_mode_answers_as_the_safe_one(seed):
     data = programme(seed, N=12)
-    solver = StageQP(12, 3, 2, 2)
-    solver._fill(solver._safe, data)
-    safe = solver._answer(solver._safe, data)
+    fast, safe = (StageQP(12, 3, 2, 2, attempts=[one]).solve(data) for one in ATTEMPTS)
     # Both end an interior point method at complementarities of about 1e-5 of variables of size 1.
-    assert solver.solve(data).u == pytest.approx(safe.u, abs=1e-4)
+    assert fast.solved and safe.solved and fast.u == pytest.approx(safe.u, abs=1e-4)
 
 
-def test_the_safe_mode_answers_where_the_fast_one_does_not(monkeypatch):
-    solver, data = StageQP(4, 3, 2, 2), programme(5)
-    expected = solver.solve(data)
-    monkeypatch.setattr(solver._fast, "run", lambda: False)
-    found = solver.solve(data)
+def test_the_safe_mode_answers_where_the_fast_one_does_not():
+    """Without any iteration there is no answer."""
+    data, ((fast, _), safe) = programme(5), ATTEMPTS
+    assert not StageQP(4, 3, 2, 2, attempts=[(fast, 0)]).solve(data).solved
+    found, expected = StageQP(4, 3, 2, 2, attempts=[(fast, 0), safe]).solve(data), StageQP(4, 3, 2, 2).solve(data)
     assert found.solved and found.u == pytest.approx(expected.u, abs=1e-4)

@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.vehicle.descent import Slopes, descend
 from split_cli.vehicle.effects import Term
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
 _ITERATIONS = 12
 _JOINT_ITERATIONS = 6  # of all terms at once, to see which of them are needed
 _REFRESHES = 1
+_LEAST_GAIN = 0.02  # of a step [chi squared], below which a fit ends
 _PLACES = 50  # into which a lap is cut to look for a stretch
 #: What the best of all stretches saves of model-form error beyond any one [chi squared], 2 ln of their number.
 SEARCHED_PLACES = 2.0 * np.log(_PLACES * (_PLACES - 1) / 2)
@@ -158,7 +160,7 @@ def _fit(
 
     Notes
     -----
-    Levenberg-Marquardt with forward differences; parameters at a bound stay there while the gradient pushes out.
+    See `descend`; derivatives by forward differences.
     """
     names = [(k, name) for k, part in enumerate(parts) for name in part.values]
     limits = [parts[k].candidate.ranges[name] for k, name in names]
@@ -170,35 +172,25 @@ def _fit(
     def residual_at(x: np.ndarray) -> np.ndarray:
         return objective.left_by([part.term for part in _with(parts, names, x * steps)])
 
-    here = residual_at(x)
-    residuals = objective.whiten(here - shift)
     mean, precision = pulls if pulls is not None else (np.zeros(len(x)), np.zeros(len(x)))
-    cost = float(residuals @ residuals) + float(precision @ (x - mean) ** 2)
-    damping = 1e-3
-    for _ in range(iterations):
+
+    def evaluate(x: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
+        here = residual_at(x)
+        residuals = objective.whiten(here - shift)
+        return float(residuals @ residuals) + float(precision @ (x - mean) ** 2), (here, residuals)
+
+    def linearise(x: np.ndarray, state: tuple[np.ndarray, np.ndarray]) -> Slopes:
+        here, residuals = state
         jacobian = objective.whiten(_slopes(residual_at, here, x, upper))
-        curvature = jacobian.T @ jacobian + np.diag(precision)
         slope = jacobian.T @ residuals + precision * (x - mean)
-        improved = 0.0
-        for _ in range(5):
-            scaled = curvature + damping * np.diag(np.diag(curvature)) + 1e-9 * np.eye(len(x))
-            free = ~(((x <= lower) & (slope > 0)) | ((x >= upper) & (slope < 0)))
-            move = np.zeros_like(x)
-            if free.any():
-                move[free] = -np.linalg.solve(scaled[np.ix_(free, free)], slope[free])
-            trial = np.clip(x + move, lower, upper)
-            there = residual_at(trial)
-            trial_residuals = objective.whiten(there - shift)
-            trial_cost = float(trial_residuals @ trial_residuals) + float(precision @ (trial - mean) ** 2)
-            if trial_cost < cost:
-                improved = cost - trial_cost
-                x, here, residuals, cost = trial, there, trial_residuals, trial_cost
-                damping = max(damping / 5.0, 1e-6)
-                break
-            damping *= 8.0
-        if improved < 0.02:
-            break
-    return Fit(_with(parts, names, x * steps), float(residuals @ residuals), residuals, jacobian / steps)
+        return Slopes(jacobian, slope, jacobian.T @ jacobian + np.diag(precision))
+
+    found = descend(
+        evaluate, linearise, x, lower, upper, enough=lambda gained, _: gained < _LEAST_GAIN, iterations=iterations
+    )
+    residuals = found.state[1]
+    parts = _with(parts, names, found.parameters * steps)
+    return Fit(parts, float(residuals @ residuals), residuals, found.slopes.jacobian / steps)
 
 
 def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarray:

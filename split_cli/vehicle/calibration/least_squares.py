@@ -7,12 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.vehicle.descent import Slopes, descend
+
 __all__ = ["LeastSquaresFit", "block_weights", "robust_scale", "solve"]
 
 Residual = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """parameters (P,) to residuals (M,) and their Jacobian (M, P)."""
 
 _HUBER = 1.5
+_LEAST_GAIN = 1e-7  # of a step over the loss, below which a stage ends
+_TRIES = 12
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ def solve(
     scale: float | None = None,
     iterations: int = 60,
 ) -> LeastSquaresFit:
-    """Minimise the Huber loss of the residuals by a Levenberg-Marquardt iteration inside bounds.
+    """Minimise the Huber loss of the residuals inside bounds, see `descend`.
 
     Parameters
     ----------
@@ -101,61 +105,33 @@ def solve(
     """
     free = np.arange(len(start)) if free is None else np.asarray(free)
     parameters = np.clip(np.asarray(start, dtype=float), lower, upper)
-    stages = 1 if scale is not None else 3
-    for _ in range(stages):
-        value, jacobian = residual(parameters)
-        width = scale if scale is not None else max(robust_scale(value), 1e-9)
-        parameters = _descend(residual, parameters, lower, upper, free, weight, width, iterations)
-    value, jacobian = residual(parameters)
-    influence = _influence(value, width) if weight is None else weight * _influence(value, width)
+    weights = 1.0 if weight is None else weight
+    width, state = 1.0 if scale is None else scale, residual(parameters)
+
+    def evaluate(x: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
+        value, jacobian = residual(x)
+        return _loss(value, width, weight), (value, jacobian)
+
+    def linearise(x: np.ndarray, state: tuple[np.ndarray, np.ndarray]) -> Slopes:
+        value, jacobian = state
+        influence = weights * _influence(value, width)
+        return Slopes(jacobian, jacobian.T @ (influence * value), (jacobian * influence[:, None]).T @ jacobian)
+
+    for _ in range(1 if scale is not None else 3):
+        if scale is None:
+            width = max(robust_scale(state[0]), 1e-9)
+        found = descend(
+            evaluate, linearise, parameters, lower, upper, iterations=iterations, tries=_TRIES,
+            movable=np.isin(np.arange(len(parameters)), free),
+            enough=lambda gained, cost: gained < _LEAST_GAIN * cost or gained == 0.0,
+        )  # fmt: skip
+        parameters, state = found.parameters, found.state
+    value, jacobian = state
+    influence = weights * _influence(value, width)
     reduced = jacobian[:, free]
     curvature = (reduced * influence[:, None]).T @ reduced
     scores = reduced * (influence * value)[:, None]
     return LeastSquaresFit(parameters, _loss(value, width, weight), width, curvature, scores, free)
-
-
-def _descend(
-    residual: Residual,
-    parameters: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    free: np.ndarray,
-    weight: np.ndarray | None,
-    width: float,
-    iterations: int,
-) -> np.ndarray:
-    damping = 1e-3
-    value, jacobian = residual(parameters)
-    loss = _loss(value, width, weight)
-    for _ in range(iterations):
-        influence = _influence(value, width) if weight is None else weight * _influence(value, width)
-        gradient = jacobian.T @ (influence * value)
-        # A parameter at its bound that would leave it rests for this step.
-        leaves = ((parameters <= lower) & (gradient > 0)) | ((parameters >= upper) & (gradient < 0))
-        active = free[~leaves[free]]
-        # No slope at all: nothing in the samples speaks of these parameters.
-        if not np.any(gradient[active]):
-            break
-        reduced = jacobian[:, active]
-        curvature = (reduced * influence[:, None]).T @ reduced
-        step = np.linalg.solve(
-            curvature + damping * np.diag(np.diag(curvature) + 1e-12 * np.trace(curvature)), -gradient[active]
-        )
-        trial = parameters.copy()
-        trial[active] = np.clip(trial[active] + step, lower[active], upper[active])
-        trial_value, trial_jacobian = residual(trial)
-        trial_loss = _loss(trial_value, width, weight)
-        if trial_loss < loss:
-            gained = loss - trial_loss
-            parameters, value, jacobian, loss = trial, trial_value, trial_jacobian, trial_loss
-            damping = max(damping / 5.0, 1e-12)
-            if gained < 1e-7 * loss:
-                break
-        elif damping > 1e8:
-            break
-        else:
-            damping *= 5.0
-    return parameters
 
 
 def _influence(value: np.ndarray, width: float) -> np.ndarray:
