@@ -439,7 +439,7 @@ class TestWithoutRecordings:
         )
 
     def test_few_blocks_that_agree_are_believed_and_few_that_do_not_are_not(self, monkeypatch):
-        """In three blocks of forty: z stays below 3.5 however large it is; t asks whether they say the same.
+        """In three blocks of forty: z stays below 3.29 however large it is; t asks whether they say the same.
 
         If they do not, only what is larger than the noise is believed.
         """
@@ -453,7 +453,7 @@ class TestWithoutRecordings:
             d, without = d.ravel(), without.ravel()
             left = without - float(d @ without / (d @ d)) * d
             fit = replace(self.fit(left), parts=(Part(SimpleNamespace(located=""), {}),))
-            assert block_z(objective, fit, self.fit(without)) < rules.spread
+            assert block_z(objective, fit, self.fit(without)) < STANDARD.comparison.deviations
             for effect_to_noise in (0.9, 1.1):
                 monkeypatch.setattr(
                     term_tests, "term_size", lambda *_, effect_to_noise=effect_to_noise: effect_to_noise
