@@ -23,10 +23,12 @@ __all__ = [
     "ReadNote",
     "TableRecording",
     "column_name_and_unit",
+    "counts_rows",
     "nearest_column",
     "note_once",
     "seconds_and_nanoseconds",
     "time_column",
+    "unit_of_time",
 ]
 
 TIME_COLUMNS = (
@@ -210,7 +212,21 @@ def time_column(infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
         if name in names and names[name].type_name != "text":
             return names[name]
     timed = [info for name, info in names.items() if re.search(r"(^|_)(time|timestamp)(_|$)", name)]
+    timed = [info for info in timed if not counts_rows(info.name)]
     return timed[0] if len(timed) == 1 and timed[0].type_name != "text" else None
+
+
+def counts_rows(name: str) -> bool:
+    """Tell whether a column is called a counter (``time_step``, ``frame``), whose steps are no seconds."""
+    return bool(re.search(r"(?<![a-z])(steps?|frame|index|idx|count|counter|number)(?![a-z])", name.lower()))
+
+
+def unit_of_time(values: np.ndarray) -> str:
+    """Return the unit of a clock that states none: samples of a drive are 0.2 ms to 1.5 s apart."""
+    steps = np.diff(values[np.isfinite(values)])
+    step = float(np.median(steps)) if len(steps) else 1.0
+    sizes = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+    return next((unit for unit, size in sizes.items() if 2e-4 < step * size < 1.5), "s")
 
 
 def seconds_and_nanoseconds(infos: Sequence[RawChannelInfo]) -> tuple[str, str] | None:

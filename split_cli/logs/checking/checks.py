@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,8 +56,10 @@ class Checks:
         drive: Drive,
         vehicle: Vehicle | None,
         kinds: Mapping[str, str],
+        certain: Collection[str] = (),
     ) -> None:
         self.vehicle = vehicle
+        self.certain = certain
         self.k = Kinematics(columns, drive.period, drive.segments())
         self.derived = {channel for channel, kind in kinds.items() if kind.startswith("derived")}
         self.relations: list[Relation] = []
@@ -82,50 +84,6 @@ class Checks:
                             None,
                         )
                     )
-        return found
-
-    def swapped(self) -> bool:
-        """Tell whether v_y carries the motion: larger than v_x, and the ground speed where that is known."""
-        if not self.usable("vx", "vy"):
-            return False
-        vx, vy = self.k.columns["vx"], self.k.columns["vy"]
-        if not np.nanmean(vy**2) > 4.0 * np.nanmean(vx**2):
-            return False
-        return not self.usable("X", "Y") or _agreement(np.abs(vy), self.k.ground_speed()) > 0.8
-
-    def swap_finding(self) -> ConsistencyFinding:
-        vx, vy = self.k.columns["vx"], self.k.columns["vy"]
-        ratio = float(np.sqrt(np.nanmean(vy**2) / max(np.nanmean(vx**2), 1e-12)))
-        return ConsistencyFinding(
-            "swapped",
-            "vx",
-            f"v_y is {ratio:.3g} times as large as v_x: the two look swapped. Exchange their sources in the map. "
-            "Nothing else was judged.",
-            ratio,
-        )
-
-    def axes(self) -> list[ConsistencyFinding]:
-        """Return accelerations that do not go with their own motion and do with the other's."""
-        if not self.usable("ax", "r"):
-            return []
-        inertial = self.k.rate("vx") - self._carried()
-        turning = self.k.columns["vx"] * self.k.columns["r"]
-        motions = {"ax": (inertial, "dv_x/dt - v_y r"), "ay": (turning, "v_x r")}
-        found = []
-        for channel, other in (("ax", "ay"), ("ay", "ax")):
-            if not self.usable(channel):
-                continue
-            signal = self.k.signal(channel)
-            own, across = (fit_slope(signal, motions[c][0], self.k.moving) for c in (channel, other))
-            if own is None or across is None or abs(across.correlation) < LEAST_CORRELATION:
-                continue
-            if abs(own.correlation) < abs(across.correlation) - 0.5:
-                text = (
-                    f"{channel[0]}_{channel[1]} goes with {motions[other][1]} (correlation "
-                    f"{across.correlation:.2f}), not with {motions[channel][1]} ({own.correlation:.2f}): it is "
-                    "along the other axis. Exchange the sources of a_x and a_y in the map."
-                )
-                found.append(ConsistencyFinding("swapped", channel, text, across.correlation))
         return found
 
     def magnitudes(self) -> list[Plausible]:
@@ -170,7 +128,8 @@ class Checks:
         if tolerance > 1.0:
             self.unjudged.append(Unjudged(name, f"the slope {slope.slope:.3g} is uncertain by {slope.error:.2g}"))
             return
-        self.relations.append(Relation(name, powers, slope, tolerance, corrected))
+        relation = Relation(name, powers, slope, tolerance, corrected)
+        self.relations.append(replace(relation, certain=relation.leaf in self.certain))
 
     def measure_relations(self) -> None:
         k = self.k
@@ -196,13 +155,13 @@ class Checks:
     def _accelerations(self) -> None:
         k = self.k
         if self.usable("ax"):
-            inertial = k.rate("vx") - self._carried()
+            inertial = k.rate("vx") - self.carried()
             self.relate("a_x against dv_x/dt - v_y r", k.signal("ax"), inertial, {"ax": 1, "vx": -1}, 0.12)
         if self.usable("ay", "r"):
             turning = k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
             self.relate("a_y against v_x r", k.signal("ay"), turning, {"ay": 1, "vx": -1, "r": -1}, 0.15)
 
-    def _carried(self) -> np.ndarray | float:
+    def carried(self) -> np.ndarray | float:
         """Return v_y r, what turning takes from dv_x/dt [m/s^2]; 0 where v_y or r is not measured."""
         if not self.usable("vy", "r"):
             return 0.0
@@ -251,7 +210,7 @@ class Checks:
         if not self.usable("T") or self.vehicle is None:
             return
         k, car = self.k, self.vehicle
-        inertial = k.rate("vx") - self._carried()
+        inertial = k.rate("vx") - self.carried()
         parts = (
             car.wheel_radius * car.mass * inertial,
             car.wheel_radius * car.drag_coefficient * k.signal("vx") ** 2,
@@ -425,11 +384,13 @@ class Checks:
 
     def direction_of_travel(self) -> list[ConsistencyFinding]:
         """Compare yaw with the direction in which X, Y moves."""
-        if not self.usable("X", "Y", "yaw", "vx", "vy"):
+        if not self.usable("X", "Y", "yaw", "vx"):
             return []
         k = self.k
         course = np.arctan2(k.rate("Y"), k.rate("X"))
-        expected = k.signal("yaw") + np.arctan2(k.signal("vy"), k.signal("vx"))
+        # Without v_y: the sideslip of left and right bends has no mean.
+        sideslip = np.arctan2(k.signal("vy"), k.signal("vx")) if self.usable("vy") else 0.0
+        expected = k.signal("yaw") + sideslip
         off = np.angle(np.exp(1j * (course - expected)))[k.moving]
         off = off[np.isfinite(off)]
         if len(off) < 50:
@@ -481,10 +442,3 @@ def _median_of(values: np.ndarray) -> tuple[float, float]:
     values = values[np.isfinite(values)]
     median, error = block_interval(lambda rows: np.array([np.median(values[rows])]), len(values))
     return float(median[0]), float(error[0])
-
-
-def _agreement(a: np.ndarray, b: np.ndarray) -> float:
-    use = np.isfinite(a) & np.isfinite(b)
-    if np.count_nonzero(use) < 50 or np.std(a[use]) == 0 or np.std(b[use]) == 0:
-        return 0.0
-    return float(np.corrcoef(a[use], b[use])[0, 1])

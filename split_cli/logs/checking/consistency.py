@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from split_cli.logs.checking.checks import ACROSS, Checks, Unjudged
+from split_cli.logs.checking.directions import (
+    along_the_world,
+    exchanged_accelerations,
+    look_swapped,
+    swap_finding,
+)
 from split_cli.logs.checking.explanations import ConsistencyFinding, Relation, explain
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
@@ -39,7 +45,9 @@ class Consistency:
     cost: float = 0.0
 
 
-def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str, str]) -> Consistency:
+def check_consistency(
+    drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str, str], certain: Collection[str] = ()
+) -> Consistency:
     """Check a drive's channels against each other.
 
     Parameters
@@ -49,6 +57,8 @@ def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str,
         Gives the wheelbase for the steer angle, the CG for v_y, mass and wheel radius for T.
     kinds : mapping of str to str
         Derived channels are not checked against what they were derived from.
+    certain : collection of str
+        What no mistake is looked for in: ``hand`` where X, Y are known to be east and north, ``yaw``.
 
     Notes
     -----
@@ -56,10 +66,13 @@ def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str,
     (a unit, a hand, a swap) that account for them. Where it is sure of one, what was wrong is corrected in a copy,
     and the finer checks (bias on straights, place of v_y, direction of yaw) are made on that.
     """
-    checks = Checks(drive.columns, drive, vehicle, kinds)
+    checks = Checks(drive.columns, drive, vehicle, kinds, certain)
     constant = checks.constant_channels()
-    if checks.swapped():
-        return Consistency(tuple([*constant, checks.swap_finding()]), (), tuple(checks.unjudged))
+    if look_swapped(checks):
+        return Consistency(tuple([*constant, swap_finding(checks)]), (), tuple(checks.unjudged))
+    world = along_the_world(checks)
+    if world:
+        return Consistency(tuple([*constant, *world]), (), tuple(checks.unjudged))
     checks.measure_relations()
     explanation = explain(checks.relations, vehicle, checks.magnitudes())
     found, factors, finer = list(explanation.findings), dict(explanation.factors), checks
@@ -67,7 +80,7 @@ def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str,
     if {"vx", "r"} & set(factors):
         # What was wrong with v_x or r was in every product: with both right the rest is measured again.
         shared = {channel: factors[channel] for channel in ("vx", "r") if channel in factors}
-        finer = Checks(_corrected(drive.columns, shared, vy_judged), drive, vehicle, kinds)
+        finer = Checks(_corrected(drive.columns, shared, vy_judged), drive, vehicle, kinds, certain)
         finer.measure_relations()
         again = explain(finer.relations, vehicle, finer.magnitudes())
         named = {finding.channel for finding in found}
@@ -75,17 +88,17 @@ def check_consistency(drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str,
         found += [_after(finding, shared) for finding in new]
         factors |= {c: f for c, f in again.factors.items() if c not in factors and c not in ("vx", "r")}
     if factors:
-        corrected = Checks(_corrected(drive.columns, factors, vy_judged), drive, vehicle, kinds)
+        corrected = Checks(_corrected(drive.columns, factors, vy_judged), drive, vehicle, kinds, certain)
         corrected.unjudged, finer = finer.unjudged, corrected
     wrong = {finding.channel for finding in found} - set(factors) - ({"X"} if "hand" in factors else set())
-    exchanged = finer.axes()
+    exchanged = exchanged_accelerations(finer)
     findings = [*constant, *found, *exchanged]
     if not {"vx", "r"} & wrong:
         placed = finer.sideslip_place()
         if "vx" in factors and not vy_judged and placed:
             # Whether v_y has the unit of v_x is open: a place that only one of the two gives is none.
             as_it_is = {**finer.k.columns, "vy": drive.columns["vy"]}
-            placed = Checks(as_it_is, drive, vehicle, kinds).sideslip_place() and placed
+            placed = Checks(as_it_is, drive, vehicle, kinds, certain).sideslip_place() and placed
         findings += [*finer.straight_line(), *placed, *finer.grip()]
     if not {"X", "Y", "yaw"} & wrong:
         findings += finer.direction_of_travel()

@@ -38,7 +38,8 @@ class ConsistencyFinding:
     Attributes
     ----------
     check : str
-        ``scale``, ``sign``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``constant``, ``range``.
+        ``scale``, ``sign``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``world``, ``constant``,
+        ``range``.
     channel : str
         The one to look at.
     text : str
@@ -73,6 +74,8 @@ class Relation:
         that are no plain product; None where `powers` says it all.
     of_the_world : bool
         Whether it turns its sign when yaw and the order of X, Y are both turned.
+    certain : bool
+        Whether the channel that only this relation has is beyond doubt: a path of satellite fixes, a compass.
     """
 
     name: str
@@ -81,6 +84,7 @@ class Relation:
     tolerance: float
     corrected: Callable[[float, float], float] | None = None
     of_the_world: bool = False
+    certain: bool = False
 
     @property
     def holds(self) -> bool:
@@ -329,15 +333,16 @@ def _leaf(
     choices: list[tuple[float, Mistake | None, float]] = [
         (_misfit(relation, left, 1.0, 1.0, False) + sum(p.cost(factors) for p in own), None, 0.0)
     ]
-    for mistake in known_mistakes(channel, vehicle):
+    for mistake in () if relation.certain else known_mistakes(channel, vehicle):
         low, high = sorted((mistake.low**power, mistake.high**power))
         same_logger = mistake.unit in units and (channel == "vy" or channel.startswith("wheel_speed"))
         charged = _SAME_UNIT if same_logger else mistake.cost
         beyond = sum(p.cost({**factors, channel: mistake.high}) for p in own)
         choices.append((charged + beyond + _misfit(relation, left, low, high, mistake.turned), mistake, charged))
     cost, mistake, charged = min(choices, key=lambda choice: choice[0])
-    if cost >= _UNKNOWN:
-        return _Leaf(relation, None, _UNKNOWN, left)
+    unknown = 2.0 * _UNKNOWN if relation.certain else _UNKNOWN
+    if cost >= unknown:
+        return _Leaf(relation, None, unknown, left)
     rivals = tuple(m for c, m, _ in choices if m is not None and m is not mistake and c < cost + _RIVAL)
     return _Leaf(relation, mistake, cost, left, rivals if mistake is not None else (), charged)
 

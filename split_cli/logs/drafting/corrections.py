@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,14 +9,12 @@ import numpy as np
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.checking.consistency import Consistency
 from split_cli.logs.drafting.draft import UNITS_OF, Suggestion
+from split_cli.logs.drafting.hand import HANDED, is_heading, path_is_certain
 from split_cli.logs.drafting.trial import Trial
-from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit
 
-__all__ = ["as_siblings", "correct", "with_status"]
+__all__ = ["as_others_turn", "as_siblings", "correct", "with_status"]
 
-_HANDED = ("r", "vy", "ay", "yaw", "delta", "steering_wheel_angle", "sideslip")
-"""Channels whose sign says left or right."""
 _UNIT_BY_FACTOR = {
     ("vx", 3.6): "km/h", ("vy", 3.6): "km/h", ("vx", 2.237): "mph", ("vy", 2.237): "mph", ("vx", 1.944): "kn",
     ("r", 57.3): "deg/s", ("yaw", 57.3): "deg", ("delta", 57.3): "deg", ("ax", 0.102): "g", ("ay", 0.102): "g",
@@ -34,6 +30,9 @@ _ANGLE_OF_RATE = {"deg/s": "deg", "rad/s": "rad", "deg": "deg/s", "rad": "rad/s"
 
 def correct(chosen: dict[str, Suggestion], trial: Trial) -> tuple[dict[str, Suggestion], Consistency]:
     """Set units that nobody states, and signs, as the checks say, until they say nothing more."""
+    undisputed = "X" not in chosen or path_is_certain(chosen)
+    if "yaw" in chosen and undisputed and is_heading(chosen["yaw"], trial.signals):
+        chosen = {**chosen, "yaw": _as_compass(chosen["yaw"])}
     verdict = trial.judge(chosen)
     for _ in range(4):
         changed = False
@@ -44,14 +43,15 @@ def correct(chosen: dict[str, Suggestion], trial: Trial) -> tuple[dict[str, Sugg
                 changed = True
             elif channel in chosen:
                 better = _corrected(chosen[channel], factor)
+                if channel == "yaw" and factor < 0.0 and is_heading(better, trial.signals):
+                    better = _as_compass(better)
                 changed |= better != chosen[channel]
                 chosen = {**chosen, channel: better}
                 if channel == "X" and better.unit:
                     chosen["Y"] = replace(chosen["Y"], unit=better.unit)
         for finding in verdict.findings:
             if finding.check == "compass" and "yaw" in chosen:
-                yaw = replace(chosen["yaw"], scale=1.0, offset=0.0, world="ned", reason="a compass bearing")
-                chosen = {**chosen, "yaw": yaw}
+                chosen = {**chosen, "yaw": _as_compass(chosen["yaw"])}
                 changed = True
             elif finding.check == "direction" and "yaw" in chosen and finding.measured is not None:
                 chosen = {**chosen, "yaw": _with_zero(chosen["yaw"], finding.measured)}
@@ -60,6 +60,10 @@ def correct(chosen: dict[str, Suggestion], trial: Trial) -> tuple[dict[str, Sugg
             break
         verdict = trial.judge(chosen)
     return chosen, verdict
+
+
+def _as_compass(yaw: Suggestion) -> Suggestion:
+    return replace(yaw, scale=1.0, offset=0.0, world="ned", reason="a compass bearing")
 
 
 def as_siblings(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[str, Suggestion]:
@@ -100,31 +104,13 @@ def _other_hand(chosen: dict[str, Suggestion], trial: Trial) -> dict[str, Sugges
     turned = {c: replace(s, scale=-s.scale, reason="right-positive, as the path shows") for c, s in chosen.items()
               if c in ("r", "vy", "ay")}  # fmt: skip
     yaw = chosen.get("yaw")
-    certain = chosen["X"].convert == "local_x" or _are_east_and_north(chosen)
-    if not certain and not (yaw is not None and _is_heading(yaw, trial)):
+    if not path_is_certain(chosen) and not (yaw is not None and is_heading(yaw, trial.signals)):
         told = "exchanged with the other, or the car's channels are right-positive: nothing recorded decides"
         return {**chosen, "X": replace(chosen["Y"], channel="X", reason=told),
                 "Y": replace(chosen["X"], channel="Y", reason=told)}  # fmt: skip
     if yaw is not None and yaw.world != "ned":
-        turned["yaw"] = replace(yaw, scale=1.0, offset=0.0, world="ned", reason="a compass bearing")
+        turned["yaw"] = _as_compass(yaw)
     return {**chosen, **turned}
-
-
-def _are_east_and_north(chosen: Mapping[str, Suggestion]) -> bool:
-    words = [tokens_of(chosen[c].sources[0]) for c in "XY"]
-    named = [concepts_of(w)[0] | {{"e": "east", "n": "north", "pe": "east", "pn": "north"}.get(w[-1], "")}
-             if w else set() for w in words]  # fmt: skip
-    return "east" in named[0] and "north" in named[1]
-
-
-def _is_heading(s: Suggestion, trial: Trial) -> bool:
-    """Whether an angle is named a heading and runs from 0 to 360 degrees."""
-    if s.convert or not re.search("head|hdg|azimuth|bearing|kurs", s.sources[0], re.IGNORECASE):
-        return False
-    values = trial.signals[s.sources[0]].values
-    finite = values[np.isfinite(values)]
-    whole = 360.0 if s.unit == "deg" else 2.0 * np.pi
-    return bool(finite.min() >= 0.0 and finite.max() <= whole and finite.max() > 0.5 * whole)
 
 
 def _corrected(s: Suggestion, factor: float) -> Suggestion:
@@ -136,13 +122,30 @@ def _corrected(s: Suggestion, factor: float) -> Suggestion:
     if s.channel.startswith("wheel_speed"):
         unit = {3.6: "km/h", 2.237: "mph", 1.944: "kn"}.get(round(size, 3))
     turned = factor < 0.0
-    if s.status == "stated" and size != 1.0:
+    if s.status == "stated" and size != 1.0 and not s.by_convention:
         return s  # the file states a unit: a finding tells of the contradiction
     if size == 1.0:
         return replace(s, scale=-s.scale, reason="its sign is turned") if turned else s
     if unit is None:
         return s
     return replace(s, unit=unit, scale=-s.scale if turned else s.scale, reason=f"found to be in {unit}")
+
+
+def as_others_turn(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[str, Suggestion]:
+    """Turn a channel whose side nothing judges where the log's yaw rate was found to be right-positive.
+
+    One logger has one hand; that stays an assumption, and is marked as one.
+    """
+    if "r" not in chosen or chosen["r"].scale > 0.0 or chosen["r"].convert:
+        return chosen
+    judged = {channel for r in verdict.relations if r.holds for channel in r.powers}
+    told = "taken as right-positive, since r is"
+    return {
+        c: replace(s, scale=-s.scale, status="assumed", reason=told)
+        if c in ("vy", "ay", "sideslip") and c not in judged and s.scale > 0.0
+        else s
+        for c, s in chosen.items()
+    }
 
 
 def with_status(s: Suggestion, verdict: Consistency) -> Suggestion:
@@ -152,7 +155,7 @@ def with_status(s: Suggestion, verdict: Consistency) -> Suggestion:
     if wrong:
         return replace(s, status="open", reason=wrong[0].text)
     undecided = [f for f in verdict.findings if f.check == "sign" and f.channel in ("r", "yaw", "X")]
-    if undecided and s.channel in _HANDED:
+    if undecided and s.channel in HANDED:
         return replace(s, status="open", reason=f"left or right positive is undecided: {undecided[0].text}")
     key = {"Y": "X"}.get(s.channel, s.channel)
     keys = {key, "hand"} if key == "X" else {key}

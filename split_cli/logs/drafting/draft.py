@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +13,10 @@ from split_cli.signals import REQUIRED_CHANNELS
 __all__ = ["UNITS_OF", "Draft", "Suggestion", "quoted", "render_draft"]
 
 UNITS_OF = {"sideslip": "rad", "latitude": "rad", "longitude": "rad", "wheel_torque": "N m", "course": "rad"}
+_NO_LEFT = (
+    "CHECK left and right: the signs above are as recorded, and nothing recorded tells the sides apart",
+    "(no satellite fix, east and north, or compass). In a left turn r and delta must be positive.",
+)
 _MARKS = {"judged": "judged: ", "stated": "unit as the file says; not judged", "assumed": "CHECK: "}
 
 
@@ -35,6 +40,8 @@ class Suggestion:
         Added after `scale`, in `unit`.
     command : bool
         Whether the name says that it was asked for, not measured.
+    by_convention : bool
+        Whether the unit is that of ROS messages, which the recording itself does not state.
     """
 
     channel: str
@@ -47,6 +54,7 @@ class Suggestion:
     reason: str = ""
     offset: float = 0.0
     command: bool = False
+    by_convention: bool = False
 
 
 @dataclass(frozen=True)
@@ -61,12 +69,15 @@ class Draft:
     unused : tuple of str
     undefined : tuple of str
         Message types that cannot be read, for want of a definition.
+    left : str
+        What decides which side is left; empty where nothing does.
     """
 
     suggestions: tuple[Suggestion, ...]
     time: str
     unused: tuple[str, ...]
     undefined: tuple[str, ...] = ()
+    left: str = ""
 
     def of(self, channel: str) -> Suggestion | None:
         """Return what is said of a channel, None when nothing is."""
@@ -84,10 +95,14 @@ def render_draft(draft: Draft, name: str) -> str:
     ]
     for s in draft.suggestions:
         if s.status != "open":
-            lines.append(f"  {s.channel}: {_entry(s)}   # {_MARKS[s.status]}{s.reason}")
+            by_ros = s.by_convention and s.status == "stated"
+            mark = "as ROS has it; not judged" if by_ros else _MARKS[s.status]
+            lines.append(f"  {s.channel}: {_entry(s)}   # {mark}{s.reason}")
     for s in draft.suggestions:
         if s.status == "open":
             lines.append(f"  # open: {s.channel} from {', '.join(s.sources)}: {s.reason}")
+    if not draft.left:
+        lines += [f"# {line}" for line in _NO_LEFT]
     mapped = {s.channel for s in draft.suggestions if s.status != "open"}
     missing = [channel for channel in REQUIRED_CHANNELS if channel not in mapped]
     if missing:
@@ -140,4 +155,4 @@ def _entry(s: Suggestion) -> str:
 
 def quoted(text: str) -> str:
     """Return a name as YAML writes it, in quotes where it needs them."""
-    return text if re.fullmatch(r"[A-Za-z_][\w./ ^-]*", text) else '"' + text.replace('"', '\\"') + '"'
+    return text if re.fullmatch(r"[A-Za-z_][\w./ ^-]*", text) else json.dumps(text, ensure_ascii=False)

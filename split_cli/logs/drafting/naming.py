@@ -19,7 +19,8 @@ _UNIT_WORDS = {
     "kmph": "km/h", "mph": "mph", "kn": "kn", "knots": "kn", "rad": "rad", "radps": "rad/s", "rads": "rad/s",
     "deg": "deg", "degps": "deg/s", "dps": "deg/s", "degs": "deg/s", "degree": "deg", "degrees": "deg",
     "rpm": "rpm", "s": "s", "sec": "s", "us": "us", "ns": "ns", "nm": "N m", "bar": "bar", "kpa": "kPa",
-    "pct": "%", "percent": "%", "mm": "mm", "m": "m", "g": "g", "n": "N",
+    "pct": "%", "percent": "%", "mm": "mm", "m": "m", "ft": "ft", "g": "g", "n": "N",
+    "lbft": "lbf ft", "ftlb": "lbf ft", "ftlbf": "lbf ft",
 }  # fmt: skip
 _LAST_TWO = {
     ("m", "s"): "m/s", ("m", "s2"): "m/s^2", ("km", "h"): "km/h", ("rad", "s"): "rad/s", ("deg", "s"): "deg/s",
@@ -54,13 +55,14 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("vx", 3, r"(v|vel|velocity|speed)_?long\w*|long(itudinal)?_?(vel\w*|speed)|lng_vel|veh(icle)?_?spd_?lgt\w*"),
     ("vx", 3, r"vel(ocity)?_?(forward|fwd)|(forward|fwd)_?(vel\w*|speed)|v_?fwd"),
     ("vx", 2, r"(ground|vehicle|veh|car|corr(ected)?|gps|vbox|body|can)_?(speed|spd|velocity|vel)"),
-    ("vx", 2, r"speed_over_ground"),
+    ("vx", 2, r"speed_over_ground|sog|vf"),
     ("vx", 2, r"v_ego|ego_speed|chassis_speed|vehspd\w*"),
     ("vx", 2, r"speed_2d|esp_vehiclespeed|vehiclespeed|wheel_?based_?vehicle_?speed"),
     ("vx", 1, r"speed|velocity|spd|v|vel|vel_encoder"),
     ("vx", 1, r"spd_kmh|speed_actual|speed_measured|encoder_speed|odom_speed"),
     ("vy", 3, r"v_?y(_(body|cg|local|vehicle|car|lat\w*))?|vel(ocity)?_?y(_(body|cg|local))?|(body_)?v(el)?_y"),
     ("vy", 3, r"(v|vel|velocity|speed)_?lat\w*|lat(eral)?_?(vel\w*|speed)"),
+    ("vy", 2, r"vl"),
     ("sideslip", 3, r"(side_?)?slip(_angle)?(_?(cog|cg|body|vehicle))?|beta|body_slip\w*|float_angle|sideslip\w*"),
     ("r", 3, r"(imu_|body_|gyro_|can_)?yaw_?(rate|vel\w*|speed)\w*|psi_?(dot|p|d)|d_?psi"),
     ("r", 3, r"omega(_?z)?|w_?z|gyro_?z"),
@@ -73,8 +75,8 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("yaw", 3, r"vicon_yaw|attitude_yaw|euler_?(yaw|psi|z)|orientation_?yaw"),
     ("yaw", 2, r"heading(_angle)?|phi|hdg|theta|head_imu\d?|yaw_imu|azimuth"),
     ("course", 3, r"course(_over_ground)?|cog|gps_(heading|course|bearing)|bearing|track_angle|motion_heading"),
-    ("latitude", 3, r"(gps_)?lat(itude)?(_?deg)?"),
-    ("longitude", 3, r"(gps_)?(lon|long|lng)(gitude|itude)?(_?deg)?"),
+    ("latitude", 3, r"(gps_|pos_)?lat(itude)?(_?deg)?"),
+    ("longitude", 3, r"(gps_|pos_)?(lon|long|lng)(gitude|itude)?(_?deg)?"),
     ("X", 3, r"x|(pos(ition)?|loc(ation)?|local|enu|vicon|utm|map|odom|est)_?x(_pos\w*)?"),
     ("X", 3, r"x_?(pos\w*|m|cg|coord\w*)"),
     ("X", 3, r"east(ing)?|utm_?e\w*|x_?cg(_tm)?|x_?o|xg|tx"),
@@ -131,7 +133,7 @@ def words_of(name: str) -> list[str]:
     structure or a file (``imu.yawRate``) the last part, with the one before where the last only says a direction
     (``velocity.longitudinal``).
     """
-    tail = name
+    tail = name = name.split("\\")[0] or name  # INCA: signal\device:raster
     if name.startswith("/"):
         topic, tail = name.rsplit("/", 1)
         if tail.lower() in ("data", "value"):
@@ -185,7 +187,7 @@ def stated_unit(info: RawChannelInfo) -> str | None:
 def _own_part(info: RawChannelInfo) -> str:
     """Return the part of an address that names the quantity: the field of a message, else the whole name."""
     if not info.name.startswith("/"):
-        return info.name
+        return info.name.split("\\")[0] or info.name
     topic, field = info.name.rsplit("/", 1)
     return topic.rsplit("/", 1)[-1] if field.lower() in ("data", "value") else field
 

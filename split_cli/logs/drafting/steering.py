@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.logs.checking.kinematics import fit_slope
+from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
 
@@ -72,7 +73,10 @@ def read_steering(
     if "steering_wheel_angle" in chosen:
         wheel = _hand_wheel(chosen["steering_wheel_angle"], columns)
         told.append(wheel)
-        if "delta" not in chosen:
+        if "delta" not in chosen and _is_of_the_road(wheel, columns):
+            as_delta = {**columns, "delta": columns[wheel.channel]}
+            told[-1] = _road_wheel(replace(wheel, channel="delta"), as_delta, vehicle)
+        elif "delta" not in chosen:
             reach = apparent_wheelbase(columns.get("steering_wheel_angle", np.zeros(0)), columns) if (
                 "steering_wheel_angle" in columns) else None  # fmt: skip
             found = chosen["steering_wheel_angle"]
@@ -86,15 +90,28 @@ def read_steering(
 
 def _hand_wheel(s: Any, columns: Mapping[str, np.ndarray]) -> Any:
     """Return the steering wheel's angle with its unit: as stated, as its size over curvature tells, or assumed."""
-    if s.status == "stated":
-        return replace(s, reason="")
     reach = apparent_wheelbase(columns[s.channel], columns) if s.channel in columns else None
+    if reach is not None and reach < 0.0:
+        s = replace(s, scale=-s.scale)
+    if s.status == "stated":
+        return replace(s, reason="; its sign is turned" if reach is not None and reach < 0.0 else "")
     if s.unit is None and reach is not None and _is_full_size(columns):
         unit, of_road = _read_size(abs(reach))
         if unit and not of_road:
             size = abs(reach) * (np.pi / 180.0 if unit == "deg" else 1.0)
-            return replace(s, unit=unit, status="judged", reason=f"{unit}: {size:.3g} m over curvature")
+            hand = "; its sign is turned" if reach < 0.0 else ""
+            return replace(s, unit=unit, status="judged", reason=f"{unit}: {size:.3g} m over curvature{hand}")
     return replace(s, reason=f"{s.reason}; unit not stated" if s.reason else "unit not stated")
+
+
+def _is_of_the_road(wheel: Any, columns: Mapping[str, np.ndarray]) -> bool:
+    """Whether an angle that is called the steering wheel's is as small over curvature as a wheelbase."""
+    reach = apparent_wheelbase(columns[wheel.channel], columns) if wheel.channel in columns else None
+    if reach is None or not _is_full_size(columns):
+        return False
+    # Of an angle without unit the size tells the unit too.
+    unit, of_road = _read_size(abs(reach))
+    return of_road and (wheel.unit is None or unit == "rad")
 
 
 def _is_full_size(columns: Mapping[str, np.ndarray]) -> bool:
@@ -171,6 +188,10 @@ def _without_unit(
         if of_road:
             factor = 1.0 if unit == "rad" else np.pi / 180.0
             reason = f"{unit}: {size * factor:.3g} m of angle over curvature is a wheelbase{hand}"
+            if unit == "rad" and not concepts_of(tokens_of(s.sources[0]))[0] & {"angle", "road", "wheel"}:
+                # A command in -1..1 of a simulator, with its lock near a radian, looks alike.
+                told = f"rad, or a command in -1..1? {size:.3g} m of it over curvature may be a wheelbase{hand}"
+                return replace(s, unit=unit, status="assumed", reason=told, **turned)
             return replace(s, unit=unit, status="judged", reason=reason, **turned)
         if unit:
             sign = -1.0 if turned else 1.0

@@ -11,9 +11,14 @@ import numpy as np
 from split_cli.errors import SplitError
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.gather import row_rate_from_yaw
-from split_cli.logs.drafting.corrections import as_siblings, correct, with_status
+from split_cli.logs.checking.checks import ACROSS
+from split_cli.logs.checking.consistency import Consistency
+from split_cli.logs.drafting.alone import read_sideslip, read_torque
+from split_cli.logs.drafting.axes import without_other_axes, without_the_world
+from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.fields import field_candidates
+from split_cli.logs.drafting.hand import what_tells_left
 from split_cli.logs.drafting.naming import (
     is_command,
     meanings,
@@ -25,7 +30,15 @@ from split_cli.logs.drafting.naming import (
 from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
-from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, seconds_and_nanoseconds, time_column
+from split_cli.logs.raw import (
+    RawChannelInfo,
+    RawRecording,
+    RawSignal,
+    counts_rows,
+    seconds_and_nanoseconds,
+    time_column,
+    unit_of_time,
+)
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
 
@@ -67,28 +80,49 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
             opened.append(Suggestion(candidate.channel, candidate.sources, status="open", reason=reason))
         else:
             usable.setdefault(candidate.channel, []).append(candidate)
-    opened += _not_forward(usable, trial)
+    _only_measured(usable, opened)
+    opened += without_other_axes(usable, trial, lambda candidate: _first_guess(candidate, trial))
     chosen = _choose(usable, trial)
+    world = without_the_world(usable, chosen, trial)
+    if world:
+        opened += world
+        chosen = _choose(usable, trial)
     corrected, consistency = correct(chosen, trial)
-    corrected = as_siblings(corrected, consistency)
+    corrected = as_others_turn(as_siblings(corrected, consistency), consistency)
     suggestions = [with_status(s, consistency) for s in corrected.values()]
     suggestions = [s for s in suggestions if s.channel not in ("delta", "steering_wheel_angle", *_HELPERS)]
+    suggestions = [_as_course(s, consistency) if s.channel == "yaw" else s for s in suggestions]
     in_doubt = {s.channel for s in suggestions if s.status == "open"}
     clear = {c: values for c, values in trial.columns(corrected).items() if c not in in_doubt}
     steering = read_steering(corrected, clear, vehicle, Suggestion)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
+    alone = {"T": read_torque, "sideslip": read_sideslip}
+    suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
     suggestions += [replace(s, status="open", reason=hand) if hand and s.status != "open" else s for s in steering]
     taken = {name for s in suggestions for name in s.sources}
     known = {s.channel for s in suggestions}
     opened = [s for s in opened if s.channel not in known and not set(s.sources) & taken]
     unused = tuple(info.name for info in infos if info.name not in taken)
     undefined = dict.fromkeys(i.type_name for i in infos if i.name.startswith("/") and _is_bare_topic(i, infos))
-    return Draft(tuple([*suggestions, *dict.fromkeys(opened)]), line, unused, tuple(undefined))
+    told = what_tells_left({s.channel: s for s in suggestions if s.status != "open"})
+    return Draft(tuple([*suggestions, *dict.fromkeys(opened)]), line, unused, tuple(undefined), told)
 
 
 def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehicle: Vehicle | None = None) -> str:
     """Return a draft map as YAML text: each channel with its evidence, or commented out with its reason."""
     return render_draft(draft_map(recording, row_rate=row_rate, vehicle=vehicle), recording.name)
+
+
+def _as_course(s: Suggestion, verdict: Consistency) -> Suggestion:
+    """Leave a yaw open that is called a course over ground, unless the sideslip between the two is seen."""
+    called = {m.channel for name in s.sources for m in meanings(RawChannelInfo(name, "column", None))}
+    if (
+        s.status == "open"
+        or "course" not in called
+        or any(r.name == ACROSS and r.holds for r in verdict.relations)
+    ):
+        return s
+    return replace(s, status="open", reason="by its name the direction of travel: yaw plus sideslip, not yaw")
 
 
 def _is_bare_topic(info: RawChannelInfo, infos: Sequence[RawChannelInfo]) -> bool:
@@ -107,8 +141,12 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
     for channel, sources, convert in field_candidates(infos):
         # Messages of ROS are in SI by its conventions (REP 103), positions of a fix in degrees.
         unit = "deg" if channel in ("latitude", "longitude") else expected_unit(channel)
-        told = next((stated_unit(i) for i in infos if i.name == sources[0]), None)
-        found.append(TrialCandidate(channel, sources, 3, told or unit, convert))
+        info = next((i for i in infos if i.name == sources[0]), None)
+        told = stated_unit(info) if info is not None else None
+        fixed = bool(convert) or channel in ("latitude", "longitude")
+        by_convention = told is None and not fixed and info is not None and info.type_name != "column"
+        unit = unit if fixed or by_convention else None
+        found.append(TrialCandidate(channel, sources, 3, told or unit, convert, by_convention))
     by_field = {name for candidate in found for name in (*candidate.sources, *names_of(candidate))}
     axes = named_by_axis(infos)
     for info in infos:
@@ -131,7 +169,9 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
             # Beside a u, v is the lateral velocity of the textbooks.
             found = [c for c in found if c.sources != (bare[v].name,)]
             found.append(TrialCandidate("vy", (bare[v].name,), 2, stated_unit(bare[v])))
-    lowered = {"_".join(words_of(info.name)): info for info in infos if info.type_name != "text"}
+    numbers = [info for info in infos if info.type_name != "text"]
+    lowered = {spelled_without_unit(info).lower(): info for info in numbers}
+    lowered |= {"_".join(words_of(info.name)): info for info in numbers}
     for north, east in (("x_n", "y_e"), ("pos_n", "pos_e"), ("p_n", "p_e"), ("pn", "pe")):
         if north in lowered and east in lowered:
             # y_E alone may be an error; beside x_N it is east.
@@ -232,7 +272,8 @@ def _time(
         line = f"time: {{source: {quoted(pair[0])}, nanoseconds: {quoted(pair[1])}}}"
         return (whole - np.nanmin(whole)) + 1e-9 * part, line, True
     found = time_column(infos)
-    clocks = [found] if found is not None else [i for i in infos if re.search("time|stamp", i.name, re.IGNORECASE)]
+    timed = [i for i in infos if re.search("time|stamp", i.name, re.IGNORECASE) and not counts_rows(i.name)]
+    clocks = [found] if found is not None else timed
     clocks = clocks or [i for i in infos if getattr(find_unit(stated_unit(i) or ""), "si", "") == "s"]
     rising = [i for i in clocks if i.name in signals and _rises(signals[i.name].values)]
     if not rising:
@@ -242,7 +283,7 @@ def _time(
         info = rising[0]
         values = signals[info.name].values
         unit = info.unit if find_unit(info.unit or "") and find_unit(info.unit).si == "s" else stated_unit(info)
-        unit = unit if unit in ("s", "ms", "us", "ns", "min") else _unit_of_time(values)
+        unit = unit if unit in ("s", "ms", "us", "ns", "min") else unit_of_time(values)
         others = [i.name for i in rising[1:]]
         also = f"   # also rises: {', '.join(others)}" if others else ""
         line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
@@ -270,13 +311,6 @@ def _counts_since_1970(values: np.ndarray) -> bool:
     return any(1e9 <= first * unit <= 4.1e9 for unit in (1.0, 1e-3, 1e-6, 1e-9))
 
 
-def _unit_of_time(values: np.ndarray) -> str:
-    """Return the unit in which samples are 0.2 ms to 1 s apart; that is one of a thousand."""
-    step = float(np.median(np.diff(values[np.isfinite(values)])))
-    return next((u for u, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if step * size > 2e-4
-                 and step * size < 1.5), "s")  # fmt: skip
-
-
 def _rate_told_by_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
     for yaw in (c for c in candidates if c.channel == "yaw" and c.sources[0] in signals):
         for rate in (c for c in candidates if c.channel == "r" and c.sources[0] in signals):
@@ -301,29 +335,29 @@ def _first_guess(candidate: TrialCandidate, trial: Trial) -> Suggestion:
                       scale=-1.0 if to_the_right else 1.0,
                       reason="to the right by its name" if to_the_right else "",
                       status="stated" if candidate.unit else "assumed",
-                      command=all(is_command(name) for name in candidate.sources))  # fmt: skip
+                      command=all(is_command(name) for name in candidate.sources),
+                      by_convention=candidate.by_convention)  # fmt: skip
 
 
-_FORWARD_SHARE = 0.2
-"""Of the speed, below which a velocity is not the forward one [1]: less than a wrong unit makes (1/3.6)."""
+def _only_measured(usable: dict[str, list[TrialCandidate]], opened: Sequence[Suggestion]) -> None:
+    """Leave out the yaw rate of a message whose v_y never changes, where another is recorded.
+
+    An odometry without v_y computes its yaw rate from the steering.
+    """
+    still = [s.sources[0] for s in opened if s.channel == "vy" and "never changes" in s.reason]
+    silent = {name.rpartition("/")[0] for name in still if "/" in name}
+    measured = [c for c in usable.get("r", []) if c.sources[0].rpartition("/")[0] not in silent]
+    if measured:
+        usable["r"] = measured
 
 
-def _not_forward(usable: dict[str, list[TrialCandidate]], trial: Trial) -> list[Suggestion]:
-    """Take out velocities along x that are small beside the recorded speed: in games x is another axis."""
-    sizes = {}
-    for candidate in usable.get("vx", []):
-        column = trial.column(_first_guess(candidate, trial))
-        if column is not None:
-            sizes[candidate] = float(np.sqrt(np.nanmean(column**2)))
-    speeds = [c for c in sizes if "long" not in concepts_of(tokens_of(c.sources[0]))[0] and c.unit is not None]
-    told = []
-    for candidate, size in sizes.items():
-        speed = next((c for c in speeds if size < _FORWARD_SHARE * sizes[c]), None)
-        if speed is not None:
-            usable["vx"].remove(candidate)
-            why = f"{size / sizes[speed]:.2g} of {speed.sources[0]}: not along the car"
-            told.append(Suggestion("vx", candidate.sources, status="open", reason=why))
-    return told
+def _beside(x: TrialCandidate, options: Sequence[TrialCandidate], trial: Trial) -> dict[str, Suggestion]:
+    """Return the Y that was recorded with an X: of the same fix, or named alike but for the axis."""
+    if x.convert == "local_x":
+        return {"Y": _first_guess(replace(x, channel="Y", convert="local_y"), trial)}
+    named = re.sub(r"[xX](?=[^xX]*$)", lambda m: "y" if m[0] == "x" else "Y", x.sources[0])
+    partner = next((y for y in options if y.sources == (named,)), None)
+    return {} if partner is None else {"Y": _first_guess(partner, trial)}
 
 
 def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[str, Suggestion]:
@@ -347,8 +381,8 @@ def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[st
         scored = []
         for place, candidate in enumerate(options):
             attempt = {**chosen, channel: _first_guess(candidate, trial)}
-            if channel == "X" and candidate.convert == "local_x":
-                attempt["Y"] = _first_guess(replace(candidate, channel="Y", convert="local_y"), trial)
+            if channel == "X":
+                attempt |= _beside(candidate, ranked.get("Y", []), trial)
             verdict = trial.judge(attempt)
             mine = [r for r in verdict.relations if channel in r.powers]
             # A relation that could be measured counts for a candidate, a contradiction against it.

@@ -11,6 +11,7 @@ from split_cli.logs.assembling.transform import local_tangent_plane, signed, yaw
 from split_cli.logs.checking.checks import NO_CAR_EXCEEDS
 from split_cli.logs.checking.consistency import Consistency, check_consistency
 from split_cli.logs.drafting.draft import Suggestion
+from split_cli.logs.drafting.hand import certain_of
 from split_cli.logs.drive import Drive
 from split_cli.logs.raw import RawSignal
 from split_cli.signals import REQUIRED_CHANNELS, find_unit
@@ -19,7 +20,6 @@ from split_cli.vehicle.parameters import Vehicle
 __all__ = ["Trial", "TrialCandidate", "names_of"]
 
 _JUDGED = ("vx", "vy", "r", "yaw", "X", "Y", "ax", "ay", "delta")
-_GRID_RATE = 50.0
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,8 @@ class TrialCandidate:
         How clearly names say so; 3 is clear.
     unit : str or None
     convert : str
+    by_convention : bool
+        Whether the unit is that of ROS messages, which the recording itself does not state.
     """
 
     channel: str
@@ -42,6 +44,7 @@ class TrialCandidate:
     weight: int
     unit: str | None
     convert: str = ""
+    by_convention: bool = False
 
 
 def names_of(candidate: TrialCandidate) -> tuple[str, ...]:
@@ -56,6 +59,9 @@ def names_of(candidate: TrialCandidate) -> tuple[str, ...]:
 class Trial:
     """Candidates as SI columns on one clock, to be judged by the consistency checks."""
 
+    rate = 50.0
+    """Of the clock [Hz]."""
+
     def __init__(
         self,
         signals: Mapping[str, RawSignal],
@@ -69,8 +75,8 @@ class Trial:
         stamps = [t for t in stamps if t is not None and np.isfinite(t).sum() > 20]
         low = max((float(np.nanquantile(t, 0.0)) for t in stamps if _is_long(t, stamps)), default=0.0)
         high = min((float(np.nanquantile(t, 1.0)) for t in stamps if _is_long(t, stamps)), default=0.0)
-        count = int(min(max((high - low) * _GRID_RATE, 0), 60_000))
-        self.grid = low + np.arange(count) / _GRID_RATE
+        count = int(min(max((high - low) * self.rate, 0), 60_000))
+        self.grid = low + np.arange(count) / self.rate
 
     def unusable(self, candidate: TrialCandidate) -> str:
         """Return why a candidate cannot be used, empty when it can."""
@@ -89,6 +95,8 @@ class Trial:
         if beyond:
             return beyond
         unit = find_unit(candidate.unit) if candidate.unit else None
+        if candidate.by_convention:
+            unit = None  # a driver may keep another
         reach = float(np.quantile(np.abs(finite), 0.99)) * (unit.factor if unit is not None else 0.0)
         limit, si = NO_CAR_EXCEEDS.get(candidate.channel, (np.inf, ""))
         if reach > limit and candidate.channel != "delta":
@@ -168,14 +176,17 @@ class Trial:
                     continue
                 values = values * radius
             used[channel] = values
+        kinds = {channel: "derived: nothing" for channel in REQUIRED_CHANNELS if channel not in used}
+        if "vx" not in used and {"X", "Y"} <= set(used) and len(self.grid) > 1:
+            # Where the car moves, the path tells too.
+            used["vx"] = np.hypot(*(np.gradient(used[c], 1.0 / self.rate) for c in "XY"))
         if "vx" not in used or len(self.grid) < 200 or not self.time_is_known:
             return Consistency()
-        kinds = {channel: "derived: nothing" for channel in REQUIRED_CHANNELS if channel not in used}
-        nothing = {channel: np.zeros(len(self.grid)) for channel in kinds}
+        nothing = {channel: np.zeros(len(self.grid)) for channel in kinds if channel not in used}
         drive = Drive("draft", {"t": self.grid - self.grid[0], **used, **nothing},
-                      np.zeros(len(self.grid), dtype=np.int32), 1.0 / _GRID_RATE)  # fmt: skip
+                      np.zeros(len(self.grid), dtype=np.int32), 1.0 / self.rate)  # fmt: skip
         with np.errstate(all="ignore"):
-            return check_consistency(drive, self.vehicle, kinds)
+            return check_consistency(drive, self.vehicle, kinds, certain_of(chosen))
 
 
 def _is_long(stamps: np.ndarray, others: Sequence[np.ndarray]) -> bool:

@@ -31,7 +31,7 @@ _WORDS: dict[str, str] = {
     "up": "z vert vertical up hoch",
     "linear": "linear lin",
     "steer": "steer steered steering str strg lenk lenkung braquage direccion sterzo sterzata",
-    "handwheel": "handwheel lenkrad stw swa sw volant volante",
+    "handwheel": "handwheel lenkrad stw swa sw msw volant volante",
     "wheel": "wheel wheels whl whls roadwheel roue roues rueda ruedas ruota ruote",
     "road": "road tire tyre",
     "torque": "torque torques trq tq moment mom drehmoment couple par coppia",

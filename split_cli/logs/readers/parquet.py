@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,29 +61,49 @@ def _recording(
 
     if not rows:
         raise LogError("holds no rows", where=path.name)
-    columns: dict[str, str] = {}
+    columns: dict[str, tuple[str, ...]] = {}
     infos = []
-    for column in schema:
-        name, unit = column_name_and_unit(column.name)
+    for path_of, column in _leaves(schema):
+        name, unit = column_name_and_unit(".".join(path_of))
         stated = (column.metadata or {}).get(b"unit")
-        name = name if name not in columns else column.name
-        columns[name] = column.name
+        name = name if name not in columns else ".".join(path_of)
+        columns[name] = path_of
         infos.append(RawChannelInfo(name, str(column.type), rows, stated.decode() if stated else unit))
     units = {info.name: info.unit for info in infos}
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
         try:
-            table = read([columns[name] for name in names])
+            table = read(list(dict.fromkeys(columns[name][0] for name in names)))
         except (pa.ArrowException, OSError) as error:
             raise _damaged(path, kind, error) from error
         return {
             name: RawSignal(
-                name, None, column_values(table[columns[name]], f"{path.name}, column {name}"), units[name]
+                name, None, column_values(_leaf(table, columns[name]), f"{path.name}, column {name}"), units[name]
             )
             for name in names
         }
 
     return LazyTableRecording(path.name, path, infos, load)
+
+
+def _leaves(fields: Iterable[Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield path and field of every column; those inside structures one by one."""
+    import pyarrow as pa
+
+    for field in fields:
+        path = (*above, field.name)
+        if pa.types.is_struct(field.type):
+            yield from _leaves(field.type, path)
+        else:
+            yield path, field
+
+
+def _leaf(table: Any, path: tuple[str, ...]) -> Any:
+    """Return a column, or what stands at `path` inside a structure."""
+    import pyarrow.compute as pc
+
+    column = table[path[0]]
+    return pc.struct_field(column, list(path[1:])) if path[1:] else column
 
 
 def column_values(column: Any, where: str) -> np.ndarray:

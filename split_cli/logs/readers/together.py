@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, time_column
+from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, time_column, unit_of_time
 from split_cli.signals import convert_to_si, find_unit
 
 __all__ = ["JointRecording", "open_together"]
@@ -88,10 +88,10 @@ class JointRecording:
     def _seconds(self, part: RawRecording, signal: RawSignal) -> np.ndarray:
         unit = signal.unit
         if unit is None or getattr(find_unit(unit), "si", "") != "s":
-            note = ReadNote(f"column {signal.name!r} taken as time in s", part.name)
+            unit = unit_of_time(signal.values)
+            note = ReadNote(f"column {signal.name!r} taken as time in {unit}", part.name)
             if note not in self._own_notes:
                 self._own_notes.append(note)
-            unit = "s"
         return convert_to_si(signal.values, unit, where=part.name)
 
 

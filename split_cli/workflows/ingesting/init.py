@@ -71,6 +71,10 @@ class InitResult:
         steps = [f"Fill in the empty values of {self.vehicle_path}."]
         if check:
             steps.append(f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}.")
+        if not self.draft.left:
+            steps.append(
+                "Check in a left turn that r and delta are positive: nothing recorded tells left from right."
+            )
         if missing:
             steps.append(f"Map or derive {', '.join(missing)}: the map's comments say how.")
         derive = ""

@@ -1,0 +1,58 @@
+"""Channels that no relation judges without a vehicle file: torque by acceleration, side-slip angle by v_y."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from split_cli.logs.checking.checks import LEAST_CORRELATION
+from split_cli.logs.checking.kinematics import Kinematics, Slope, fit_slope
+from split_cli.logs.drafting.draft import Suggestion
+
+__all__ = ["read_sideslip", "read_torque"]
+
+
+def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
+    """Say whether T goes with the acceleration; how much per m/s^2 shows a torque of the engine or of one axle."""
+    two = len(s.sources) == 2
+    of_two = "sum of two wheels: those of the other axle may drive or brake too" if two else ""
+    if s.status == "open" or not {"vx", "T"} <= set(columns):
+        return replace(s, status="assumed", reason=f"{of_two}{s.reason}") if two and s.status == "stated" else s
+    k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
+    carried = k.of("vy r", lambda: columns["vy"] * columns["r"]) if {"vy", "r"} <= set(columns) else 0.0
+    slope = fit_slope(k.signal("T"), k.rate("vx") - carried, k.moving)
+    if slope is None or abs(slope.correlation) < LEAST_CORRELATION:
+        how = "cannot be judged" if slope is None else f"correlate by {slope.correlation:.2f} only"
+        told = f"T and dv_x/dt {how}: is it the torque at the wheels?"
+        return replace(s, status="assumed", reason="; ".join(filter(None, (of_two, told))))
+    size = f"{abs(slope.slope):.3g} N m for 1 m/s^2, which should be mass times wheel radius"
+    if slope.slope < 0.0:
+        s, size = replace(s, scale=-s.scale), f"its sign is turned; {size}"
+    status = "assumed" if two or s.unit is None else "judged"
+    unit = s.unit or "N m"
+    told = "" if s.unit else "unit not stated"
+    return replace(s, status=status, unit=unit, reason="; ".join(filter(None, (of_two, told, size))))
+
+
+def read_sideslip(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
+    """Compare a side-slip angle with v_y/v_x, or with the path across yaw; one of the other hand is turned."""
+    slope = _of_sideslip(columns, rate) if s.status != "open" and {"vx", "sideslip"} <= set(columns) else None
+    if slope is None or abs(slope.correlation) < LEAST_CORRELATION or abs(np.log(abs(slope.slope))) > 0.3:
+        return s
+    told = f"against v_y/v_x or the path {slope.slope:.3g}"
+    if slope.slope < 0.0:
+        return replace(s, scale=-s.scale, status="judged", reason=f"its sign is turned; {told}")
+    return replace(s, status="judged", reason=told)
+
+
+def _of_sideslip(columns: Mapping[str, np.ndarray], rate: float) -> Slope | None:
+    k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
+    if "vy" in columns:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return fit_slope(k.signal("sideslip"), k.signal("vy") / k.signal("vx"), k.moving)
+    if {"X", "Y", "yaw"} <= set(columns):
+        across = np.angle(np.exp(1j * (np.arctan2(k.rate("Y"), k.rate("X")) - k.signal("yaw"))))
+        return fit_slope(k.signal("sideslip"), across, k.moving)
+    return None

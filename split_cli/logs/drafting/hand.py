@@ -1,0 +1,65 @@
+"""Which side is left: what of a recording is beyond doubt, and what to say where nothing is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from split_cli.logs.drafting.draft import Suggestion
+from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
+from split_cli.logs.raw import RawSignal
+
+__all__ = ["HANDED", "certain_of", "is_heading", "path_is_certain", "what_tells_left"]
+
+HANDED = ("r", "vy", "ay", "yaw", "delta", "steering_wheel_angle", "sideslip")
+"""Channels whose sign says left or right."""
+
+
+def path_is_certain(chosen: Mapping[str, Suggestion]) -> bool:
+    """Tell whether X, Y are east and north: of a satellite fix, or so called."""
+    if not {"X", "Y"} <= set(chosen):
+        return False
+    if chosen["X"].convert == "local_x" and chosen["Y"].convert == "local_y":
+        return True
+    words = [tokens_of(chosen[c].sources[0]) for c in "XY"]
+    named = [concepts_of(w)[0] | {{"e": "east", "n": "north", "pe": "east", "pn": "north"}.get(w[-1], "")}
+             if w else set() for w in words]  # fmt: skip
+    return "east" in named[0] and "north" in named[1]
+
+
+def is_heading(s: Suggestion, signals: Mapping[str, RawSignal]) -> bool:
+    """Tell whether an angle is named a heading and runs from 0 to 360 degrees, as a compass does."""
+    if s.convert or not re.search("head|hdg|azimuth|bearing|kurs", s.sources[0], re.IGNORECASE):
+        return False
+    values = signals[s.sources[0]].values
+    finite = values[np.isfinite(values)]
+    whole = 360.0 if s.unit == "deg" else 2.0 * np.pi
+    return bool(finite.min() >= 0.0 and finite.max() <= whole and finite.max() > 0.5 * whole)
+
+
+def certain_of(chosen: Mapping[str, Suggestion]) -> frozenset[str]:
+    """Return what of a choice no mistake of hand is looked for in, as `check_consistency` takes it."""
+    certain = {"hand"} if path_is_certain(chosen) else set()
+    if "yaw" in chosen and chosen["yaw"].world == "ned" and "X" not in chosen:
+        certain.add("yaw")
+    return frozenset(certain)
+
+
+def what_tells_left(chosen: Mapping[str, Suggestion]) -> str:
+    """Return what decides which side is left, empty where nothing does or no channel has a side.
+
+    Messages of ROS are left-positive by its conventions (REP 103).
+    """
+    if not set(HANDED) & set(chosen):
+        return "no channel has a side"
+    if path_is_certain(chosen):
+        return "east and north"
+    if "yaw" in chosen and chosen["yaw"].world == "ned":
+        return "the compass"
+    if any(s.sources[0].startswith("/") and c in HANDED for c, s in chosen.items()):
+        return "the conventions of ROS"
+    if any("right by its name" in s.reason for s in chosen.values()):
+        return "names"
+    return ""
