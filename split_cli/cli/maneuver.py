@@ -15,6 +15,7 @@ from split_cli.cli.options import (
     vehicle_option,
 )
 from split_cli.cli.voice import StepBar
+from split_cli.control.policy import RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL
 
 __all__ = ["command"]
 
@@ -43,23 +44,12 @@ __all__ = ["command"]
 @click.option(
     "--grip", type=float, default=1.0, show_default=True, help="Friction scale of the road: 1 dry, 0.5 wet."
 )
-@click.option(
-    "--p-ellipse",
-    type=float,
-    default=0.95,
-    show_default=True,
-    help="Share of the axles' peak force that the controller may use.",
-)
-@click.option(
-    "--p-long",
-    type=float,
-    default=0.9,
-    show_default=True,
-    help="Weight of the longitudinal force in the friction ellipse.",
-)
-@click.option("--guarded", is_flag=True, help="Use force limits that follow load transfer, a torque limit "
-"and, with a "
-              "set, the tyre peaks that its labels show.")  # fmt: skip
+@click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force that the "
+              f"controller may use  [default: {SHARE_NOMINAL}, with a set {SHARE_LEARNED}].")  # fmt: skip
+@click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, help="Weight of the longitudinal "
+              "force in the friction ellipse.")  # fmt: skip
+@click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "
+              "load transfer, a torque limit and, with a set, the tyre peaks that its labels show.")  # fmt: skip
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
 @click.option(
     "--width", type=float, metavar="M", help="Width of the car's body  [default: 1.15 times its track width]."

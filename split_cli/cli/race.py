@@ -82,7 +82,7 @@ __all__ = ["command"]
 @click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, help="Weight of the longitudinal "
               "force in the friction ellipse.")  # fmt: skip
 @click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "
-              "load transfer, a torque limit, and learned tyre peaks where the model has no data.")  # fmt: skip
+              "load transfer, a torque limit, and learned tyre peaks as the correction's prior mean.")  # fmt: skip
 @click.option(
     "--features",
     default="z2",

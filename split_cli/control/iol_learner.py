@@ -64,7 +64,10 @@ class DictionaryResidual(Residual):
         correlation = kernel.correlation(z, z)
         ratio = kernel.noise_variance / kernel.signal_variance
         self._inverse = np.array([np.linalg.inv(correlation + r * np.eye(len(z))) for r in ratio])
-        self._weights = np.einsum("oij,jo->io", self._inverse, y)
+        self._weights = np.einsum("oij,jo->io", self._inverse, self.beyond_prior(z, y))
+
+    def _shift_labels(self) -> None:
+        self.refresh()
 
     def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return mean, slope and variance at features `z`, shape (N, D)."""

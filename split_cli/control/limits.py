@@ -31,8 +31,7 @@ class Limits:
         Ellipse where the residual knows nothing [1]; as `p_ellipse` when it is None.
     guarded : bool
         Whether the slip limits move with the load that driving and braking shift (`load_shift`), the torque is
-        bounded by the ellipse (`torque_limit`), and learned peaks speak where the residual knows nothing
-        (`PeakShift`).
+        bounded by the ellipse (`torque_limit`), and learned peaks are the residual's prior mean (`PeakShift`).
     """
 
     p_long: float = P_LONG

@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.control.grip import PeakShift
 from split_cli.learning.features import Z2, FeatureSet
+from split_cli.prediction import make_predictor
 from split_cli.prediction.online import OnlineCommittee
 from split_cli.prediction.predictor import Predictor
 
@@ -48,31 +49,43 @@ class Residual(ABC):
     ----------
     features : FeatureSet
     peak : PeakShift or None
-        What moved peaks of the tyres leave out, told where the data say nothing.
+        What moved peaks of the tyres leave out: the prior mean.
 
     Notes
     -----
     A process without data returns to its prior mean. With zero for it, the nominal model speaks there, whose peaks
-    are the very thing that labels contradict. So the prior mean m is the force that the moved peaks leave out,
-    mean = data + (1 - knowledge) m, which is the posterior k K^-1 (y - m) + m with k K^-1 m taken as knowledge m:
-    exact at a point that is known well, and far from all data.
+    are the very thing that labels contradict. So the prior mean m is the force that the moved peaks leave out, and
+    the mean is m + k K^-1 (y - m) (Rasmussen and Williams, Gaussian processes for machine learning, eq. 2.38).
+    What is left for the data is small then, and so is what damping its slope makes of it.
     """
 
     features: FeatureSet = Z2
     peak: PeakShift | None = None
 
+    def rest_on(self, peak: PeakShift | None) -> None:
+        """Take the prior mean, and let the data speak of what they say beyond it."""
+        self.peak = peak
+        self._shift_labels()
+
     @abstractmethod
     def of_data(self, z: np.ndarray) -> ResidualValues:
-        """Return what the data say at features `z`, shape (N, D), and nothing where there are none."""
+        """Return what the data say beyond the prior mean at features `z`, shape (N, D); zero without data."""
+
+    @abstractmethod
+    def _shift_labels(self) -> None:
+        """Compute anew what hangs on the labels, less the prior mean."""
+
+    def beyond_prior(self, z: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return labels `y`, shape (N, 3), less the prior mean at features `z`, shape (N, D)."""
+        return y if self.peak is None else y - self.peak.at(z)[0]
 
     def along(self, z: np.ndarray) -> ResidualValues:
-        """Return the residual at features `z`, shape (N, D), the peaks' share where data are missing included."""
+        """Return the residual at features `z`, shape (N, D), the prior mean included."""
         found = self.of_data(z)
         if self.peak is None:
             return found
         mean, slope = self.peak.at(z)
-        missing = 1.0 - found.knowledge
-        return replace(found, mean=found.mean + missing * mean, slope=found.slope + missing[:, :, None] * slope)
+        return replace(found, mean=found.mean + mean, slope=found.slope + slope)
 
 
 class NoResidual(Residual):
@@ -83,6 +96,9 @@ class NoResidual(Residual):
         count, width = z.shape
         zero = np.zeros((count, 3))
         return ResidualValues(zero, np.zeros((count, 3, width)), zero, zero)
+
+    def _shift_labels(self) -> None:
+        """Do nothing: there are no labels."""
 
 
 class PredictorResidual(Residual):
@@ -98,8 +114,14 @@ class PredictorResidual(Residual):
 
     def __init__(self, predictor: Predictor, damped: bool = True) -> None:
         self.predictor, self.damped = predictor, damped
-        self.features = predictor.training_set.features
-        self._prior = predictor.training_set.kernel.signal_variance
+        self._set = predictor.training_set
+        self.features = self._set.features
+        self._prior = self._set.kernel.signal_variance
+
+    def _shift_labels(self) -> None:
+        """Make the predictor anew."""
+        shifted = replace(self._set, y=self.beyond_prior(self._set.z, self._set.y))
+        self.predictor = make_predictor(self.predictor.name, shifted)
 
     def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return mean, slope and variance at features `z`, shape (N, D)."""
@@ -130,6 +152,10 @@ class OnlineResidual(Residual):
         self.committee, self.damped = committee, damped
         self.features = committee.online.header.features
         self._prior = committee.kernel.signal_variance
+
+    def _shift_labels(self) -> None:
+        """Decompose all cells anew; cells that change later follow."""
+        self.committee.rest_on(None if self.peak is None else self.beyond_prior)
 
     def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return mean, slope and variance at features `z`, shape (N, D)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from split_cli.learning.online import OnlineSet
@@ -43,6 +45,7 @@ class OnlineCommittee:
         self.ratio = np.ascontiguousarray(self.kernel.noise_variance / self.kernel.signal_variance)
         self.reach = -2.0 * float(np.log(neglect))
         self.cells = 0
+        self.beyond: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
         self._allocate(256)
         self.update(tuple(range(online.cell_count)))
 
@@ -59,6 +62,11 @@ class OnlineCommittee:
                 grown[: self.cells] = getattr(self, name)[: self.cells]
             setattr(self, name, grown)
 
+    def rest_on(self, beyond: Callable[[np.ndarray, np.ndarray], np.ndarray] | None) -> None:
+        """Predict `beyond`(z, y), shape (n, 3), instead of the labels y: what they say beyond a prior mean."""
+        self.beyond = beyond
+        self.update(tuple(range(self.cells)))
+
     def update(self, positions: tuple[int, ...]) -> None:
         """Decompose the cells at `positions` anew."""
         if not positions:
@@ -69,6 +77,8 @@ class OnlineCommittee:
         self.cells = max(self.cells, needed)
         for position in positions:
             z, y = self.online.cell(position)
+            if self.beyond is not None:
+                y = np.ascontiguousarray(self.beyond(z, y))
             self.count[position] = len(z)
             decompose(
                 position, z, y, self.scales, self.ratio, self.points, self.turned, self.gains, self.vectors,

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from split_cli.control.grip import PeakShift, learned_grip
-from split_cli.control.residual import Residual, ResidualValues
+from split_cli.control.learner import learning_region
+from split_cli.control.residual import PredictorResidual
+from split_cli.learning.cells import empty_set
 from split_cli.learning.features import Z2, FeatureSet
+from split_cli.learning.kernel import Kernel
+from split_cli.learning.region import build_grid
+from split_cli.prediction.full import FullPredictor
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle
 from split_cli.vehicle.tire import lateral_force
 
@@ -56,19 +62,7 @@ def test_what_cannot_tell_the_peak_does_not():
     assert learned_grip(CAR, Z2, z[:0], y[:0]).tolist() == [1.0, 1.0]
 
 
-class Known(Residual):
-    """Half a metre a second squared wherever `share` of the label is known."""
-
-    def __init__(self, share: float) -> None:
-        self.share = share
-
-    def of_data(self, z):
-        full = np.full((len(z), 3), 1.0)
-        return ResidualValues(0.5 * self.share * full, np.zeros((len(z), 3, z.shape[1])), 1.0 - self.share * full,
-                              self.share * full)  # fmt: skip
-
-
-def test_where_nothing_is_known_the_moved_peaks_speak_and_where_all_is_known_the_data():
+def test_moved_peaks_leave_out_what_labels_of_them_say():
     z, y = labels(0.15, count=50)
     shift = PeakShift(CAR, Z2, np.array([0.86, 0.94]))
     mean, slope = shift.at(z)
@@ -81,11 +75,57 @@ def test_where_nothing_is_known_the_moved_peaks_speak_and_where_all_is_known_the
         moved[:, column] += step
         assert slope[:, :, column] == pytest.approx((shift.at(moved)[0] - mean) / step, abs=1e-4)
     assert not slope[:, :, 2].any()
-    for share in (0.0, 0.3, 1.0):
-        residual = Known(share)
-        plain = residual.along(z)
-        residual.peak = shift
-        found = residual.along(z)
-        assert found.mean == pytest.approx(plain.mean + (1.0 - share) * mean)
-        assert found.slope == pytest.approx((1.0 - share) * slope)
-        assert (found.variance == plain.variance).all()
+
+
+def half_grip_set():
+    """Return a set of a road with half the grip, exact labels, and the shift of its peaks."""
+    scales = np.array([0.5, 0.5])
+    z, _ = labels(0.1, count=150)
+    shift = PeakShift(CAR, Z2, scales)
+    region = learning_region(CAR, 0.18, 0.10, 1.2)
+    grid = build_grid(Z2, CAR, region)
+    kernel = Kernel(2.0 * np.array(grid.edges), np.array([0.1, 4.0, 3.0]), np.array([0.05, 0.05, 0.002]))
+    blank = empty_set(CAR, Z2, region, grid, kernel, horizon=0.05)
+    rng = np.random.default_rng(5)
+    y = 1.1 * shift.at(z)[0] + 0.1 * rng.normal(size=z.shape)  # forces that the shift alone does not explain
+    number = np.zeros(len(z))
+    return replace(
+        blank, z=z, y=y, cell_numbers=np.array([0]), offsets=np.array([0, len(z)]), gamma=number, t=number,
+        source=number.astype(np.int16), row=np.arange(len(z)), capacity=len(z),
+    ), shift  # fmt: skip
+
+
+def test_the_prior_mean_is_that_of_a_dense_process():
+    known, shift = half_grip_set()
+    residual = PredictorResidual(FullPredictor(known))
+    plain = residual.along(known.z)
+    rng = np.random.default_rng(6)
+    z = np.concatenate([known.z[:20], 0.2 * rng.normal(size=(30, 3))])
+    residual.rest_on(shift)
+    found, kernel = residual.along(z), known.kernel
+    for o in range(3):
+        variance, noise = kernel.signal_variance[o], kernel.noise_variance[o]
+        K = variance * kernel.correlation(known.z, known.z) + noise * np.eye(known.size)
+        cross = variance * kernel.correlation(z, known.z)
+        beyond = known.y[:, o] - shift.at(known.z)[0][:, o]
+        expected = shift.at(z)[0][:, o] + cross @ np.linalg.solve(K, beyond)
+        assert found.mean[:, o] == pytest.approx(expected, abs=1e-6)
+    far = np.array([[0.14, -0.14, 30.0]])
+    assert residual.along(far).mean == pytest.approx(shift.at(far)[0])
+    assert residual.along(far).slope == pytest.approx(shift.at(far)[1])
+    residual.rest_on(None)
+    assert residual.along(known.z).mean == pytest.approx(plain.mean)
+
+
+def test_on_half_the_grip_the_slope_is_that_of_the_mean_at_the_edge_of_the_data():
+    known, shift = half_grip_set()
+    z = np.stack([np.linspace(0.08, 0.14, 20), np.linspace(0.07, 0.11, 20), np.full(20, -0.45)], axis=1)
+    off = {}
+    for name, prior in (("zero", None), ("shift", shift)):
+        residual = PredictorResidual(FullPredictor(known))
+        residual.rest_on(prior)
+        step = np.array([1e-5, 0.0, 0.0])
+        steepness = (residual.along(z + step).mean - residual.along(z - step).mean)[:, 1] / 2e-5
+        off[name] = np.abs(residual.along(z).slope[:, 1, 0] - steepness).max()
+    # Damping takes a share of a slope: of all that half the grip leaves out, or of what the shift leaves of it.
+    assert off["shift"] < 0.5 * off["zero"] and off["zero"] > 5.0

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from split_cli.control.grip import PeakShift
 from split_cli.control.iol_learner import DictionaryResidual, IolLearner
 from split_cli.control.learner import SplitLearner, learning_region
 from split_cli.control.residual import PredictorResidual
@@ -84,6 +87,20 @@ def test_the_committee_that_follows_updates_is_the_committee(drive, empty):
     damped = PredictorResidual(reference).along(z)
     assert found.slope == pytest.approx(damped.slope, abs=2e-2)
     assert (np.abs(damped.slope) <= np.abs(undamped.slope) + 1e-12).all()
+
+
+def test_learners_rest_on_the_same_prior_mean_while_they_learn(drive, empty):
+    shift = PeakShift(empty.vehicle, Z2, np.array([0.9, 0.95]))
+    for learner in (SplitLearner(empty), IolLearner(empty, printed=False)):
+        learner.residual.rest_on(shift)
+        trained = driven(learner, drive)
+        if isinstance(learner, IolLearner):
+            learner.residual.refresh()
+        z = trained.z[::5] + 0.003
+        beyond = replace(trained, y=trained.y - shift.at(trained.z)[0])
+        reference = (FullPredictor if isinstance(learner, IolLearner) else BcmPredictor)(beyond)
+        expected = reference.predict(z).mean + shift.at(z)[0]
+        assert learner.residual.along(z).mean == pytest.approx(expected, abs=1e-4)
 
 
 def test_the_dictionary_in_the_loop_is_the_dense_process(drive, empty):

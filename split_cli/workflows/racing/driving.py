@@ -197,7 +197,7 @@ class Race:
         """Give the peaks to the slip limits, and to the residual for where it knows nothing."""
         self.controller.grip = grip
         told = self.mpcc.limits.guarded and tells_peaks(self.vehicle, self.header.features)
-        self.learner.residual.peak = PeakShift(self.vehicle, self.header.features, grip) if told else None
+        self.learner.residual.rest_on(PeakShift(self.vehicle, self.header.features, grip) if told else None)
 
     def _lap(self, number: int) -> None:
         controller = self.controller

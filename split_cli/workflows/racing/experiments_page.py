@@ -177,14 +177,18 @@ def _gain_table(group: list[dict], reference: list[dict]) -> str:
 
 
 def _sweep_table(sweeps: list[dict]) -> str:
-    rows = []
+    """Return a row for each manoeuvre, road and model: the highest speed of every seed, cones of the first."""
+    alike: dict[tuple, list[dict]] = {}
     for sweep in sweeps:
         result = sweep["result"]
-        best = result["highest_passed"]
-        told = ", ".join(f"{run['speed']:g}: {_ended(run)}" for run in result["runs"])
-        rows.append([result["scenario"], f"{result['grip']:g}", sweep["model"],
-                     "none" if best is None else f"{best:g}", told])  # fmt: skip
-    header = ["manoeuvre", "grip", "model", "highest speed passed m/s", "cones hit at each entry speed"]
+        alike.setdefault((result["scenario"], result["grip"], sweep["model"]), []).append(result)
+    rows = []
+    for (scenario, grip, model), results in sorted(alike.items(), key=lambda pair: (pair[0][0], -pair[0][1])):
+        highest = (result["highest_passed"] for result in results)
+        best = " / ".join("none" if speed is None else f"{speed:g}" for speed in highest)
+        told = ", ".join(f"{run['speed']:g}: {_ended(run)}" for run in results[0]["runs"])
+        rows.append([scenario, f"{grip:g}", model, best, told])
+    header = ["manoeuvre", "grip", "model", "highest speed passed m/s", "cones hit at each entry speed, seed 0"]
     return _markdown(header, rows)
 
 
@@ -257,7 +261,7 @@ def _figures(results: dict[str, dict], vehicle: Vehicle, folder: Path) -> list[s
 def _maneuver_pictures(results: dict[str, dict], road: str) -> list[ManeuverPicture]:
     found = []
     for name in ("iso3888-1", "iso3888-2", "brake-avoid"):
-        pair = {m: results.get(f"{name}-{road}-{m}") for m in ("nominal", "split")}
+        pair = {m: results.get(f"{name}-{road}-{m}-0") for m in ("nominal", "split")}
         if not all(pair.values()):
             continue
         speeds = [run["speed"] for run in pair["nominal"]["result"]["runs"]]

@@ -14,6 +14,7 @@ from split_cli.control.limits import Limits
 from split_cli.control.model import ControlModel
 from split_cli.control.mpc import Mpc, MpcSettings, SpeedController
 from split_cli.control.path import contour_and_lag
+from split_cli.control.policy import RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL
 from split_cli.control.receding import Actuators, ControllerLost
 from split_cli.control.residual import NoResidual, PredictorResidual, Residual
 from split_cli.control.scenarios import Scenario, build_scenario, cones_hit
@@ -59,8 +60,10 @@ class ManeuverSettings:
         Of the car's body [m].
     max_torque : float or None
         [N m]
-    p_long, p_ellipse : float
+    p_long : float
         Of the controller's limits [1].
+    p_ellipse : float or None
+        Share of the peak [1]; by default what races use with the nominal model, or with what was learned.
     guarded : bool
         As of `Limits`; the peaks are those that the set's labels tell.
     """
@@ -76,9 +79,17 @@ class ManeuverSettings:
     delay: bool = True
     width: float | None = None
     max_torque: float | None = None
-    p_long: float = 0.9
-    p_ellipse: float = 0.95
-    guarded: bool = False
+    p_long: float = RACE_P_LONG
+    p_ellipse: float | None = None
+    guarded: bool = True
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of the controller."""
+        share = self.p_ellipse
+        if share is None:
+            share = SHARE_NOMINAL if self.start_set is None else SHARE_LEARNED
+        return Limits(p_long=self.p_long, p_ellipse=share, guarded=self.guarded)
 
 
 @dataclass(frozen=True)
@@ -213,10 +224,9 @@ def _check(settings: ManeuverSettings) -> None:
     for name, value in positive:
         if not 0.0 < value < 1e6:
             raise SplitError(f"must be positive, got {value:g}", where=name)
-    if not 0.0 < settings.p_ellipse < 1.0:
-        raise SplitError(
-            f"a share of the peak between 0 and 1 was expected, got {settings.p_ellipse:g}", where="--p-ellipse"
-        )
+    share = settings.limits.p_ellipse
+    if not 0.0 < share < 1.0:
+        raise SplitError(f"a share of the peak between 0 and 1 was expected, got {share:g}", where="--p-ellipse")
     if settings.seed < 0:
         raise SplitError(f"a whole number from 0 was expected, got {settings.seed}", where="--seed")
 
@@ -241,7 +251,7 @@ def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Residual, s
     grip = np.ones(2)
     if settings.guarded and tells_peaks(vehicle, training_set.features):
         grip = learned_grip(vehicle, training_set.features, training_set.z, training_set.y)
-        residual.peak = PeakShift(vehicle, training_set.features, grip)
+        residual.rest_on(PeakShift(vehicle, training_set.features, grip))
     return residual, f"set ({settings.predictor})", grip
 
 
@@ -285,7 +295,7 @@ class _Run:
         self.actuators = Actuators(torque, vehicle.max_brake_torque, steer_rate=car.steer_rate)
         mpc = MpcSettings(
             horizon=scenario.horizon, step=scenario.step, steering_alone=scenario.steering_alone,
-            limits=Limits(p_long=settings.p_long, p_ellipse=settings.p_ellipse, guarded=settings.guarded),
+            limits=settings.limits,
         )  # fmt: skip
         self.controller = Mpc(self.model, scenario.path, self.actuators, mpc, width, scenario.speed)
         self.controller.grip = grip
