@@ -22,12 +22,13 @@ __all__ = ["command"]
 @click.option(
     "--physics-vehicle", type=existing_file, metavar="FILE", help="Vehicle file corrected by split diagnose."
 )
+@click.option("--formula-vehicle", type=existing_file, metavar="FILE", help="Vehicle file of the formula car.")
 @click.option(
     "--only", multiple=True, metavar="NAME", help="Run only experiments whose names begin with NAME; repeatable."
 )
 @click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Page whose tables are updated.")
 @output_option("Folder for the results.")
-def command(vehicle_path, limit_vehicle, physics_vehicle, only, page, output) -> None:
+def command(vehicle_path, limit_vehicle, physics_vehicle, formula_vehicle, only, page, output) -> None:
     """Run the closed-loop experiments of docs/experiments.md, and update its tables.
 
     The output folder keeps the result of every race and manoeuvre; those that are there are not run again. The
@@ -42,7 +43,8 @@ def command(vehicle_path, limit_vehicle, physics_vehicle, only, page, output) ->
     from split_cli.workflows.racing.experiments import run_experiments, stored
     from split_cli.workflows.racing.experiments_page import fill_page
 
-    given = {"gentle": vehicle_path, "limit": limit_vehicle, "physics": physics_vehicle}
+    given = {"gentle": vehicle_path, "limit": limit_vehicle, "physics": physics_vehicle,
+             "formula": formula_vehicle}  # fmt: skip
     vehicles = {name: path for name, path in given.items() if path is not None}
     ran = run_experiments(
         output, vehicles, only=only, progress=lambda text: click.echo(f"experiments: {text}", err=True)

@@ -89,7 +89,7 @@ class OnlineCommittee:
         """Return mean (N, 3), latent variance (N, 3) and the mean's Jacobian (N, 3, D) at `z`, shape (N, D)."""
         scales = self.kernel.length_scales
         mean, spread, slope = committee(
-            np.ascontiguousarray(z / scales), self.count, self.cells, self.points, self.turned, self.gains,
+            np.ascontiguousarray((z / scales).T), self.count, self.cells, self.points, self.turned, self.gains,
             self.vectors, self.lower, self.upper, self.ratio, self.reach,
         )  # fmt: skip
-        return mean, spread * self.kernel.signal_variance, slope / scales
+        return mean.T, spread.T * self.kernel.signal_variance, slope.transpose(2, 0, 1) / scales

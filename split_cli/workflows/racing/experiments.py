@@ -110,6 +110,8 @@ def _rivals_and_roads() -> list[Experiment]:
         found.append(_race("limit", learner, 0, "limit", laps=laps, **_SMALL))
         for group, road in (("worn", _WORN), ("wet", _WET)):
             found.append(_race(group, learner, 0, laps=laps, **road))
+        car = {"car": "formula_car", "model": "nominal" if learner == "none" else learner}
+        found.append(_race("formula", learner, 0, "formula", laps=laps, **car, **_SMALL))
     # v_x as a fourth feature: what hangs on the speed.
     features = "alpha_f,alpha_r,torque_ratio,vx"
     found.append(_race("feature", "split", 0, model="split vx", laps=3, features=features, **_SMALL))
@@ -173,7 +175,8 @@ def run_experiments(
         Results are kept here, a JSON and an npz with the traces of each experiment; one that exists is not run
         again.
     vehicles : mapping of str to path
-        Vehicle files: ``gentle``, ``limit``, ``physics``; experiments of one that is not given are left out.
+        Vehicle files: ``gentle``, ``limit``, ``physics``, ``formula``; experiments of one that is not given are
+        left out.
     only : tuple of str
         Beginnings of names.
     """
