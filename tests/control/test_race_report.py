@@ -101,3 +101,22 @@ def test_laps_are_chosen_compared_and_played_in_a_browser(browser, tmp_path):
     assert one("#status").text == "No lap is chosen."
     assert len(browser.find_elements("css selector", "#table-laps tbody tr")) == 3
     assert browser.get_log("browser") == []
+
+
+def test_tables_fit_on_paper_and_the_page_into_a_narrow_window(browser, tmp_path):
+    results = [race("ring"), race("ring"), race("ring")]
+    file = tmp_path / "race.html"
+    file.write_text(race_page(results, results[0].path), encoding="utf-8")
+    sheet = 688  # A4 less the page's own margins of 14 mm, at 96 dots per inch
+    try:
+        for media, width in (("print", sheet), ("screen", 420)):
+            browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media})
+            size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": media == "screen"}
+            browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+            browser.get(file.as_uri())
+            assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+            right = "return document.querySelector('#table-laps').getBoundingClientRect().right"
+            assert (browser.execute_script(right) <= width) == (media == "print"), "it scrolls on a screen"
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
