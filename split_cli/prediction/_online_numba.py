@@ -64,8 +64,8 @@ def committee(
     """Return mean (3, N), variance over signal variance (3, N) and Jacobian by scaled features (3, D, N).
 
     As `_compiled.predict` and `_compiled.jacobian`, for arrays whose first axis are cells and whose second are
-    slots, of which `count` are filled, and for queries z, shape (D, N). A cell is skipped when its squared distance
-    from every query is beyond `reach`. The queries are the inner loop, where they are vectorised.
+    slots, of which `count` are filled, and for queries z, shape (D, N). A cell is skipped when its squared
+    distance from every query is beyond `reach`. The queries are the inner loop, where they are vectorised.
     """
     D, N, M = z.shape[0], z.shape[1], points.shape[1]
     top, bottom = np.zeros((3, N)), np.ones((3, N))
