@@ -71,9 +71,8 @@ class Residual(ABC):
     def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return what the data say beyond the prior mean at features `z`, shape (N, D); zero without data."""
 
-    @abstractmethod
     def _shift_labels(self) -> None:
-        """Compute anew what hangs on the labels, less the prior mean."""
+        """Compute anew what hangs on labels, less the prior mean; nothing does where there are none."""
 
     def beyond_prior(self, z: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return labels `y`, shape (N, 3), less the prior mean at features `z`, shape (N, D)."""
@@ -96,9 +95,6 @@ class NoResidual(Residual):
         count, width = z.shape
         zero = np.zeros((count, 3))
         return ResidualValues(zero, np.zeros((count, 3, width)), zero, zero)
-
-    def _shift_labels(self) -> None:
-        """Do nothing: there are no labels."""
 
 
 class PredictorResidual(Residual):
