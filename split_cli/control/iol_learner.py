@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from split_cli.control.grip import PeakShift
 from split_cli.control.learner import LabellingLearner
 from split_cli.control.policy import DICTIONARY
 from split_cli.control.residual import Residual, ResidualValues
@@ -66,7 +67,9 @@ class DictionaryResidual(Residual):
         self._inverse = np.array([np.linalg.inv(correlation + r * np.eye(len(z))) for r in ratio])
         self._weights = np.einsum("oij,jo->io", self._inverse, self.beyond_prior(z, y))
 
-    def _shift_labels(self) -> None:
+    def rest_on(self, peak: PeakShift | None) -> None:
+        """Take the prior mean, and factor anew."""
+        super().rest_on(peak)
         self.refresh()
 
     def of_data(self, z: np.ndarray) -> ResidualValues:

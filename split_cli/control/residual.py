@@ -63,16 +63,12 @@ class Residual(ABC):
     peak: PeakShift | None = None
 
     def rest_on(self, peak: PeakShift | None) -> None:
-        """Take the prior mean, and let the data speak of what they say beyond it."""
+        """Take the prior mean; a residual of data lets them speak of what they say beyond it."""
         self.peak = peak
-        self._shift_labels()
 
     @abstractmethod
     def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return what the data say beyond the prior mean at features `z`, shape (N, D); zero without data."""
-
-    def _shift_labels(self) -> None:
-        """Compute anew what hangs on labels, less the prior mean; nothing does where there are none."""
 
     def beyond_prior(self, z: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return labels `y`, shape (N, 3), less the prior mean at features `z`, shape (N, D)."""
@@ -114,8 +110,9 @@ class PredictorResidual(Residual):
         self.features = self._set.features
         self._prior = self._set.kernel.signal_variance
 
-    def _shift_labels(self) -> None:
-        """Make the predictor anew."""
+    def rest_on(self, peak: PeakShift | None) -> None:
+        """Take the prior mean, and make the predictor anew."""
+        super().rest_on(peak)
         shifted = replace(self._set, y=self.beyond_prior(self._set.z, self._set.y))
         self.predictor = make_predictor(self.predictor.name, shifted)
 
@@ -149,8 +146,9 @@ class OnlineResidual(Residual):
         self.features = committee.online.header.features
         self._prior = committee.kernel.signal_variance
 
-    def _shift_labels(self) -> None:
-        """Decompose all cells anew; cells that change later follow."""
+    def rest_on(self, peak: PeakShift | None) -> None:
+        """Take the prior mean, and decompose all cells anew; cells that change later follow."""
+        super().rest_on(peak)
         self.committee.rest_on(None if self.peak is None else self.beyond_prior)
 
     def of_data(self, z: np.ndarray) -> ResidualValues:
