@@ -52,7 +52,7 @@ COLUMNS: dict[str, dict[str, str]] = {
         "threshold": "smallest marginal gain of a sample that is kept",
     },
     "compare": {
-        "after s": "how long the models ran freely over the recorded inputs [s]",
+        "after s": "length of the open-loop simulation with recorded inputs [s]",
         "fit %": "100 (1 - |error|/|measured - mean|), the fit of identification tools; below 0 the mean is "
         "better",
         "model": "vehicle file, or trained set with its predictor; * marks the best of a column",
@@ -60,7 +60,7 @@ COLUMNS: dict[str, dict[str, str]] = {
         "skill": "1 - MSE/MSE of velocities held: 1 is perfect, 0 no better than persistence",
     },
     "diagnose": {
-        "from": "smallest size at which this effect, if it were the only one, would have been named on these "
+        "from": "smallest size at which this effect, if it were the only one, would have been identified on these "
         "drives",
         "or": "alternatives: explanations that these data cannot separate from the term",
         "parameter": "parameter of the term; docs/catalogue.md gives unit and sign",
@@ -68,9 +68,9 @@ COLUMNS: dict[str, dict[str, str]] = {
         "that look alike",
         "term": "physical effect or sensor fault, by its name in the catalogue",
         "before": "the simulation as it is",
-        "physics": "the simulation with the named physics",
-        "split_only": "the simulation with the correction that SPLIT learns, without named physics",
-        "after": "the simulation with the named physics and SPLIT on what remains",
+        "physics": "the simulation with the identified effects",
+        "split_only": "the simulation with the correction that SPLIT learns, without physical effects",
+        "after": "the simulation with the identified effects, and SPLIT on the residual",
         "persistence": "prediction that the velocities stay as they are",
         "noise_floor": "error that sensor noise alone causes",
     },

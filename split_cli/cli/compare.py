@@ -41,7 +41,7 @@ def _horizons(context: click.Context, parameter: click.Parameter, text: str) -> 
 @click.option("--on", "drives", type=existing_file, multiple=True, required=True, metavar="DRIVE",
               help="Drive to run on; repeatable.")  # fmt: skip
 @click.option("--horizon", "horizons", default="0.05,0.5,2", show_default=True, callback=_horizons, metavar="LIST",
-              help="Durations of free running [s].")  # fmt: skip
+              help="Durations of the open-loop simulation [s].")  # fmt: skip
 @click.option("--exit-code", is_flag=True, help="Exit with code 3 if the first model is worse than another one.")
 @click.option("--most", "limits", multiple=True, callback=_limits, metavar="STATE=ERROR",
               help="Exit with code 3 if the first model's error at the longest horizon is larger than "
@@ -53,8 +53,8 @@ def command(models, drives, horizons, exit_code, limits, output, held, as_json) 
     """Compare vehicle files, trained sets and predictors on the same drives.
 
     A MODEL is a vehicle file, a trained set, or a set with a predictor (car.split:full). A prefix NAME= gives it a
-    name in the table. All models run freely on the recorded inputs from the same starts, without correction by
-    measurements. Intervals are 95 %, from blocks of time.
+    name in the table. All models run open loop on the recorded inputs from the same starts.
+    Intervals are 95 %, from blocks of time.
 
     \b
     Example:

@@ -81,7 +81,7 @@ def _tell(result) -> None:
     for lead in result.leads:
         click.echo(lead.sentence)
     if result.verdict == "match" and result.detectable:
-        click.echo("alone, an effect would have been named from about this size on")
+        click.echo("each effect, alone on these drives, would have been identified from about this size on")
         rows = [
             [one.term, name, f"{value:.3g}", unit]
             for one in result.detectable
@@ -93,7 +93,9 @@ def _tell(result) -> None:
         last = result.improvement.rollouts[-1]
         named = ", ".join(one.name for one in result.inputs if one.role == "holdout")
         where = named or f"the last {result.settings.get('holdout_share', 0.0):.0%} of each real drive"
-        click.echo(f"held out: {where}; rms error there after {last.horizon:g} s of free running, 95 % intervals")
+        click.echo(
+            f"held out: {where}; rms error there after {last.horizon:g} s of open-loop simulation, 95 % intervals"
+        )
         helped = ("physics", "split_only", "after") if result.findings else ("split_only",)
         stages = ("before", *helped, "persistence", "noise_floor")
         print_table(["", *_CHANNELS], [[stage, *_with_intervals(last, stage)] for stage in stages])

@@ -39,16 +39,17 @@ from split_cli.vehicle.parameters import Vehicle
 __all__ = ["diagnose"]
 
 _FAR = (
-    "what lies near alone: hardly any of the real drive lies where the simulation has been, so rows further off "
+    "common operating points: the simulation has hardly any of those of the real drive, so samples further off "
     "than usual are compared; drive both over the same speeds, torques and turns"
 )
 _FAR_AND_UNNAMED = (
-    "Hardly any of the real drive lies where the simulation has been, and what differs has no name: it may be "
-    "what the simulation has not shown; drive both over the same speeds, torques and turns."
+    "The simulation has hardly any of the real drive's operating points, and no effect of the catalogue explains "
+    "the gap. It may come from operating points that the simulation lacks. Drive both over the same speeds, "
+    "torques and turns."
 )
 _MUCH_FORM_ERROR = (
-    "small effects: halves of the simulation differ by far more than noise, and what is small beside that is not "
-    "told; calibrate the vehicle file (split calibrate), or drive both more alike"
+    "small effects: halves of the simulation differ by far more than noise, and smaller effects are not "
+    "identified; calibrate the vehicle file (split calibrate), or drive both more alike"
 )
 _WAYS = 4  # to differ, see `_compare`
 
@@ -112,7 +113,7 @@ def diagnose(
     ]
     if kept < settings.least_rows:
         reasons = [
-            f"Only {share:.0%} of the real drive ({kept} rows of 0.04 s) lies where the simulation has been; "
+            f"The simulation has only {share:.0%} of the real drive's operating points ({kept} rows of 0.04 s); "
             "drive both over the same speeds, torques and turns.",
             *in_sentences(out_of_scale(*positions, rules=policy.screening)),
         ]

@@ -26,9 +26,9 @@ _FORCES = ("longitudinal", "front lateral", "rear lateral")
 _BEFORE, _AFTER, _NEUTRAL, _BOTH = PALETTE[0], PALETTE[1], "0.45", PALETTE[2]
 _STAGES = (
     ("before", "simulation as it is", _BEFORE),
-    ("physics", "with the named physics", _AFTER),
+    ("physics", "with the identified effects", _AFTER),
     ("split_only", "with SPLIT only", _NEUTRAL),
-    ("after", "with physics and SPLIT", _BOTH),
+    ("after", "with effects and SPLIT", _BOTH),
 )
 # For each force, the axes over which its gap is shown: columns of a gap's operating point.
 _AXES = (((3, "$v_x$ [m/s]"), (2, "$T/T_{max}$")),) + tuple(
@@ -138,7 +138,7 @@ def _draw_strip(axis: Axes, diagnosis: Diagnosis, force: int) -> None:
         holes = np.flatnonzero(np.diff(gap.t) > 2.5 * np.median(np.diff(gap.t))) + 1
         for values, colour, name in (
             (gap.forces, _BEFORE, "gap"),
-            (gap.remainder if named else None, _AFTER, "left after the named physics"),
+            (gap.remainder if named else None, _AFTER, "residual with the identified effects"),
         ):
             if values is not None:
                 one = np.where(gap.compared, values[:, force], np.nan)
@@ -167,15 +167,15 @@ def draw_what(diagnosis: Diagnosis) -> Figure:
         axes[-1].barh(range(len(names)), saved, color=_NEUTRAL, height=0.6)
         axes[-1].set_yticks(range(len(names)), names)
         axes[-1].invert_yaxis()
-        axes[-1].set_xlabel("what a flexible fit still finds, by kind [χ²]")
-        title = f"what remains: {percent(rest.share)} of the gap has no name"
+        axes[-1].set_xlabel("what a flexible fit of the residual depends on [χ²]")
+        title = f"residual: {percent(rest.share)} of the gap is unexplained"
         axes[-1].set_title(title, fontsize="medium", loc="left")
         quiet(axes[-1])
     if findings:
-        said = "What was left out: " + ", ".join(term_name(one.term) for one in findings)
-        said += " and something without a name" if diagnosis.unexplained else ""
+        said = "What the simulation lacks: " + ", ".join(term_name(one.term) for one in findings)
+        said += " and an unexplained part" if diagnosis.unexplained else ""
     else:
-        said = "No term of the catalogue explains the gap"
+        said = "No effect of the catalogue explains the gap"
     figure.suptitle(said)
     return figure
 
@@ -185,7 +185,7 @@ def _draw_rivals(axis: Axes, finding: Finding) -> None:
     names, sizes, errors, colours = [f"{term_name(finding.term)} (chosen)"], [0.0], [0.0], [_AFTER]
     for rival in finding.runners_up:
         same = finding.is_as_good(rival)
-        note = " (as good here)" if same else " (placebo)" if rival is placebo else ""
+        note = " (as good)" if same else " (placebo)" if rival is placebo else ""
         names.append(term_name(rival.term) + note)
         sizes.append(rival.excess)
         errors.append(abs(rival.excess / rival.z) if rival.z else 0.0)
@@ -199,7 +199,7 @@ def _draw_rivals(axis: Axes, finding: Finding) -> None:
     axis.set_xscale("symlog", linthresh=10.0)
     axis.set_xlim(left=min(-1.0, 1.3 * min(sizes)))
     axis.axvline(0.0, color="0.4", linewidth=0.8)
-    axis.set_xlabel("worse than the chosen term by [χ²], with its 95 % interval over blocks of time")
+    axis.set_xlabel("cost above the chosen term [χ²], with 95 % interval over blocks of time")
     told = ", ".join(_told(name, estimate) for name, estimate in finding.parameters.items())
     axis.set_title(f"{term_name(finding.term)}: {told}", fontsize="medium", loc="left")
     quiet(axis)
@@ -215,7 +215,7 @@ def _told(name: str, estimate: ParameterEstimate) -> str:
 def draw_help(improvement: Improvement, *, named: bool = True) -> Figure:
     """Draw held-out errors of one step and of rollouts, stage by stage, with the noise floor in grey.
 
-    Where nothing was named, stages with the named physics are left out: they add nothing.
+    Where nothing was named, stages with identified effects are left out: they add nothing.
     """
     stages = [one for one in _STAGES if named or one[0] in ("before", "split_only")]
     heights = (2.4, 3.6) if improvement.rollouts else (2.4,)
@@ -230,12 +230,13 @@ def draw_help(improvement: Improvement, *, named: bool = True) -> Figure:
         handles, labels = axes[1, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False, fontsize="small")
     removed = improvement.removed.get("physics" if named else "split_only")
-    said = "Held-out errors, 95 % intervals; grey: what sensor noise makes"
+    said = "Held-out errors, 95 % intervals; grey: noise floor"
     if removed is not None:
         share, low, high = removed
-        model = "The named physics" if named else "SPLIT alone"
+        model = "The identified effects" if named else "SPLIT alone"
         interval = f"({100 * low:.0f} to {100 * high:.0f} %)"
-        said = f"{model} removes {percent(max(share, 0.0))} {interval} of the held-out one-step error beyond noise"
+        verb = "remove" if named else "removes"
+        said = f"{model} {verb} {percent(max(share, 0.0))} {interval} of the one-step error above the noise floor"
     figure.suptitle(said)
     return figure
 

@@ -102,7 +102,7 @@ def export_set(
         raise SetError(
             f"should not drive a car: {'; '.join(doubts)}",
             where=str(set_path),
-            advice="Mend the drive's map and train again, or export it all the same with --insist.",
+            advice="Correct the drive's signal map and train again, or export it all the same with --insist.",
         )
     digest = sha256_of_file(set_path)
     provenance = provenance_of(training_set, predictor, set_path.name, digest)

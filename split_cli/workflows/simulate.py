@@ -225,7 +225,7 @@ def _check(settings: SimulateSettings) -> None:
     asked = [bool(settings.track), bool(settings.maneuver), settings.calibration_tests]
     if sum(asked) != 1:
         raise SplitError(
-            f"{sum(asked)} things to drive were named, one is needed",
+            f"exactly one course is needed, {sum(asked)} were given",
             advice="Give one of --track, --maneuver and --calibration-tests.",
         )
     if settings.instruments not in INSTRUMENTS:

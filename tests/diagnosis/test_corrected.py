@@ -95,12 +95,12 @@ def test_the_summary_tells_what_changed_most_in_noise_and_what_got_worse():
     )  # fmt: skip
     finding = found(CorrectedVehicle(())).findings
     text = summarise("mismatch", finding, improvement=improvement_of(last))
-    assert "error of r goes from 0.10 to 0.010 rad/s (velocity held: 0.050; sensor noise alone: 0.0010)" in text
-    assert "the error of v_y gets worse, from 0.20 to 0.30 m/s" in text
+    assert "error of r changes from 0.10 to 0.010 rad/s (persistence: 0.050; noise floor: 0.0010)" in text
+    assert "The error of v_y rises from 0.20 to 0.30 m/s" in text
     assert "v_x" not in text
     # A state that only changed within chance is not said to be worse.
     calm = replace(last, change={"physics": (0.5, 1.0, -5.0)})
-    assert "worse" not in summarise("mismatch", finding, improvement=improvement_of(calm))
+    assert "rises" not in summarise("mismatch", finding, improvement=improvement_of(calm))
 
 
 def test_a_state_is_worse_beyond_chance_and_beyond_noise_only():

@@ -236,16 +236,16 @@ def test_another_form_of_an_exact_alternative_is_not_as_good():
     assert finding.is_as_good(finding.runners_up[0]) and not finding.is_as_good(wave)
     assert not finding.is_as_good(finding.runners_up[1])
     page = report_page(replace(mismatch(), findings=(replace(finding, runners_up=(wave,)),)))
-    assert "as good here" not in page and "worse" in page
+    assert "<td>as good</td>" not in page and "worse" in page
 
 
 def test_what_a_verdict_may_not_show():
     assert "What could not be judged" in report_page(MATCH) and "Brake hard once." in report_page(MATCH)
-    assert "What was left out" not in report_page(MATCH) and 'id="plot-strip"' not in report_page(MATCH)
+    assert "What the simulation lacks" not in report_page(MATCH) and 'id="plot-strip"' not in report_page(MATCH)
     undecided = report_page(UNDECIDED)
     assert "drive for 8 s." in undecided and 'id="where"' not in undecided and 'id="help"' not in undecided
     exact = report_page(replace(mismatch(), findings=(), remainder=None, improvement=None))
-    assert "No term of the catalogue earned its place." in exact
+    assert "No effect of the catalogue was identified." in exact
 
 
 @pytest.fixture(scope="module")
@@ -285,7 +285,7 @@ def ticks_across(browser, chart: str) -> list[float]:
 class TestInABrowser:
     def test_verdict_channel_and_names(self, browser, tmp_path):
         opened(browser, report_page(mismatch(HOSTILE)), tmp_path)
-        assert one(browser, "#verdict").text == "Steering 4.9 % less than commanded; something without a name."
+        assert one(browser, "#verdict").text == "Steering 4.9 % less than commanded; an unexplained part."
         assert one(browser, ".verdict .kicker").text == "Simulation and reality differ."
         assert browser.execute_script("return window.taken") is None
         assert "<img src=x" in one(browser, "header").text
@@ -369,7 +369,7 @@ class TestInABrowser:
         told = browser.find_elements("css selector", "#rollouts .tip")[1].text
         for line in (
             "2.00 s ahead",
-            "with the named physics: 0.200 m/s (0.160 to 0.240)",
+            "with the identified effects: 0.200 m/s (0.160 to 0.240)",
             "noise floor: 0.160 m/s",
         ):
             assert line in told
@@ -377,8 +377,8 @@ class TestInABrowser:
         unnamed = replace(mismatch(), findings=())
         opened(browser, report_page(unnamed), tmp_path)
         label = browser.find_elements("css selector", "#rollouts svg[role=img]")[1].get_attribute("aria-label")
-        assert "SPLIT only 0.280" in label and "named physics" not in label
-        assert "With the named physics" not in one(browser, "#help").text
+        assert "SPLIT only 0.280" in label and "identified effects" not in label
+        assert "With the identified effects" not in one(browser, "#help").text
 
     @pytest.mark.parametrize(
         "diagnosis", [mismatch("x" * 180), MATCH, UNDECIDED], ids=["mismatch", "match", "undecided"]

@@ -76,7 +76,7 @@ def test_the_variant_that_runs_takes_the_place_of_one_that_does_not(structure, v
     found = with_variants_that_run(structure, variants, wrong, VARIANCE_INFLATION)
     assert found.chosen.parts[0].candidate.variant == ""
     assert found.named == (True,) and found.chosen.cost < wrong.chosen.cost
-    assert "runs freely with" in found.history[-1] and found.first_p == wrong.first_p
+    assert "of its open-loop error" in found.history[-1] and found.first_p == wrong.first_p
 
 
 def test_where_nothing_is_left_without_a_name_one_step_decides(objective, structure, variants):

@@ -44,9 +44,9 @@ def test_a_scale_is_the_ratio_of_sums_of_a_single_stretch():
 
 def test_what_is_out_of_scale_is_told_with_its_size():
     (sentence,) = out_of_scale([kinematics_of(23, vx=1.03)], [kinematics_of(24)])
-    assert "v_x covers 3 % more ground" in sentence and "in the simulation they agree" in sentence
+    assert "the integral of v_x is 3 % more than" in sentence and "in the simulation they agree" in sentence
     (sentence,) = out_of_scale([kinematics_of(23, r=0.95)], [])
-    assert "r turns 5 % less" in sentence and "simulation" not in sentence
+    assert "the integral of r is 5 % less than" in sentence and "simulation" not in sentence
 
 
 def test_neither_physics_nor_a_habit_of_both_is_out_of_scale():
@@ -71,7 +71,7 @@ def test_a_speed_out_of_scale_is_named_and_contradicts_nothing_then():
     assert said.verdict == "mismatch" and finding.term == "speed_scale" and not finding.exported
     low, high = finding.parameters["scale"].interval_95
     assert low <= 1.03 <= high and high - low < 0.02
-    assert not any("ground" in reason for reason in said.not_judged)
+    assert not any("integral of" in reason for reason in said.not_judged)
     jsonschema.validate(diagnosis_to_mapping(said), read_schema())
     # A second fault that position tells too is named beside it.
     turned = faulty(recording(83, vx=1.03), angle=0.02)

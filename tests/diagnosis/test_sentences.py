@@ -68,7 +68,7 @@ def test_every_term_reads_right_for_either_sign(term, variant, size):
         assert more in told[1.0] and less in told[-1.0] and told[1.0] != told[-1.0]
         assert not re.search(r"-\d", told[-1.0])
     if CATALOGUE[term].exported:
-        assert told[1.0].startswith("In reality ") and "the simulation does not have it" in told[1.0]
+        assert told[1.0].startswith("In reality ") and "the simulation lacks this effect" in told[1.0]
     else:
         assert told[1.0].startswith("The measurement, not the car: ")
 
@@ -137,7 +137,7 @@ def test_any_alternative_comes_with_what_would_tell(term, variant):
     for other, hint in zip(others, hints, strict=True):
         name, _, how = hint.partition(": ")
         assert name.lower() == term_name(other).lower() and len(how) > 8
-        assert ("no drive can tell" in hint) == (other in exact_mimics(term, variant))
+        assert ("no recording can" in hint) == (other in exact_mimics(term, variant))
 
 
 def test_declared_hints_come_before_those_of_the_kind():
@@ -163,7 +163,7 @@ def test_a_sentence_names_alternatives_in_words_with_the_id_once():
     for name in ("steer lag (steer_lag)", "sensor delay (sensor_delay)"):
         assert sentence.count(name) == 1
     exact = sentence_for("mass", "", {"scale": estimate(1.1, 0.01)}, exact_mimics("mass", ""))
-    assert "No drive can tell it from friction scale, drive gain, " in exact and "only F/m" in exact
+    assert "No recording can distinguish it from friction scale, drive gain, " in exact and "only F/m" in exact
 
 
 def improvement() -> Improvement:
@@ -185,11 +185,11 @@ def test_the_summary_says_what_where_and_whether_it_helps():
     said = summarise("mismatch", (finding,), False, location, None, (), improvement())
     for part in (
         "between s = 310 and 420 m grip is 22.0 % lower",
-        "This data may as well be explained by grip fade (grip_fade).",
-        "mostly in front lateral force (80 % of it) and goes with track position, which alone explains 91 %",
+        "These data are explained as well by grip fade (grip_fade).",
+        "mostly in front lateral force (80 % of it). Track position alone explains 91 %",
         "87 % of it lies between s = 311 and 421 m, in 9 % of the samples",
-        "removes 97 % of a step's squared error beyond sensor noise (95 %: 87 to 100 %)",
-        "the error of v_x goes from 0.54 to 0.014 m/s (velocity held: 1.0; sensor noise alone: 0.013)",
+        "the squared one-step error above the noise floor falls by 97 % (95 %: 87 to 100 %). After 2 s",
+        "the error of v_x changes from 0.54 to 0.014 m/s (persistence: 1.0; noise floor: 0.013)",
     ):
         assert part in said
 
@@ -201,7 +201,10 @@ def test_held_out_time_without_the_gap_tells_nothing():
     last = HorizonErrors(2.0, *([quiet] * 5), (0.0105, 0.0098, 0.001), {}, 100)
     blind = Improvement(*([quiet] * 5), quiet, {}, (last,), {"physics": None})
     said = summarise("mismatch", (finding,), improvement=blind)
-    assert "Held-out time shows too little of the gap to tell whether the named physics helps." in said
+    assert (
+        "The held-out data show too little of the gap to tell whether the identified effects would reduce it."
+        in said
+    )
     assert not blind.tells and improvement().tells
 
 
@@ -209,7 +212,7 @@ def test_place_does_not_stand_for_what_repeats_every_lap():
     shares = {"longitudinal": 0.2, "front_lateral": 0.5, "rear_lateral": 0.3}
     location = Location(shares, (("s", 0.9), ("delta", 0.6)), {"delta": (0.05, 0.2)}, None, None, 1.0, 1.0)
     said = summarise("mismatch", (), True, location)
-    assert "goes with steer angle" in said and "a steer angle of 0.0500 to 0.200 rad" in said
+    assert "Steer angle alone explains" in said and "a steer angle of 0.0500 to 0.200 rad" in said
 
 
 def test_terms_look_alike_whichever_of_them_declares_it():

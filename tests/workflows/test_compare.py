@@ -119,7 +119,7 @@ class TestTheCommand:
         first = said["scores"][0]["states"][0]
         assert float(rows[0]["rmse"]) == pytest.approx(first["rmse"]) and rows[0]["model"] == "old"
         page = (folder / "out" / "report.html").read_text(encoding="utf-8")
-        assert "new is best after 1 s, beyond chance in" in page
+        assert "new is best after 1 s, significantly in" in page
 
     def test_the_gate_is_shut_by_a_worse_model_only(self, folder):
         wrong, right = str(folder / "wrong.yaml"), str(folder / "right.yaml")

@@ -18,10 +18,10 @@ __all__ = ["in_sentences", "out_of_scale", "scale_of"]
 
 _BLOCKS = 20
 _WORDS = {
-    "v_x": "speed against position: v_x covers {share} {more} ground than X and Y do",
-    "r": "yaw rate against yaw: r turns {share} {more} than yaw does",
+    "v_x": "speed against position: the integral of v_x is {share} {more} than the distance by X and Y",
+    "r": "yaw rate against yaw: the integral of r is {share} {more} than the change of yaw",
 }
-_ADVICE = "; mend that sensor's scale and diagnose again, physics is not named before"
+_ADVICE = "; correct the scale of that sensor and diagnose again, effects of the car are not identified before"
 
 
 def out_of_scale(

@@ -107,15 +107,15 @@ def unfit(drive: Drive, vehicle: Vehicle, rules: Screening = STANDARD.screening)
         frozen.append("T")
     if frozen:
         return [
-            f"{drive.name}: {', '.join(frozen)} never changes while the car moves; a recorded signal does. Look "
-            "at the map of signals it was ingested with."
+            f"{drive.name}: {', '.join(frozen)} never changes while the car moves, unlike a recorded signal. "
+            "Check the signal map that it was ingested with."
         ]
     slowest = rules.valid_speed * vehicle.minimum_speed
     fast = np.mean(drive["vx"] >= slowest)
     if fast < rules.least_fast:
         return [
             f"{drive.name} is slower than {slowest:.1f} m/s for {1 - fast:.0%} of its time; "
-            "slip angles mean little there. Drive faster, or look whether it is a recording of this vehicle."
+            "slip angles are not reliable there. Drive faster, or check that it is a recording of this vehicle."
         ]
     return _of_another_car(drive, vehicle, rules)
 

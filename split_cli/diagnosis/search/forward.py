@@ -26,8 +26,8 @@ from split_cli.vehicle.effects import Term
 
 __all__ = ["Found", "other_beginnings", "refusal", "search_forward", "sizes_with_form_error"]
 
-_ONCE = "nearly all in a few moments"
-_FORM_ERROR = "no more than the model-form error of the others"
+_ONCE = "nearly all of it in a few moments"
+_FORM_ERROR = "within the model-form error of the other terms"
 
 
 @dataclass(frozen=True)

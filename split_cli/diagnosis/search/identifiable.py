@@ -40,14 +40,14 @@ def limits_of(
     out = []
     if share < policy.reporting.least_compared:
         out.append(
-            f"{1.0 - share:.0%} of the real drive, where the simulation has not been; drive both over the same "
-            "speeds, torques and turns"
+            f"{1.0 - share:.0%} of the real drive, at operating points that the simulation lacks; drive both "
+            "over the same speeds, torques and turns"
         )
     slipping = 1.0 - np.mean(np.concatenate([one.rolls for one in real]))
     if slipping > policy.reporting.much_slipping:
         out.append(
-            f"{slipping:.0%} of the real drive, where an axle is asked for more force along the car than its "
-            "tyres have and wheels may spin or lock; drive and brake less hard"
+            f"{slipping:.0%} of the real drive, where the demanded longitudinal force exceeds the tyres' limit "
+            "and wheels may spin or lock; drive and brake less hard"
         )
     z = np.concatenate([features(one.series, vehicle)[one.at] for one in real])
     torque = z[:, 2] * vehicle.max_torque
@@ -61,20 +61,20 @@ def limits_of(
     elif np.quantile(torque, 0.02) > -0.02 * vehicle.max_brake_torque:
         out.append("brake gain: there is no braking; brake hard once")
     if max(slip) < 0.004:
-        out.append("everything lateral: there are no turns; drive a slalom")
+        out.append("lateral effects: there are no turns; drive a slalom")
     elif max(slip[0] / peak[0], slip[1] / peak[1]) < 0.25:
         out.append("peak grip: no turn comes near the limit; turn harder")
     drives = [one.series.drive for one in real]
     if not all(drive.has_position for drive in drives):
-        out.append("place, wind and velocity sensor against car: no position and yaw; record them")
+        out.append("effects of place, wind and velocity sensors: position and yaw are missing; record them")
     if any(drive.metadata.kinds.get("delta") == "measured" for drive in drives):
         out.append("the steering actuator: the steer angle is a measurement; log the command")
     if any(map(torque_is_derived, drives)):
-        out.append("everything longitudinal: torque is derived from acceleration; log the torque command")
+        out.append("longitudinal effects: torque is derived from acceleration; log the torque command")
     if any(map(torque_is_from_pedals, drives)):
         out.append(
-            "the drive train against the map of its pedals: torque comes from throttle, brake or current by an "
-            "assumed map, whose errors a drive gain, lag, drag or mass here may be; log the torque command"
+            "drive train and pedal map apart: torque comes from throttle, brake or current by an assumed map, "
+            "whose errors may look like drive gain, lag, drag or mass; log the torque command"
         )
     if any(drive.period > 0.05 for drive in drives):
         out.append("lags and delays shorter than a sample; record at 50 Hz or more")

@@ -151,7 +151,7 @@ def select_terms(
     if many or (found.left_something and leaves_structure(found.with_what_matters(base, rules))):
         jointly = _all_at_once(explore, base, found.with_what_matters(base, rules))
     if jointly is not None:
-        chosen, history = jointly, [*found.history, f"all at once: {said_of(found.chosen, jointly)}"]
+        chosen, history = jointly, [*found.history, f"joint search: {said_of(found.chosen, jointly)}"]
     else:
         for other in other_beginnings(first, base, rules) if found.left_something else ():
             found = min(found, search_forward(explore, base, [other]), key=score)
@@ -223,7 +223,7 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
         better = min(rivals, key=lambda one: one.excess, default=None)
         if len(selection.chosen.parts) < 2 or better is None or better.excess > -rules.tie:
             break
-        history.append(f"{better.fit.parts[-1].candidate.label} takes a place, saves {-better.excess:.0f}")
+        history.append(f"{better.fit.parts[-1].candidate.label} replaces a term, saves {-better.excess:.0f}")
         selection, exchanged = _examined(explore, base, better.fit), True
     for move in (merged, joined, split):
         other = move(explore, selection.base, selection.chosen, selection.named)
@@ -244,7 +244,7 @@ def _exchanged_beside_form_error(
         if better is None or sum(trial.named) < sum(selection.named):
             break
         history.append(
-            f"{better.parts[-1].candidate.label} takes a place, saves {saved:.1f} beside model-form error"
+            f"{better.parts[-1].candidate.label} replaces a term, saves {saved:.1f} beside model-form error"
         )
         selection, exchanged = trial, True
     return selection, exchanged

@@ -46,14 +46,14 @@ def sentence_for(
     vehicle : Vehicle, optional
         The nominal model, to tell effects in its forces.
     """
-    lacks = "; the simulation does not have it" if CATALOGUE[term].exported else ""
+    lacks = "; the simulation lacks this effect" if CATALOGUE[term].exported else ""
     sentences = [f"{statement_for(term, variant, parameters, vehicle)}{lacks}."]
     for one in (separation(term, variant, alternative) for alternative in alternatives):
         name = term_with_id(one.alternative)
         if one.exact:
-            sentences.append(f"No drive can tell it from {name}: {one.hint}.")
+            sentences.append(f"No recording can distinguish it from {name}: {one.hint}.")
         else:
-            sentences.append(f"On this data it cannot be told from {name}; what would tell: {one.hint}.")
+            sentences.append(f"These data do not distinguish it from {name}; this would: {one.hint}.")
     return " ".join(sentences)
 
 
@@ -80,11 +80,11 @@ def lead_sentence(
     """
     kind = CATALOGUE[term]
     parts = [
-        f"A lead, not a finding: it would be explained if {kind.statement(parameters, variant)}. No real "
-        f"car of this size has that ({'; '.join(sources)})."
+        f"A lead, not a finding: the gap would be explained if {kind.statement(parameters, variant)}. No real "
+        f"car of this size has such a value ({'; '.join(sources)})."
     ]
     parts += [
-        f"As much is explained if {CATALOGUE[other].statement(values, which)} ({other})."
+        f"It would be explained as well if {CATALOGUE[other].statement(values, which)} ({other})."
         for other, which, values in instead
     ]
     return " ".join(parts)
@@ -123,19 +123,21 @@ def summarise(
     if verdict == "undecided":
         return "It cannot be decided whether simulation and reality differ: " + " ".join(reasons)
     if verdict == "match":
-        return " ".join(["Simulation and reality agree within noise wherever both have been.", *reasons])
+        return " ".join(
+            ["Simulation and reality agree within noise at all operating points that both have.", *reasons]
+        )
     parts = ["Simulation and reality differ."]
     parts += reasons
     for finding in findings:
         statement = statement_for(finding.term, finding.variant, finding.parameters, vehicle)
         others = " or ".join(term_with_id(one) for one in finding.alternatives)
-        parts.append(f"{statement}." + (f" This data may as well be explained by {others}." if others else ""))
+        parts.append(f"{statement}." + (f" These data are explained as well by {others}." if others else ""))
     lacking = sum(finding.exported for finding in findings)
     lacks = (
         "",
-        "The simulation does not have it.",
-        "The simulation has neither.",
-        "The simulation has none of these.",
+        "The simulation lacks this effect.",
+        "The simulation lacks both effects.",
+        "The simulation lacks all of these effects.",
     )
     parts.append(lacks[min(lacking, 3)])
     if location is not None:
@@ -151,11 +153,11 @@ def summarise(
 
 def _where(location: Location) -> str:
     force = max(location.forces, key=location.forces.get)
-    text = f"The gap is mostly in {force.replace('_', ' ')} force ({percent(location.forces[force])} of it)"
+    text = f"The gap is mostly in {force.replace('_', ' ')} force ({percent(location.forces[force])} of it)."
     name, score = _tells_most(location)
     if score > _CLEARLY:
-        text += f" and goes with {variable_name(name)[0]}, which alone explains {percent(score)} of it"
-    text += "."
+        words = variable_name(name)[0]
+        text += f" {words[:1].upper()}{words[1:]} alone explains {percent(score)} of it."
     here = ""
     if location.place is not None:
         here = f"between s = {number(location.place.s_start)} and {number(location.place.s_end)} m"
@@ -181,22 +183,22 @@ def _tells_most(location: Location) -> tuple[str, float]:
 
 
 def _help(improvement: Improvement, stage: str) -> str:
-    model = "the named physics" if stage == "physics" else "SPLIT alone, which needs no name"
+    model = "the identified effects" if stage == "physics" else "a correction learned by SPLIT alone"
     if not improvement.tells:
-        return f"Held-out time shows too little of the gap to tell whether {model.split(',')[0]} helps."
-    removed = improvement.removed.get(stage)
-    parts = []
+        return f"The held-out data show too little of the gap to tell whether {model} would reduce it."
+    removed, intro, parts = improvement.removed.get(stage), f"With {model}, on held-out data", []
     if removed is not None:
         share, low, high = removed
         interval = f"95 %: {100.0 * low:.0f} to {100.0 * high:.0f} %"
-        told = percent(share) if share > 0.0 else "nothing"
-        parts.append(f"it removes {told} of a step's squared error beyond sensor noise ({interval})")
+        told = percent(share) if share > 0.0 else "0 %"
+        parts.append(f"{intro}, the squared one-step error above the noise floor falls by {told} ({interval}).")
     if improvement.rollouts:
-        parts.append(_free_running(improvement.rollouts[-1], stage))
-    return f"With {model}, on held-out time: {'; '.join(parts)}." if parts else ""
+        told = _open_loop(improvement.rollouts[-1], stage)
+        parts.append(told if parts else f"{intro}: {told[:1].lower()}{told[1:]}")
+    return " ".join(parts)
 
 
-def _free_running(last: HorizonErrors, stage: str) -> str:
+def _open_loop(last: HorizonErrors, stage: str) -> str:
     """Return what becomes of the error that a stage changes most, and which errors get worse."""
     k = last.most_changed(stage)
     name, unit = _STATES[k]
@@ -204,35 +206,35 @@ def _free_running(last: HorizonErrors, stage: str) -> str:
         number(getattr(last, key)[k], 2) for key in ("before", stage, "persistence", "noise_floor")
     )
     text = (
-        f"after {last.horizon:g} s of free running the error of {name} goes from {before} to {after} {unit} "
-        f"(velocity held: {held}; sensor noise alone: {floor})"
+        f"After {last.horizon:g} s of open-loop simulation the error of {name} changes from {before} to {after} "
+        f"{unit} (persistence: {held}; noise floor: {floor})"
     )
     others = [
-        f"the error of {_STATES[i][0]} gets worse, from {number(last.before[i], 2)} to "
+        f"The error of {_STATES[i][0]} rises from {number(last.before[i], 2)} to "
         f"{number(getattr(last, stage)[i], 2)} {_STATES[i][1]}"
         for i in last.worse(stage)
         if i != k
     ]
-    return "; ".join([text, *others])
+    return " ".join(f"{one}." for one in (text, *others))
 
 
 def not_accepted(corrected: CorrectedVehicle) -> str:
     """Return why a corrected vehicle is not to be used."""
     worse = [
         f"{one.channel} after {one.horizon:g} s "
-        f"({number(one.corrected, 2)} where the one given has {number(one.nominal, 2)} {one.unit})"
+        f"({number(one.corrected, 2)} instead of {number(one.nominal, 2)} {one.unit})"
         for one in corrected.states
         if one.is_worse
     ]
     return (
-        "On held-out time the vehicle with what was found predicts worse than the one given: "
-        f"{', '.join(worse)}. It is written as vehicle_rejected.yaml, to be looked at and not to be used."
+        "On held-out data the corrected vehicle file predicts worse than the given one: "
+        f"{', '.join(worse)}. It is written as vehicle_rejected.yaml, for inspection only; do not use it."
     )
 
 
 def _unnamed(remainder: RemainderTest, named: bool) -> str:
     share = f"{percent(remainder.share)} of the gap" if named else "The gap"
     kind = remainder.by_group[0][0] if remainder.by_group else ""
-    lead = f"; it goes with {_KINDS.get(kind, kind)}" if kind else ""
-    formula = f" A formula as a lead: {remainder.formula}." if remainder.formula else ""
-    return f"{share} has no name in the catalogue{lead}.{formula}"
+    lead = f" It depends mostly on {_KINDS.get(kind, kind)}." if kind else ""
+    formula = f" A candidate formula: {remainder.formula}." if remainder.formula else ""
+    return f"{share} is explained by no effect of the catalogue.{lead}{formula}"

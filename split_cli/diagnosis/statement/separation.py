@@ -34,7 +34,7 @@ class Separation:
         """Return it as one line for a list."""
         name = term_name(self.alternative)
         name = name[:1].upper() + name[1:]
-        return f"{name}: no drive can tell, {self.hint}" if self.exact else f"{name}: {self.hint}"
+        return f"{name}: no recording can, {self.hint}" if self.exact else f"{name}: {self.hint}"
 
 
 def exact_mimics(term: str, variant: str) -> tuple[str, ...]:

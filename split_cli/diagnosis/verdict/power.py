@@ -88,9 +88,10 @@ def hidden_effects(
 def no_match_in_words(hidden: HiddenEffect, gap_to_noise: float) -> str:
     """Return why no match can be said."""
     return (
-        f"Simulation and reality differ by {number(gap_to_noise, 2)} times sensor noise in a step, and so do "
-        f"halves of the simulation. A {hidden.words} would hide in that, which is {percent(hidden.share)} of the "
-        "forces on these drives. Drive both alike and longer, or calibrate the vehicle file (split calibrate)."
+        f"Simulation and reality differ by {number(gap_to_noise, 2)} times sensor noise over 0.05 s, and so do "
+        f"halves of the simulation. A {hidden.words} would not be visible in that, and it changes "
+        f"{percent(hidden.share)} of the forces on these drives. Drive both alike and longer, or calibrate the "
+        "vehicle file (split calibrate)."
     )
 
 
@@ -100,7 +101,7 @@ def hidden_in_words(hidden: Sequence[HiddenEffect]) -> str:
         return ""
     listed = "; ".join(f"{one.words} ({percent(one.share)})" for one in hidden)
     return (
-        "What these drives could not have shown, each with its share of the forces over "
+        "Effects that these drives could not have shown, each with its share of the forces over "
         f"{_PREDICTED_SECONDS:g} s: {listed}."
     )
 

@@ -76,7 +76,10 @@ def drive_charts(subjects: Sequence[Subject], vehicle: Vehicle | None = None) ->
     if not moving:
         return ()
     modelled = any(one.vehicle is not None for one in subjects)
-    note = f"Models run freely over the recorded inputs and are set back every {FREE_SECONDS:g} s." * modelled
+    note = (
+        f"Models run open loop on the recorded inputs and restart from the measurement every {FREE_SECONDS:g} s."
+        * modelled
+    )
     recordings = sum(one.vehicle is None for one in subjects)
     charts = []
     for channel, title, axis in _CHANNELS:
@@ -111,7 +114,7 @@ def _accelerations(moving: Sequence[tuple[Subject, Drive]], vehicle: Vehicle | N
         most = (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
         x, y = most * np.cos(angle), most * np.sin(angle)
         series.append(ChartLine("friction ellipse of the vehicle file", x, y, "other"))
-        note = "The ellipse is (D_f + D_r)/m: what both axles give at once."
+        note = "The ellipse is (D_f + D_r)/m: the peak forces of both axles together."
     return Chart("gg", "Accelerations (GG)", "a_y, left positive [m/s²]", "a_x [m/s²]", tuple(series), note,
                  equal=True)  # fmt: skip
 

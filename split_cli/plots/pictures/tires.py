@@ -121,5 +121,5 @@ def _learned(
     deviation = force_deviation(vehicle, learned.prediction)[theirs, column]
     centre, middle, _ = binned(x[mine], mean, width)
     _, half, _ = binned(x[mine], _TWO_SIDED_95 * deviation, width)
-    name = f"{'with what was found' if found else 'vehicle file'} and {learned.name}"
+    name = f"{'corrected vehicle' if found else 'vehicle file'} and {learned.name}"
     return ChartLine(name, centre, middle, "learned", low=middle - half, high=middle + half)

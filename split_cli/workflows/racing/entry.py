@@ -159,7 +159,7 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
     if training_set.plain:
         raise SetError(
             "holds plain differences, which depend on the label interval", where=str(where),
-            advice="Train it without --plain.",
+            advice="Train it without --plain-labels.",
         )  # fmt: skip
     huge = np.abs(training_set.y[:, :2]).max(initial=0.0)
     if not np.isfinite(training_set.y).all() or huge > LARGEST_LABEL:

@@ -26,8 +26,8 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = ()) -
     drives = "drive" if len(compared.drives) == 1 else "drives"
     facts = [
         ("Models", str(len(compared.models)), "side by side, on the same starts"),
-        ("Free runs", f"{compared.starts:,}", f"on {len(compared.drives)} {drives}"),
-        ("Left out", f"{compared.diverged:,}", "since some model left the finite numbers"),
+        ("Rollouts", f"{compared.starts:,}", f"on {len(compared.drives)} {drives}"),
+        ("Left out", f"{compared.diverged:,}", "rollouts in which a model diverged"),
     ]
     told = "".join(
         f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
@@ -39,7 +39,7 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = ()) -
         alarms = f"<details>{summary}<ul>{alarms}</ul></details>"
     kind = "mismatch" if compared.worse else "match"
     said = headline(compared)
-    title = f"Errors after {last[0].horizon:g} s of free running"
+    title = f"Errors after {last[0].horizon:g} s of open-loop simulation"
     body = (
         f'<section class="verdict {kind}" aria-labelledby="verdict"><h1 id="verdict">{escape(said)}</h1>'
         f'<dl class="facts">{told}</dl></section>'
@@ -66,8 +66,8 @@ def headline(compared: ModelComparison) -> str:
         if one.is_best and not any(other.states[k].as_good for other in others)
     ]
     if not sure:
-        return f"{best.name} is ahead after {horizon:g} s, but not beyond chance."
-    return f"{best.name} is best after {horizon:g} s, beyond chance in {_listed(sure)}."
+        return f"{best.name} has the smallest error after {horizon:g} s; the difference is not significant."
+    return f"{best.name} is best after {horizon:g} s, significantly in {_listed(sure)}."
 
 
 def _listed(names: Sequence[str]) -> str:

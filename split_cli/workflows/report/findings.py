@@ -19,16 +19,18 @@ def what_section(diagnosis: Diagnosis) -> str:
     """Return the section: one card a finding, one for the remainder, and the steps of the selection."""
     cards = "".join(_finding(k, finding) for k, finding in enumerate(diagnosis.findings, 1))
     if not diagnosis.findings:
-        cards = '<p class="lead">No term of the catalogue earned its place.</p>'
+        cards = '<p class="lead">No effect of the catalogue was identified.</p>'
     if diagnosis.leads:
         items = "".join(f"<li>{escape(one.sentence)}</li>" for one in diagnosis.leads)
-        cards += f'<div class="note" id="leads"><p>Leads, no findings:</p><ul>{items}</ul></div>'
+        cards += f'<div class="note" id="leads"><p>Leads, not findings:</p><ul>{items}</ul></div>'
     remainder = ""
     if diagnosis.remainder is not None:
         remainder = _remainder(diagnosis.remainder, diagnosis.unexplained, _level(diagnosis))
     steps = "".join(f"<li>{escape(step)}</li>" for step in diagnosis.history)
-    history = f"<details><summary>Steps of the selection</summary><ol>{steps}</ol></details>" if steps else ""
-    return section("what", "What was left out", f"{cards}{remainder}{history}")
+    history = (
+        f"<details><summary>Steps of the model selection</summary><ol>{steps}</ol></details>" if steps else ""
+    )
+    return section("what", "What the simulation lacks", f"{cards}{remainder}{history}")
 
 
 def _finding(order: int, finding: Finding) -> str:
@@ -40,7 +42,7 @@ def _finding(order: int, finding: Finding) -> str:
     )
     rows = [_parameter(name, estimate) for name, estimate in finding.parameters.items()]
     explained = bar_row(
-        "Share of the difference that this effect explains", finding.gap_explained, percent(finding.gap_explained)
+        "Share of the gap that this effect explains", finding.gap_explained, percent(finding.gap_explained)
     )
     return (
         f'<article class="card" id="finding-{order}" aria-labelledby="finding-{order}-title">'
@@ -66,8 +68,8 @@ def _alternatives(finding: Finding) -> str:
         return ""
     names = "".join(f'<span class="chip same">{escape(term_title(name))}</span>' for name in finding.alternatives)
     hints = "".join(f"<li>{escape(hint)}</li>" for hint in finding.separated_by)
-    apart = f"<p>What would tell them apart:</p><ul>{hints}</ul>" if hints else ""
-    return f'<div class="note"><p>As good on this data: {names}</p>{apart}</div>'
+    apart = f"<p>What would distinguish them:</p><ul>{hints}</ul>" if hints else ""
+    return f'<div class="note"><p>Explains these data as well: {names}</p>{apart}</div>'
 
 
 def _rivals(finding: Finding) -> str:
@@ -80,7 +82,7 @@ def _rivals(finding: Finding) -> str:
     rows = [f'<tr class="own"><th scope=row>{own}</th><td></td><td>0</td><td></td><td>chosen</td></tr>']
     most = max(max(rival.excess, 0.0) for rival in best.values())
     rows += [_rival(finding, rival, most) for rival in best.values()]
-    heads = ("Term", "Left over beyond the chosen one", "χ²", "Std errors", "")
+    heads = ("Term", "Cost above the chosen term", "χ²", "Std errors", "")
     return f"<h4>Other terms in its place</h4>{table(heads, rows, 'rivals')}"
 
 
@@ -88,7 +90,7 @@ def _rival(finding: Finding, rival: RivalSummary, most: float) -> str:
     placebo = finding.placebo
     same = finding.is_as_good(rival)
     is_placebo = placebo is not None and (rival.term, rival.variant) == (placebo.term, placebo.variant)
-    mark = "as good here" if same else "placebo: best wrong term" if is_placebo else "worse"
+    mark = "as good" if same else "placebo: best wrong term" if is_placebo else "worse"
     shown = bar(max(rival.excess, 0.0) / max(most, 1e-9), kind="same" if same else "")
     return (
         f"<tr><th scope=row>{escape(term_title(rival.term, rival.variant))}</th><td>{shown}</td>"
@@ -97,10 +99,10 @@ def _rival(finding: Finding, rival: RivalSummary, most: float) -> str:
 
 
 def _remainder(remainder: RemainderTest, unexplained: bool, level: float) -> str:
-    title = "What remains has structure" if unexplained else "What remains"
+    title = "The residual has structure" if unexplained else "Residual"
     words = (
-        f"{percent(remainder.share)} of the gap has no name: {number(remainder.effect_to_noise, 2)} times "
-        f"sensor noise in a prediction over 0.05 s, {chance(remainder.p_value)} for noise alone."
+        f"{percent(remainder.share)} of the gap is unexplained: {number(remainder.effect_to_noise, 2)} times "
+        f"sensor noise in a prediction over 0.05 s ({chance(remainder.p_value)} for noise alone)."
     )
     total = sum(max(saved, 0.0) for _, saved in remainder.by_group)
     bars = "".join(
@@ -108,12 +110,14 @@ def _remainder(remainder: RemainderTest, unexplained: bool, level: float) -> str
     )
     # One scale for the test: powers of ten of the chance, with the level from which on it counts.
     strength = -math.log10(max(remainder.p_value, 10.0**-_MOST_POWERS)) / _MOST_POWERS
-    test = bar_row("Against noise (dashed: the level that counts)", strength, chance(remainder.p_value),
+    test = bar_row("p value against noise (dashed: significance level)", strength, chance(remainder.p_value),
                    -math.log10(level) / _MOST_POWERS)  # fmt: skip
-    groups = f'<h4>Is it more than noise</h4><div class="bars">{test}</div>'
+    groups = f'<h4>Test against noise</h4><div class="bars">{test}</div>'
     if bars:
-        groups += f'<h4>What a flexible fit still finds goes with</h4><div class="bars">{bars}</div>'
-    lead = f"<h4>A lead</h4><p><code>{escape(remainder.formula)}</code></p>" if remainder.formula else ""
+        groups += f'<h4>What a flexible fit of the residual depends on</h4><div class="bars">{bars}</div>'
+    lead = (
+        f"<h4>A candidate formula</h4><p><code>{escape(remainder.formula)}</code></p>" if remainder.formula else ""
+    )
     return (
         f'<article class="card{" open" if unexplained else ""}" id="remainder"><h3>{title}</h3><p>{words}</p>'
         f"{groups}{lead}</article>"

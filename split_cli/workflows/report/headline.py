@@ -51,7 +51,7 @@ def findings_headline(findings: Sequence[Finding], unexplained: bool = False) ->
     if more > 0:
         parts.append(f"{more} more")
     if unexplained:
-        parts.append("something without a name" if parts else "Something without a name")
+        parts.append("an unexplained part" if parts else "Unexplained")
     return f"{'; '.join(parts)}." if parts else ""
 
 

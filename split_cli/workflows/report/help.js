@@ -1,4 +1,4 @@
-/* Whether the named physics helps: errors of one step and of free running on held-out time. */
+/* Held-out errors of one step and of open-loop simulation, with and without the identified effects. */
 (() => {
   const { Plot, shape, element, path, short, between, csv } = Charts;
   const numbers = JSON.parse(document.getElementById("numbers").textContent);
@@ -12,10 +12,10 @@
   }
 
   const ROWS = [
-    ["before", "before", BEFORE], ["physics", "physics", AFTER], ["split_only", "SPLIT only", "var(--nominal)"], ["after", "both", "var(--learned)"], ["persistence", "persistence", "var(--soft)"],
+    ["before", "before", BEFORE], ["physics", "effects", AFTER], ["split_only", "SPLIT only", "var(--nominal)"], ["after", "both", "var(--learned)"], ["persistence", "persistence", "var(--soft)"],
   ].filter(([stage]) => numbers.named || !["physics", "after"].includes(stage)); // without a name there is nothing to add
 
-  const LINES = ROWS.map(([stage, text, color]) => [stage, { physics: "with the named physics", after: "with physics and SPLIT" }[stage] || text, color]);
+  const LINES = ROWS.map(([stage, text, color]) => [stage, { physics: "with the identified effects", after: "with effects and SPLIT" }[stage] || text, color]);
 
   function figure(host, title) {
     const canvas = element("div", { class: "canvas" });
@@ -119,7 +119,7 @@
     const rollouts = document.getElementById("rollouts");
     numbers.help.channels.forEach((_, channel) => errorChart(errors, numbers.help, channel));
     if (rollouts) {
-      const names = [...LINES.map(([stage, text, color]) => key(color, text, stage === "persistence")), element("span", {}, "grey: what sensor noise makes; bars: 95 % intervals; zoom out for persistence")];
+      const names = [...LINES.map(([stage, text, color]) => key(color, text, stage === "persistence")), element("span", {}, "grey: noise floor; bars: 95 % intervals; zoom out for persistence")];
       document.getElementById("rollout-legend").replaceChildren(...names);
       numbers.help.channels.forEach((_, channel) => rolloutChart(rollouts, numbers.help, channel));
     }

@@ -36,9 +36,9 @@ _HEADLINES = {
 }
 _STAGES = (
     ("before", "Simulation as it is"),
-    ("physics", "With the named physics"),
+    ("physics", "With the identified effects"),
     ("split_only", "With SPLIT only"),
-    ("after", "With physics and SPLIT"),
+    ("after", "With effects and SPLIT"),
     ("persistence", "Persistence"),
 )
 
@@ -92,15 +92,15 @@ def _chips(diagnosis: Diagnosis) -> str:
         for k, finding in enumerate(diagnosis.findings, 1)
     ]
     if diagnosis.unexplained:
-        words = "and something without a name" if chips else "nothing in the catalogue explains it"
+        words = "and an unexplained part" if chips else "no effect of the catalogue explains it"
         chips.append(f'<a class="chip open" href="#remainder">{words}</a>')
-    return f'<p class="chips"><span>What was left out:</span> {" ".join(chips)}</p>' if chips else ""
+    return f'<p class="chips"><span>What the simulation lacks:</span> {" ".join(chips)}</p>' if chips else ""
 
 
 def _lead(diagnosis: Diagnosis) -> str:
     """Return the summary without what the headline says already."""
     if diagnosis.verdict == "match":
-        return "Within noise, wherever both have been."
+        return "Within noise, at all operating points that both have."
     if diagnosis.verdict == "undecided" and diagnosis.not_judged:
         return "Nothing is claimed about this pair of recordings."
     return typeset(diagnosis.summary.removeprefix(_HEADLINES[diagnosis.verdict][1]).strip())
@@ -108,23 +108,27 @@ def _lead(diagnosis: Diagnosis) -> str:
 
 def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
     if diagnosis.p_value is not None:
-        yield "Chance", chance(diagnosis.p_value), "of as much, were simulation and reality alike"
-    yield "Compared", percent(diagnosis.compared_share), "of the real drive, where the simulation has been too"
+        yield "p value", chance(diagnosis.p_value), "of so large a gap if simulation and reality were the same"
+    yield (
+        "Compared",
+        percent(diagnosis.compared_share),
+        "of the real drive, at operating points that the simulation has too",
+    )
     if diagnosis.findings:
         largest = max(diagnosis.findings, key=lambda finding: finding.effect_to_noise)
-        note = f"sensor noise in 0.05 s ({term_title(largest.term)})"
-        yield "Size", f"{number(largest.effect_to_noise, 2)} ×", note
+        note = f"sensor noise over 0.05 s ({term_title(largest.term)})"
+        yield "Effect size", f"{number(largest.effect_to_noise, 2)} ×", note
     if diagnosis.improvement is not None and diagnosis.improvement.tells and diagnosis.findings:
         yield from _facts_of_help(diagnosis.improvement)
     if diagnosis.remainder is not None:
-        yield "Without a name", percent(diagnosis.remainder.share), "of the gap"
+        yield "Unexplained", percent(diagnosis.remainder.share), "of the gap"
 
 
 def _facts_of_help(shown: Improvement) -> Iterable[tuple[str, str, str]]:
     removed = shown.removed.get("physics")
     if removed is not None:
-        note = "of held-out squared error above the noise floor, by the named physics"
-        yield "Removed", percent(removed[0]), f"{note} ({span(removed)})"
+        note = "of held-out squared error above the noise floor, by the identified effects"
+        yield "Error removed", percent(removed[0]), f"{note} ({span(removed)})"
     if shown.rollouts:
         last = shown.rollouts[-1]
         k = last.most_changed("physics")
@@ -134,7 +138,7 @@ def _facts_of_help(shown: Improvement) -> Iterable[tuple[str, str, str]]:
         note = (
             f"error of {CHANNELS[k][0]} after {last.horizon:g} s: {number(before, 2)} → {number(after, 2)} {unit}"
         )
-        yield "Free running", ratio, note
+        yield "Open loop", ratio, note
 
 
 def _where(diagnosis: Diagnosis) -> str:
@@ -142,12 +146,12 @@ def _where(diagnosis: Diagnosis) -> str:
     intro = (
         _location_words(diagnosis.location)
         if diagnosis.location is not None
-        else "<p>Colour tells how often both have been at an operating point; outlined cells were driven in "
-        "reality only and could not be compared. Agreement is claimed for coloured cells.</p>"
+        else "<p>Colour shows how many samples both drives have at an operating point. Outlined cells occur in "
+        "reality only and could not be compared. The verdict holds for coloured cells.</p>"
     )
-    hint = "Negative torque brakes; it may exceed the largest drive torque."
+    hint = "Negative torque is braking; it may exceed the largest drive torque."
     figures = [_figure("map", "Over operating points", hint)]
-    figures.append(_figure("track", "Along the track", "Hovering marks the moment in every chart."))
+    figures.append(_figure("track", "Along the track", "Pointing at a place marks its time in every chart."))
     if mismatch:
         figures.append(_figure("strip", "Over the drive", "A zoom here restricts the maps above.", wide=True))
     return section(
@@ -177,8 +181,8 @@ def _location_words(location: Location) -> str:
     )
     region = _region_words(location)
     return (
-        f'<div class="columns"><div><h3>In which force</h3><div class="bars">{forces}</div></div>'
-        "<div><h3>What it goes with</h3>"
+        f'<div class="columns"><div><h3>Share of each force</h3><div class="bars">{forces}</div></div>'
+        "<div><h3>Variables that explain it</h3>"
         f'<div class="bars">{depends or "<p>No single variable explains any of it.</p>"}</div></div></div>{region}'
     )
 
@@ -195,7 +199,7 @@ def _region_words(location: Location) -> str:
         stretches.append(f"track position {number(place.s_start)} to {number(place.s_end)} m{lap}{how}")
     if location.time is not None:
         stretches.append(f"time {number(location.time[0])} to {number(location.time[1])} s")
-    words = f"<p>Larger than elsewhere at {escape('; '.join(stretches))}.</p>" if stretches else ""
+    words = f"<p>It is largest at {escape('; '.join(stretches))}.</p>" if stretches else ""
     if location.place is not None or location.time is not None:
         there = "on that stretch" if location.place is not None else "in that time"
         words += (
@@ -213,12 +217,12 @@ def _help(diagnosis: Diagnosis, improvement: Improvement) -> str:
     elif isinstance(share, float):
         where = f"on the last {percent(share)} of the real drives"
     else:
-        where = "on held-out time"
+        where = "on held-out data"
     blocks = improvement.confidence.get("blocks")
     how = f" Intervals: 95 %, bootstrap over {blocks} blocks of time." if blocks else ""
     stages = [one for one in _STAGES if diagnosis.findings or one[0] not in ("physics", "after")]
     if not improvement.tells:
-        how += " That time shows too little of the gap to tell: give a drive that does with --holdout."
+        how += " These data show too little of the gap to judge. Give a drive that shows it with --holdout."
     below = [
         symbol
         for k, (symbol, _, _) in enumerate(CHANNELS)
@@ -226,15 +230,14 @@ def _help(diagnosis: Diagnosis, improvement: Improvement) -> str:
     ]
     if below:
         how += (
-            f" The error of {' and '.join(below)} lies below the noise floor before anything is added: the "
-            "floor is estimated from the noise of the whole recording, this stretch is quieter, and there is "
-            "nothing left to improve."
+            f" The error of {' and '.join(below)} is below the noise floor from the start. The floor is estimated "
+            "from the whole recording; this part is quieter, and nothing is left to improve."
         )
     tables = _error_table(improvement, stages), _rollouts(improvement, stages), _corrected(diagnosis)
     return section(
         "help",
-        "Does it help",
-        f"<p>One-step errors {escape(where)}, refitted without it.{escape(how)} Grey: what sensor noise makes."
+        "Prediction error on held-out data",
+        f"<p>One-step errors {escape(where)}, which the fit did not use.{escape(how)} Grey: noise floor."
         f'</p><div class="figures thirds" id="errors"></div>{"".join(tables)}',
     )
 
@@ -247,17 +250,18 @@ def _corrected(diagnosis: Diagnosis) -> str:
     rows = []
     for one in corrected.states:
         values = (one.nominal, one.corrected, one.persistence, one.noise_floor)
-        verdict = "worse" if one.is_worse else "better" if one.is_better else "alike"
+        verdict = "worse" if one.is_worse else "better" if one.is_better else "no significant change"
         cells = "".join(f"<td>{number(value)}</td>" for value in values)
         rows.append(
             f"<tr><th scope=row><i>{one.channel}</i> after {one.horizon:g} s [{one.unit}]</th>{cells}"
             f"<td>{verdict}</td></tr>"
         )
     said = "" if corrected.accepted else f"<p><strong>{escape(not_accepted(corrected))}</strong></p>"
-    heads = ["Rms error", "Vehicle given", "With what was found", "Velocity held", "Noise floor", "Beyond chance"]
+    heads = ["Rms error", "Given file", "Corrected file", "Persistence", "Noise floor", "Change"]
     return (
-        "<h3>The corrected vehicle</h3><p>What the vehicle file alone predicts, without what a simulation taught. "
-        f"Faults of sensors are taken off the recording for both.</p>{said}{table(heads, rows, 'errors')}"
+        "<h3>The corrected vehicle</h3><p>Errors of the vehicle file alone, without corrections learned from a "
+        "simulation. Sensor faults that were found are corrected for both.</p>"
+        f"{said}{table(heads, rows, 'errors')}"
     )
 
 
@@ -270,13 +274,13 @@ def _error_table(improvement: Improvement, stages: Sequence[tuple[str, str]]) ->
     if improvement.noise_floor is not None:
         rows.append(_floor_row(improvement.noise_floor, "<td></td>"))
     heads = [f"<i>{symbol}</i> [{unit}]" for symbol, _, unit in CHANNELS]
-    return table(["Rms error of one step", *heads, "Improvable error removed"], rows, "errors")
+    return table(["Rms error of one step", *heads, "Removed above noise floor"], rows, "errors")
 
 
 def _rollouts(improvement: Improvement, stages: Sequence[tuple[str, str]]) -> str:
     """Return the section on longer horizons: charts, and a table for the longest."""
     if not improvement.rollouts:
-        return "<p>No longer horizon fits into the held-out time.</p>"
+        return "<p>The held-out data are too short for a longer horizon.</p>"
     last = improvement.rollouts[-1]
     rows = [_error_row(words, stage, last) for stage, words in stages]
     rows.append(_floor_row(last.noise_floor))
@@ -285,8 +289,8 @@ def _rollouts(improvement: Improvement, stages: Sequence[tuple[str, str]]) -> st
     blocks = last.confidence.get("blocks", 0)
     return (
         "<h3>Over longer horizons</h3>"
-        f"<p>The model runs on by itself over the recorded inputs, from {last.starts} starts in {blocks} blocks "
-        "of held-out time.</p>"
+        f"<p>Open-loop simulation with the recorded inputs, from {last.starts} starts in {blocks} blocks of "
+        "held-out data.</p>"
         '<div class="figures thirds" id="rollouts"></div><div class="legend" id="rollout-legend"></div>'
         f"{table([f'Rms error after {last.horizon:g} s', *heads], rows, 'errors')}"
     )
@@ -314,7 +318,7 @@ def _not_judged(diagnosis: Diagnosis) -> str:
         return ""
     undecided = diagnosis.verdict == "undecided"
     items = "".join(f"<li>{escape(note) if undecided else _advice(note)}</li>" for note in diagnosis.not_judged)
-    title = "Why, and what would allow it" if undecided else "What could not be judged"
+    title = "Why, and what to record" if undecided else "What could not be judged"
     return section("not-judged", title, f'<ul class="advice">{items}</ul>')
 
 
@@ -327,13 +331,13 @@ def _would_show(diagnosis: Diagnosis) -> str:
         for one in diagnosis.detectable
     ]
     words = (
-        "<p>Alone on these drives, an effect would have been named from about this size on. A smaller one would "
-        "be no difference here, or one without a name; what looks the same may be named in its stead.</p>"
+        "<p>Each effect, alone on these drives, would have been identified from about this size on. A smaller one "
+        "stays unnoticed or unexplained, and a similar effect may be identified instead.</p>"
     )
     unfolded = " open" if diagnosis.verdict == "match" else ""
-    listed = table(("Effect", "Named from"), rows)
+    listed = table(("Effect", "Detectable from"), rows)
     body = f"<details{unfolded}><summary>Effect by effect</summary>{listed}</details>"
-    return section("would-show", "What these drives would have shown", words + body)
+    return section("would-show", "Smallest detectable effects", words + body)
 
 
 def _size(one: Detectable) -> str:
@@ -367,7 +371,7 @@ def _provenance(diagnosis: Diagnosis) -> str:
     links = " · ".join(f'<a href="{name}">{name}</a>' for name in names)
     return section(
         "read",
-        "What was read",
+        "Inputs",
         f"{table(('Role', 'File', 'SHA-256'), rows)}"
         f'<details><summary>Settings</summary><dl class="settings">{settings}</dl></details>'
         f"<p>Beside this page: {links}</p>",

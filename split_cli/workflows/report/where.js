@@ -122,7 +122,7 @@
     host: "map",
     options: {
       name: "operating-points",
-      csv: () => csv([[TITLES[AXES[state.axes][0]], TITLES[AXES[state.axes][1]], "mean gap force [N]", "after the physics [N]", "compared", "samples"],
+      csv: () => csv([[TITLES[AXES[state.axes][0]], TITLES[AXES[state.axes][1]], "mean gap force [N]", "with effects [N]", "compared", "samples"],
         ...cells.map((cell) => [cell.x, cell.y, cell.mean[0], cell.mean[1], cell.compared, cell.all])]),
       zoom: "xy",
       height: (width) => between(0.78 * width, 240, 430),
@@ -186,7 +186,7 @@
     host: "track",
     options: {
       name: "gap-along-the-track",
-      csv: () => csv([["drive", "t [s]", "s [m]", "X [m]", "Y [m]", "gap force [N]", "after the physics [N]", "compared"],
+      csv: () => csv([["drive", "t [s]", "s [m]", "X [m]", "Y [m]", "gap force [N]", "with effects [N]", "compared"],
         ...chosenDrives().flatMap((drive) => Array.from(drive.t, (t, i) => [drive.name, t, drive.s[i], drive.x[i], drive.y[i], smoothed(drive, "before")[i], smoothed(drive, "after")[i], drive.compared[i]]))]),
       zoom: "xy",
       equal: placed,
@@ -236,13 +236,13 @@
     host: "strip",
     options: {
       name: "gap-over-the-drive",
-      csv: () => csv([["drive", "t [s]", "s [m]", "X [m]", "Y [m]", "gap force [N]", "after the physics [N]", "compared"],
+      csv: () => csv([["drive", "t [s]", "s [m]", "X [m]", "Y [m]", "gap force [N]", "with effects [N]", "compared"],
         ...chosenDrives().flatMap((drive) => Array.from(drive.t, (t, i) => [drive.name, t, drive.s[i], drive.x[i], drive.y[i], smoothed(drive, "before")[i], smoothed(drive, "after")[i], drive.compared[i]]))]),
       zoom: "x",
       height: (width) => between(0.3 * width, 210, 320),
       x: () => TITLES[state.along],
       y: () => "gap force [N]",
-      label: () => `${numbers.forces[state.channel]} gap force over ${TITLES[state.along]}, before and after the named physics.`,
+      label: () => `${numbers.forces[state.channel]} gap force over ${TITLES[state.along]}, before and after the identified effects.`,
       limit: () => ({ x: extent(chosenDrives().map((drive) => drive[state.along])) }),
       domain(view) {
         const x = view ? view.x : extent(chosenDrives().map((drive) => drive[state.along]));
@@ -285,7 +285,7 @@
           }
         }
         const keys = [key(BEFORE, "gap: reality less simulation")];
-        if (numbers.named) keys.push(key(AFTER, "left after the named physics"));
+        if (numbers.named) keys.push(key(AFTER, "residual with the identified effects"));
         if (chosenDrives().some((drive) => drive.compared.includes(0))) keys.push(key("var(--faint)", "not compared"));
         legend("strip", ...keys, element("span", {}, averaged()));
       },

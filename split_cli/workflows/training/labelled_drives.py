@@ -255,7 +255,7 @@ def _fitting(labels: Labels, how: Labelling, counts_places: bool, where: str) ->
         raise SetError("holds labels: --held comes too late for them", where=where, advice=label_again)
     if counts_places:
         raise SetError(
-            "holds labels, but the vehicle file has effects of place, which count along the first drive",
+            "holds labels, but the vehicle file has effects at track positions, which need the drives",
             where=where,
             advice="Give the drives themselves.",
         )

@@ -129,7 +129,7 @@ def _recorded(drives: LabelledDrives) -> list[TrainingDrive]:
     bare = drives.without_recording()
     if bare:
         raise SetError(
-            f"trust is found by predicting recordings; of {', '.join(bare)} there are labels only",
+            f"trust is estimated by predicting recordings, but of {', '.join(bare)} only labels were given",
             advice="Give the drives too, or --trust full, or three shares such as --trust 0.5,0.8,1.",
         )
     parts, rows = [], 0
