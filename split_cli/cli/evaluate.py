@@ -56,7 +56,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     show_default=True,
     callback=_list_of(str),
     metavar="LIST",
-    help="Predictors to score: bcm, rbcm, grbcm, local, weights, table, full, fitc, iol.",
+    help="Predictors to score: bcm, rbcm, grbcm, local, weights, table, projected, full, fitc, iol.",
 )
 @click.option(
     "--protocol",

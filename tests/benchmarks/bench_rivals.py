@@ -24,6 +24,7 @@ import subprocess  # noqa: E402
 import tempfile  # noqa: E402
 import time  # noqa: E402
 from dataclasses import asdict  # noqa: E402
+from functools import partial  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 import click  # noqa: E402
@@ -41,6 +42,7 @@ from split_cli.learning.online import OnlineSet  # noqa: E402
 from split_cli.learning.reference import PrintedLearner  # noqa: E402
 from split_cli.prediction import make_predictor  # noqa: E402
 from split_cli.prediction.online import OnlineCommittee  # noqa: E402
+from split_cli.prediction.online_process import OnlineProcess  # noqa: E402
 from split_cli.prediction.table import TablePredictor  # noqa: E402
 from split_cli.vehicle.single_track import SingleTrack  # noqa: E402
 from tests.benchmarks.rival_stream import SLOW_QUERIES, Row, Stream, accuracy, each, percentiles, spent, stream_of  # noqa: E402
@@ -122,6 +124,20 @@ def online_update(stream: Stream) -> Row:
     return Row(
         "split online, update and committee (Python)", len(stream.z), online.size, None, *percentiles(times[10:])
     )
+
+
+def projected(stream: Stream, full: np.ndarray | None) -> Row:
+    """Time every sample absorbed by the online process, and its answers of mean, variance and Jacobian at once."""
+    make = partial(OnlineProcess, stream.trained.kernel)
+    make().learn(stream.z[:1], stream.y[:1])
+    process = make()
+    times = [spent(lambda at=k: process.learn(stream.z[at : at + 1], stream.y[at : at + 1]))
+             for k in range(len(stream.z))]  # fmt: skip
+    query = each(process.along, [z[None] for z in stream.queries])
+    mean, variance, _ = process.along(stream.queries)
+    return Row("projected, online (Python)", len(stream.z), process.count, None, *percentiles(times[10:]), *query,
+               *query, **accuracy(mean, variance, stream, full),
+               megabytes=process.nbytes / 1e6)  # fmt: skip
 
 
 def printed_update(stream: Stream) -> Row:
@@ -325,7 +341,7 @@ def measure(
     build = time.perf_counter() - begin
     rows: list[list[Row]] = []
     for _ in range(repeats):
-        found = [our_update(stream), online_update(stream)]
+        found = [our_update(stream), online_update(stream), projected(stream, full)]
         if size <= 5000:
             found.append(printed_update(stream))
         if size <= 5000:

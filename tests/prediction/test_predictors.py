@@ -12,6 +12,7 @@ from split_cli.prediction.bcm import BcmPredictor
 from split_cli.prediction.factorization import cholesky
 from split_cli.prediction.fitc import FitcPredictor
 from split_cli.prediction.full import FullPredictor
+from split_cli.prediction.online_process import OnlineProcess
 
 
 def textbook_posterior(stored, z):
@@ -361,3 +362,48 @@ def test_iol_with_room_for_every_point_is_the_dense_process(make_set):
     np.testing.assert_allclose(got.mean, full.mean, atol=1e-10)
     np.testing.assert_allclose(got.variance, full.variance, atol=1e-10)
     assert np.abs(make_predictor("iol", stored, capacity=20).mean(z) - full.mean).max() > 0.1
+
+
+def test_projected_on_every_point_is_the_dense_process(make_set):
+    """Points a length scale apart, each of a gain above the threshold; labels come one by one."""
+    random = np.random.default_rng(32)
+    lattice = np.stack(np.meshgrid(*[np.arange(4.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    kernel = Kernel(np.full(3, 1.0), np.array([0.5, 1.0, 2.0]), np.array([0.05, 0.01, 0.1]))
+    stored = make_set(lattice + 0.1 * random.normal(size=(64, 3)), random.normal(size=(64, 3)), kernel)
+    z = query_points(stored, 100, 31)
+    full = FullPredictor(stored).predict(z)
+    got = make_predictor("projected", stored, threshold=0.0).predict(z)
+    np.testing.assert_allclose(got.mean, full.mean, atol=1e-10)
+    np.testing.assert_allclose(got.variance, full.variance, atol=1e-10)
+    # Room for half of them: the rest are labels on the others' points.
+    assert np.abs(make_predictor("projected", stored, most=32, threshold=0.0).mean(z) - full.mean).max() > 0.1
+
+
+def test_projected_absorbs_labels_as_fitc_on_its_points(make_set):
+    """Points far apart come first; all labels after them are told by C_uu, C_uf and the gains, solved at once."""
+    random = np.random.default_rng(33)
+    lattice = 2.0 * np.stack(np.meshgrid(*[np.arange(3.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    kernel = Kernel(np.full(3, 1.5), np.array([0.5, 1.0, 2.0]), np.array([0.05, 0.4, 0.1]))
+    z = np.concatenate([lattice, random.uniform(0.0, 4.0, (300, 3))])
+    y = random.normal(size=(len(z), 3))
+    process = OnlineProcess(kernel, most=len(lattice))
+    process.learn(z, y)
+    np.testing.assert_allclose(process.points, lattice, rtol=1e-14)
+    asked = random.uniform(-1.0, 5.0, (80, 3))
+    cuu, cuf, cua = (kernel.correlation(lattice, other) for other in (lattice, z, asked))
+    solved = np.linalg.solve(cuu, cuf)
+    gain = np.maximum(1.0 - np.einsum("uf,uf->f", cuf, solved), 0.0)
+    mean, variance, slope = process.along(asked)
+    for o, ratio in enumerate(kernel.noise_variance / kernel.signal_variance):
+        # Woodbury: weights of the points given all labels, each with noise ratio + gain.
+        precision = cuu + cuf / (ratio + gain) @ cuf.T
+        np.testing.assert_allclose(
+            mean[:, o], cua.T @ np.linalg.solve(precision, cuf @ (y[:, o] / (ratio + gain))), atol=1e-9
+        )
+        left = 1.0 - np.einsum("ua,ua->a", cua, np.linalg.solve(cuu, cua) - np.linalg.solve(precision, cua))
+        np.testing.assert_allclose(variance[:, o], kernel.signal_variance[o] * left, atol=1e-9)
+    # More labels leave memory as it is, and what they say is kept: the second lot weighs in.
+    before = process.count
+    process.learn(z[27:], y[27:])
+    assert process.count == before and np.abs(process.along(asked)[0] - mean).max() > 0.01
+    assert (process.along(asked)[1] <= variance + 1e-12).all() and slope.shape == (80, 3, 3)
