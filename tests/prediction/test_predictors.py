@@ -351,12 +351,17 @@ def test_weights_without_a_bound_are_the_dense_mean(driven_set):
     np.testing.assert_allclose(got.mean(z), FullPredictor(driven_set).mean(z), atol=1e-11)
 
 
-def test_iol_with_room_for_every_point_is_the_dense_process(make_set):
-    """Points a length scale apart, so that none lacks the gain to enter."""
-    random = np.random.default_rng(30)
+def apart(make_set, seed):
+    """Return a set of 64 points a length scale apart."""
+    random = np.random.default_rng(seed)
     lattice = np.stack(np.meshgrid(*[np.arange(4.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
     kernel = Kernel(np.full(3, 1.0), np.array([0.5, 1.0, 2.0]), np.array([0.05, 0.01, 0.1]))
-    stored = make_set(lattice + 0.1 * random.normal(size=(64, 3)), random.normal(size=(64, 3)), kernel)
+    return make_set(lattice + 0.1 * random.normal(size=(64, 3)), random.normal(size=(64, 3)), kernel)
+
+
+def test_iol_with_room_for_every_point_is_the_dense_process(make_set):
+    """Points a length scale apart, so that none lacks the gain to enter."""
+    stored = apart(make_set, 30)
     z = query_points(stored, 100, 31)
     full, got = FullPredictor(stored).predict(z), make_predictor("iol", stored, capacity=64).predict(z)
     np.testing.assert_allclose(got.mean, full.mean, atol=1e-10)
@@ -366,10 +371,7 @@ def test_iol_with_room_for_every_point_is_the_dense_process(make_set):
 
 def test_projected_on_every_point_is_the_dense_process(make_set):
     """Points a length scale apart, each of a gain above the threshold; labels come one by one."""
-    random = np.random.default_rng(32)
-    lattice = np.stack(np.meshgrid(*[np.arange(4.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    kernel = Kernel(np.full(3, 1.0), np.array([0.5, 1.0, 2.0]), np.array([0.05, 0.01, 0.1]))
-    stored = make_set(lattice + 0.1 * random.normal(size=(64, 3)), random.normal(size=(64, 3)), kernel)
+    stored = apart(make_set, 32)
     z = query_points(stored, 100, 31)
     full = FullPredictor(stored).predict(z)
     got = make_predictor("projected", stored, threshold=0.0).predict(z)
