@@ -66,7 +66,8 @@ class OnlineProcess:
     @property
     def points(self) -> np.ndarray:
         """The points, shape (count, D)."""
-        return self._points[: self.count] * self._scales
+        points: np.ndarray = self._points[: self.count] * self._scales
+        return points
 
     def learn(self, z: np.ndarray, y: np.ndarray) -> None:
         """Absorb labels `y`, shape (N, 3), at features `z`, shape (N, D), one after the other."""
