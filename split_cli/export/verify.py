@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,27 +17,10 @@ from split_cli.export.compiler import find_compiler
 from split_cli.export.documents import document_answer, read_json, read_npz
 from split_cli.export.step_check import STEP_TOLERANCE
 from split_cli.export.targets import MANIFEST, MANIFEST_FORMAT
+from split_cli.export.verified import VerifiedItem
 from split_cli.files import sha256_of_file
 
-__all__ = ["VerificationFinding", "read_manifest", "verify_folder"]
-
-
-@dataclass(frozen=True)
-class VerificationFinding:
-    """One thing that was checked.
-
-    Attributes
-    ----------
-    check : str
-        What.
-    passed : bool or None
-        None when it could not be checked here.
-    detail : str
-    """
-
-    check: str
-    passed: bool | None
-    detail: str
+__all__ = ["read_manifest", "verify_folder"]
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -65,7 +47,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return manifest
 
 
-def verify_folder(folder: str | Path) -> tuple[VerificationFinding, ...]:
+def verify_folder(folder: str | Path) -> tuple[VerifiedItem, ...]:
     """Check the hash of every file of an export, then ask every target its stored check points.
 
     Returns
@@ -83,9 +65,7 @@ def verify_folder(folder: str | Path) -> tuple[VerificationFinding, ...]:
     others = sorted(path.name for path in folder.iterdir() if path.name not in (MANIFEST, *manifest["files"]))
     if others:
         shown = ", ".join(others[:5]) + (f" and {len(others) - 5} more" if len(others) > 5 else "")
-        findings.append(
-            VerificationFinding("other files", None, f"not of this export, perhaps of an older one: {shown}")
-        )
+        findings.append(VerifiedItem("other files", None, f"not of this export, perhaps of an older one: {shown}"))
     if any(finding.passed is False for finding in findings):
         # Answers of files that are not those written would prove nothing.
         return tuple(findings)
@@ -95,30 +75,30 @@ def verify_folder(folder: str | Path) -> tuple[VerificationFinding, ...]:
         try:
             findings.append(checks[target](folder, manifest["name"]))
         except (ExportError, KeyError) as error:
-            findings.append(VerificationFinding(f"{target}: answers", False, str(error)))
+            findings.append(VerifiedItem(f"{target}: answers", False, str(error)))
     return tuple(findings)
 
 
-def _hash(path: Path, expected: str) -> VerificationFinding:
+def _hash(path: Path, expected: str) -> VerifiedItem:
     what = f"{path.name}: SHA-256"
     if not path.is_file():
-        return VerificationFinding(what, False, "the file is missing")
+        return VerifiedItem(what, False, "the file is missing")
     found = sha256_of_file(path)
-    return VerificationFinding(what, found == expected, "as written" if found == expected else f"is {found}")
+    return VerifiedItem(what, found == expected, "as written" if found == expected else f"is {found}")
 
 
-def _verify_c(folder: Path, name: str) -> VerificationFinding:
+def _verify_c(folder: Path, name: str) -> VerifiedItem:
     compiler = find_compiler()
     if compiler is None:
-        return VerificationFinding("c: self-test", None, "there is no C compiler here")
+        return VerifiedItem("c: self-test", None, "there is no C compiler here")
     with tempfile.TemporaryDirectory(prefix="split-verify-") as scratch:
         for suffix in (".h", ".c", "_selftest.c"):
             (Path(scratch) / f"{name}{suffix}").write_bytes((folder / f"{name}{suffix}").read_bytes())
         said = run_selftest(compiler, Path(scratch), name)
-        return VerificationFinding("c: self-test", True, "; ".join(said.splitlines()))
+        return VerifiedItem("c: self-test", True, "; ".join(said.splitlines()))
 
 
-def _verify_casadi(folder: Path, name: str) -> VerificationFinding:
+def _verify_casadi(folder: Path, name: str) -> VerifiedItem:
     import casadi
 
     try:
@@ -132,7 +112,7 @@ def _verify_casadi(folder: Path, name: str) -> VerificationFinding:
     worst = _drive(casadi.Function.load(str(folder / f"{name}_step.casadi")), stored)
     allowed = 10.0 * STEP_TOLERANCE["double"]
     detail = f"{asked.detail}; {worst:.3g} on stored drives, {allowed:g} is allowed"
-    return VerificationFinding(asked.check, bool(worst <= allowed), detail)
+    return VerifiedItem(asked.check, bool(worst <= allowed), detail)
 
 
 def _drive(step: Any, stored: dict[str, Any]) -> float:
@@ -145,21 +125,21 @@ def _drive(step: Any, stored: dict[str, Any]) -> float:
     return float((np.abs(np.stack(path) - expected) / (1.0 + np.abs(expected))).max())
 
 
-def _verify_npz(folder: Path, name: str) -> VerificationFinding:
+def _verify_npz(folder: Path, name: str) -> VerifiedItem:
     return _ask(document_answer(read_npz(folder / f"{name}.npz")), folder, name, "npz")
 
 
-def _verify_json(folder: Path, name: str) -> VerificationFinding:
+def _verify_json(folder: Path, name: str) -> VerifiedItem:
     return _ask(document_answer(read_json(folder / f"{name}.json")), folder, name, "json")
 
 
-def _verify_ggv(folder: Path, name: str) -> VerificationFinding:
+def _verify_ggv(folder: Path, name: str) -> VerifiedItem:
     table = np.loadtxt(folder / f"{name}_ggv.csv", delimiter=",")
     rising = bool((np.diff(table[:, 0]) > 0).all() and (table[:, 1:] > 0).all())
-    return VerificationFinding("ggv: limits", rising, f"{len(table)} speeds, ascending, every limit above 0")
+    return VerifiedItem("ggv: limits", rising, f"{len(table)} speeds, ascending, every limit above 0")
 
 
-def _ask(answer: ExportAnswer, folder: Path, name: str, target: str) -> VerificationFinding:
+def _ask(answer: ExportAnswer, folder: Path, name: str, target: str) -> VerifiedItem:
     """Ask the stored check points; another machine's mathematics library is allowed ten times the tolerance."""
     points = {
         key: np.array(values) for key, values in json.loads((folder / f"{name}_check.json").read_text()).items()
@@ -172,4 +152,4 @@ def _ask(answer: ExportAnswer, folder: Path, name: str, target: str) -> Verifica
     )
     allowed = 10.0 * TOLERANCE["double"]
     detail = f"largest error {worst:.3g} on {len(mean)} stored queries, {allowed:g} is allowed"
-    return VerificationFinding(f"{target}: answers", bool(worst <= allowed), detail)
+    return VerifiedItem(f"{target}: answers", bool(worst <= allowed), detail)

@@ -4,24 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from split_cli.export.verified import VerifiedItem
+
 __all__ = ["Verification", "VerifiedItem", "item"]
-
-
-@dataclass(frozen=True)
-class VerifiedItem:
-    """One thing that was checked.
-
-    Attributes
-    ----------
-    check : str
-    passed : bool or None
-        None when it could not be checked here.
-    detail : str
-    """
-
-    check: str
-    passed: bool | None
-    detail: str
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ def _folder(path: Path) -> Verification:
     # An export's checks need CasADi, which takes a second to import and is not needed for sets.
     from split_cli.export.verify import verify_folder
 
-    items = [VerifiedItem(f.check, f.passed, f.detail) for f in verify_folder(path)]
+    items = [*verify_folder(path)]
     return Verification(str(path), "export", (*items, *_set_of_export(path)))
 
 

@@ -1,0 +1,25 @@
+"""What a check of a file found; apart from the checks, whose libraries take a second to import."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["VerifiedItem"]
+
+
+@dataclass(frozen=True)
+class VerifiedItem:
+    """One thing that was checked.
+
+    Attributes
+    ----------
+    check : str
+        What.
+    passed : bool or None
+        None when it could not be checked here.
+    detail : str
+    """
+
+    check: str
+    passed: bool | None
+    detail: str
