@@ -146,7 +146,8 @@ def clean_series(
         If fewer than four samples remain.
     """
     drops: list[tuple[str, int]] = []
-    time, values = series.time - series.delay, series.values
+    # Channels of a table share their time; it is copied only where one has a delay or loses a sample.
+    time, values = series.time - series.delay if series.delay else series.time, series.values
 
     def keep(mask: np.ndarray, reason: str) -> None:
         nonlocal time, values

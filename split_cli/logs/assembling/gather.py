@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -111,6 +112,14 @@ def gather(
     skipped += absent
     common, origin, words = _common_time(signals, time_column, signal_map, recording, notes)
     converter = Converter(recording.name, signal_map, wheel_radius, notes)
+    # A signal goes with its last use, so that a long recording is not held twice.
+    uses = Counter(name for groups in found.values() for names in groups for name in names)
+    uses.update([*extras, *clocks])
+
+    def use(name: str) -> RawSignal:
+        uses[name] -= 1
+        return signals[name] if uses[name] else signals.pop(name)
+
     series: dict[str, tuple[RawSeries, ...]] = {}
     maps: dict[str, ChannelMap] = {}
     for channel, names_of_sources in found.items():
@@ -118,12 +127,12 @@ def gather(
         name = _world_name(channel, entry.sources[0].world or signal_map.world)
         maps[name] = replace(entry, channel=name)
         series[name] = tuple(
-            converter.convert(name, source, [signals[n] for n in names], common)
+            converter.convert(name, source, [use(n) for n in names], common)
             for source, names in zip(entry.sources, names_of_sources, strict=True)
         )
     for column in extras:
         if column not in clocks and column not in series:
-            signal = signals[column]
+            signal = use(column)
             time = common if signal.time is None else signal.time
             maps[column] = ChannelMap(column, (SignalSource((column,), unit=signal.unit),), optional=True)
             series[column] = (RawSeries(column, column, time, signal.values),)

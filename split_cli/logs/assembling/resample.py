@@ -14,6 +14,7 @@ __all__ = [
     "make_grid",
     "resample_continuous",
     "resample_held",
+    "resample_together",
     "runs_of",
 ]
 
@@ -63,7 +64,7 @@ class Resampled:
 
     Attributes
     ----------
-    values : ndarray, shape (N,) or (N, C)
+    values : ndarray, shape (N,)
         NaN where the signal has a gap.
     gain : float
         Standard deviation of the output for white noise of unit deviation at the input [1].
@@ -148,8 +149,7 @@ def resample_continuous(time: np.ndarray, values: np.ndarray, grid: SampleClock,
     ----------
     time : ndarray, shape (M,)
         Strictly increasing; the clock may jitter.
-    values : ndarray, shape (M,) or (M, C)
-        One signal, or several that share the clock.
+    values : ndarray, shape (M,)
     grid : SampleClock
     gap : float
         Nothing is interpolated across a step longer than this [s].
@@ -157,7 +157,6 @@ def resample_continuous(time: np.ndarray, values: np.ndarray, grid: SampleClock,
     Returns
     -------
     Resampled
-        Its values have shape (N,) or (N, C).
 
     Notes
     -----
@@ -166,7 +165,14 @@ def resample_continuous(time: np.ndarray, values: np.ndarray, grid: SampleClock,
     Others: the cubic through the four nearest samples, the sample itself where the clocks agree. Both are linear
     in the samples, so the noise on the drive's clock follows from the weights.
     """
-    output = np.full((len(grid.index), *values.shape[1:]), np.nan)
+    return resample_together(time, [values], grid, gap=gap)[0]
+
+
+def resample_together(
+    time: np.ndarray, signals: Sequence[np.ndarray], grid: SampleClock, *, gap: float
+) -> list[Resampled]:
+    """Do for several signals that share a clock what `resample_continuous` does for one."""
+    outputs = [np.full(len(grid.index), np.nan) for _ in signals]
     rows_time = grid.time
     slack = 1e-6 * grid.period
     noise = _NoiseOfWeights()
@@ -176,18 +182,22 @@ def resample_continuous(time: np.ndarray, values: np.ndarray, grid: SampleClock,
         b = int(np.searchsorted(rows_time, time[end - 1] + slack, side="right"))
         if b <= a:
             continue
-        run_time, run_values = time[start:end], values[start:end]
+        run_time = time[start:end]
         decimates = grid.period > _DECIMATION * float(np.median(np.diff(run_time)))
         low_passed |= decimates
         weights_at = _regression_weights if decimates else _cubic_weights
         for low in range(a, b, _CHUNK):
             at = rows_time[low : min(low + _CHUNK, b)]
             first, weights = weights_at(run_time, at, grid.period)
-            columns = np.minimum(first[:, None] + np.arange(weights.shape[1]), len(run_values) - 1)
-            output[low : low + len(at)] = np.einsum("nk,nk...->n...", weights, run_values[columns])
+            columns = start + np.minimum(first[:, None] + np.arange(weights.shape[1]), len(run_time) - 1)
+            begin = int(columns.min())
+            near = np.stack([values[begin : int(columns.max()) + 1] for values in signals], axis=1)
+            found = np.einsum("nk,nkc->nc", weights, near[columns - begin])
+            for output, values in zip(outputs, found.T, strict=True):
+                output[low : low + len(at)] = values
             noise.add(first, weights)
     gain, autocorrelation = noise.result()
-    return Resampled(output, gain, autocorrelation, low_passed)
+    return [Resampled(output, gain, autocorrelation, low_passed) for output in outputs]
 
 
 def resample_held(time: np.ndarray, values: np.ndarray, grid: SampleClock, *, longest: float) -> np.ndarray:

@@ -18,8 +18,8 @@ from split_cli.logs.assembling.resample import (
     SampleClock,
     is_sampled_and_held,
     make_grid,
-    resample_continuous,
     resample_held,
+    resample_together,
     runs_of,
 )
 from split_cli.logs.drive import NoiseEstimate
@@ -29,6 +29,7 @@ from split_cli.signals import CHANNELS
 __all__ = [
     "SLOWEST_PERIOD",
     "Channels",
+    "bring_to_clock",
     "clean_channels",
     "judge_sources",
     "lay_grid",
@@ -45,13 +46,18 @@ SLOWEST_PERIOD = 0.125
 receivers and of many loggers, with a quarter for jitter. What is slower misses the car's own motion."""
 
 
+_LONG = 2**20
+"""Rows of a drive beyond which `bring_to_clock` takes `_CHANNELS_AT_ONCE`; weights are then found once a batch."""
+_CHANNELS_AT_ONCE = 3
+
+
 @dataclass(frozen=True)
 class Channels:
     """Cleaned sources by channel.
 
     Attributes
     ----------
-    clean : mapping of str to list of CleanSeries
+    clean : dict of str to list of CleanSeries
         A channel is the sum of its sources.
     modes : mapping of str to list of str
         How each source is resampled: ``continuous``, ``held`` or ``angle``.
@@ -64,12 +70,16 @@ class Channels:
         Whether a needed channel that comes more slowly is bridged over more, see `SLOWEST_PERIOD`.
     """
 
-    clean: Mapping[str, list[CleanSeries]]
+    clean: dict[str, list[CleanSeries]]
     modes: Mapping[str, list[str]]
     maps: Mapping[str, ChannelMap]
     needed: tuple[str, ...]
     gap: float
     widened: bool = False
+
+    def only(self, names: Sequence[str]) -> Channels:
+        """Return some channels alone."""
+        return replace(self, clean={name: self.clean[name] for name in names})
 
     def gap_of(self, channel: str, index: int) -> float:
         """Return the longest step of a source that is bridged [s]; more for commands and slow optional ones."""
@@ -239,26 +249,59 @@ def resample_channels(channels: Channels, grid: SampleClock) -> dict[tuple[str, 
                 held = resample_held(part.time, part.values, grid, longest=gap)
                 results[channel, index] = Resampled(held, 1.0, (1.0,), False)
                 continue
-            alike = (m for p, g, m in together if g == gap and np.array_equal(p.time, part.time))
+            alike = (m for p, g, m in together if g == gap and _one_clock(p.time, part.time))
             members = next(alike, None)
             if members is None:
                 together.append((part, gap, [(channel, index)]))
             else:
                 members.append((channel, index))
     for part, gap, members in together:
-        values = np.stack([channels.clean[channel][index].values for channel, index in members], axis=1)
-        joint = resample_continuous(part.time, values, grid, gap=gap)
-        for column, key in enumerate(members):
-            results[key] = replace(joint, values=joint.values[:, column])
+        signals = [channels.clean[channel][index].values for channel, index in members]
+        results |= zip(members, resample_together(part.time, signals, grid, gap=gap), strict=True)
     return results
 
 
+def _one_clock(time: np.ndarray, other: np.ndarray) -> bool:
+    return time is other or np.array_equal(time, other)
+
+
 def sum_sources(channels: Channels, resampled: Mapping[tuple[str, int], Resampled]) -> dict[str, np.ndarray]:
-    """Return the channels on the drive's clock, each the sum of its sources, shapes (N,)."""
-    return {
-        channel: np.sum([resampled[channel, index].values for index in range(len(parts))], axis=0)
-        for channel, parts in channels.clean.items()
-    }
+    """Return the channels on the drive's clock, each the sum of its sources, shapes (N,).
+
+    The values of each first source become the channel's: a long recording has no room for both.
+    """
+    sums = {}
+    for channel, parts in channels.clean.items():
+        sums[channel] = resampled[channel, 0].values
+        sums[channel] += 0.0  # -0 becomes 0
+        for index in range(1, len(parts)):
+            sums[channel] += resampled[channel, index].values
+    return sums
+
+
+def bring_to_clock(
+    channels: Channels, grid: SampleClock
+) -> tuple[dict[str, np.ndarray], dict[str, NoiseEstimate], list[ChannelQuality]]:
+    """Return the channels on the drive's clock, their noise and the quality of their sources.
+
+    The values of `channels` are given up on the way. Of a long recording a few channels are done at a time: there
+    is no room for all of them on both clocks.
+    """
+    names = list(channels.clean)
+    count = _CHANNELS_AT_ONCE if len(grid.index) > _LONG else len(names)
+    columns: dict[str, np.ndarray] = {}
+    noise: dict[str, NoiseEstimate] = {}
+    qualities: list[ChannelQuality] = []
+    for first in range(0, len(names), count):
+        some = channels.only(names[first : first + count])
+        resampled = resample_channels(some, grid)
+        some_noise, some_qualities = judge_sources(some, resampled)
+        noise |= some_noise
+        qualities += some_qualities
+        columns |= sum_sources(some, resampled)
+        for name, parts in some.clean.items():
+            channels.clean[name] = [replace(part, values=np.empty(0)) for part in parts]
+    return columns, noise, qualities
 
 
 def judge_sources(
@@ -291,7 +334,7 @@ def judge_sources(
 def without_missing(
     grid: SampleClock, columns: dict[str, np.ndarray], needed: Sequence[str]
 ) -> tuple[SampleClock, dict[str, np.ndarray], int]:
-    """Leave out rows where a required channel is missing, and number segments anew."""
+    """Leave out rows where a required channel is missing, of `columns` itself too, and number segments anew."""
     present = np.all([np.isfinite(columns[channel]) for channel in needed], axis=0)
     if present.all():
         return grid, columns, 0
@@ -307,7 +350,9 @@ def without_missing(
     changed = np.diff(grid.segment[rows], prepend=grid.segment[rows[0]]) != 0
     segment = np.cumsum(broken | changed).astype(np.int32)
     kept = SampleClock(grid.origin, grid.period, grid.index[rows], segment)
-    return kept, {name: values[rows] for name, values in columns.items()}, len(present) - len(rows)
+    for name in columns:  # one by one: a long recording has no room for both
+        columns[name] = columns[name][rows]
+    return kept, columns, len(present) - len(rows)
 
 
 def slices_of(segment: np.ndarray) -> list[slice]:

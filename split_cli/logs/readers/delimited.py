@@ -22,6 +22,7 @@ from split_cli.logs.raw import (
     note_once,
 )
 from split_cli.logs.readers.dialect import Dialect, Sniffed, sniff, unwrapped
+from split_cli.logs.readers.parquet import numbers_of
 from split_cli.signals import find_unit
 
 __all__ = ["open_delimited"]
@@ -170,7 +171,9 @@ def _read_columns(
         raise LogError("holds no rows", where=path.name)
     values = {}
     for index, title in titles.items():
-        column = table[str(index)]
+        # A column goes as soon as it is read, so that a long recording is not held twice.
+        at = table.column_names.index(str(index))
+        column, table = table.column(at), table.remove_column(at)
         if pa.types.is_string(column.type):
             values[index], bad = _numbers(column, dialect.decimal)
             if bad:
@@ -179,7 +182,9 @@ def _read_columns(
                     ReadNote("cells that are no numbers, read as missing", f"{path.name}, column {title}", bad),
                 )
         else:
-            values[index] = np.array(column.fill_null(float("nan")), dtype=np.float64)
+            values[index] = numbers_of(column.fill_null(float("nan")))
+        del column
+        pa.default_memory_pool().release_unused()
     return values
 
 

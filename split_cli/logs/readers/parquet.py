@@ -11,7 +11,7 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, column_name_and_unit
 
-__all__ = ["column_values", "open_arrow", "open_parquet"]
+__all__ = ["column_values", "numbers_of", "open_arrow", "open_parquet"]
 
 
 def open_parquet(path: Path) -> RawRecording:
@@ -26,12 +26,12 @@ def open_parquet(path: Path) -> RawRecording:
     import pyarrow.parquet as pq
 
     try:
-        file = pq.ParquetFile(path)
+        file = pq.ParquetFile(path, page_checksum_verification=True, pre_buffer=False)
     except (pa.ArrowException, OSError) as error:
         raise _damaged(path, "Parquet", error) from error
 
-    def read(names: Sequence[str]) -> Any:
-        return pq.read_table(path, columns=list(names), partitioning=None, page_checksum_verification=True)
+    def read(name: str) -> Any:
+        return file.read(columns=[name])[name]
 
     return _recording(path, "Parquet", file.schema_arrow, file.metadata.num_rows, read)
 
@@ -51,12 +51,10 @@ def open_arrow(path: Path) -> RawRecording:
             table = pa.ipc.open_file(source).read_all()
     except (pa.ArrowException, OSError) as error:
         raise _damaged(path, "Arrow", error) from error
-    return _recording(path, "Arrow", table.schema, table.num_rows, table.select)
+    return _recording(path, "Arrow", table.schema, table.num_rows, table.column)
 
 
-def _recording(
-    path: Path, kind: str, schema: Any, rows: int, read: Callable[[Sequence[str]], Any]
-) -> LazyTableRecording:
+def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[str], Any]) -> LazyTableRecording:
     import pyarrow as pa
 
     if not rows:
@@ -72,16 +70,21 @@ def _recording(
     units = {info.name: info.unit for info in infos}
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
-        try:
-            table = read(list(dict.fromkeys(columns[name][0] for name in names)))
-        except (pa.ArrowException, OSError) as error:
-            raise _damaged(path, kind, error) from error
-        return {
-            name: RawSignal(
-                name, None, column_values(_leaf(table, columns[name]), f"{path.name}, column {name}"), units[name]
-            )
-            for name in names
-        }
+        above: dict[str, list[str]] = {}
+        for name in names:
+            above.setdefault(columns[name][0], []).append(name)
+        values: dict[str, np.ndarray] = {}
+        for top, below in above.items():
+            # One by one, so that a long recording is not held twice.
+            try:
+                column = read(top)
+            except (pa.ArrowException, OSError) as error:
+                raise _damaged(path, kind, error) from error
+            for name in below:
+                values[name] = column_values(_leaf(column, columns[name]), f"{path.name}, column {name}")
+            del column
+            pa.default_memory_pool().release_unused()
+        return {name: RawSignal(name, None, values[name], units[name]) for name in names}
 
     return LazyTableRecording(path.name, path, infos, load)
 
@@ -98,11 +101,10 @@ def _leaves(fields: Iterable[Any], above: tuple[str, ...] = ()) -> Iterator[tupl
             yield path, field
 
 
-def _leaf(table: Any, path: tuple[str, ...]) -> Any:
+def _leaf(column: Any, path: tuple[str, ...]) -> Any:
     """Return a column, or what stands at `path` inside a structure."""
     import pyarrow.compute as pc
 
-    column = table[path[0]]
     return pc.struct_field(column, list(path[1:])) if path[1:] else column
 
 
@@ -129,7 +131,13 @@ def column_values(column: Any, where: str) -> np.ndarray:
     elif not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):
         raise LogError(f"holds {kind}, not numbers", where=where)
     column = pc.fill_null(pc.cast(column, pa.float64(), safe=False), float("nan"))
-    return np.asarray(column, dtype=np.float64) * scale if scale != 1.0 else np.array(column, dtype=np.float64)
+    return numbers_of(column) * scale if scale != 1.0 else numbers_of(column)
+
+
+def numbers_of(column: Any) -> np.ndarray:
+    """Return an Arrow column of float64 as an array of its own: a view would keep Arrow's memory."""
+    chunks = [chunk.to_numpy(zero_copy_only=False) for chunk in column.chunks] or [np.empty(0)]
+    return np.concatenate(chunks)
 
 
 def _damaged(path: Path, kind: str, error: Exception) -> LogError:
