@@ -56,7 +56,7 @@ class DriveGain(Term):
     discrepancy: ClassVar = (("", "drive_gain", 0.1), ("", "brake_gain", 0.1))
     order = 1
     mimics: ClassVar = (
-        Mimic("mass+friction_scale+yaw_inertia", "only F/m is seen", exact=True),
+        Mimic("mass+friction_scale+yaw_inertia", "only F/m is observable", exact=True),
         Mimic("rolling_resistance", "torque of one size", "driving at several torques"),
     )
 
@@ -266,7 +266,9 @@ class SteerOffset(Term):
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
-        return f"the wheels stand {amount(p['offset'], more='too far to the left', less='too far to the right')}"
+        return (
+            f"the road wheels are {amount(p['offset'], more='too far to the left', less='too far to the right')}"
+        )
 
     def actuate(self, flow: Flow) -> None:
         """Shift the steer angle."""

@@ -76,7 +76,7 @@ class Mass(Term):
     mimics: ClassVar = (
         Mimic(
             "friction_scale+drive_gain+yaw_inertia+aero_drag+rolling_resistance",
-            "only F/m and F/I_z are seen: the whole curve, torque, drag and inertia scaled by 1/scale",
+            "only F/m and F/I_z are observable: the whole curve, torque, drag and inertia scale with 1/scale",
             exact=True,
         ),
         Mimic("drive_gain", "straight driving", "hard turns, and coasting"),

@@ -140,7 +140,8 @@ class YawMomentDifferential(Term):
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
-        return f"a moment of {amount(p['yaw_damping'], one_sided=True)} resists turning, as a locked axle does"
+        damping = amount(p["yaw_damping"], one_sided=True)
+        return f"a yaw damping of {damping} opposes turning, as a locked differential does"
 
     def external(self, flow: Flow) -> None:
         """Add the moment."""
@@ -174,7 +175,7 @@ class Wind(Term):
     side_ratio: ClassVar = {"": 1.0, "side": 2.5, "broadside": 6.0}
     mimics: ClassVar = (
         Mimic("road_bank+road_grade", "one pass of an open road", "the same place driven in both directions"),
-        Mimic("aero_drag", "a straight road in one direction", "a closed lap, or the way back"),
+        Mimic("aero_drag", "a straight road in one direction", "a closed lap, or the opposite direction"),
     )
 
     @classmethod

@@ -98,11 +98,11 @@ class VelocityBias(_Instrument):
         angle = amount(p["angle"])
         if variant == "step":
             return (
-                f"the recorded velocity points {angle} beside the true one, {amount(p['step'])} more from "
+                f"the recorded velocity points {angle} off the true one, {amount(p['step'])} more from "
                 f"{number(p['at'].value)} s on"
             )
         drift = amount(p["drift"])
-        return f"the recorded velocity points {angle} beside the true one on average and drifts by {drift}"
+        return f"the recorded velocity points {angle} off the true one on average and drifts by {drift}"
 
     def angle(self, t: np.ndarray) -> np.ndarray:
         """Return the angle at times [rad]."""
@@ -137,8 +137,12 @@ class AccelerationBias(_Instrument):
     neutral: ClassVar = {"ax": 0.0, "ay": 0.0}
     variant_needs: ClassVar = {"": frozenset({"ax", "ay"}), "ax": frozenset({"ax"}), "ay": frozenset({"ay"})}
     mimics: ClassVar = (
-        Mimic("road_grade", "the road climbs all along", "the way back"),
-        Mimic("road_bank", "the road leans all along", "the way back: a road moves the car, a sensor does not"),
+        Mimic("road_grade", "the road climbs all along", "the opposite direction"),
+        Mimic(
+            "road_bank",
+            "the road leans all along",
+            "the opposite direction: a road moves the car, a sensor does not",
+        ),
     )
 
     @classmethod

@@ -137,7 +137,7 @@ class RoadBank(_Incline):
     )
     mimics: ClassVar = (
         Mimic("steer_offset", "little change of speed", "curves to both sides: an offset also turns the car"),
-        Mimic("wind", "a straight road in one direction", "the way back"),
+        Mimic("wind", "a straight road in one direction", "the same road in the opposite direction"),
         Mimic("sensor_misalignment", "constant speed on a straight", "position and yaw, or changes of speed"),
     )
 

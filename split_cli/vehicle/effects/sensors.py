@@ -35,7 +35,7 @@ class SensorLeverArm(Term):
     family = "measurement"
     exported = False
     mimics: ClassVar = (
-        Mimic("cg_shift+tire_stiffness", "without position and yaw", "position and yaw, which know the true v_y"),
+        Mimic("cg_shift+tire_stiffness", "without position and yaw", "position and yaw, from which v_y follows"),
     )
 
     @classmethod
@@ -75,7 +75,7 @@ class SensorMisalignment(Term):
     family = "measurement"
     exported = False
     mimics: ClassVar = (
-        Mimic("velocity_bias", "an angle that neither drifts nor steps: the same recording", exact=True),
+        Mimic("velocity_bias", "a constant angle gives the same recording", exact=True),
         Mimic("road_bank+steer_offset", "constant speed, without position", "position and yaw"),
     )
 
@@ -119,7 +119,7 @@ class SensorDelay(Delayed):
     on_command_clock = True
     exported = False
     mimics: ClassVar = (
-        Mimic("steer_delay+drive_delay", "both delays equal: the same recording", exact=True),
+        Mimic("steer_delay+drive_delay", "two equal delays give the same recording", exact=True),
         Mimic("steer_delay", "torque that hardly changes", "a torque step"),
     )
 

@@ -109,7 +109,9 @@ class CombinedSlip(Term):
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
-        return f"driving and braking take lateral grip, with a strength of {amount(p['strength'], one_sided=True)}"
+        return (
+            f"driving and braking reduce lateral grip, with a strength of {amount(p['strength'], one_sided=True)}"
+        )
 
     @classmethod
     def example(cls, p: Estimates, vehicle: Vehicle) -> str:
@@ -149,7 +151,7 @@ class FrictionScale(Term):
     mimics: ClassVar = (
         Mimic(
             "friction_scale+tire_stiffness",
-            "the curve is the peak with both stiffnesses",
+            "scaling the curve scales its peak and both stiffnesses",
             exact=True,
             variants=("curve",),
         ),
@@ -230,7 +232,7 @@ class GripFade(Term):
     family = "time"
     variants: ClassVar = ("", "curve")
     mimics: ClassVar = (
-        Mimic("friction_scale", "tau short against the drive", "the first seconds, driven hard"),
+        Mimic("friction_scale", "tau much shorter than the drive", "hard driving in the first seconds"),
         Mimic("friction_patch", "the stretch is passed once, late", "a second lap"),
     )
 
