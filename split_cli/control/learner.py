@@ -17,6 +17,7 @@ from split_cli.learning.region import Region
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.prediction.online import OnlineCommittee
+from split_cli.prediction.online_process import OnlineProjection
 from split_cli.prediction.predictor import Predictor
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -194,7 +195,7 @@ class NoLearner(LabellingLearner):
 
 
 class SplitLearner(LabellingLearner):
-    """Every interval is offered to its cell, and the committee follows at once.
+    """Every interval is offered to its cell, and the committee or the projected process follows at once.
 
     Parameters
     ----------
@@ -203,14 +204,23 @@ class SplitLearner(LabellingLearner):
     evaluate : callable, optional
         Makes a predictor of a set. It is then built anew at the end of each lap instead of following every update,
         and in the first lap of an empty set nothing is known.
+    projected : bool
+        The projected process follows instead of the committee. It learns every valid label, those too that their
+        cells do not keep.
     """
 
-    def __init__(self, header: TrainingSet, evaluate: Callable[[TrainingSet], Predictor] | None = None) -> None:
+    def __init__(
+        self,
+        header: TrainingSet,
+        evaluate: Callable[[TrainingSet], Predictor] | None = None,
+        *,
+        projected: bool = False,
+    ) -> None:
         super().__init__(header)
         self.online = OnlineSet(header)
-        self.committee = OnlineCommittee(self.online)
+        self.known = OnlineProjection(self.online) if projected else OnlineCommittee(self.online)
         self.evaluate = evaluate
-        self.residual: Residual = OnlineResidual(self.committee)
+        self.residual: Residual = OnlineResidual(self.known, header.features)
         if evaluate is not None:
             self.residual = PredictorResidual(evaluate(header)) if header.size else NoResidual()
             self.residual.features = header.features
@@ -231,7 +241,11 @@ class SplitLearner(LabellingLearner):
 
     def _update(self, labels: Labels) -> int:
         change = self.online.offer(labels)
-        self.committee.update(change.changed)
+        if isinstance(self.known, OnlineCommittee):
+            self.known.update(change.changed)
+        else:
+            valid = labels.inside(self.header.grid)
+            self.known.learn(valid.z[valid.accepted], valid.y[valid.accepted])
         return change.updates
 
     def end_lap(self, duration: float) -> TrainingSet:

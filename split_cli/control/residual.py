@@ -11,6 +11,7 @@ from split_cli.control.grip import PeakShift
 from split_cli.learning.features import Z2, FeatureSet
 from split_cli.prediction import make_predictor
 from split_cli.prediction.online import OnlineCommittee
+from split_cli.prediction.online_process import OnlineProjection
 from split_cli.prediction.predictor import Predictor
 
 __all__ = ["NoResidual", "OnlineResidual", "PredictorResidual", "Residual", "ResidualValues"]
@@ -132,28 +133,31 @@ class PredictorResidual(Residual):
 
 
 class OnlineResidual(Residual):
-    """The committee of a set that grows while it is asked.
+    """The committee, or the projected process, of a set that grows while it is asked.
 
     Parameters
     ----------
-    committee : OnlineCommittee
+    known : OnlineCommittee or OnlineProjection
+    features : FeatureSet
     damped : bool
         As of `PredictorResidual`.
     """
 
-    def __init__(self, committee: OnlineCommittee, damped: bool = True) -> None:
-        self.committee, self.damped = committee, damped
-        self.features = committee.online.header.features
-        self._prior = committee.kernel.signal_variance
+    def __init__(
+        self, known: OnlineCommittee | OnlineProjection, features: FeatureSet, damped: bool = True
+    ) -> None:
+        self.known, self.damped = known, damped
+        self.features = features
+        self._prior = known.kernel.signal_variance
 
     def rest_on(self, peak: PeakShift | None) -> None:
-        """Take the prior mean, and decompose all cells anew; cells that change later follow."""
+        """Take the prior mean, and learn anew what labels say beyond it; later ones follow."""
         super().rest_on(peak)
-        self.committee.rest_on(None if self.peak is None else self.beyond_prior)
+        self.known.rest_on(None if self.peak is None else self.beyond_prior)
 
     def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return mean, slope and variance at features `z`, shape (N, D)."""
-        mean, variance, slope = self.committee.along(z)
+        mean, variance, slope = self.known.along(z)
         knowledge = np.clip(1.0 - variance / self._prior, 0.0, 1.0)
         if self.damped:
             slope = slope * knowledge[:, :, None]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from split_cli.learning.kernel import Kernel
+from split_cli.learning.online import OnlineSet
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction._process_numba import absorb, answer
 from split_cli.prediction.factorization import queries
 from split_cli.prediction.predictor import Prediction, Predictor
 
-__all__ = ["MOST_SPANNING", "OnlineProcess", "ProjectedPredictor"]
+__all__ = ["MOST_SPANNING", "OnlineProcess", "OnlineProjection", "ProjectedPredictor"]
 
 #: Points that span the process at most [1]. It bounds memory (12 MB) and time (0.3 ms an update) where length
 #: scales are short; at two cells, 200 points span the valid region of a road car.
@@ -86,6 +89,38 @@ class OnlineProcess:
             np.ascontiguousarray(z / self._scales), self.count, self._points, self._weights, self._told, certainty
         )
         return mean, spread * self.kernel.signal_variance, slope / self._scales
+
+
+class OnlineProjection:
+    """The online process beside an `OnlineSet`, with labels taken beyond a prior mean that may move.
+
+    Parameters
+    ----------
+    online : OnlineSet
+
+    Notes
+    -----
+    What was absorbed cannot be given another prior mean. Where that moves, the process begins again from the
+    points that the set keeps; what it had learned from labels that their cells rejected is lost then.
+    """
+
+    def __init__(self, online: OnlineSet) -> None:
+        self.online, self.kernel = online, online.header.kernel
+        self.rest_on(None)
+
+    def rest_on(self, beyond: Callable[[np.ndarray, np.ndarray], np.ndarray] | None) -> None:
+        """Predict `beyond`(z, y), shape (n, 3), instead of the labels y, and learn the points of the set anew."""
+        self.beyond, self.process = beyond, OnlineProcess(self.kernel)
+        for position in range(self.online.cell_count):
+            self.learn(*self.online.cell(position))
+
+    def learn(self, z: np.ndarray, y: np.ndarray) -> None:
+        """Absorb labels `y`, shape (N, 3), at features `z`, shape (N, D)."""
+        self.process.learn(z, y if self.beyond is None else self.beyond(z, y))
+
+    def along(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return mean (N, 3), latent variance (N, 3) and the mean's Jacobian (N, 3, D) at `z`, shape (N, D)."""
+        return self.process.along(z)
 
 
 class ProjectedPredictor(Predictor):

@@ -19,6 +19,7 @@ from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import z2_grid
 from split_cli.prediction.bcm import BcmPredictor
 from split_cli.prediction.full import FullPredictor
+from split_cli.prediction.online_process import OnlineProcess
 from tests.factories import MissingForce, make_drive, road_car
 
 PERIOD, WINDOW = 0.01, 5
@@ -87,6 +88,28 @@ def test_the_committee_that_follows_updates_is_the_committee(drive, empty):
     damped = PredictorResidual(reference).along(z)
     assert found.slope == pytest.approx(damped.slope, abs=2e-2)
     assert (np.abs(damped.slope) <= np.abs(undamped.slope) + 1e-12).all()
+
+
+def test_the_process_that_follows_updates_has_absorbed_every_valid_label_of_the_lap(drive, empty):
+    learner = SplitLearner(empty, projected=True)
+    trained = driven(learner, drive)
+    labels = compute_labels(drive, empty.vehicle, Z2, empty.region, horizon=empty.horizon).inside(empty.grid)
+    process = OnlineProcess(empty.kernel)
+    process.learn(labels.z[labels.accepted], labels.y[labels.accepted])
+    found = learner.residual.along(trained.z)
+    mean, variance, _ = process.along(trained.z)
+    assert found.mean == pytest.approx(mean, abs=1e-9) and found.variance == pytest.approx(variance, abs=1e-9)
+    # A prior mean that moves later: the points kept are learned beyond it, as a set of such labels is.
+    shift = PeakShift(empty.vehicle, Z2, np.array([0.9, 0.95]))
+    learner.residual.rest_on(shift)
+    beyond = replace(trained, y=trained.y - shift.at(trained.z)[0])
+    expected = OnlineProcess(empty.kernel)
+    expected.learn(beyond.z, beyond.y)
+    z = trained.z[::5] + 0.003
+    moved = learner.residual.along(z).mean - shift.at(z)[0]
+    # The set is learned cell by cell in one order or another: what became a point first differs a little.
+    scale = np.sqrt(np.mean(np.square(expected.along(z)[0])))
+    assert np.sqrt(np.mean(np.square(moved - expected.along(z)[0]))) < 0.1 * scale
 
 
 def test_learners_rest_on_the_same_prior_mean_while_they_learn(drive, empty):

@@ -50,7 +50,8 @@ class RaceSettings:
         Whether a command takes effect one interval after the measurement it follows from.
     features : str
     predictor : str
-        Evaluates the set; ``bcm`` follows every update of a learner, others are built anew after each lap.
+        Evaluates the set; ``bcm`` and ``projected`` follow every update of a learner, others are built anew after
+        each lap.
     hyperparameters : str
         ``fit`` (to lap 0), ``default``, or a kernel's YAML.
     width : float or None

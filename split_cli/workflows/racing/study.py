@@ -71,5 +71,6 @@ def make_learner(settings: RaceSettings, training_set: TrainingSet) -> Learner:
     if settings.learner == "none":
         return NoLearner(training_set, evaluate(training_set))
     if settings.learner == "split":
-        return SplitLearner(training_set, None if name == "bcm" else evaluate)
+        follows = name in ("bcm", "projected")
+        return SplitLearner(training_set, None if follows else evaluate, projected=name == "projected")
     return IolLearner(training_set, printed=settings.printed_iol)
