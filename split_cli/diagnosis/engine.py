@@ -86,7 +86,12 @@ def diagnose(
     settings, described = policy.comparison, policy.described()
     drives, notes = clean_drives([*real, *simulated, *holdout], policy.screening)
     roles = ["real"] * len(real) + ["sim"] * len(simulated) + ["holdout"] * len(holdout)
-    reasons = [reason for drive in drives for reason in unfit(drive, vehicle, policy.screening)]
+    taught = drives[len(real) : len(real) + len(simulated)]
+    reasons = [
+        reason
+        for drive, role in zip(drives, roles, strict=True)
+        for reason in unfit(drive, vehicle, policy.screening, () if role == "sim" else taught)
+    ]
     reasons = [*reasons, *notes] if reasons else idle(drives[: len(real)], vehicle, policy.screening)
     if reasons:
         return _undecided(reasons, 0.0, inputs, described)

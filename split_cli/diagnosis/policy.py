@@ -142,14 +142,13 @@ class SelectionRules:
     fair_share: float = number(
         0.2,
         "1",
-        "share that matters: of the cost, to be saved with a fixed baseline; of the variance left in a channel, "
+        "share that matters: of what witnesses contradict, to be a sensor's; of the variance left in a channel, "
         "below which a term has taken nearly all; of the forces on the drives, averaged over 2 s, from which on "
         "an effect that could hide leaves no match; of what a term saves, that another may lack and be as good",
-        CHOSEN + "; halves of one recording save a ninth of the cost, and a force wrong by a fifth spoils any "
-        "prediction",
+        CHOSEN + "; a force wrong by a fifth spoils any prediction",
     )
     sure_level: float = number(
-        1e-12, "1", "p value below which a name needs no second search with a fixed baseline", CHOSEN
+        1e-12, "1", "p value below which a name stands though a fixed baseline does not confirm it", CHOSEN
     )
     rounds: int = number(
         4,

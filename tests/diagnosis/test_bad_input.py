@@ -138,6 +138,14 @@ def test_a_heavy_fault_of_the_same_car_is_no_other_car():
         assert unfit(recorded(4, terms=(term,)), road_car()) == []
 
 
+def test_a_file_that_is_off_for_the_simulation_as_well_speaks_of_no_other_car(real, simulated):
+    """A steering ratio half as large again as the file's in both, and a steering that answers 0.7 in reality."""
+    real, simulated = (altered(one, delta=by * one["delta"]) for one, by in ((real, 1.5 / 0.7), (simulated, 1.5)))
+    assert len(unfit(real, road_car())) == 1
+    assert unfit(simulated, road_car()) == unfit(real, road_car(), simulated=[simulated]) == []
+    assert len(unfit(altered(real, delta=2.0 * real["delta"]), road_car(), simulated=[simulated])) == 1
+
+
 def test_a_turned_sign_is_suspected(real):
     (reason,) = unfit(altered(real, delta=-real["delta"]), road_car())
     assert "sign may be turned" in reason

@@ -15,7 +15,8 @@ from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.search.baselines import SearchOutcome, _brings_back, search, search_again, settled
 from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.selection import Selection
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE, Term
@@ -87,36 +88,11 @@ def test_what_brings_reality_back_is_named_where_form_error_is_much(restless):
     same = searched(recorded(drive(2), 2, restless=0.1), recorded(drive(1), 1, restless=0.1), never)
     assert same.known.ratio > 3.0
     assert not any(same.selection.named)
-    candidates = build_candidates(road_car(), restless.real[0].series)
-    first = search(restless, candidates, reach=0.35)
-    again = search_again(restless, candidates, first.structure.objective, reach=0.35)
-    # The second search names it too, and the first one's value stays.
-    confirmed = settled(first, again, STANDARD.selection)
-    assert confirmed.selection is first.selection and len(confirmed.objectives) == 2
-    assert not confirmed.structure.objective.fixed_baseline
-    # Where the first one names nothing, as the fault hides in the discrepancy, the second one's value is taken.
-    nothing_named = replace(
-        first.selection, chosen=first.selection.base, without=(), rivals=(), siblings=(), named=()
-    )
-    taken = settled(replace(first, selection=nothing_named), again, STANDARD.selection)
-    assert taken.structure.objective.fixed_baseline
-    for one in (confirmed, taken):
-        assert [term.id for term in one.selection.terms] == ["steer_gain"]
-        assert one.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
-
-
-def test_a_name_beyond_all_doubt_is_not_searched_again():
-    """Marginalised, its value is as near the truth, and its interval knows what the simulation leaves open."""
     steps: list[str] = []
-    case = case_of(
-        recorded(commanded(drive(2), 0.75), 2, restless=0.1),
-        recorded(drive(1), 1, restless=0.1),
-    )
-    candidates = build_candidates(road_car(), case.real[0].series)
-    outcome = search(case, candidates, reach=0.35, progress=steps.append)
-    assert outcome.known.ratio > 3.0 and outcome.selection.first_p < STANDARD.selection.sure_level
-    assert steps == ["comparing", "naming"] and len(outcome.objectives) == 1
-    assert [one.id for one in outcome.selection.terms] == ["steer_gain"]
+    candidates = build_candidates(road_car(), restless.real[0].series)
+    outcome = search(restless, candidates, reach=0.35, progress=steps.append)
+    assert steps == ["comparing", "naming", "naming with a fixed baseline"] and len(outcome.objectives) == 2
+    assert [term.id for term in outcome.selection.terms] == ["steer_gain"]
     assert outcome.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
 
 
@@ -126,38 +102,58 @@ def test_without_form_error_the_simulation_is_searched_with_a_marginalised_basel
     assert "steer_gain" in [one.id for one in outcome.selection.terms]
 
 
+def neutral(names: list[str]) -> tuple[Term, ...]:
+    return tuple(CATALOGUE[name](dict(CATALOGUE[name].neutral)) for name in names)
+
+
 @pytest.mark.parametrize(
-    ("names", "left", "marginalised", "p_value", "marginalised_p", "expected"),
+    ("names", "marginalised", "p_value", "expected"),
     [
-        (["steer_gain"], 700.0, [], 1e-3, 0.0, True),
-        (["steer_gain"], 850.0, [], 1e-3, 0.0, False),  # too small a share
-        (["tire_stiffness"], 100.0, [], 0.0, 0.0, False),  # moves nothing back to where the simulation was
-        (["steer_gain", "tire_stiffness"], 100.0, [], 0.0, 0.0, False),
-        (["tire_stiffness"], 100.0, ["steer_offset", "tire_stiffness"], 0.0, 0.0, True),  # both readings choose it
-        (["tire_stiffness"], 850.0, ["tire_stiffness"], 0.0, 0.0, False),
-        (["tire_stiffness"], 100.0, ["tire_stiffness"], 1e-3, 0.0, False),  # not beyond doubt
-        (["steer_gain"], 850.0, ["tire_stiffness"], 0.0, 1e-3, True),  # doubted physics gives way to a sure fault
-        (["steer_gain"], 850.0, ["tire_stiffness"], 0.0, 0.0, False),  # physics that is as sure does not
-        (["steer_gain"], 850.0, ["steer_offset"], 0.0, 1e-3, False),  # nor does another fault of command or sensor
-        ([], 100.0, ["tire_stiffness"], 0.0, 0.0, False),
+        (["steer_gain"], [], 1e-3, True),
+        (["tire_stiffness"], [], 0.0, False),  # moves nothing back to where the simulation was
+        (["steer_gain", "tire_stiffness"], [], 0.0, False),
+        (["tire_stiffness"], ["steer_offset", "tire_stiffness"], 0.0, True),  # both readings choose it
+        (["tire_stiffness"], ["tire_stiffness"], 1e-3, False),  # not beyond doubt
+        ([], ["tire_stiffness"], 0.0, False),
     ],
 )
-def test_what_is_believed_with_a_fixed_baseline(names, left, marginalised, p_value, marginalised_p, expected):
-    def fit(cost: float, terms=()) -> SimpleNamespace:
-        parts = tuple(SimpleNamespace(candidate=SimpleNamespace(term=one, variant="")) for one in terms)
-        return SimpleNamespace(cost=cost, parts=parts, residuals=np.zeros(0))
+def test_what_is_believed_with_a_fixed_baseline(names, marginalised, p_value, expected):
+    chosen = [SimpleNamespace(candidate=SimpleNamespace(term=one, variant="")) for one in marginalised]
+    first = SimpleNamespace(chosen=SimpleNamespace(parts=chosen))
+    selection = SimpleNamespace(terms=neutral(names), first_p=p_value)
+    assert _brings_back(selection, first, STANDARD.selection) is expected
 
-    def neutral(names):
-        return tuple(CATALOGUE[name](dict(CATALOGUE[name].neutral)) for name in names)
 
-    terms = neutral(names)
-    selection = SimpleNamespace(terms=terms, base=fit(1000.0), chosen=fit(left), first_p=p_value)
-    silent = SimpleNamespace(objective=SimpleNamespace(witnesses_cost=lambda residuals: 0.0))
-    marginalised = SimpleNamespace(
-        terms=neutral(marginalised), chosen=fit(900.0, marginalised), first_p=marginalised_p
-    )
-    again = SimpleNamespace(selection=selection, structure=silent)
-    assert _brings_back(again, marginalised, STANDARD.selection) is expected
+@pytest.mark.parametrize(
+    ("first", "first_p", "second", "second_p", "expected"),
+    [
+        (["tire_stiffness"], 1e-3, ["steer_gain"], 1e-20, "second"),  # doubted physics gives way to a surer fault
+        (["tire_stiffness"], 1e-4, ["steer_gain"], 1e-3, ""),  # and stays nameless beside one less sure
+        (["road_bank"], 1e-30, ["steer_gain"], 1e-20, "first"),  # what is beyond doubt gives way to nothing less
+        (["steer_offset"], 1e-4, ["steer_gain"], 1e-3, ""),
+        (["steer_offset"], 1e-4, ["steer_offset"], 1e-3, "first"),  # confirmed: the value of the surer one
+        (["steer_offset"], 1e-4, ["steer_offset"], 1e-20, "second"),
+        (["steer_offset"], 1e-30, [], 1.0, "first"),
+        (["steer_offset"], 1e-4, [], 1.0, ""),
+    ],
+)
+def test_the_surer_search_is_believed(restless, first, first_p, second, second_p, expected):
+    candidates = {one.label: one for one in build_candidates(road_car(), restless.real[0].series)}
+    objective = fixed_objective(restless)
+
+    def outcome(names, p_value) -> SearchOutcome:
+        parts = tuple(Part(candidates[name], dict(candidates[name].starts[0])) for name in names)
+        chosen = Fit(parts, 1.0, np.zeros(0), np.zeros((0, 0)))
+        every = tuple(() for _ in names)
+        selection = Selection(chosen, chosen, (), every, every, tuple(True for _ in names), first_p=p_value)
+        return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, 1.5)
+
+    one, other = outcome(first, first_p), outcome(second, second_p)
+    believed = settled(one, other, STANDARD.selection)
+    if expected:
+        assert believed.selection is (one if expected == "first" else other).selection
+    else:
+        assert not any(believed.selection.named)
 
 
 def test_wide_starts_lie_to_both_sides_and_inside_the_bounds():
@@ -189,21 +185,3 @@ def test_values_at_the_end_of_their_search_are_told_from_others():
     assert not delay.at_limit({"delay": 0.0}) and delay.at_limit({"delay": delay.ranges["delay"].upper})
     assert not drag.at_limit({"drag": drag.ranges["drag"].lower})
     assert not fade.at_limit({"final_loss": 0.2, "tau": fade.ranges["tau"].upper})
-
-
-def test_what_is_sure_gives_way_to_a_surer_fault_of_the_inputs_and_to_nothing_less(restless):
-    """A road that leans all along stood, beyond doubt, for a steering off its zero that a fixed baseline names."""
-    candidates = build_candidates(road_car(), restless.real[0].series)
-    first = search(restless, candidates, reach=0.35)
-    again = search_again(restless, candidates, first.structure.objective, reach=0.35)
-    (bank,) = (one for one in candidates if one.label == "road_bank")
-    (steering,) = first.selection.chosen.parts
-    leaning = Part(bank, {"angle": 0.05})
-    stood = replace(first.selection, chosen=replace(first.selection.chosen, parts=(leaning,)), first_p=1e-20)
-    doubted = replace(first, selection=stood)
-    surer = replace(again, selection=replace(again.selection, first_p=1e-60))
-    assert settled(doubted, surer, STANDARD.selection).selection.terms[0].id == steering.term.id
-    for p_value in (1e-19, 1e-4):
-        weaker = replace(again, selection=replace(again.selection, first_p=p_value))
-        # Beyond doubt, its name stays; a doubted one would have lost it.
-        assert settled(doubted, weaker, STANDARD.selection).selection.terms[0].id == "road_bank"

@@ -88,8 +88,19 @@ def clean_drives(
     return [drive for drive, _ in pairs], tuple(note for _, notes in pairs for note in notes)
 
 
-def unfit(drive: Drive, vehicle: Vehicle, rules: Screening = STANDARD.screening) -> list[str]:
-    """Return why a drive cannot be diagnosed at all; empty when it can."""
+def unfit(
+    drive: Drive, vehicle: Vehicle, rules: Screening = STANDARD.screening, simulated: Sequence[Drive] = ()
+) -> list[str]:
+    """Return why a drive cannot be diagnosed at all; empty when it can.
+
+    Parameters
+    ----------
+    drive : Drive
+    vehicle : Vehicle
+    rules : Screening
+    simulated : sequence of Drive
+        That the drive is compared with: what these have as well speaks of the vehicle file, not of another car.
+    """
     longest = max((run.stop - run.start for run in drive.segments()), default=0)
     seconds = longest * drive.period
     if seconds < rules.least_seconds:
@@ -117,7 +128,7 @@ def unfit(drive: Drive, vehicle: Vehicle, rules: Screening = STANDARD.screening)
             f"{drive.name} is slower than {slowest:.1f} m/s for {1 - fast:.0%} of its time; "
             "slip angles are not reliable there. Drive faster, or check that it is a recording of this vehicle."
         ]
-    return _of_another_car(drive, vehicle, rules)
+    return _of_another_car(drive, vehicle, rules, [_ratios(one, vehicle, rules) for one in simulated])
 
 
 def moving(drive: Drive, vehicle: Vehicle, rules: Screening = STANDARD.screening) -> Drive:
@@ -257,8 +268,40 @@ def _with_sound_position(drive: Drive, rules: Screening) -> tuple[Drive, tuple[s
     return replace(drive, columns=columns), (f"{drive.name}: position and yaw: {reason}",)
 
 
-def _of_another_car(drive: Drive, vehicle: Vehicle, rules: Screening) -> list[str]:
+def _of_another_car(
+    drive: Drive, vehicle: Vehicle, rules: Screening, others: Sequence[tuple[float | None, float | None]]
+) -> list[str]:
     """Return how grossly steering and torque of a recording contradict a vehicle file.
+
+    A file that is off for the simulation as well, whose ratios are `others`, is off by its own.
+    """
+    steering, torque = (
+        _beside(own, [several[k] for several in others]) for k, own in enumerate(_ratios(drive, vehicle, rules))
+    )
+    reasons = []
+    if steering is not None and not 1.0 / rules.another_steering < steering < rules.another_steering:
+        sign = " Its sign may be turned." if steering < 0.0 else ""
+        reasons.append(
+            f"{drive.name} does not fit this vehicle file: in gentle turns it steers {steering:.2g} times what a "
+            f"wheelbase of {vehicle.wheelbase:.2f} m needs.{sign} Is it a recording of this car?"
+        )
+    if torque is not None and not 1.0 / rules.another_torque < torque < rules.another_torque:
+        reasons.append(
+            f"{drive.name} does not fit this vehicle file: torque accelerates it {torque:.2g} times as much as a "
+            f"mass of {vehicle.mass:.4g} kg on wheels of {vehicle.wheel_radius:.3g} m would. Is it a recording of "
+            "this car?"
+        )
+    return reasons
+
+
+def _beside(own: float | None, others: Sequence[float | None]) -> float | None:
+    """Return a ratio over the geometric mean of those of the simulation that have one."""
+    known = [one for one in others if one is not None and one > 0.0]
+    return own if own is None or not known else own / float(np.exp(np.mean(np.log(known))))
+
+
+def _ratios(drive: Drive, vehicle: Vehicle, rules: Screening) -> tuple[float | None, float | None]:
+    """Return the steer angle, and what torque accelerates, over what a vehicle file makes of them [1].
 
     Notes
     -----
@@ -271,7 +314,7 @@ def _of_another_car(drive: Drive, vehicle: Vehicle, rules: Screening) -> list[st
     v = {name: _quiet(drive, drive[name]) for name in ("vx", "vy", "r", "delta", "T")}
     sound = _inner(drive) & (v["vx"] > vehicle.minimum_speed)
     if sound.sum() < 100:
-        return []
+        return None, None
     front, rear = (tire.B * tire.C * tire.D for tire in (vehicle.front_tire, vehicle.rear_tire))
     l_f, l_r = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle
     understeer = vehicle.mass / vehicle.wheelbase * (l_r / front - l_f / rear)
@@ -279,26 +322,13 @@ def _of_another_car(drive: Drive, vehicle: Vehicle, rules: Screening) -> list[st
     across = np.abs(v["vx"] * v["r"])
     gentle = sound & (across < 0.4 * grip) & (across > 0.02 * grip)
     expected = v["r"] / np.maximum(v["vx"], 1e-3) * (vehicle.wheelbase + understeer * v["vx"] ** 2)
-    reasons = []
-    ratio = _ratio(expected[gentle], v["delta"][gentle], rules)
-    if ratio is not None and not 1.0 / rules.another_steering < ratio < rules.another_steering:
-        sign = " Its sign may be turned." if ratio < 0.0 else ""
-        reasons.append(
-            f"{drive.name} does not fit this vehicle file: in gentle turns it steers {ratio:.2g} times what a "
-            f"wheelbase of {vehicle.wheelbase:.2f} m needs.{sign} Is it a recording of this car?"
-        )
-    along = np.gradient(v["vx"], drive.period) - v["vy"] * v["r"]
-    ratio = None
+    steering = _ratio(expected[gentle], v["delta"][gentle], rules)
+    torque = None
     if not torque_is_derived(drive) and not torque_is_constant(v["T"][sound], vehicle, rules):
+        along = np.gradient(v["vx"], drive.period) - v["vy"] * v["r"]
         made = vehicle.mass * vehicle.wheel_radius * along
-        ratio = _ratio(_changes(drive, v["T"], rules)[sound], _changes(drive, made, rules)[sound], rules)
-    if ratio is not None and not 1.0 / rules.another_torque < ratio < rules.another_torque:
-        reasons.append(
-            f"{drive.name} does not fit this vehicle file: torque accelerates it {ratio:.2g} times as much as a "
-            f"mass of {vehicle.mass:.4g} kg on wheels of {vehicle.wheel_radius:.3g} m would. Is it a recording of "
-            "this car?"
-        )
-    return reasons
+        torque = _ratio(_changes(drive, v["T"], rules)[sound], _changes(drive, made, rules)[sound], rules)
+    return steering, torque
 
 
 def _changes(drive: Drive, values: np.ndarray, rules: Screening) -> np.ndarray:

@@ -6,11 +6,11 @@ recordings. Nearly everything is uncertain there off the simulation's own path. 
 path then hides in the discrepancy, as a steering gain of 0.8 does.
 
 With a fixed baseline a term saves what it brings back to where the simulation has been. Only terms that alter
-inputs or sensors do that. Where model-form error is large, only this second search names them, unless the first is
-beyond doubt. A name that the second search confirms keeps the values of the first, since the discrepancy's error
-off its path would go into the second ones. Other terms are named with a fixed baseline only where the first search
-had chosen them, too small to name. What the first names in doubt gives way to a fault that the second brings back:
-a steering offset, free to be taken by the discrepancy, leaves what looks like a road that leans all along.
+inputs or sensors do that. Where model-form error is large, both searches are made, and the surer one is believed,
+names and values: a name that the first is less sure of has a value that the discrepancy took a part of. Other terms
+are named with a fixed baseline only where the first search had chosen them, too small to name. What the first names
+gives way to a fault that the second is surer of: a steering offset, free to be taken by the discrepancy, leaves what
+looks like a road that leans all along.
 """
 
 from __future__ import annotations
@@ -70,10 +70,9 @@ def search(
     policy: Policy = STANDARD,
     progress: Callable[[str], None] = lambda step: None,
 ) -> SearchOutcome:
-    """Search with a marginalised baseline; and with a fixed one where the first leaves doubt.
+    """Search with a marginalised baseline; and with a fixed one where model-form error is large.
 
-    The first leaves doubt where model-form error is large and no name is sure. What it names without altering
-    inputs stays only if a fixed baseline confirms it beyond doubt, and may give way to a fault that this finds.
+    What the first names in doubt stays only if a fixed baseline confirms it, and gives way to what that is surer of.
 
     Parameters
     ----------
@@ -93,9 +92,7 @@ def search(
     rows = [flexible_rows(one, case.discrepancy) for one in case.real]
     progress("naming")
     first = _search(objective, rows, candidates, known)
-    # What leans or weighs may stand for an input that is off, which a marginalised baseline hides.
-    sure = _alters_alone(first.selection) and first.selection.first_p < policy.selection.sure_level
-    if known.ratio <= policy.selection.much_over_noise or sure:
+    if known.ratio <= policy.selection.much_over_noise:
         return first
     progress("naming with a fixed baseline")
     return settled(first, search_again(case, candidates, objective, reach=reach), policy.selection)
@@ -119,20 +116,17 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     """Return what is believed of a search with a marginalised baseline and one with a fixed baseline.
 
     What the second brings back to where the simulation has been is believed; with the values of the first where
-    that named it, too. What the first names in doubt and the second does not confirm has no name.
+    that named it, too, and is as sure. What the first names in doubt and the second does not confirm has no name.
     """
-    altering, kept = [alters_inputs(term) for term in first.selection.terms], first
-    if _brings_back(again, first.selection, rules):
-        confirmed = bool(altering) and _ids(first.selection) <= _ids(again.selection)
-        kept = first if confirmed else again
-    elif altering and first.selection.first_p >= rules.sure_level:
-        kept = replace(first, selection=_without_names(first.selection))
+    marginalised, fixed = first.selection, again.selection
+    confirmed = bool(marginalised.terms) and _ids(marginalised) <= _ids(fixed)
+    surer = not marginalised.terms or fixed.first_p <= marginalised.first_p
+    kept = first
+    if _brings_back(fixed, marginalised, rules) and (surer or confirmed):
+        kept = again if surer else first
+    elif marginalised.terms and marginalised.first_p >= rules.sure_level:
+        kept = replace(first, selection=_without_names(marginalised))
     return replace(kept, objectives=(first.structure.objective, again.structure.objective))
-
-
-def _alters_alone(selection: Selection) -> bool:
-    """Return whether something is named, and all of it alters inputs or sensors."""
-    return bool(selection.terms) and all(map(alters_inputs, selection.terms))
 
 
 def _ids(selection: Selection) -> set[str]:
@@ -143,32 +137,19 @@ def _alters(candidate: Candidate) -> bool:
     return bool(candidate.starts) and alters_inputs(candidate.build(candidate.starts[0]))
 
 
-def _brings_back(again: SearchOutcome, marginalised: Selection, rules: SelectionRules) -> bool:
-    """Return whether what a fixed baseline names saves a fair share of the cost, and all of it is believed.
+def _brings_back(selection: Selection, marginalised: Selection, rules: SelectionRules) -> bool:
+    """Return whether all that a fixed baseline names may be believed.
 
     That is what alters inputs or sensors, and beyond doubt what the search with a marginalised baseline chose
     too, if only to keep it as a nuisance: a function that is wrong off its path looks like physics with a fixed
-    baseline alone. Of a sensor's fault the share may be that of what its witnesses contradict: physics that a
-    single track lacks moves none of them.
+    baseline alone. It has stood against what the simulation saves between its own halves, as any name does.
     """
-    selection, objective = again.selection, again.structure.objective
-    saved = selection.base.cost - selection.chosen.cost
-    fair = saved > rules.fair_share * selection.base.cost
-    if marginalised.terms and marginalised.first_p < rules.sure_level and not _alters_alone(marginalised):
-        # What is beyond doubt gives way to nothing less sure.
-        fair = fair and selection.first_p <= marginalised.first_p
-    if marginalised.terms and not any(map(alters_inputs, marginalised.terms)):
-        # That there is a difference is told already; which of two names it has, the surer one.
-        fair = fair or selection.first_p < min(rules.sure_level, marginalised.first_p)
-    if selection.terms and all(term.corrects for term in selection.terms):
-        before, after = (objective.witnesses_cost(fit.residuals) for fit in (selection.base, selection.chosen))
-        fair = fair or before - after > rules.fair_share * before
     chosen: set[str] = set()
     for part in marginalised.chosen.parts if selection.first_p < rules.sure_level else ():
         # A whole friction curve is its peak with both stiffnesses: under either name the first search chose it.
         one = part.candidate
         chosen |= {one.term, *(name for terms in exact_mimics(one.term, one.variant) for name in terms.split("+"))}
-    return bool(selection.terms) and fair and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
+    return bool(selection.terms) and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
 
 
 def _without_names(selection: Selection) -> Selection:

@@ -20,7 +20,6 @@ __all__ = ["smallest_named"]
 
 _ROUNDS = 8  # an effect of twice the size saves nearly four times as much; past a tyre's peak it hardly saves more
 _FURTHEST = 1e4
-_BY_CHANCE = 2.0  # standard errors: a projection of noise on what an effect moves is mostly less
 # Steps after which what alters inputs, and what does not, is as told.
 _NEAR, _PROPORTIONAL = np.log(1.2), np.log(4.0)
 
@@ -93,10 +92,6 @@ def _smallest(
         apart = objective.policy.selection.deviations**2 * objective.own_savings.get(candidate.effect, 0.0)
         if apart > 0.0:
             margin = min(margin, np.log(saved / apart))
-        if objective.fixed_baseline:
-            margin = min(
-                margin, np.log(saved / (saved + bare.cost)) - np.log(objective.policy.selection.fair_share)
-            )
         return float(margin)
 
     values, factor = dict(start), 1.0
@@ -104,7 +99,7 @@ def _smallest(
         term = candidate.build(values)
         size = over_allowance(objective, (term,), ())
         ways = [
-            _moved(objective, bare, one, variance_inflation) for one in (term, *_other_sign(candidate, values))
+            _moved(objective, bare, one) for one in (term, *_other_sign(candidate, values))
         ]
 
         def passes(log: float, size=size, ways=ways) -> float:
@@ -128,15 +123,15 @@ def _smallest(
     return np.inf, {}
 
 
-def _moved(objective: MarginalLikelihood, bare: Fit, term: Term, variance_inflation: float) -> tuple[float, float]:
-    """Return how far a term moves the whitened rows, and how much of that what is there already may take off.
+def _moved(objective: MarginalLikelihood, bare: Fit, term: Term) -> tuple[float, float]:
+    """Return how far a term moves the whitened rows, and how much of that what is there already takes off.
 
-    What is there may point the other way, and has to be made up for first.
+    What is there points the other way for one sign of an effect, and has to be made up for first.
     """
     moved = objective.whiten(objective.residual((term,)) - objective.shift((term,))) - bare.residuals
     length = float(np.sqrt(moved @ moved))
     against = abs(float(moved @ bare.residuals)) / max(length, 1e-300)
-    return length, max(against - _BY_CHANCE * np.sqrt(variance_inflation), 0.0)
+    return length, against
 
 
 def _other_sign(candidate: Candidate, values: Mapping[str, float]) -> tuple[Term, ...]:
