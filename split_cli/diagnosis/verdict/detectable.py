@@ -98,9 +98,7 @@ def _smallest(
     for _ in range(_ROUNDS):
         term = candidate.build(values)
         size = over_allowance(objective, (term,), ())
-        ways = [
-            _moved(objective, bare, one) for one in (term, *_other_sign(candidate, values))
-        ]
+        ways = [_moved(objective, bare, one) for one in (term, *_other_sign(candidate, values))]
 
         def passes(log: float, size=size, ways=ways) -> float:
             seen = min(np.exp(log) * length - against for length, against in ways)
