@@ -13,7 +13,7 @@ from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.objective import build_objective
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.series import build_series
-from split_cli.diagnosis.search.baselines import SearchOutcome, _brings_back, search, search_again, settled
+from split_cli.diagnosis.search.baselines import SearchOutcome, _brings_back, search, settled
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection

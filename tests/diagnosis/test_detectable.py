@@ -76,7 +76,7 @@ def test_form_error_asks_for_more(sound, told):
 
 
 def test_what_alters_inputs_is_told_by_the_last_objective(sound, told):
-    """More model-form error with a fixed baseline asks more of a steering gain; drag comes of the first as before."""
+    """More model-form error with a fixed baseline asks more of a steering gain; drag comes of the first."""
     both = smallest(sound, replace(sound, fixed_baseline=True, form_error_inflation=20.0))
     assert both["aero_drag"] == told["aero_drag"] and both["yaw_inertia"] == told["yaw_inertia"]
     assert 1.0 - both["steer_gain"].parameters["gain"][0] > 1.2 * (1.0 - told["steer_gain"].parameters["gain"][0])

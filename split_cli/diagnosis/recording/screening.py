@@ -10,6 +10,8 @@ import numpy as np
 from split_cli.diagnosis.policy import STANDARD, Screening
 from split_cli.logs.drive import Drive
 from split_cli.signals import REQUIRED_CHANNELS
+from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects.search import Course
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
@@ -273,31 +275,42 @@ def _of_another_car(
 ) -> list[str]:
     """Return how grossly steering and torque of a recording contradict a vehicle file.
 
-    A file that is off for the simulation as well, whose ratios are `others`, is off by its own.
+    A file that is off for the simulation as well, whose ratios are `others`, is off by its own. Beside one that
+    tells a ratio, it is another car only where no gain of steering or torque that a car can have explains it.
     """
-    steering, torque = (
-        _beside(own, [several[k] for several in others]) for k, own in enumerate(_ratios(drive, vehicle, rules))
+    limits = (
+        ("steer_gain", "gain", -1.0, 1.0 / rules.another_steering, rules.another_steering),
+        ("drive_gain", "drive_gain", 1.0, 1.0 / rules.another_torque, rules.another_torque),
     )
-    reasons = []
-    if steering is not None and not 1.0 / rules.another_steering < steering < rules.another_steering:
-        sign = " Its sign may be turned." if steering < 0.0 else ""
-        reasons.append(
-            f"{drive.name} does not fit this vehicle file: in gentle turns it steers {steering:.2g} times what a "
-            f"wheelbase of {vehicle.wheelbase:.2f} m needs.{sign} Is it a recording of this car?"
-        )
-    if torque is not None and not 1.0 / rules.another_torque < torque < rules.another_torque:
-        reasons.append(
-            f"{drive.name} does not fit this vehicle file: torque accelerates it {torque:.2g} times as much as a "
-            f"mass of {vehicle.mass:.4g} kg on wheels of {vehicle.wheel_radius:.3g} m would. Is it a recording of "
-            "this car?"
-        )
+    reasons, own = [], _ratios(drive, vehicle, rules)
+    for k, (term, name, power, low, high) in enumerate(limits):
+        known = [several[k] for several in others if several[k] is not None and several[k] > 0.0]
+        ratio = own[k]
+        if ratio is None:
+            continue
+        if known:
+            ratio /= float(np.exp(np.mean(np.log(known))))
+            gains = CATALOGUE[term].search(vehicle, Course(0.0, 0.0)).ranges[name]
+            low, high = sorted((gains.lower**power, gains.upper**power))
+        if low < ratio < high:
+            continue
+        reasons.append(_contradiction(drive, vehicle, ratio, steering=term == "steer_gain"))
     return reasons
 
 
-def _beside(own: float | None, others: Sequence[float | None]) -> float | None:
-    """Return a ratio over the geometric mean of those of the simulation that have one."""
-    known = [one for one in others if one is not None and one > 0.0]
-    return own if own is None or not known else own / float(np.exp(np.mean(np.log(known))))
+def _contradiction(drive: Drive, vehicle: Vehicle, ratio: float, *, steering: bool) -> str:
+    """Return in words by how much steering or torque contradicts a vehicle file."""
+    if steering:
+        sign = " Its sign may be turned." if ratio < 0.0 else ""
+        return (
+            f"{drive.name} does not fit this vehicle file: in gentle turns it steers {ratio:.2g} times what a "
+            f"wheelbase of {vehicle.wheelbase:.2f} m needs.{sign} Is it a recording of this car?"
+        )
+    return (
+        f"{drive.name} does not fit this vehicle file: torque accelerates it {ratio:.2g} times as much as a "
+        f"mass of {vehicle.mass:.4g} kg on wheels of {vehicle.wheel_radius:.3g} m would. Is it a recording of "
+        "this car?"
+    )
 
 
 def _ratios(drive: Drive, vehicle: Vehicle, rules: Screening) -> tuple[float | None, float | None]:

@@ -7,10 +7,10 @@ path then hides in the discrepancy, as a steering gain of 0.8 does.
 
 With a fixed baseline a term saves what it brings back to where the simulation has been. Only terms that alter
 inputs or sensors do that. Where model-form error is large, both searches are made, and the surer one is believed,
-names and values: a name that the first is less sure of has a value that the discrepancy took a part of. Other terms
-are named with a fixed baseline only where the first search had chosen them, too small to name. What the first names
-gives way to a fault that the second is surer of: a steering offset, free to be taken by the discrepancy, leaves what
-looks like a road that leans all along.
+names and values: where the first is less sure, the discrepancy took a part of the value. Other terms are named
+with a fixed baseline only where the first search had chosen them, too small to name. What the first names gives
+way to a surer fault of the second: a steering offset, free to be taken by the discrepancy, leaves what looks like
+a road that leans all along.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def search(
 ) -> SearchOutcome:
     """Search with a marginalised baseline; and with a fixed one where model-form error is large.
 
-    What the first names in doubt stays only if a fixed baseline confirms it, and gives way to what that is surer of.
+    What the first names in doubt stays only if a fixed baseline confirms it, or gives way to a surer fault.
 
     Parameters
     ----------
