@@ -10,15 +10,17 @@ import pytest
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search import form_error as module
 from split_cli.diagnosis.search import selection as selecting
-from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.exploration import Explorer
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
 from split_cli.diagnosis.search.form_error import (
     costs_beside_form_error,
+    free_to_form_error,
     residuals_beside_form_error,
     saved_beside_form_error,
 )
 from split_cli.diagnosis.search.selection import nothing, select_terms
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, late, noisy_objective
+from tests.diagnosis.recordings import candidates_of, driven, first_order, late, noisy_objective
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +147,45 @@ def test_what_a_named_term_may_get_wrong_is_no_evidence_for_another(behind, dela
     apart = replace(delay, residuals=delay.residuals + 0.05 * rng.standard_normal(len(delay.residuals)))
     apart = replace(apart, cost=float(apart.residuals @ apart.residuals))
     assert saved_beside_form_error(behind, apart, delay) == pytest.approx(apart.cost - delay.cost, rel=0.1)
+
+
+def test_a_promise_beside_form_error_is_that_of_a_weighted_least_squares_fit(behind, delay):
+    """min over x of (y - C x)^T (I + M M^T)^-1 (y - C x), as rows that the weights of M pull on."""
+    (drag,) = candidates_of(behind, "aero_drag")
+    line = tangent(behind, behind.residual(()), Part(drag, dict(drag.starts[0])))
+    form_error = module.form_error_columns(behind, delay)
+    C = np.hstack([line.slopes, delay.sensitivity])
+    stacked = np.block([[C, form_error], [np.zeros((18, C.shape[1])), np.eye(18)]])
+    target = np.append(delay.residuals + line.moved, np.zeros(18))
+    scale = np.linalg.norm(stacked, axis=0)
+    left = target - stacked / scale @ np.linalg.lstsq(stacked / scale, target, rcond=None)[0]
+    promised = line.cost(delay, free_to_form_error(behind, delay))
+    assert promised == pytest.approx(left @ left, rel=1e-6) and promised < line.cost(delay)
+
+
+def test_a_further_term_is_sought_beyond_the_form_error_of_the_others():
+    """What late steering gets wrong of the yaw rate hides a little lag of torque behind what bends to it."""
+    commands = {
+        "steer": lambda inputs, step: late(inputs, 0.03, step),
+        "torque": lambda inputs, step: first_order(inputs, 0.005, step),
+    }
+    clean = noisy_objective(driven(41, **commands), 3)
+    (one,), delay = clean.evidence, fitted(clean, "steer_delay")
+    wrong = clean.stack([one.whitener(module._variations(one, delay.terms, (), False))])
+    # Only a size that is small beside the delay's in another channel would be in doubt.
+    policy = clean.policy.altered("selection", considered=1, form_error_across=0.0)
+    objective = replace(clean, offset=clean.offset - 0.3 * wrong[:, 12], policy=policy)
+    names = ("steer_delay", "steer_gain", "tire_stiffness", "yaw_inertia", "drive_lag")
+    explore = Explorer(objective, tuple(candidates_of(objective, *names)), 1.5)
+    current = fitted(objective, "steer_delay")
+    plainly, beyond = (
+        [fit.parts[-1].candidate.term for fit in fits]
+        for fits in (explore(current), explore.beyond_form_error(current))
+    )
+    assert plainly[0] == "tire_stiffness" and beyond[0] == "drive_lag"
+    # Where only one is considered in each step, the search finds it all the same.
+    named = select_terms(objective, explore.candidates, 1.5).terms
+    assert {term.id for term in named} == {"steer_delay", "drive_lag"}
 
 
 def test_of_tyres_either_axle_may_be_wrong_by_itself(behind):

@@ -20,6 +20,7 @@ from split_cli.diagnosis.search.fitting import (
     scan_places,
     tangent,
 )
+from split_cli.diagnosis.search.form_error import free_to_form_error, saved_beside_form_error
 from split_cli.diagnosis.statement.separation import look_alike
 from split_cli.diagnosis.together import together
 
@@ -57,9 +58,25 @@ class Explorer:
             close = abs(known.cost - current.cost) < self.rules.tie * self.variance_inflation
             if close and _labels(known) == _labels(current):
                 return fits
-        fits = self._followed(self._fits(current))
+        fits = self._followed(self._fits(current, self._starts(current)))
         self._explored.append((current, fits))
         return fits
+
+    def beyond_form_error(self, current: Fit) -> list[Fit]:
+        """Return the candidates that promise most beyond an explanation's model-form error, those first.
+
+        What saves most may save just that: where terms do much, so do all that resemble what is wrong of them.
+        """
+        known = {fit.parts[-1].candidate.label: fit for fit in self(current)}
+        starts = self._starts(current, free_to_form_error(self.objective, current))
+        fits = [known[label] for label in starts if label in known]
+        fits += self._followed(self._fits(current, {k: v for k, v in starts.items() if k not in known}))
+
+        def worth(fit: Fit) -> float:
+            saved = saved_beside_form_error(self.objective, current, fit) / self.variance_inflation
+            return saved - self.rules.price * fit.parts[-1].candidate.complexity
+
+        return sorted(fits, key=worth, reverse=True)
 
     @cached_property
     def _base(self) -> np.ndarray:
@@ -80,7 +97,7 @@ class Explorer:
             (one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts
         ]
 
-    def _promises(self, current: Fit) -> list[tuple[float, Part]]:
+    def _promises(self, current: Fit, free: np.ndarray | None) -> list[tuple[float, Part]]:
         """Return what each start of each candidate promises to cost, price included, best first."""
         taken = {part.candidate.term for part in current.parts}
         lines = [one for one in self._tangents if one.part.candidate.term not in taken]
@@ -88,7 +105,7 @@ class Explorer:
             if candidate.term not in taken:
                 starts = scan_places(self.objective, current.residuals, candidate, effect)
                 lines += self._tangents_at([Part(candidate, start) for start in starts])
-        promises = together(lambda one: (one.cost(current), one.part), lines)
+        promises = together(lambda one: (one.cost(current, free), one.part), lines)
         return sorted(
             promises,
             key=lambda one: one[0] / self.variance_inflation + self.rules.price * one[1].candidate.complexity,
@@ -104,12 +121,16 @@ class Explorer:
                 best[term] = promised, line
         return [line for _, line in best.values()]
 
-    def _fits(self, current: Fit) -> list[Fit]:
-        """Return fits of the best promises, with the second start of a variant where it promises more."""
+    def _starts(self, current: Fit, free: np.ndarray | None = None) -> dict[str, list[tuple[float, Part]]]:
+        """Return the best promises by the candidates' labels, and what they promise to cost."""
         starts: dict[str, list[tuple[float, Part]]] = {}
-        for promised, part in self._promises(current):
+        for promised, part in self._promises(current, free):
             if part.candidate.label in starts or len(starts) < self.rules.full_fits:
                 starts.setdefault(part.candidate.label, []).append((promised, part))
+        return starts
+
+    def _fits(self, current: Fit, starts: dict[str, list[tuple[float, Part]]]) -> list[Fit]:
+        """Return fits of promises, with the second start of a variant where it promises more."""
         settled = int(any(alters_inputs(one.term) for one in current.parts))
 
         def fitted(promises: list[tuple[float, Part]]) -> list[Fit]:

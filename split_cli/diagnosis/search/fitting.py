@@ -239,13 +239,22 @@ class Tangent:
     moved: np.ndarray
     slopes: np.ndarray
 
-    def cost(self, current: Fit) -> float:
-        """Return the cost that one linear fit of this part and those of an explanation promises."""
+    def cost(self, current: Fit, free: np.ndarray | None = None) -> float:
+        """Return the cost that one linear fit of this part and those of an explanation promises.
+
+        What lies in `free`, shape (R, C), costs less or nothing: a square root of 1 less the rows' precision.
+        """
         columns = np.hstack([self.slopes, current.sensitivity])
         columns = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
         here = current.residuals + self.moved
-        normal, score = columns.T @ columns, columns.T @ here
-        return float(here @ here - score @ np.linalg.solve(normal + 1e-9 * np.eye(len(score)), score))
+        rows = np.column_stack([columns, here])
+        products = rows.T @ rows
+        if free is not None:
+            seen = free.T @ rows
+            products -= seen.T @ seen
+        normal, score = products[:-1, :-1], products[:-1, -1]
+        promised = score @ np.linalg.solve(normal + 1e-9 * np.eye(len(score)), score)
+        return float(products[-1, -1] - promised)
 
 
 def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part) -> Tangent:

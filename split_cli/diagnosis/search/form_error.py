@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from split_cli.diagnosis.baseline.body import alters_body
 from split_cli.diagnosis.baseline.discrepancy import scaled_features
@@ -22,6 +23,7 @@ from split_cli.vehicle.parameters import Vehicle
 __all__ = [
     "costs_beside_form_error",
     "form_error_columns",
+    "free_to_form_error",
     "residuals_beside_form_error",
     "saved_beside_form_error",
 ]
@@ -71,6 +73,13 @@ def residuals_beside_form_error(objective: MarginalLikelihood, fit: Fit) -> np.n
 def form_error_columns(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     """Return M of an explanation's parts, shape (R, 18 a part), see `costs_beside_form_error`."""
     return _columns(objective, [(fit.terms, k) for k in range(len(fit.parts))])
+
+
+def free_to_form_error(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
+    """Return N, shape (R, 18 a part), with N N^T = I - (I + M M^T)^-1, see `costs_beside_form_error`."""
+    form_error = form_error_columns(objective, fit)
+    lower = np.linalg.cholesky(np.eye(form_error.shape[1]) + form_error.T @ form_error)
+    return solve_triangular(lower, form_error.T, lower=True).T
 
 
 def _columns(objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]]) -> np.ndarray:

@@ -87,15 +87,20 @@ def search_forward(
     def price_saved(fit: Fit) -> float:
         return explore.price(chosen) - explore.price(fit)
 
+    def worth_it(fits: Sequence[Fit]) -> list[Fit]:
+        return [fit for fit in fits if price_saved(fit) > 0.0 and not _goes_too_far(chosen, fit)]
+
     while True:
-        fits = first if chosen is base else explore(chosen)
-        fits = [fit for fit in fits if price_saved(fit) > 0.0 and not _goes_too_far(chosen, fit)]
+        fits = worth_it(first if chosen is base else explore(chosen))
         if not fits:
             break
         best = fits[0]
         # Beside nuisances alone there is no name that a term could be a model-form error of.
         if len(chosen.parts) > nuisances:
             best, reason = _first_believed(explore, chosen, fits[: rules.considered])
+            if best is None:
+                beyond = worth_it(explore.beyond_form_error(chosen))
+                best, _ = _first_believed(explore, chosen, beyond[: rules.considered])
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
             history.append(f"{label} would save {saved:.0f}, {reason}")
@@ -173,7 +178,7 @@ def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tupl
         reasons.append(refusal(explore, chosen, sizes, fit))
         if not reasons[-1]:
             return fit, ""
-    return None, reasons[0]
+    return None, next(iter(reasons), "")
 
 
 def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:
