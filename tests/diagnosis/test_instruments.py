@@ -234,3 +234,31 @@ def test_a_planted_fault_is_named_with_its_value(k):
         low, high = finding.parameters[name].interval_95
         assert low <= value <= high, name
         assert finding.parameters[name].value == pytest.approx(value, rel=0.15)
+
+
+def test_where_an_acceleration_jumps_between_samples_it_is_no_witness():
+    """For 0.6 s torque chatters, and what a_x is at its samples is not what it is between them."""
+    drive = recording(77)
+    rows = drive.segments()[2]
+    chatters = slice(rows.start + 300, rows.start + 360)
+    felt = drive["ax"].copy()
+    felt[chatters] += np.random.default_rng(3).choice([0.0, 0.0, 8.0], 60)
+    torn = replace(drive, columns={**drive.columns, "ax": felt})
+
+    def witness(one: Drive):
+        return next(w for w in build_witnesses(prepared(one)) if w.kind == "a_x")
+
+    whole, kept = witness(drive), witness(torn)
+    near = (whole.end > chatters.start) & (whole.begin < chatters.stop)
+    assert 1 < near.sum() < 5
+    gone = ~np.isin(whole.begin, kept.begin)
+    assert gone[near].all() and gone.sum() <= near.sum() + 2
+    assert np.abs(kept.rows(())).max() < 6.0
+    # A drive without noise is smooth, and loses no window; nor does noise cost one.
+    clean = witness(recording(77, share=1e-3))
+    assert len(clean.begin) == len(whole.begin)
+    # A step of the torque is no chatter: a jump of 3 m/s^2 once leaves nearly all that it is told by.
+    step = felt.copy()
+    step[rows] = drive["ax"][rows] + 3.0 * (np.arange(len(felt[rows])) > 400)
+    stepped = witness(replace(drive, columns={**drive.columns, "ax": step}))
+    assert len(whole.begin) - len(stepped.begin) <= 2
