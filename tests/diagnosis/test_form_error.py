@@ -167,14 +167,14 @@ def test_a_further_term_is_sought_beyond_the_form_error_of_the_others():
     """What late steering gets wrong of the yaw rate hides a little lag of torque behind what bends to it."""
     commands = {
         "steer": lambda inputs, step: late(inputs, 0.03, step),
-        "torque": lambda inputs, step: first_order(inputs, 0.005, step),
+        "torque": lambda inputs, step: first_order(inputs, 0.008, step),
     }
     clean = noisy_objective(driven(41, **commands), 3)
     (one,), delay = clean.evidence, fitted(clean, "steer_delay")
     wrong = clean.stack([one.whitener(module._variations(one, delay.terms, (), False))])
     # Only a size that is small beside the delay's in another channel would be in doubt.
     policy = clean.policy.altered("selection", considered=1, form_error_across=0.0)
-    objective = replace(clean, offset=clean.offset - 0.3 * wrong[:, 12], policy=policy)
+    objective = replace(clean, offset=clean.offset - 0.4 * wrong[:, 12], policy=policy)
     names = ("steer_delay", "steer_gain", "tire_stiffness", "yaw_inertia", "drive_lag")
     explore = Explorer(objective, tuple(candidates_of(objective, *names)), 1.5)
     current = fitted(objective, "steer_delay")
