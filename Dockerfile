@@ -3,6 +3,7 @@ FROM python:3.11-slim-bookworm AS build
 WORKDIR /src
 COPY pyproject.toml README.md LICENSE ./
 COPY split_cli split_cli
+COPY sample_logs sample_logs
 RUN python -m venv /opt/split && /opt/split/bin/pip install --no-cache-dir ".[mf4,can]"
 
 FROM python:3.11-slim-bookworm
@@ -12,7 +13,6 @@ RUN apt-get update \
     && rm -rf /var/lib/apt/lists/* \
     && useradd --uid 10001 --create-home --shell /usr/sbin/nologin split
 COPY --from=build /opt/split /opt/split
-COPY sample_logs /opt/sample_logs
 # The root may be read-only: what is compiled at run time goes to /tmp.
 ENV PATH=/opt/split/bin:$PATH \
     PYTHONDONTWRITEBYTECODE=1 \

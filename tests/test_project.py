@@ -7,10 +7,13 @@ import re
 import subprocess
 import sys
 import tomllib
+import zipfile
 from functools import cache
 from pathlib import Path
 
 import pytest
+
+from split_cli.workflows.demo import INSTALLED, demo_steps
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -53,6 +56,18 @@ def test_the_package_builds_and_is_clean(tmp_path):
     built = sorted(tmp_path.iterdir())
     assert [path.suffix for path in built] == [".whl", ".gz"]
     run("twine", "check", "--strict", *map(str, built))
+    assert_the_demo_is_in(built[0], tmp_path)
+
+
+def assert_the_demo_is_in(wheel: Path, folder: Path) -> None:
+    """Assert that every sample the demo reads is installed where it is looked for."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    read = {
+        Path(a).name for step in demo_steps(folder, Path("output")) for a in step.arguments if str(folder) in a
+    }
+    data = f"{wheel.name.rsplit('-', 3)[0]}.data/data/{INSTALLED}"
+    assert read and {f"{data}/{name}" for name in read} <= set(names)
 
 
 def test_the_site_builds_without_a_warning(tmp_path):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from split_cli.cli.digits import pair_known
 from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
 
 __all__ = ["command"]
@@ -150,8 +151,8 @@ def _show_calibration(calibration, used, output, as_json) -> None:
                   "alike to [N]", "and at most [N]", "held out [N]", "start [N]", "signal [N]")  # fmt: skip
         rows = [
             (
-                c.axle, c.tire.B, c.tire.C, c.tire.D, " ".join(c.determined) or "none", c.cornering_stiffness[0],
-                0.5 * (c.cornering_stiffness[2] - c.cornering_stiffness[1]), c.covered, c.deviation_covered,
+                c.axle, c.tire.B, c.tire.C, c.tire.D, " ".join(c.determined) or "none", *_stiffness(c),
+                c.covered, c.deviation_covered,
                 c.deviation_everywhere, c.held_out.calibrated, c.held_out.start, c.held_out.signal,
             )
             for c in calibration.curves
@@ -161,22 +162,28 @@ def _show_calibration(calibration, used, output, as_json) -> None:
         found = calibration.resistance
         click.echo()
         rows = [
-            ("drag [N/(m/s)^2]", found.drag, found.drag_error, "drag" in found.determined),
-            ("rolling [N]", found.rolling, found.rolling_error, "rolling" in found.determined),
-            ("force per T/r_e [1]", *found.torque_gain, "a check"),
+            ("drag [N/(m/s)^2]", *pair_known(found.drag, found.drag_error), "drag" in found.determined),
+            ("rolling [N]", *pair_known(found.rolling, found.rolling_error), "rolling" in found.determined),
+            ("force per T/r_e [1]", *pair_known(*found.torque_gain), "a check"),
         ]
         print_table(("resistance", "value", "+-", "set by data"), rows)
         held = found.held_out
         click.echo(f"held out {held.calibrated:.4g} N, start {held.start:.4g} N, signal {held.signal:.4g} N")
     if calibration.estimates:
         click.echo()
-        rows = [(e.name, e.value, e.error, e.settled) for e in calibration.estimates]
+        rows = [(e.name, *pair_known(e.value, e.error), e.settled) for e in calibration.estimates]
         print_table(("from turning", "value", "+-", "set by data"), rows)
     for remark in calibration.remarks:
         click.echo(f"note: {remark}", err=True)
     click.echo(
         f"wrote {output} from {calibration.samples} samples in {calibration.blocks} blocks of time", err=True
     )
+
+
+def _stiffness(curve) -> tuple[float, float]:
+    """Return the fitted cornering stiffness and half its 95 % interval, to the digits that this supports."""
+    middle, low, high = curve.cornering_stiffness
+    return pair_known(middle, 0.5 * (high - low))
 
 
 def _show_conversion(conversion, output, as_json) -> None:

@@ -6,6 +6,7 @@ import sys
 
 import click
 
+from split_cli.cli.digits import pair_known
 from split_cli.cli.options import (
     existing_file,
     held_option,
@@ -73,7 +74,7 @@ def _tell(result) -> None:
     click.echo(result.summary)
     if result.findings:
         rows = [
-            [f.term, name, p.value, p.std_error, p.unit, ", ".join(f.alternatives)]
+            [f.term, name, *pair_known(p.value, p.std_error), p.unit, ", ".join(f.alternatives)]
             for f in result.findings
             for name, p in f.parameters.items()
         ]

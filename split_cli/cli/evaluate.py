@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import click
 
+from split_cli.cli.digits import three_digits
 from split_cli.cli.options import (
     existing_file,
     held_option,
@@ -220,7 +221,7 @@ def _select(drives, vehicle_path, set_path, output, as_json, tried: dict, settin
               "behind", "+-", "v_x", "v_y", "r")  # fmt: skip
     print_table(header, [
         (_mark(one), one.features, one.capacity, one.threshold, one.cell_edge, one.points, one.cells,
-         one.microseconds, one.error, one.behind, one.behind_error, *map(float, one.rmse))
+         one.microseconds, one.error, one.behind, one.behind_error, *map(three_digits, one.rmse))
         for one in found.candidates
     ])  # fmt: skip
     click.echo("\nchosen: fewest points among those within one standard error of the best")
@@ -248,7 +249,7 @@ def _print_report(report) -> None:
     floor = report.noise_floor
     if floor.rms is not None:
         blank = [None, None, "", None, "", "", None]
-        rows.append(["noise floor", "", None, floor.norm, *map(float, floor.rms), *blank])
+        rows.append(["noise floor", "", None, three_digits(floor.norm), *map(three_digits, floor.rms), *blank])
     print_table(header, rows)
     if floor.reason:
         click.echo(f"noise floor: {floor.reason}")
@@ -259,7 +260,7 @@ def _print_report(report) -> None:
     if report.rollouts:
         click.echo("\nRollouts with recorded inputs: errors of v_x, v_y [m/s], r [rad/s], position [m]")
         print_table(("model", "features", "after s", "starts", "v_x", "v_y", "r", "position"), [
-            (r.name, r.features, r.horizon, r.starts, *map(float, r.rmse), _number(r.distance))
+            (r.name, r.features, r.horizon, r.starts, *map(three_digits, r.rmse), _number(r.distance))
             for r in report.rollouts
         ])  # fmt: skip
     for line in report.verdicts:
@@ -271,20 +272,20 @@ def _score_row(score) -> list:
         score.name,
         score.features,
         score.points,
-        float(score.rmse[3]),
-        *(float(value) for value in score.rmse[:3]),
+        three_digits(score.rmse[3]),
+        *(three_digits(value) for value in score.rmse[:3]),
         _number(score.rmse_valid[3]),
         _number(score.skill_velocity_held[3]),
         "/".join(f"{value:.2f}" for value in score.skill_velocity_held[:3]),
-        None if score.nlpd is None else float(score.nlpd.sum()),
+        None if score.nlpd is None else three_digits(score.nlpd.sum()),
         _shares(score.coverage_50),
         _shares(score.coverage_95),
-        None if score.time_per_query is None else 1e6 * score.time_per_query,
+        None if score.time_per_query is None else three_digits(1e6 * score.time_per_query),
     ]
 
 
 def _number(value: float) -> float | None:
-    return float(value) if value == value else None
+    return three_digits(value) if value == value else None
 
 
 def _shares(shares) -> str:

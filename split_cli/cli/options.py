@@ -10,6 +10,8 @@ from typing import Any
 
 import click
 
+from split_cli.cli.digits import Told, plausible
+
 __all__ = [
     "engine_options",
     "existing_file",
@@ -187,15 +189,8 @@ def _print_legend(names: Sequence[str]) -> None:
 def _cell(value: Any) -> str:
     if value is None:
         return "-"
+    if isinstance(value, Told):
+        return value.text
     if isinstance(value, float):
         return plausible(value)
     return str(value)
-
-
-def plausible(value: float) -> str:
-    """Return a number to four digits at most, without a power of ten where it can be read: ``12300``, ``0.0123``.
-
-    More digits than the fourth are never known of what is measured here.
-    """
-    text = f"{value:.4g}"
-    return f"{value:.0f}" if "e+" in text and abs(value) < 1e9 else text

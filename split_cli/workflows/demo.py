@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import sysconfig
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,8 @@ VEHICLE = "road_car.yaml"
 REAL_LOG = "road_pair_real.parquet"
 SIMULATED_LOG = "road_pair_sim.parquet"
 DIAGNOSIS = "diagnosis"
+INSTALLED = Path("share/split-cli/sample_logs")
+"""In the prefix of an installation (pyproject.toml, data-files)."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class DemoStep:
 
 
 def find_samples(folder: str | Path | None = None) -> Path:
-    """Return the folder of the sample logs: the one given, or ``sample_logs`` here or beside the package.
+    """Return the folder of the sample logs: the one given, or ``sample_logs`` here, beside the package, installed.
 
     Raises
     ------
@@ -49,14 +52,16 @@ def find_samples(folder: str | Path | None = None) -> Path:
         If it is in none of these places.
     """
     beside_package = Path(__file__).resolve().parents[2] / "sample_logs"
-    candidates = [Path(folder)] if folder else [Path("sample_logs"), beside_package]
+    schemes = (sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user"))
+    installed = [Path(sysconfig.get_path("data", scheme)) / INSTALLED for scheme in schemes]
+    candidates = [Path(folder)] if folder else [Path("sample_logs"), beside_package, *installed]
     for candidate in candidates:
         if (candidate / VEHICLE).is_file():
             return candidate
     raise SplitError(
         "the sample logs are not here",
         where=str(candidates[0]),
-        advice="Run the demo in a clone of the project, or name the folder with --samples.",
+        advice="Install the program again, run the demo in a clone of it, or name the folder with --samples.",
     )
 
 

@@ -16,9 +16,9 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.columns import COLUMNS, meaning
+from split_cli.cli.digits import known_to, pair_known, plausible, three_digits
 from split_cli.cli.main import COMMANDS, group
 from split_cli.cli.manual import manual_page
-from split_cli.cli.options import plausible
 from split_cli.cli.settings import default_options
 from split_cli.cli.voice import Quiet, StepBar
 from split_cli.errors import SplitError
@@ -184,6 +184,11 @@ class TestVoice:
 def test_numbers_are_printed_with_digits_that_can_be_known():
     told = [plausible(v) for v in (12345.678, 0.0123456, 3.0, 123456789.0, 1e-7, 2.5e12)]
     assert told == ["12346", "0.01235", "3", "123456789", "1e-07", "2.5e+12"]
+    measured = {(0.85493, 0.0102): "0.855", (0.85493, 0.04): "0.85", (1573.4, 31.0): "1570", (0.5, 0.0): "0.5"}
+    measured |= {(-0.00012, 0.003): "0.000", (101.482, 14.0): "101", (12.3456, float("inf")): "12.35"}
+    assert {pair: known_to(*pair).text for pair in measured} == measured
+    assert [one.text for one in pair_known(0.855, 0.0102)] == ["0.855", "0.010"]
+    assert three_digits(0.38823).text == "0.388" and three_digits(2183.0).text == "2180"
 
 
 def test_the_manual_page_holds_every_command_and_option():

@@ -171,7 +171,7 @@ const Charts = (() => {
       const count = Math.max(2, Math.round(this.tall / 46));
       const longest = (list) => Math.max(2, ...list.map((tick) => tick.text.length));
       // A long name is cut; hovering tells it whole.
-      const room = Math.max(6, Math.floor((0.36 * width) / TEXT));
+      const room = Math.max(6, Math.floor(((paper ? 0.46 : 0.36) * width) / TEXT));
       const cut = (text) => (text.length > room ? `${text.slice(0, room - 1)}\u2026` : text);
       const names = options.rows && options.rows.map((text, k) => ({ value: options.rows.length - 1 - k, text: cut(text) }));
       this.left = (names ? longest(names) : longest(ticks(...this.y, count))) * TEXT + (options.y ? 30 : 10);

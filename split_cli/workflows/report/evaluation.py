@@ -118,7 +118,7 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
     lines = "".join(f"<p>{escape(line)}.</p>" for line in report.verdicts)
     valid = sum(drive.tested_valid for drive in report.drives)
     tested = sum(drive.tested for drive in report.drives)
-    trust = " / ".join(f"{100 * v:.0f}" for v in run.sets[0].trust.share) + " %"
+    trust = " / ".join(f"{100 * v:.0f}" for v in run.sets[0].trust.share) + "\u00a0%"
     facts = [
         ("Test samples", f"{tested:,}", f"{percent(valid / max(tested, 1))} of them in the valid region"),
         ("Points", f"{run.sets[0].size:,}", f"in {run.sets[0].cell_count} cells"),
@@ -151,7 +151,7 @@ def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) 
         if series:
             note = "Below 1 the correction helps; bars are 95 % intervals over blocks of time."
             charts.append(Chart(f"ratio-{symbol.replace('_', '')}", f"{title} {symbol}",
-                                "error over the vehicle file's error", "", tuple(series), note,
+                                "error over that of the file", "", tuple(series), note,
                                 rows=tuple(when)))  # fmt: skip
     return charts
 

@@ -1,0 +1,50 @@
+"""How many digits of a number a table shows: those that its standard error supports."""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["Told", "known_to", "pair_known", "plausible", "three_digits"]
+
+
+def plausible(value: float) -> str:
+    """Return a number to four digits at most, without a power of ten where it can be read: ``12300``, ``0.0123``.
+
+    More digits than the fourth are never known of what is measured here.
+    """
+    text = f"{value:.4g}"
+    return f"{value:.0f}" if "e+" in text and abs(value) < 1e9 else text
+
+
+class Told(float):
+    """A number for a table that is printed with the digits known of it."""
+
+    text: str
+
+
+def known_to(value: float, error: float) -> Told:
+    """Return a number printed to the digits that its standard error supports.
+
+    The last digit stands where the error's second one does if the error begins with 1 or 2, else where its first
+    does. An error of zero, or one that is not finite, leaves the digits of `plausible`.
+    """
+    told = Told(value)
+    told.text = plausible(value)
+    if math.isfinite(error) and error > 0.0 and math.isfinite(value):
+        place = math.floor(math.log10(error))
+        place -= f"{error:.1e}"[0] in "12"
+        rounded = round(value, -place) + 0.0  # no minus before a zero
+        told.text = f"{rounded:.{max(-place, 0)}f}"
+    return told
+
+
+def pair_known(value: float, error: float) -> tuple[Told, Told]:
+    """Return a number and its standard error, both printed to the digits that the error supports."""
+    return known_to(value, error), known_to(error, error)
+
+
+def three_digits(value: float) -> Told:
+    """Return an rms error printed to three digits: two models are told apart to about one per cent of it."""
+    told = Told(value)
+    told.text = plausible(float(f"{value:.3g}"))
+    return told
