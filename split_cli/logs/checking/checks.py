@@ -27,8 +27,6 @@ _GRAVITY = 9.80665
 _GRIP_MARGIN = 1.1
 """Over the sum of both D: banking of 5 degrees or a cresting road gives as much [1]."""
 _GRIP_SECONDS = 1.0
-_LEAST_FOR_SIGN = 0.3
-"""Correlation from which the sign of a relation is told, where it is four standard errors off zero as well."""
 _SIGN_ONLY = 5.0
 """Tolerance of a relation whose size says nothing."""
 NO_CAR_EXCEEDS = {
@@ -344,22 +342,9 @@ class Checks:
             sideslip = np.where(k.moving, k.signal("vy") / k.signal("vx"), np.nan)
         told = len(self.unjudged)
         self.relate(ACROSS, sideslip, path, {"vy": 1, "vx": -1}, 0.3)
-        if len(self.relations) == count:
-            self._relate_signs(ACROSS, sideslip, path, {"vy": 1, "vx": -1})
         del self.unjudged[told:]
         self.relations[count:] = [replace(relation, of_the_world=True) for relation in self.relations[count:]]
         return len(self.relations) > count
-
-    def _relate_signs(self, name: str, y: np.ndarray, x: np.ndarray, powers: dict[str, int]) -> None:
-        """Relate only the signs of two signals that noise keeps from being compared in size."""
-        slope = fit_slope(y, x, self.k.moving)
-        use = self.k.moving & np.isfinite(y) & np.isfinite(x)
-        if slope is None:
-            return
-        a, b = y[use], x[use]
-        values, errors = block_interval(lambda rows: np.array([np.corrcoef(a[rows], b[rows])[0, 1]]), len(a))
-        if abs(values[0]) > max(_LEAST_FOR_SIGN, 4.0 * errors[0]):
-            self.relations.append(Relation(name, powers, slope, _SIGN_ONLY))
 
     def _sideslip_sign(self) -> None:
         """Relate the sign of v_y to that of r: p and q of the steady sideslip are both positive."""
