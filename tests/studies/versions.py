@@ -22,7 +22,7 @@ TESTS = (
     "tests/export/test_export_c99.py",
 )  # fmt: skip
 """Of every layer that a dependency carries: tables, messages, compiled learning and prediction, export."""
-NEEDED = ("pytest>=8", "hypothesis>=6.90", "pandas>=2.1")
+NEEDED = ("pytest>=8", "pytest-xdist>=3.5", "hypothesis>=6.90", "pandas>=2.1")
 
 
 def constraints(which: str) -> list[str]:
@@ -57,7 +57,7 @@ def main() -> int:
             [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *given.tests],
             cwd=ROOT, capture_output=True, text=True, check=False,
         )  # fmt: skip
-        lines = done.stdout.strip().splitlines()
+        lines = (done.stdout.strip() or done.stderr.strip()).splitlines()
         print("\n".join(lines[-1:] if done.returncode == 0 else lines[-40:]))
         return done.returncode
 
