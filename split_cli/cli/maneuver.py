@@ -15,7 +15,7 @@ from split_cli.cli.options import (
     vehicle_option,
 )
 from split_cli.cli.voice import StepBar
-from split_cli.control.policy import RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL
+from split_cli.control.policy import P_LONG, SHARE_LEARNED, SHARE_NOMINAL
 
 __all__ = ["command"]
 
@@ -46,7 +46,7 @@ __all__ = ["command"]
 )
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force that the "
               f"controller may use  [default: {SHARE_NOMINAL}, with a set {SHARE_LEARNED}].")  # fmt: skip
-@click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, help="Weight of the longitudinal "
+@click.option("--p-long", type=float, default=P_LONG, show_default=True, help="Weight of the longitudinal "
               "force in the friction ellipse.")  # fmt: skip
 @click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "
               "load transfer, a torque limit and, with a set, the tyre peaks that its labels show.")  # fmt: skip

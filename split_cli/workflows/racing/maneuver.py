@@ -14,7 +14,7 @@ from split_cli.control.limits import Limits
 from split_cli.control.model import ControlModel
 from split_cli.control.mpc import Mpc, MpcSettings, SpeedController
 from split_cli.control.path import contour_and_lag
-from split_cli.control.policy import RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL
+from split_cli.control.policy import P_LONG, SHARE_LEARNED, SHARE_NOMINAL
 from split_cli.control.receding import Actuators, ControllerLost
 from split_cli.control.residual import NoResidual, PredictorResidual, Residual
 from split_cli.control.scenarios import Scenario, build_scenario, cones_hit
@@ -61,7 +61,7 @@ class ManeuverSettings:
     max_torque : float or None
         [N m]
     p_long : float
-        Of the controller's limits [1].
+        Of the controller's limits [1]; below that of races, since a whole manoeuvre brakes while it turns.
     p_ellipse : float or None
         Share of the peak [1]; by default what races use with the nominal model, or with what was learned.
     guarded : bool
@@ -79,7 +79,7 @@ class ManeuverSettings:
     delay: bool = True
     width: float | None = None
     max_torque: float | None = None
-    p_long: float = RACE_P_LONG
+    p_long: float = P_LONG
     p_ellipse: float | None = None
     guarded: bool = True
 
