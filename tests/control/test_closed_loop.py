@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -140,6 +141,17 @@ def test_what_cannot_be_driven_is_refused_before_the_first_step(options, says):
 def test_manoeuvres_that_cannot_be_driven_are_refused(options, says):
     with pytest.raises(SplitError, match=says):
         run_maneuvers(ManeuverSettings(**options), CAR)
+
+
+def test_on_half_the_grip_a_set_passes_where_the_file_of_a_dry_road_does_not(tmp_path):
+    trained = tmp_path / "wet.split"
+    wet = ManeuverSettings(grip=0.5, seed=3)
+    run_maneuvers(replace(wet, speeds=(12.0,)), CAR, set_output=trained)
+    fast = replace(wet, speeds=(15.0,))
+    (nominal,) = run_maneuvers(fast, CAR).runs
+    (learned,) = run_maneuvers(replace(fast, start_set=trained), CAR).runs
+    assert nominal.hit > 2 and nominal.deviation > 0.5
+    assert learned.passed and learned.deviation < 0.25
 
 
 def test_a_start_that_is_not_on_the_track_is_refused(tmp_path):
