@@ -70,9 +70,9 @@ def tables(results: dict[str, dict]) -> dict[str, str]:
         groups.setdefault(result["group"], []).append(result)
     made = {f"laps-{name}": _lap_table(group) for name, group in groups.items() if "laps" in group[0]["result"]}
     made |= {
-        f"gain-{name}": _gain_table(group, groups["small"])
+        f"gain-{name}": _gain_table(group, groups.get("small", []))
         for name, group in groups.items()
-        if "laps" in group[0]["result"] and "small" in groups
+        if "laps" in group[0]["result"]
     }
     made |= {
         f"errors-{name}": _error_table(group) for name, group in groups.items() if "laps" in group[0]["result"]
