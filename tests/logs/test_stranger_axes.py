@@ -129,6 +129,15 @@ def test_where_nothing_tells_left_from_right_the_draft_says_so(planted, tmp_path
     assert "CHECK left and right" in render_draft(draft, "log.csv")
 
 
+def test_columns_called_e_and_n_tell_left_from_right_whatever_their_unit(planted, tmp_path):
+    def write(t, c):
+        return {"t": t, "speed_mps": c["vx"], "yaw_rate": c["r"], "pos_e_ft": c["X"] / 0.3048,
+                "pos_n_ft": c["Y"] / 0.3048}  # fmt: skip
+
+    draft = drafted(Style(write), planted, tmp_path)
+    assert draft.left == "east and north" and draft.of("X").unit == "ft"
+
+
 def test_a_course_by_name_is_yaw_only_where_the_sideslip_is_seen(planted, tmp_path):
     def write(with_vy, t, c):
         course = np.mod(bearing(c) - np.arctan2(c["vy"], c["vx"]) * DEG, 360.0)

@@ -23,9 +23,9 @@ def path_is_certain(chosen: Mapping[str, Suggestion]) -> bool:
         return False
     if chosen["X"].convert == "local_x" and chosen["Y"].convert == "local_y":
         return True
+    letters = {"e": "east", "n": "north", "pe": "east", "pn": "north"}
     words = [tokens_of(chosen[c].sources[0]) for c in "XY"]
-    named = [concepts_of(w)[0] | {{"e": "east", "n": "north", "pe": "east", "pn": "north"}.get(w[-1], "")}
-             if w else set() for w in words]  # fmt: skip
+    named = [concepts_of(w)[0] | {letters[one] for one in w if one in letters} for w in words]
     return "east" in named[0] and "north" in named[1]
 
 
