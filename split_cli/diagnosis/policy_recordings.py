@@ -114,7 +114,11 @@ class Believing:
         0.7, "1", "share of the tyres' peak up to which rows that moved the same are compared", CHOSEN
     )
     huber: float = number(
-        4.0, "spreads", "whitened residual from which on a row loses weight", JUDGEMENT + "far outside the normal"
+        4.0,
+        "spreads",
+        "whitened residual from which on a row loses weight; how far an accelerometer's samples jump in a window, "
+        "over what is usual, from which on it is no witness",
+        JUDGEMENT + "far outside the normal",
     )
 
 

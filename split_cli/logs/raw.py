@@ -217,8 +217,12 @@ def time_column(infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
 
 
 def counts_rows(name: str) -> bool:
-    """Tell whether a column is called a counter (``time_step``, ``frame``), whose steps are no seconds."""
-    return bool(re.search(r"(?<![a-z])(steps?|frame|index|idx|count|counter|number)(?![a-z])", name.lower()))
+    """Tell whether a column is called a counter (``time_step``, ``frame``), whose steps are no seconds.
+
+    A ``frame_time`` is a time: what the last word says counts.
+    """
+    counter = r"(?<![a-z])((time)?steps?|frame|index|idx|count|counter|number)(?![a-z])(?!.*(time|stamp))"
+    return bool(re.search(counter, name.lower()))
 
 
 def unit_of_time(values: np.ndarray) -> str:

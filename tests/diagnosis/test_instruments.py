@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -128,6 +129,11 @@ def test_an_accelerometer_without_some_of_its_numbers_witnesses_the_rest():
     assert set(rest["a_y"].begin) <= set(whole["a_y"].begin)
     ours, theirs = rest["a_y"].left(()), whole["a_y"].left(())[known]
     np.testing.assert_allclose(ours, theirs, atol=1e-9)
+    # Of holes so near each other that no window is whole nothing is witnessed, and nothing is warned of.
+    torn = {**drive.columns, "ay": np.where(np.arange(len(drive)) % 20 == 0, np.nan, drive["ay"])}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "a_y" not in {one.kind for one in build_witnesses(prepared(replace(drive, columns=torn)))}
 
 
 def test_what_was_derived_from_position_is_late_against_nothing():

@@ -233,8 +233,11 @@ def test_any_name_survives_the_map(name):
 
 
 def test_a_counter_of_rows_is_no_clock_and_a_clock_tells_its_unit():
-    infos = [RawSignal(name, None, np.zeros(3)) for name in ("time_step", "frame", "vx")]
+    infos = [RawSignal(name, None, np.zeros(3)) for name in ("time_step", "time step", "frame", "vx")]
     channels = TableRecording("log", None, {s.name: s for s in infos}).channels()
     assert time_column(channels) is None
+    for name in ("frame_time", "step_timestamp_ns"):
+        one = TableRecording("log", None, {name: RawSignal(name, None, np.zeros(3))}).channels()
+        assert time_column(one).name == name
     for unit, size in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         assert unit_of_time(1.7e9 * size + np.arange(500) * 0.01 * size) == unit

@@ -180,6 +180,8 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None, rul
     unknown = np.cumsum(~np.isfinite(series.drive[_CHANNELS[kind]]))
     last = np.minimum(begin + size + 2 * edge, len(unknown) - 1)
     begin = begin[unknown[last] == unknown[np.maximum(begin - 2 * edge, 0)]]
+    if not len(begin):
+        return None
     felt = series.accelerations(())[_CHANNELS[kind]]
     begin = begin[_resolved(felt, begin - edge, begin + size + edge, series.period, rules.huber)]
     if len(begin) < _LEAST_WINDOWS:

@@ -194,7 +194,7 @@ class Race:
             self._take_grip(self.controller.grip)
 
     def _take_grip(self, grip: np.ndarray) -> None:
-        """Give the peaks to the slip limits, and to the residual for where it knows nothing."""
+        """Give the peaks to the slip limits, and to the residual as its prior mean."""
         self.controller.grip = grip
         told = self.mpcc.limits.guarded and tells_peaks(self.vehicle, self.header.features)
         self.learner.residual.rest_on(PeakShift(self.vehicle, self.header.features, grip) if told else None)
