@@ -85,8 +85,8 @@ def test_the_command_prints_json_that_agrees_with_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("settings", "output", "words"),
     [
-        (SimulateSettings(), "a.mcap", "one is needed"),
-        (replace(QUICK, maneuver="step_steer"), "a.mcap", "one is needed"),
+        (SimulateSettings(), "a.mcap", "exactly one course"),
+        (replace(QUICK, maneuver="step_steer"), "a.mcap", "exactly one course"),
         (replace(QUICK, car="f1tent_car"), "a.mcap", "f1tenth_car"),
         (replace(QUICK, track="f10th"), "a.mcap", "f1tenth"),
         (replace(QUICK, track=None, maneuver="step_stear"), "a.mcap", "step_steer"),

@@ -119,7 +119,7 @@ def test_stretches_that_are_excluded_are_those_of_the_drive(folder, tmp_path):
         (TrainSettings(hyperparameters="default", trust="full", plain=True), "car.yaml", "plain labels: False"),
         (TrainSettings(hyperparameters="default", trust="full", stride=3), "car.yaml", "its stride"),
         (TrainSettings(hyperparameters="default", trust="full", held=("T",)), "car.yaml", "--held"),
-        (TrainSettings(hyperparameters="default"), "car.yaml", "trust is found by predicting recordings"),
+        (TrainSettings(hyperparameters="default"), "car.yaml", "trust is estimated by predicting recordings"),
     ],
 )
 def test_labels_for_another_training_are_refused(folder, tmp_path, settings, car, said):
