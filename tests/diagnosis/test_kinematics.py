@@ -72,7 +72,7 @@ def test_a_straight_line_by_hand(nominal_drive):
     right = (CATALOGUE["sensor_misalignment"]({"angle": 0.01}),)
     np.testing.assert_allclose(kinematics.left(right), 0.0, atol=1e-9)
     np.testing.assert_allclose(
-        kinematics.causes(), np.tile([0.0, 10.0 * np.cos(0.01)], (len(kinematics.begin), 1))
+        kinematics.causes, np.tile([0.0, 10.0 * np.cos(0.01)], (len(kinematics.begin), 1))
     )
 
 

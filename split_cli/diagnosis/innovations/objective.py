@@ -22,6 +22,8 @@ from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.vehicle.effects import Term
 
 _LEAST_INFORMED = 2e-3
+#: States of the sensors of which a witness's rows are kept while a fit moves other parameters.
+_REMEMBERED = 64
 
 __all__ = ["DiscrepancyPosterior", "MarginalLikelihood", "build_objective", "learn_discrepancy"]
 
@@ -84,6 +86,10 @@ def _long_run_variance(rows: np.ndarray) -> np.ndarray:
     lags = max(min(LAG_ROWS, len(rows) // 4) - 1, 0)
     shared = bartlett_sum(autocovariances(rows, lags), LAG_ROWS)
     return np.mean(rows**2, axis=0) + np.maximum(shared, 0.0)
+
+
+def _values(terms: Sequence[Term]) -> tuple:
+    return tuple((term.id, term.variant, *sorted(term.parameters.items())) for term in terms)
 
 
 def alters_inputs(term: Term) -> bool:
@@ -184,12 +190,16 @@ class MarginalLikelihood:
         return rows
 
     def _kinematic_rows(self, one: KinematicResiduals, terms: Sequence[Term]) -> np.ndarray:
-        if any(not term.exported or term.is_felt for term in terms):
-            return one.rows(terms)
-        key = ("kinematics", id(one))
-        if key not in self.memo:
-            self.memo[key] = one.rows(())
-        return self.memo[key]
+        """Return the rows of a witness, shape (W,); only terms that it feels can change them."""
+        felt = [term for term in terms if not term.exported or term.is_felt]
+        known = self.memo.setdefault(("kinematics", id(one)), {})
+        key = _values(felt)
+        rows = known.get(key)
+        if rows is None:
+            if len(known) >= _REMEMBERED:
+                known.clear()
+            known[key] = rows = one.rows(felt)
+        return rows
 
     def places(self) -> np.ndarray:
         """Return how far along the track each entry lies [m], shape (R,)."""
@@ -224,7 +234,7 @@ class MarginalLikelihood:
         altering = [term for term in terms if alters_inputs(term)]
         if self.posterior is None or not altering:
             return np.zeros(len(self.weight))
-        key = tuple((term.id, term.variant, *sorted(term.parameters.items())) for term in altering)
+        key = _values(altering)
         if key not in self.memo:
             self.memo[key] = self._discrepancy_rows(altering) - self.offset
         return self.memo[key]

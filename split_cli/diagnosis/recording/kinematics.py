@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,7 @@ class KinematicResiduals:
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what the velocities, sensors corrected, leave of the displacements, in spreads, shape (W,)."""
-        return (self.left(terms) - self.causes() @ self.habit) / self.scale
+        return (self.left(terms) - self.causes @ self.habit) / self.scale
 
     def left(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what the velocities leave of the displacements [m], shape (W,)."""
@@ -79,6 +80,7 @@ class KinematicResiduals:
         _, velocity = self.series.corrected(terms)
         return self._integral(velocity[:, 2], still=True), self.angle[self.end] - self.angle[self.begin]
 
+    @cached_property
     def causes(self) -> np.ndarray:
         """Return the yaw angle [rad] and the distance [m] of every window, shape (W, 2)."""
         _, velocity = self.series.corrected(())
@@ -125,7 +127,7 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
     plain = KinematicResiduals(
         series, begin, end, across, along, angle, 1.0, np.zeros(2) if habit is None else habit
     )
-    left, causes = plain.left(()), plain.causes()
+    left, causes = plain.left(()), plain.causes
     left = left - causes @ np.linalg.lstsq(causes, left, rcond=None)[0]
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-9
     return replace(plain, scale=scale)
@@ -158,6 +160,6 @@ def common_habit(several: Sequence[Any]) -> np.ndarray:
     """
     if not sum(len(one.begin) for one in several):
         return np.zeros(len(several[0].habit) if several else 2)
-    causes = np.concatenate([one.causes() / one.scale for one in several])
+    causes = np.concatenate([one.causes / one.scale for one in several])
     left = np.concatenate([one.left(()) / one.scale for one in several])
     return np.linalg.lstsq(causes, left, rcond=None)[0]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -64,13 +65,14 @@ class Witness:
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what the velocities, sensors corrected, leave of the instrument, in spreads, shape (W,)."""
-        return (self.left(terms) - self.causes() @ self.habit) / self.scale
+        return (self.left(terms) - self.causes @ self.habit) / self.scale
 
     def left(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what the instrument says beyond what the velocities make of it, shape (W,)."""
         said, made, _ = self._compared(terms)
         return said - made
 
+    @cached_property
     def causes(self) -> np.ndarray:
         """Return what a scale, a bias and a delay of the instrument would leave, shape (W, 3)."""
         _, made, rate = self._compared(())
@@ -117,7 +119,7 @@ def build_witnesses(
         one = _witness(kind, series, position, rules)
         if one is None:
             continue
-        left, causes = one.left(()), one.causes()
+        left, causes = one.left(()), one.causes
         own = left - causes @ _least_squares(causes, left)
         spread = 1.4826 * float(np.median(np.abs(own - np.median(own))))
         size = float(np.std(causes[:, 0]))
