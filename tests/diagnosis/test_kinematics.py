@@ -71,9 +71,7 @@ def test_a_straight_line_by_hand(nominal_drive):
     np.testing.assert_allclose(kinematics.left(()), 0.5 * 20.0 * np.sin(0.01), rtol=1e-9)
     right = (CATALOGUE["sensor_misalignment"]({"angle": 0.01}),)
     np.testing.assert_allclose(kinematics.left(right), 0.0, atol=1e-9)
-    np.testing.assert_allclose(
-        kinematics.causes, np.tile([0.0, 10.0 * np.cos(0.01)], (len(kinematics.begin), 1))
-    )
+    np.testing.assert_allclose(kinematics.causes, np.tile([0.0, 10.0 * np.cos(0.01)], (len(kinematics.begin), 1)))
 
 
 def test_what_the_car_lacks_moves_no_row_of_position_and_yaw(nominal_drive):

@@ -255,3 +255,26 @@ def test_costs_follow_the_shared_discrepancy_where_a_term_moves_it(gathered, dis
     # The shared discrepancy that stayed as the recording has it would be a different cost, not one by rounding.
     stayed = objective.whiten(objective.stack([gathered.rows(terms)]) - objective.offset)
     assert abs(float(np.sum(stayed**2)) / expected - 1.0) > 1e-3
+
+
+class WrittenWitness(SimpleNamespace):
+    """Rows that are the sum of the terms' parameters, and how often they were asked for."""
+
+    def rows(self, terms):
+        self.asked += 1
+        return np.full(4, sum(value for term in terms for value in term.parameters.values()))
+
+
+def test_a_witness_is_asked_once_for_each_state_of_the_sensors_it_feels():
+    witness = WrittenWitness(asked=0, begin=np.arange(4))
+    objective = replace(objective_of(written(0), posterior=None), kinematics=(witness,))
+    scale = CATALOGUE["speed_scale"]
+    for k in range(100):  # more states than are kept
+        value = {"scale": 1.0 + 0.01 * k}
+        sensor, mass = scale(value), CATALOGUE["mass"](value)
+        assert objective.witnessed([sensor, mass]) == pytest.approx(1.0 + 0.01 * k, rel=1e-12)
+        assert objective.witnessed([mass]) == 0.0
+    sensor, asked = scale({"scale": 0.5}), witness.asked
+    for k in range(5):
+        assert objective.witnessed([CATALOGUE["mass"]({"scale": 1.0 + 0.1 * k}), sensor]) == 0.5
+    assert witness.asked - asked <= 2
