@@ -106,7 +106,7 @@ def diagnose(
     case = gather_case(vehicle, series, policy)
     reach, kept = settings.reach, _rows(case)
     if kept < settings.least_rows and case.simulated:
-        reach = 2.0 * settings.reach
+        reach = settings.far_reach
         case = case.compared(reach, policy)
         kept = _rows(case)
     share = kept / max(sum(len(one.at) for one in case.real), 1)

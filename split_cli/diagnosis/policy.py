@@ -77,6 +77,21 @@ class ComparisonRules:
     )
 
     @property
+    def far_reach(self) -> float:
+        """Distance in scaled features that is taken where hardly any real row is nearer: twice `reach`."""
+        return 2.0 * self.reach
+
+    @property
+    def rows_of_half(self) -> float:
+        """Rows that a half of the simulation needs to be judged by the other."""
+        return self.least_rows / 2
+
+    @property
+    def rows_kept_out(self) -> float:
+        """Rows that have to be kept out for a share of the gap: a quarter of what a decision takes."""
+        return self.least_rows / 4
+
+    @property
     def deviations(self) -> float:
         """Standard errors of a normal deviate at the level, two-sided: that a saving needs, block by block."""
         return _two_sided(self.level)
@@ -224,6 +239,11 @@ class Abstention:
     )
     most_leads: int = number(2, "leads", "leads that are reported", JUDGEMENT + "a list of more helps nobody")
 
+    @property
+    def worth_following(self) -> float:
+        """Share that a term at a bound has to save for it to be followed beyond: half of a lead's."""
+        return 0.5 * self.greater_part
+
 
 @dataclass(frozen=True)
 class Allowances:
@@ -247,6 +267,11 @@ class Allowances:
         1e-4, "1", "share of the discrepancy's cost that a flexible fit may save without a difference", CHOSEN
     )
     term_floor: float = number(1e-5, "1", "the same for a single term", CHOSEN)
+
+    @property
+    def large(self) -> float:
+        """Effect-to-noise ratio of what no model-form error makes: twice that of an unnamed difference."""
+        return 2.0 * self.unnamed
 
 
 @dataclass(frozen=True)
@@ -308,6 +333,11 @@ class Reporting:
         0.02, "1", "share of the drive with slipping wheels from which on it is reported", CHOSEN
     )
     least_compared: float = number(0.7, "1", "compared share of the drive below which it is reported", CHOSEN)
+
+    @property
+    def concentrated(self) -> tuple[float, float]:
+        """`local_gap` and `local_ratio` of what lies in one place for the most part: twice as clear as local."""
+        return 2.0 * self.local_gap, 2.0 * self.local_ratio
 
 
 @dataclass(frozen=True)

@@ -98,6 +98,19 @@ BESIDE_THEIR_ALGORITHM = {
 TELLING = ("statement/", "verdict/", "together.py", "engine.py")
 
 
+def test_no_module_takes_a_multiple_of_a_number_of_the_policy():
+    """A factor beside a field is a number of its own: a derived size stands on the policy as a property."""
+    known, factors = {one.name for _, one, _ in deciding_numbers()}, []
+    for path in sorted(one for one in ROOT.rglob("*.py") if not one.name.startswith("policy")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div)):
+                continue
+            for factor, of in ((node.left, node.right), (node.right, node.left)):
+                if isinstance(factor, ast.Constant) and isinstance(of, ast.Attribute) and of.attr in known:
+                    factors += [f"{path.name}: {ast.unparse(node)}"] * (float(factor.value) != 1.0)
+    assert not factors
+
+
 def test_no_number_that_decides_stands_outside_the_policy():
     unknown = []
     for path in sorted(ROOT.rglob("*.py")):

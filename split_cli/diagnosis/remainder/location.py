@@ -247,8 +247,8 @@ def _local(found: tuple[float, float, float, float], rules: Reporting):
 
 def _concentrated(share: tuple[float, float], rules: Reporting) -> bool:
     """Return whether most of the gap lies in a small part of the samples."""
-    # Twice as clear as what is local.
-    return share[0] > 2.0 * rules.local_gap and share[0] > 2.0 * rules.local_ratio * share[1]
+    gap, ratio = rules.concentrated
+    return share[0] > gap and share[0] > ratio * share[1]
 
 
 def _place(evidence: Sequence[Evidence], s: np.ndarray, size: np.ndarray, rules: Reporting):

@@ -256,7 +256,7 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
         for one, mask in zip(graded, teaching, strict=True)
     ]
     rows = sum(int(mask.sum()) for mask in keep)
-    if rows < sides.policy.comparison.least_rows / 2:
+    if rows < sides.policy.comparison.rows_of_half:
         return None
     positions, windows = sides.windows(teaching)
     posterior = learn_discrepancy(taught, sides.variance_inflation, sides.policy.believing)

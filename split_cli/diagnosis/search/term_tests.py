@@ -87,10 +87,8 @@ def is_witnessed(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
     """Return whether a sensor's fault moves what a recording knows twice, which no model-form error does."""
     if not fit.parts[k].term.corrects:
         return False
-    return (
-        objective.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
-        > 2.0 * objective.policy.allowances.unnamed
-    )
+    moved = objective.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
+    return moved > objective.policy.allowances.large
 
 
 def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> float:

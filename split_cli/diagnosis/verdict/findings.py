@@ -149,7 +149,9 @@ def _is_unexplained(
     """Return whether what is left is structured and large, or wanders."""
     policy = outcome.structure.objective.policy
     least, selection = policy.allowances.unnamed, policy.selection
-    large = max(2.0 * least, min(selection.form_error_share * outcome.gap.effect_to_noise, selection.plain))
+    large = max(
+        policy.allowances.large, min(selection.form_error_share * outcome.gap.effect_to_noise, selection.plain)
+    )
     if (
         is_autocorrelated(autocorrelation, outcome.known.autocorrelation, policy)
         and autocorrelation.effect_to_noise > large

@@ -76,8 +76,7 @@ def hold_out(
     if not others:
         pairs = [(one, mask & held[one.at]) for one, mask, held in zip(real, keep, masks, strict=True)]
     pairs = [(one, mask) for one, mask in pairs if mask.any()]
-    # A quarter of the evidence that a decision takes.
-    if sum(int(mask.sum()) for _, mask in pairs) < policy.comparison.least_rows / 4:
+    if sum(int(mask.sum()) for _, mask in pairs) < policy.comparison.rows_kept_out:
         return HeldOut(training, None, masks)
     testing = objective_of([one for one, _ in pairs], [mask for _, mask in pairs])
     return HeldOut(training, testing, masks)

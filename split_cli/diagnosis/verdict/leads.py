@@ -38,7 +38,7 @@ def find_leads(objective: MarginalLikelihood, selection: Selection) -> tuple[Lea
             bounded.setdefault(part.candidate.term, fit)
     leads = []
     for fit in bounded.values():
-        if selection.base.cost - fit.cost < 0.5 * rules.greater_part * whole:
+        if selection.base.cost - fit.cost < rules.worth_following * whole:
             continue
         part = fit.parts[-1]
         free = fit_parts(objective, (Part(part.candidate.unlimited(), dict(part.values)),))
