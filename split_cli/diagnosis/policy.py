@@ -342,20 +342,7 @@ class Reporting:
 
 @dataclass(frozen=True)
 class Policy:
-    """All numbers that decide, by what they decide on.
-
-    Attributes
-    ----------
-    comparison : ComparisonRules
-    selection : SelectionRules
-    abstention : Abstention
-    allowances : Allowances
-    self_test : SelfTestRules
-    screening : Screening
-    believing : Believing
-    unnamed : Unnamed
-    reporting : Reporting
-    """
+    """All numbers that decide, by what they decide on."""
 
     comparison: ComparisonRules = ComparisonRules()
     selection: SelectionRules = SelectionRules()

@@ -14,7 +14,7 @@ from split_cli.vehicle.single_track import SingleTrack
 __all__ = ["SpeedLimits", "limits_over_speed", "write_ggv"]
 
 _ANGLES = 181  # slip angles at which a curve's largest force is looked for
-_FASTEST = 100.0
+_FASTEST, _STEP = 100.0, 1.0  # highest speed of the table, and between speeds [m/s]
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class SpeedLimits:
     machine: np.ndarray
 
 
-def limits_over_speed(vehicle: Vehicle, region: Region, step: float = 1.0) -> SpeedLimits:
+def limits_over_speed(vehicle: Vehicle, region: Region) -> SpeedLimits:
     """Return the limits from the minimum speed to where torque no longer beats the resistances, at most 100 m/s.
 
     Notes
@@ -48,7 +48,7 @@ def limits_over_speed(vehicle: Vehicle, region: Region, step: float = 1.0) -> Sp
     as the same along and across, over the mass. The residual is left out: it says nothing at the limit.
     """
     model = SingleTrack(vehicle)
-    speed = np.arange(region.minimum_speed, _FASTEST + step, step)
+    speed = np.arange(region.minimum_speed, _FASTEST + _STEP, _STEP)
     angle = np.linspace(-region.alpha_max, region.alpha_max, _ANGLES)
     v, alpha = (part.ravel() for part in np.meshgrid(speed, angle, indexing="ij"))
     zero = np.zeros_like(v)

@@ -124,10 +124,6 @@ def learn(
     batch : int, optional
         Samples offered at once; the set does not depend on it.
 
-    Returns
-    -------
-    TrainingSet
-
     Notes
     -----
     SPLIT paper, sparse incremental learning. For a sample in cell k, gamma_new = k(z, z) - k^T K_k^-1 k (the

@@ -124,10 +124,6 @@ def fit_kernel(
     maximum_blocks : int
         When there are more, so many are taken, evenly over the list of blocks.
 
-    Returns
-    -------
-    KernelFit
-
     Raises
     ------
     SetError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -104,7 +104,7 @@ class OnlineSet:
         taken = numbers[outcome > 0].tolist()
         return CellChange(tuple(dict.fromkeys(self._cells.position[number] for number in taken)), len(taken))
 
-    def end_drive(self, duration: float, sha256: str = "") -> TrainingSet:
+    def end_drive(self, duration: float) -> TrainingSet:
         """End the drive and return the set as it is now."""
         tally, self._open = self._open, None
         if tally is None:
@@ -115,7 +115,7 @@ class OnlineSet:
         self._sources.append(
             SetSource(
                 name=tally.name,
-                sha256=sha256,
+                sha256="",
                 samples=tally.samples,
                 accepted=tally.accepted,
                 rejected=dict(sorted(rejected.items(), key=lambda pair: order.index(pair[0]))),
@@ -133,11 +133,6 @@ class OnlineSet:
     def freeze(self) -> TrainingSet:
         """Return the set as it is now, with the drives that have ended as its sources."""
         return self._cells.freeze(tuple(self._sources))
-
-    def name_last_source(self, sha256: str) -> TrainingSet:
-        """Give the last drive the hash of its file, once it is written, and return the set."""
-        self._sources[-1] = replace(self._sources[-1], sha256=sha256)
-        return self.freeze()
 
 
 class _Tally:

@@ -155,10 +155,10 @@ class Grid:
         return centre
 
 
-def z2_grid(vehicle: Vehicle, region: Region, edges: tuple[float, float, float] = Z2_EDGES) -> Grid:
+def z2_grid(vehicle: Vehicle, region: Region) -> Grid:
     """Return the grid over [alpha_f, alpha_r, T/T_max], reaching -max_brake_torque/max_torque."""
     lower = (-region.alpha_max, -region.alpha_max, -vehicle.max_brake_torque / vehicle.max_torque)
-    return Grid(edges, lower, (region.alpha_max, region.alpha_max, 1.0))
+    return Grid(Z2_EDGES, lower, (region.alpha_max, region.alpha_max, 1.0))
 
 
 def build_grid(features: FeatureSet, vehicle: Vehicle, region: Region, z: np.ndarray | None = None) -> Grid:

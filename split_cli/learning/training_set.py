@@ -220,10 +220,6 @@ def read_set(path: str | Path) -> TrainingSet:
 class SetFile:
     """A trained set on disk, mapped into memory; one cell is read by reading one batch.
 
-    Parameters
-    ----------
-    path : path
-
     Attributes
     ----------
     header : TrainingSet

@@ -142,8 +142,8 @@ def commands_at(run: Trajectory, name: str, at: np.ndarray) -> np.ndarray:
     return values[held]
 
 
-def initial_state(car: CarParameters, speed: float, track: Track | None = None, s: float = 0.0) -> np.ndarray:
-    """Return the state, shape (24,), of a car rolling at `speed` [m/s] along a track or along X, wheels turning.
+def initial_state(car: CarParameters, speed: float, track: Track | None = None) -> np.ndarray:
+    """Return the state, shape (24,), of a car that rolls at `speed` [m/s] from a track's start or along X.
 
     On a bend the car starts with the yaw rate and steer angle of the bend, its tyres not yet loaded.
     """
@@ -151,11 +151,9 @@ def initial_state(car: CarParameters, speed: float, track: Track | None = None, 
     x[_compiled.VX] = speed
     x[_compiled.WHEEL : _compiled.WHEEL + 4] = speed / car.wheel_radius
     if track is not None:
-        i = int(round(s / track.spacing)) % len(track.x)
-        x[_compiled.X], x[_compiled.Y] = track.x[i], track.y[i]
-        x[_compiled.YAW] = track.direction[i] + track.turn * np.floor(s / track.length)
-        x[_compiled.R] = speed * track.curvature[i]
-        x[_compiled.STEER] = np.arctan(car.wheelbase * track.curvature[i])
+        x[_compiled.X], x[_compiled.Y], x[_compiled.YAW] = track.x[0], track.y[0], track.direction[0]
+        x[_compiled.R] = speed * track.curvature[0]
+        x[_compiled.STEER] = np.arctan(car.wheelbase * track.curvature[0])
     return x
 
 

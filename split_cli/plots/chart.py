@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,7 +9,7 @@ import numpy as np
 
 from split_cli.plots.palette import ROLES
 
-__all__ = ["Band", "Chart", "ChartLine", "chart_csv", "thinned"]
+__all__ = ["Band", "Chart", "ChartLine", "thinned"]
 
 MOST_POINTS = 2400
 
@@ -111,16 +109,3 @@ class Chart:
 def thinned(count: int, most: int = MOST_POINTS) -> slice:
     """Return the slice that leaves at most `most` of `count` samples, evenly."""
     return slice(0, count, max(1, -(-count // most)))
-
-
-def chart_csv(chart: Chart) -> str:
-    """Return the numbers of a chart as CSV: series, x, the other x, y, low, high."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(("series", chart.x, chart.other_x or "-", chart.y or "row", "low", "high"))
-    for one in chart.series:
-        nothing = [""] * len(one.x)
-        columns = [one.x, nothing if one.along is None else one.along, one.y]
-        columns += [nothing if values is None else values for values in (one.low, one.high)]
-        writer.writerows((one.name, *row) for row in zip(*columns, strict=True))
-    return out.getvalue()

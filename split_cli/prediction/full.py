@@ -19,10 +19,6 @@ _CHUNK = 512
 class FullPredictor(Predictor):
     """Exact Gaussian-process posterior, one Cholesky factor a distinct noise-to-signal ratio.
 
-    Parameters
-    ----------
-    training_set : TrainingSet
-
     Notes
     -----
     SPLIT paper, the Gaussian-process prediction. With the unit-variance kernel c, correlation matrix C and

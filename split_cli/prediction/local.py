@@ -19,11 +19,6 @@ DEFAULT_NEIGHBOURS = 80
 class LocalPredictor(Predictor):
     """Dense process on the `neighbours` points nearest to each query, distances in length scales.
 
-    Parameters
-    ----------
-    training_set : TrainingSet
-    neighbours : int
-
     Notes
     -----
     A query costs n^3/3 operations for every distinct noise ratio. Mean and variance jump where the set of

@@ -94,10 +94,6 @@ class OnlineProcess:
 class OnlineProjection:
     """The online process beside an `OnlineSet`, with labels taken beyond a prior mean that may move.
 
-    Parameters
-    ----------
-    online : OnlineSet
-
     Notes
     -----
     What was absorbed cannot be given another prior mean. Where that moves, the process begins again from the

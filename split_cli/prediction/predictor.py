@@ -37,10 +37,6 @@ class Predictor(ABC):
         How the command line calls it.
     needs_context : bool
         Whether `at` must be called before predicting; reports then say that the recorded future was used.
-
-    Parameters
-    ----------
-    training_set : TrainingSet
     """
 
     name: str

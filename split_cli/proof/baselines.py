@@ -23,6 +23,7 @@ __all__ = ["Regression", "build_regression", "greedy_bic", "stlsq"]
 _STLSQ_THRESHOLD = 0.1
 """A term whose error has a smaller rms than this, over the noise's, is cut off: below the hard tier."""
 _RIDGE = 1e-3
+_MOST_NAMES = 6
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def sequentially_thresholded(matrix: np.ndarray, target: np.ndarray, threshold: 
     return weights
 
 
-def greedy_bic(regression: Regression, most: int = 6) -> Statement:
+def greedy_bic(regression: Regression) -> Statement:
     """Name terms one after the other while the Bayesian information criterion, n ln(RSS/n) + k ln n, falls."""
     matrix, target = regression.library.matrix, regression.target
     owner = np.array(regression.library.terms)
@@ -142,7 +143,7 @@ def greedy_bic(regression: Regression, most: int = 6) -> Statement:
     inside = np.zeros(len(owner), dtype=bool)
     chosen: list[str] = []
     best = count * np.log(total / count)
-    while len(chosen) < most:
+    while len(chosen) < _MOST_NAMES:
         trials = []
         for name in sorted(set(owner) - set(chosen)):
             kept = inside | (owner == name)

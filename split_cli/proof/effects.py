@@ -39,8 +39,6 @@ class Concealed:
         Parameters that are given, not fitted: where a stretch lies, how long a wave is.
     variant : str
         Of the term, with which effective parameters are fitted.
-    bare_too : bool
-        Whether the effect can act in a bare car.
     """
 
     term: str
@@ -51,7 +49,6 @@ class Concealed:
     neutral: Callable[[ProofWorld], ProofWorld] = lambda world: world
     shape: Mapping[str, float] = field(default_factory=dict)
     variant: str = ""
-    bare_too: bool = True
 
 
 def _car(world: ProofWorld, **changes: float) -> ProofWorld:
@@ -286,7 +283,7 @@ def _yaw_moment_differential(rng, world):
     return Concealed(
         "yaw_moment_differential",
         lambda w, size: _car(w, differential_locking_rear=size),
-        unit, 300.0 * unit, neutral=lambda w: _car(w, differential_locking_rear=0.0), bare_too=False,
+        unit, 300.0 * unit, neutral=lambda w: _car(w, differential_locking_rear=0.0),
     )  # fmt: skip
 
 

@@ -31,15 +31,7 @@ _COLUMNS = ("t", "s", "yaw", "vx", "vy", "r", "T", "delta")
 
 @dataclass(frozen=True)
 class ShownCase:
-    """What a diagnosis gets to see.
-
-    Attributes
-    ----------
-    name : str
-    real : Path
-    sim : Path or None
-    vehicle : Path
-    """
+    """What a diagnosis gets to see."""
 
     name: str
     real: Path

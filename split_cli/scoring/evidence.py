@@ -75,7 +75,7 @@ class TrustEvidence:
         By how much the recorded state changes within the horizon, in the unit of `error`.
     block : ndarray of int, shape (N,)
     conditions : ndarray, shape (N, C)
-        What the car was doing: see `_CONDITIONS`.
+        What the car was doing: see `_conditions`.
     variance : ndarray, shape (N,), or None
         The process's latent variance; for one step.
     rivals : ndarray, shape (N, K), or None
@@ -132,11 +132,6 @@ class _HeldOut:
     learned: Predictor
     model: SingleTrack
     of_file: SingleTrack | None
-
-
-#: Conditions no state may be made worse in: features need not tell them, so a correction can be right on average
-#: and wrong in a part of the driving. Means over the interval predicted.
-_CONDITIONS = ("torque rate", "steer rate", "speed", "lateral acceleration", "torque", "time", "drive")
 
 
 def held_out_evidence(
@@ -211,7 +206,12 @@ def _widen(test: np.ndarray, drive: Drive) -> np.ndarray:
 
 
 def _conditions(drive: Drive, number: int, model: SingleTrack) -> np.ndarray:
-    """Return the conditions of every row, shape (rows, C); means over an interval are taken by the caller."""
+    """Return the conditions of every row, shape (rows, 7); means over an interval are taken by the caller.
+
+    No state may be made worse in any of them: rate of torque, rate of steer angle, speed, lateral acceleration,
+    torque, time, drive. Features need not tell them, so a correction can be right on average and wrong in a part
+    of the driving.
+    """
 
     def rate(name: str) -> np.ndarray:
         change: np.ndarray = np.abs(np.diff(drive[name], append=drive[name][-1])) / drive.period

@@ -11,7 +11,7 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
 from split_cli.scoring.evidence import FEWEST_BLOCKS, TrainingDrive, TrustEvidence, held_out_evidence
 
-__all__ = ["best_trust", "doubt_from", "estimate_trust", "judge_correction", "own_shares", "trust_from"]
+__all__ = ["best_trust", "doubt_from", "judge_correction", "own_shares"]
 
 #: One-sided level of 95 %: a gain within chance is not believed. Of Student's t with many blocks; with few blocks
 #: the quantile of their own degrees of freedom is taken.
@@ -29,13 +29,14 @@ _LEVELS_OF_INTERVALS = (0.5, 0.9, 0.95)
 _GRID = np.linspace(0.0, 1.0, 21)
 
 
-def estimate_trust(
+def judge_correction(
     drives: Sequence[TrainingDrive],
     empty: TrainingSet,
     predictor: str = "rbcm",
     say: Callable[[str], None] = lambda text: None,
-) -> Trust:
-    """Return the trust of each output, found on held-out blocks of the drives.
+    most: Sequence[float] = (1.0, 1.0, 1.0),
+) -> tuple[Trust, float]:
+    """Return the trust of each output, found on held-out blocks of the drives, and its gain (`best_trust`).
 
     Parameters
     ----------
@@ -45,26 +46,16 @@ def estimate_trust(
     predictor : str
     say : callable
         Told what is being done.
+    most : sequence of float, shape (3,)
+        Largest trust of each output.
 
     Returns
     -------
-    Trust
+    trust : Trust
         ``unjudged`` and 0 when the drives are too short for five blocks: what no held-out driving speaks for is
         not applied.
-    """
-    return judge_correction(drives, empty, predictor, say)[0]
-
-
-def judge_correction(
-    drives: Sequence[TrainingDrive],
-    empty: TrainingSet,
-    predictor: str = "rbcm",
-    say: Callable[[str], None] = lambda text: None,
-    most: Sequence[float] = (1.0, 1.0, 1.0),
-) -> tuple[Trust, float]:
-    """Return the trust of each output and its gain, as `best_trust` counts it.
-
-    Parameters as of `estimate_trust`; no output is trusted beyond `most`.
+    gain : float
+        Minus infinity then.
     """
     evidence, blocks = held_out_evidence(drives, empty, predictor, say)
     if blocks < FEWEST_BLOCKS:
@@ -72,11 +63,6 @@ def judge_correction(
     share, gain = best_trust(evidence, most)
     doubt = doubt_from(evidence, share, empty.kernel.noise_variance)
     return Trust(tuple(share.tolist()), "held-out", blocks, tuple(doubt.tolist())), gain
-
-
-def trust_from(evidence: Sequence[TrustEvidence]) -> np.ndarray:
-    """Return the trust of each output that the evidence supports, shape (3,): see `best_trust`."""
-    return best_trust(evidence)[0]
 
 
 def best_trust(

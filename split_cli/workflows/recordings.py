@@ -23,10 +23,6 @@ class RecordingCorrection:
     commands of before instead. Terms of place need the column ``s``: arc length along the first drive given, as
     in the diagnosis, unless a drive brings its own.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-
     Attributes
     ----------
     counts_places : bool

@@ -10,7 +10,7 @@ from split_cli.learning.hyperparameters import default_kernel, scatter_variance
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import z2_grid
 from split_cli.scoring.evidence import TrainingDrive, TrustEvidence
-from split_cli.scoring.trust import doubt_from, estimate_trust, own_shares, trust_from
+from split_cli.scoring.trust import best_trust, doubt_from, judge_correction, own_shares
 from tests.factories import MissingForce, make_drive, road_car
 
 BLOCKS, EACH = 20, 100
@@ -35,19 +35,19 @@ def evidence(truth, harm=0.0, seed=0, noise=1.0):
 
 def test_the_share_that_the_held_out_errors_ask_for_is_found():
     # The estimate of a share has the standard error 1/sqrt(2000) = 0.02, and the grid 0.05.
-    np.testing.assert_allclose(trust_from(evidence((1.0, 0.6, 0.3))), (1.0, 0.6, 0.3), atol=0.1)
+    np.testing.assert_allclose(best_trust(evidence((1.0, 0.6, 0.3)))[0], (1.0, 0.6, 0.3), atol=0.1)
 
 
 def test_gains_within_chance_are_not_believed():
     """Nothing to be learned, six times: each time a spurious share of 0.02 deviation either way is there."""
-    given = np.array([trust_from(evidence((0.0, 0.0, 0.0), seed=seed)) for seed in range(6)])
+    given = np.array([best_trust(evidence((0.0, 0.0, 0.0), seed=seed))[0] for seed in range(6)])
     # A one-sided level of 95 % lets 1 of 20 shares through, and then no further than the grid's first step.
     assert (given > 0.0).sum() <= 3 and given.max() <= 0.05
 
 
 def test_a_correction_that_harms_a_third_of_the_driving_is_refused_though_it_gains_on_the_whole():
-    assert trust_from(evidence((1.0, 1.0, 1.0)))[0] > 0.9
-    refused = trust_from(evidence((1.0, 1.0, 1.0), harm=0.8))
+    assert best_trust(evidence((1.0, 1.0, 1.0)))[0][0] > 0.9
+    refused, _ = best_trust(evidence((1.0, 1.0, 1.0), harm=0.8))
     assert refused[0] <= 0.2 and refused[1] > 0.9 and refused[2] > 0.9
 
 
@@ -73,7 +73,7 @@ def trust_of(drive):
     grid = z2_grid(car, labels.region)
     kernel = default_kernel(grid, labels.y[labels.accepted], scatter_variance(labels))
     empty = empty_set(car, Z2, labels.region, grid, kernel, horizon=labels.horizon)
-    return estimate_trust([TrainingDrive(drive, labels)], empty)
+    return judge_correction([TrainingDrive(drive, labels)], empty)[0]
 
 
 def test_on_a_drive_a_missing_force_is_trusted_and_noise_is_not():
@@ -102,7 +102,7 @@ def test_what_a_rival_explains_as_well_is_not_credited_to_the_correction():
     beside = TrustEvidence(0, 0.0, error, change, *rest, rival[:, None])
     # Alone the coefficient is 0.3 + 0.7/2 in the limit; the standard error of 0.3 is 0.2/sqrt(4000) = 0.003.
     np.testing.assert_allclose(own_shares([beside]), (0.3, 1.0, 1.0), atol=0.02)
-    assert trust_from([alone])[0] >= 0.6 and trust_from([beside])[0] <= 0.3 + 1e-9
+    assert best_trust([alone])[0][0] >= 0.6 and best_trust([beside])[0][0] <= 0.3 + 1e-9
 
 
 def test_drives_of_a_few_seconds_are_judged_on_shorter_blocks_and_shorter_ones_not_at_all():

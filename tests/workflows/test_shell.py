@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from split_cli.plots.chart import Band, Chart, ChartLine, chart_csv
+from split_cli.plots.chart import Band, Chart, ChartLine
 from split_cli.workflows.report.markup import bar, charts_block, plain_table
 from split_cli.workflows.report.shell import page
 from tests.browsers import headless
@@ -58,13 +58,6 @@ def test_the_policy_admits_this_script_and_this_style_and_nothing_else():
     assert not re.search(r"<[^>]*\s(style|on\w+)\s*=", markup)
     assert not re.search(r"""(src|href)=["']?(?!data:|#)[a-z]+:""", markup)
     assert "<img" not in markup and "\u202e" not in text
-
-
-def test_the_csv_of_a_chart_holds_its_numbers():
-    rows = list(csv.reader(chart_csv(charts()[0]).splitlines()))
-    assert rows[0] == ["series", "time [s]", "distance [m]", "vx [m/s]", "low", "high"]
-    assert len(rows) == 1 + 2 * len(T)
-    assert float(rows[11][1]) == pytest.approx(T[10]) and float(rows[11][3]) == pytest.approx(np.sin(T[10]))
 
 
 def test_a_table_marks_its_best_and_escapes_its_names():

@@ -68,14 +68,7 @@ class DiagnosisCase:
 
 
 def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STANDARD) -> DiagnosisCase:
-    """Whiten every recording and learn the shared discrepancy.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    series : sequence of Series
-    policy : Policy
-    """
+    """Whiten every recording and learn the shared discrepancy."""
     rules = policy.believing
     by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
     discrepancy = build_shared_discrepancy(vehicle, (by_role["sim"] or by_role["real"])[0])

@@ -15,9 +15,9 @@ __all__ = ["effect_to_noise", "effects_to_noise", "effects_to_noise_of", "rms_ov
 _HORIZON = 0.05
 
 
-def effect_to_noise(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> float:
+def effect_to_noise(series: Series, defect: np.ndarray) -> float:
     """Return the effect-to-noise ratio of defects in the channel where it is largest; see `effects_to_noise`."""
-    return float(effects_to_noise(series, defect, rows).max())
+    return float(effects_to_noise(series, defect).max())
 
 
 def effects_to_noise(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:

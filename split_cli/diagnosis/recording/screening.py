@@ -35,11 +35,6 @@ _MOVES_WITH = {"vx": ("vy", "r"), "vy": ("r",), "r": ("vy",), "delta": ("r",)}
 def cleaned(drive: Drive, rules: Screening = STANDARD.screening) -> tuple[Drive, tuple[str, ...]]:
     """Leave out of a drive what is no recording, and say so.
 
-    Parameters
-    ----------
-    drive : Drive
-    rules : Screening
-
     Returns
     -------
     Drive

@@ -69,12 +69,6 @@ def strongest_line(
 ) -> Line | None:
     """Return the most significant line that terms leave in the real recordings, and simulations do not show.
 
-    Parameters
-    ----------
-    objective : MarginalLikelihood
-    terms : sequence of Term
-    simulated : sequence of Evidence
-
     Notes
     -----
     Periodograms of whitened samples over their running median: a ratio above x ln 2 has probability exp(-x) in

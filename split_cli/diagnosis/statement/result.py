@@ -35,15 +35,7 @@ Verdict = Literal["match", "mismatch", "undecided"]
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """One parameter of a finding.
-
-    Attributes
-    ----------
-    value : float
-    std_error : float or None
-    unit : str
-    interval_95 : (float, float)
-    """
+    """One parameter of a finding."""
 
     value: float
     std_error: float | None

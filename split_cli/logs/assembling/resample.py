@@ -29,6 +29,7 @@ _HALF_WIDTH = 2.5
 the drive's rate; 0.5 % off at a tenth of it."""
 
 _CHUNK = 20000
+_FEWEST = 4  # samples that a stretch needs
 _LONGEST_LAG = 12
 _ENOUGH_ROWS = 20000
 
@@ -79,17 +80,15 @@ class Resampled:
     low_passed: bool
 
 
-def runs_of(time: np.ndarray, gap: float, fewest: int = 4) -> list[tuple[int, int]]:
-    """Return [start, end) of every stretch of at least `fewest` samples without a step longer than `gap` [s]."""
+def runs_of(time: np.ndarray, gap: float) -> list[tuple[int, int]]:
+    """Return [start, end) of every stretch of at least four samples without a step longer than `gap` [s]."""
     # A clock that ticks every 0.1 s exactly must not break on rounding.
     cuts = np.flatnonzero(np.diff(time) > gap * (1.0 + 1e-6)) + 1
     edges = [0, *cuts.tolist(), len(time)]
-    return [(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= fewest]
+    return [(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= _FEWEST]
 
 
-def make_grid(
-    spans: Sequence[Sequence[tuple[float, float]]], period: float, *, fewest: int = 4
-) -> tuple[SampleClock, int]:
+def make_grid(spans: Sequence[Sequence[tuple[float, float]]], period: float) -> tuple[SampleClock, int]:
     """Lay a uniform clock over the times that every required signal covers.
 
     Parameters
@@ -97,9 +96,7 @@ def make_grid(
     spans : sequence of sequences of (float, float)
         For each required signal the [start, end] times of its stretches without a gap [s].
     period : float
-        [s].
-    fewest : int
-        A segment with fewer rows is left out.
+        [s]. A segment with fewer than four rows is left out.
 
     Returns
     -------
@@ -119,7 +116,7 @@ def make_grid(
     for start, end in common:
         first = int(np.ceil((start - origin) / period - tolerance))
         last = int(np.floor((end - origin) / period + tolerance))
-        if last - first + 1 < fewest:
+        if last - first + 1 < _FEWEST:
             left_out += max(0, last - first + 1)
             continue
         segment.append(np.full(last - first + 1, len(segment), dtype=np.int32))

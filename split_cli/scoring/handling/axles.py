@@ -43,7 +43,7 @@ def forces_of_rates(vehicle: Vehicle, rates: np.ndarray) -> np.ndarray:
     return rates @ np.linalg.inv(vehicle.force_matrix()).T
 
 
-def axle_forces(drive: Drive, vehicle: Vehicle, labels: Labels | None = None) -> AxleForces:
+def axle_forces(drive: Drive, vehicle: Vehicle) -> AxleForces:
     """Return the forces that a drive shows at the axles of a vehicle.
 
     Notes
@@ -51,8 +51,7 @@ def axle_forces(drive: Drive, vehicle: Vehicle, labels: Labels | None = None) ->
     What is measured is the nominal model's force plus the label of that moment as a force (design: forces are
     computed from y, never from a damped average), so the cloud does not depend on the label interval.
     """
-    if labels is None:
-        labels = compute_labels(drive, vehicle, Z2)
+    labels = compute_labels(drive, vehicle, Z2)
     labels = labels.take(np.isfinite(labels.y).all(axis=1))
     model = SingleTrack(vehicle)
     flow = flow_along(model, drive)

@@ -54,15 +54,15 @@ def distance(drive: Drive) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum((drive["vx"] * drive.period * within)[:-1])])
 
 
-def measured_motion(drive: Drive, step: float = STEP) -> Drive:
-    """Return a drive thinned to `step` [s], with ``ax``, ``ay`` [m/s^2] and the distance driven ``s`` [m]."""
+def measured_motion(drive: Drive) -> Drive:
+    """Return a drive thinned to `STEP`, with ``ax``, ``ay`` [m/s^2] and the distance driven ``s`` [m]."""
     columns = dict(drive.columns)
     columns["ay"] = lateral_acceleration(drive)
     if "ax" not in drive:
         columns["ax"] = derivative(drive["vx"], drive) - drive["vy"] * drive["r"]
     columns["s"] = distance(drive)
     whole = replace(drive, columns=columns)
-    every = max(1, round(step / drive.period))
+    every = max(1, round(STEP / drive.period))
     if every == 1:
         return whole
     rows = np.concatenate([np.arange(run.start, run.stop, every) for run in drive.segments()])

@@ -112,12 +112,7 @@ def understeer_of(drive: Drive, vehicle: Vehicle) -> Understeer | None:
 
 
 class _Smooth:
-    """A Hann window of 0.4 s over each segment; NaN where it reaches over an end.
-
-    Parameters
-    ----------
-    drive : Drive
-    """
+    """A Hann window of 0.4 s over each segment; NaN where it reaches over an end."""
 
     def __init__(self, drive: Drive) -> None:
         half = max(1, round(0.5 * _WINDOW / drive.period))

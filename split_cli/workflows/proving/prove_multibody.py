@@ -47,10 +47,6 @@ def prove_multibody(
     seconds : float
         Length of the hard drive; another half as long on another track is held out [s].
 
-    Returns
-    -------
-    split_cli.diagnosis.statement.result.Diagnosis
-
     Raises
     ------
     SplitError

@@ -26,11 +26,6 @@ from split_cli.workflows.racing.experiments import PLAN
 
 __all__ = ["fill_page", "tables"]
 
-PAPER_LAPS = {
-    0: 60.12, 1: 58.36, 2: 57.80, 3: 57.56, 4: 57.20, 5: 56.68, 6: 56.08, 7: 56.24, 8: 55.84, 9: 56.04, 10: 55.72,
-}  # fmt: skip
-"""Lap times of the SPLIT paper's racing in the real car, its table of racing results [s]."""
-
 
 def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> list[str]:
     """Write tables between ``<!-- table: NAME -->`` and ``<!-- end -->``, figures beside the page; return figures.

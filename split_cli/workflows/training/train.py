@@ -190,10 +190,6 @@ def train_set(
     progress : callable, optional
         Told what is being done.
 
-    Returns
-    -------
-    TrainResult
-
     Raises
     ------
     SplitError
