@@ -202,7 +202,8 @@ def _span(ratios: Sequence[float]) -> str:
 
 
 def _where(comparisons: Sequence[Comparison]) -> str:
-    return ", ".join(c.when for c in comparisons)
+    """Name each horizon once, also where several predictors were compared."""
+    return ", ".join(dict.fromkeys(c.when for c in comparisons))
 
 
 def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:

@@ -190,3 +190,52 @@ def test_kilometres_an_hour_declared_as_metres_a_second_are_found_after_ingest(d
     recording = drive.recording(noise=NOISE, altered={"vx": lambda v: 3.6 * v})
     result = assemble_drive(recording, planted_map(), drive.vehicle, IngestSettings()).quality
     assert any("km/h" in finding.text and "slope 3.6" in finding.text for finding in result.consistency.findings)
+
+
+POSE = ("X", "Y", "yaw", "delta", "ay")
+
+
+def judged_from_pose(drive: PlantedDrive, **recording) -> Consistency:
+    """A recording of pose and inputs only, as motion capture gives it: velocities are derived."""
+    made = assemble_drive(
+        drive.recording(POSE, noise={"X": 1e-3, "Y": 1e-3, "yaw": 2e-4, "delta": 1e-4, "ay": 0.02}, **recording),
+        planted_map(POSE),
+        drive.vehicle,
+        IngestSettings(derive=("velocity-from-pose", "torque-from-acceleration")),
+    )
+    return made.quality.consistency
+
+
+def test_a_recording_of_pose_and_inputs_is_judged_by_its_derived_motion(drive):
+    result = judged_from_pose(drive)
+    assert result.findings == ()
+    assert {relation.name for relation in result.relations} >= {
+        "dyaw/dt against the turning of X, Y",
+        "delta against the steady steer angle",
+        "a_y against v_x r",
+    }
+
+
+@pytest.mark.parametrize(
+    ("channel", "words", "factor"),
+    [
+        ("delta", "delta is right-positive", -1.0),
+        ("delta", "delta is in deg", DEGREES),
+        ("ay", "ay is in g", 1.0 / 9.80665),
+        ("yaw", "yaw is clockwise positive", -1.0),
+    ],
+)
+def test_a_mistake_beside_a_pose_is_blamed_on_the_recorded_channel(drive, channel, words, factor):
+    found = judged_from_pose(drive, altered={channel: lambda values: values * factor}).findings
+    assert [f.channel for f in found] == [channel]
+    assert words in found[0].text
+
+
+def test_a_lateral_velocity_that_is_mostly_error_contradicts_the_path(drive):
+    """An error of 0.1 rad beside a sideslip of some 0.01 rad; a smaller one only hides the relation."""
+    t = np.arange(0.0, drive.seconds, 0.01)
+    wave = np.sin(2.0 * np.pi * t / 7.3)
+    found = judged(drive, altered={"vy": lambda v: v + 1.5 * wave}).findings
+    assert [(f.check, f.channel) for f in found] == [("contradiction", "vy")]
+    assert "does not follow the path" in found[0].text and "--derive velocity-from-pose" in found[0].text
+    assert judged(drive, altered={"vy": lambda v: v + 0.1 * wave}).findings == ()

@@ -182,3 +182,16 @@ def test_what_decides_in_foreign_recordings(datasets):
     bag = datasets / "ros2_db3_no_definitions" / "rosbag2_2023_05_01-19_05_16"
     assert draft_map(open_recording(bag)).undefined
     assert map_from_mapping({"channels": entries(dart)}).channel("vx") is not None
+
+
+def test_a_command_beside_a_pose_alone_is_compared_with_the_turning_of_the_path(planted, tmp_path):
+    """Right-positive, in -1..1 and without a yaw rate: the draft says so, and with which scale it is an angle."""
+    largest = np.max(np.abs(planted.at("delta", np.arange(0.0, 60.0, 0.02))))
+    style = Style("pose", (("time", "t", "s"), ("X", "X", "m"), ("Y", "Y", "m"), ("yaw", "yaw", "rad"),
+                           ("steering", "delta", "rad", -1.0 / largest)))  # fmt: skip
+    draft, _ = drafted(planted, style, tmp_path)
+    reason = next(s.reason for s in draft.suggestions if s.channel == "delta")
+    size = float(reason.split("WHEELBASE/")[1].split("`")[0])
+    assert "it is right-positive; `scale: -WHEELBASE" in reason
+    # Understeer of the planted car adds to L delta / curvature.
+    assert planted.vehicle.wheelbase < size * largest < 1.7 * planted.vehicle.wheelbase

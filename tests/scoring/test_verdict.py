@@ -44,6 +44,7 @@ def test_the_words_name_what_helps_what_harms_and_what_changes_nothing():
     told = warnings_of(found)
     assert [line.split()[1] for line in told] == ["r", "r"]
     assert "the nominal model" in told[0] and "holding the velocities" in told[1]
+    assert warnings_of([*found, *found])[0].count("after 0.5 s") == 1  # two predictors, one horizon
     assert verdict(compare("bcm", "z2", [errors((0.5, 0.5, 0.5), 4)])).startswith("verdict: the correction helps")
 
 

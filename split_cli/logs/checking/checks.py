@@ -23,12 +23,16 @@ _STRAIGHT_SECONDS = 3.0
 _STEER_TOLERANCE = 0.7
 """Of the logarithm of steer angle over the steady one: a factor of two, see `Checks._steer_angle`."""
 ACROSS = "v_y/v_x against the path across yaw"
+_LEAST_DIRECTION = 0.05
+"""Smaller errors of a direction are those of an ordinary pose [rad]; judgement."""
 _GRAVITY = 9.80665
 _GRIP_MARGIN = 1.1
 """Over the sum of both D: banking of 5 degrees or a cresting road gives as much [1]."""
 _GRIP_SECONDS = 1.0
 _SIGN_ONLY = 5.0
 """Tolerance of a relation whose size says nothing."""
+NOT_RECORDED = "derived: nothing"
+"""Kind of a required channel that a draft has to fill in and nothing recorded."""
 NO_CAR_EXCEEDS = {
     "vx": (130.0, "m/s"),
     "r": (15.0, "rad/s"),
@@ -62,12 +66,20 @@ class Checks:
         self.certain = certain
         self.k = Kinematics(columns, drive.period, drive.segments())
         self.derived = {channel for channel, kind in kinds.items() if kind.startswith("derived")}
+        self.absent = {channel for channel in self.derived if kinds[channel] == NOT_RECORDED}
+        self.pose_fits = True
         self.relations: list[Relation] = []
         self.unjudged: list[Unjudged] = []
         self._sideslip: tuple[np.ndarray, np.ndarray] | None = None
 
     def usable(self, *channels: str) -> bool:
+        """Whether all channels were recorded, so that each may carry a mistake."""
         return all(channel in self.k and channel not in self.derived for channel in channels)
+
+    def known(self, *channels: str) -> bool:
+        """Whether all channels were recorded, or derived from a pose that fits: others may be judged by them."""
+        unknown = self.absent if self.pose_fits else self.derived
+        return all(channel in self.k and channel not in unknown for channel in channels)
 
     def constant_channels(self) -> list[ConsistencyFinding]:
         found = []
@@ -112,7 +124,11 @@ class Checks:
         base: float,
         corrected: Callable[[float, float], float] | None = None,
     ) -> None:
-        """Measure y over x, whose ratio is the product of the channels' factors to the `powers`."""
+        """Measure y over x, whose ratio is the product of the channels' factors to the `powers`.
+
+        A derived channel carries no mistake of its own and drops out of `powers`.
+        """
+        powers = {channel: power for channel, power in powers.items() if channel not in self.derived}
         slope = fit_slope(y, x, self.k.moving)
         if slope is None:
             self.unjudged.append(Unjudged(name, "too few samples in motion, or nothing changes"))
@@ -141,13 +157,17 @@ class Checks:
             self.relate(
                 "v_x against the speed of X, Y", k.signal("vx"), k.ground_speed(), {"vx": 1, "X": -1}, 0.03
             )
-        if self.usable("vx"):
+        if self.usable("X", "Y", "yaw") and not self.usable("r"):
+            self.relate("dyaw/dt against the turning of X, Y", k.rate("yaw"), k.course_rate(), {"yaw": 1}, 0.15)
+            self.pose_fits = all(relation.holds for relation in self.relations if "yaw" in relation.powers)
+        if self.known("vx"):
             self._accelerations()
             self._wheel_speeds()
             self._torque()
-        if self.usable("vx", "r"):
+        if self.known("vx", "r"):
             self._steer_angle()
-        if self.usable("vx", "vy", "r") and not self._sideslip_of_path():
+        across = self.usable("vy") and self.known("vx", "r") and self._sideslip_of_path()
+        if self.usable("vx", "vy", "r") and not across:
             self._sideslip_sign()
         if self.usable("r") and not any("r" in relation.powers for relation in self.relations):
             self.unjudged.append(Unjudged("yaw rate", "no yaw, position or a_y that turns with it"))
@@ -157,13 +177,13 @@ class Checks:
         if self.usable("ax"):
             inertial = k.rate("vx") - self.carried()
             self.relate("a_x against dv_x/dt - v_y r", k.signal("ax"), inertial, {"ax": 1, "vx": -1}, 0.12)
-        if self.usable("ay", "r"):
+        if self.usable("ay") and self.known("r"):
             turning = k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
             self.relate("a_y against v_x r", k.signal("ay"), turning, {"ay": 1, "vx": -1, "r": -1}, 0.15)
 
     def carried(self) -> np.ndarray | float:
-        """Return v_y r, what turning takes from dv_x/dt [m/s^2]; 0 where v_y or r is not measured."""
-        if not self.usable("vy", "r"):
+        """Return v_y r, what turning takes from dv_x/dt [m/s^2]; 0 where v_y or r is not known."""
+        if not self.known("vy", "r"):
             return 0.0
         return self.k.of("vy r", lambda: self.k.columns["vy"] * self.k.columns["r"])
 
@@ -333,18 +353,46 @@ class Checks:
         """Relate v_y/v_x to the angle between the path of X, Y and yaw; False where that says nothing."""
         if not self.usable("X", "Y", "yaw"):
             return False
-        k, count = self.k, len(self.relations)
+        count = len(self.relations)
+        sideslip, path = self._sideslips()
+        told = len(self.unjudged)
+        self.relate(ACROSS, sideslip, path, {"vy": 1, "vx": -1}, 0.3)
+        del self.unjudged[told:]
+        self.relations[count:] = [replace(relation, of_the_world=True) for relation in self.relations[count:]]
+        return len(self.relations) > count
+
+    def _sideslips(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return v_y/v_x and the angle from yaw to the travel of X, Y, its mean taken off [rad]; NaN at rest."""
+        k = self.k
         across = np.arctan2(k.rate("Y"), k.rate("X")) - k.signal("yaw")
         moving = across[k.moving & np.isfinite(across)]
         centre = np.angle(np.mean(np.exp(1j * moving))) if len(moving) else 0.0
         path = np.angle(np.exp(1j * (across - centre)))
         with np.errstate(divide="ignore", invalid="ignore"):
             sideslip = np.where(k.moving, k.signal("vy") / k.signal("vx"), np.nan)
-        told = len(self.unjudged)
-        self.relate(ACROSS, sideslip, path, {"vy": 1, "vx": -1}, 0.3)
-        del self.unjudged[told:]
-        self.relations[count:] = [replace(relation, of_the_world=True) for relation in self.relations[count:]]
-        return len(self.relations) > count
+        return sideslip, np.where(k.moving, path, np.nan)
+
+    def velocity_across(self) -> list[ConsistencyFinding]:
+        """Look for a v_y that is mostly error: it varies much more than the path across yaw, and not with it.
+
+        What the variance of v_y/v_x exceeds that of the path by is error of v_y, whatever the noise of the pose.
+        """
+        if not self.usable("X", "Y", "yaw", "vy") or not self.known("vx"):
+            return []
+        sideslip, path = self._sideslips()
+        slope = fit_slope(sideslip, path, self.k.moving)
+        if slope is None or abs(slope.correlation) >= LEAST_CORRELATION:
+            return []
+        measured, true = (_spread_of(values) for values in (sideslip, path))
+        error = float(np.sqrt(max(measured**2 - true**2, 0.0)))
+        if error < _LEAST_DIRECTION or measured < 2.0 * true:
+            return []
+        text = (
+            f"v_y does not follow the path: v_y/v_x spreads by {measured:.2g} rad, the travel of X, Y across yaw "
+            f"by {true:.2g} rad, and the two correlate by {slope.correlation:.2f} only. At least {error:.2g} rad "
+            "of it is error. Map another v_y, or leave it out and pass `--derive velocity-from-pose`."
+        )
+        return [ConsistencyFinding("contradiction", "vy", text, measured, None)]
 
     def _sideslip_sign(self) -> None:
         """Relate the sign of v_y to that of r: p and q of the steady sideslip are both positive."""
@@ -384,7 +432,7 @@ class Checks:
 
     def direction_of_travel(self) -> list[ConsistencyFinding]:
         """Compare yaw with the direction in which X, Y moves."""
-        if not self.usable("X", "Y", "yaw", "vx"):
+        if not self.usable("X", "Y", "yaw") or not self.known("vx"):
             return []
         k = self.k
         course = np.arctan2(k.rate("Y"), k.rate("X"))
@@ -397,7 +445,7 @@ class Checks:
             return []
         centre = float(np.angle(np.mean(np.exp(1j * off))))
         spread = 1.4826 * float(np.median(np.abs(np.angle(np.exp(1j * (off - centre))))))
-        if abs(centre) < 0.05 or abs(centre) < 2.0 * spread:
+        if abs(centre) < _LEAST_DIRECTION or abs(centre) < 2.0 * spread:
             if spread > 0.3:
                 self.unjudged.append(
                     Unjudged("yaw against the travel of X, Y", f"they differ by {spread:.2f} rad at random")
@@ -436,6 +484,11 @@ def _scaled_parts(
         return float(np.copysign(np.sqrt(covariance[0, 0] / variance), covariance[0, 1:] @ weights))
 
     return ratio
+
+
+def _spread_of(values: np.ndarray) -> float:
+    values = values[np.isfinite(values)]
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 def _median_of(values: np.ndarray) -> tuple[float, float]:

@@ -101,7 +101,7 @@ def check_consistency(
             placed = Checks(as_it_is, drive, vehicle, kinds, certain).sideslip_place() and placed
         findings += [*finer.straight_line(), *placed, *finer.grip()]
     if not {"X", "Y", "yaw"} & wrong:
-        findings += finer.direction_of_travel()
+        findings += [*finer.direction_of_travel(), *finer.velocity_across()]
     # Along another axis, an acceleration tells nothing of a tilt or a bias.
     along = {finding.channel for finding in exchanged}
     findings = [f for f in findings if f in exchanged or f.channel not in along or f.check == "constant"]

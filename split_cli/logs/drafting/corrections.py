@@ -150,7 +150,7 @@ def as_others_turn(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[
 
 def with_status(s: Suggestion, verdict: Consistency) -> Suggestion:
     """Say what supports or contradicts a suggestion."""
-    faults = ("scale", "sign", "range", "constant", "swapped")
+    faults = ("scale", "sign", "range", "constant", "swapped", "contradiction")
     wrong = [f for f in verdict.findings if f.channel == s.channel and f.check in faults]
     if wrong:
         return replace(s, status="open", reason=wrong[0].text)

@@ -157,7 +157,8 @@ def _road_wheel(s: Any, columns: Mapping[str, np.ndarray], vehicle: Vehicle | No
     if reach is None:
         if is_clear and unit is not None and "steer" not in s.sources[0].lower():
             return replace(s, status="stated", reason="; a road-wheel angle by its name; not judged")
-        why = "does not follow the curvature of the path, or the car hardly turns" if "vx" in columns else "no v_x"
+        why = "does not follow the curvature of the path, or the car hardly turns"
+        why = why if "vx" in columns else "no speed to compare it with"
         return replace(s, status="open", reason=f"road wheel, steering wheel or command? Not judged: {why}")
     turned = {"scale": -1.0} if reach < 0 else {}
     hand = "; its sign is turned" if reach < 0 else ""
@@ -177,7 +178,7 @@ def _without_unit(
 ) -> Any:
     """Judge a steering signal without a unit: radians only where the wheelbase is that of a car of that speed."""
     if abs(largest - 1.0) < 0.02 or largest == 1.0:
-        why = f"reaches 1 and no more: a command in -1..1; give a `curve:` or `scale:` ({size:.3g} m/curvature)"
+        why = f"reaches 1 and no more: a command in -1..1. {_scale_of_command(size, bool(turned))}"
         return replace(s, status="open", reason=why)
     named = s.sources[0].lower()
     if "steer" not in named and 0.05 < size < _LONGEST_WHEELBASE:
@@ -199,5 +200,14 @@ def _without_unit(
     if not _is_full_size(columns) and re.search("ang|tire|tyre", named) and 0.05 < size < 1.8:
         reason = f"unit not stated, rad assumed: {size:.3g} m over curvature may be a small car's wheelbase{hand}"
         return replace(s, unit="rad", status="assumed", reason=reason, **turned)
-    why = f"unit not stated, {size:.3g} m of it over curvature: radians of which wheel, or a command without unit?"
+    why = f"unit not stated: radians of which wheel, or a command? {_scale_of_command(size, bool(turned))}"
     return replace(s, status="open", reason=why)
+
+
+def _scale_of_command(size: float, is_turned: bool) -> str:
+    """Say which scale makes a command the road wheels' angle, by its size over the path's curvature [m]."""
+    sign, hand = ("-", "it is right-positive; ") if is_turned else ("", "")
+    scale = f"`scale: {sign}WHEELBASE/{size:.3g}`"
+    return (
+        f"Compared with the path, {hand}{scale} with the wheelbase in m makes it an angle; understeer adds to it"
+    )

@@ -94,7 +94,8 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     suggestions = [_as_course(s, consistency) if s.channel == "yaw" else s for s in suggestions]
     in_doubt = {s.channel for s in suggestions if s.status == "open"}
     clear = {c: values for c, values in trial.columns(corrected).items() if c not in in_doubt}
-    steering = read_steering(corrected, clear, vehicle, Suggestion)
+    turning = {**trial.motion_of_pose(clear, ("vx", "r")), **clear}
+    steering = read_steering(corrected, turning, vehicle, Suggestion)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
     alone = {"T": read_torque, "sideslip": read_sideslip}
     suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]

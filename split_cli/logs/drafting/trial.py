@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.logs.assembling.transform import local_tangent_plane, signed, yaw_from_quaternion
-from split_cli.logs.checking.checks import NO_CAR_EXCEEDS
+from split_cli.logs.checking.checks import NO_CAR_EXCEEDS, NOT_RECORDED
 from split_cli.logs.checking.consistency import Consistency, check_consistency
+from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.hand import certain_of
 from split_cli.logs.drive import Drive
@@ -163,6 +164,24 @@ class Trial:
         made = {channel: self.column(s) for channel, s in chosen.items()}
         return {channel: values for channel, values in made.items() if values is not None}
 
+    def motion_of_pose(self, columns: Mapping[str, np.ndarray], channels: Sequence[str]) -> dict[str, np.ndarray]:
+        """Return v_x as the speed of X, Y and r as the turning of yaw, or of X, Y: what a pose tells of `channels`.
+
+        Only what `columns` lacks, on the grid, SI, shape (N,).
+        """
+        made: dict[str, np.ndarray] = {}
+        wanted = [channel for channel in channels if channel not in columns]
+        if len(self.grid) < 200 or not self.time_is_known:
+            return made
+        k = Kinematics(columns, 1.0 / self.rate, [slice(0, len(self.grid))])
+        if "vx" in wanted and {"X", "Y"} <= set(columns):
+            made["vx"] = np.hypot(*(np.gradient(columns[c], 1.0 / self.rate) for c in "XY"))
+        if "r" in wanted and "yaw" in columns:
+            made["r"] = k.rate("yaw")
+        elif "r" in wanted and {"X", "Y"} <= set(columns):
+            made["r"] = k.course_rate()
+        return made
+
     def judge(self, chosen: Mapping[str, Suggestion]) -> Consistency:
         """Return what the consistency checks say of a choice; channels without a suggestion are not judged."""
         columns = self.columns(chosen)
@@ -176,10 +195,8 @@ class Trial:
                     continue
                 values = values * radius
             used[channel] = values
-        kinds = {channel: "derived: nothing" for channel in REQUIRED_CHANNELS if channel not in used}
-        if "vx" not in used and {"X", "Y"} <= set(used) and len(self.grid) > 1:
-            # Where the car moves, the path tells too.
-            used["vx"] = np.hypot(*(np.gradient(used[c], 1.0 / self.rate) for c in "XY"))
+        kinds = {channel: NOT_RECORDED for channel in REQUIRED_CHANNELS if channel not in used}
+        used = {**self.motion_of_pose(used, ("vx",)), **used}
         if "vx" not in used or len(self.grid) < 200 or not self.time_is_known:
             return Consistency()
         nothing = {channel: np.zeros(len(self.grid)) for channel in kinds if channel not in used}
