@@ -165,7 +165,7 @@ class Trial:
         return {channel: values for channel, values in made.items() if values is not None}
 
     def motion_of_pose(self, columns: Mapping[str, np.ndarray], channels: Sequence[str]) -> dict[str, np.ndarray]:
-        """Return v_x as the speed of X, Y and r as the turning of yaw, or of X, Y: what a pose tells of `channels`.
+        """Return what a pose tells of `channels`: v_x as the speed of X, Y, r as the turning of yaw or of X, Y.
 
         Only what `columns` lacks, on the grid, SI, shape (N,).
         """
