@@ -10,6 +10,7 @@ import shutil
 import stat
 import sys
 import tempfile
+import weakref
 from collections.abc import Iterable, Iterator
 from io import BufferedReader
 from pathlib import Path
@@ -17,6 +18,7 @@ from pathlib import Path
 from split_cli.errors import SplitError
 
 __all__ = [
+    "ScratchFolder",
     "atomic_directory",
     "atomic_path",
     "atomic_write_bytes",
@@ -70,13 +72,19 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def atomic_directory(target: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_directory(target: str | os.PathLike[str], without: Iterable[str] = ()) -> Iterator[Path]:
     """Give a temporary folder beside `target` that takes the place of `target` when all went well.
 
     A reader, or whoever looks after a crash, finds all new files or all old ones. In a folder that exists, files
     of other names stay: they are linked into the new one before the two change places in one step of the system.
     Where that step does not exist (another system than Linux, a mount point, the folder one stands in), the files
     are moved one by one, each atomically.
+
+    Parameters
+    ----------
+    target : path-like
+    without : iterable of str
+        Files that an earlier run may have written, relative to `target`: those that this one does not write go.
 
     Raises
     ------
@@ -99,8 +107,9 @@ def atomic_directory(target: str | os.PathLike[str]) -> Iterator[Path]:
             place = path.relative_to(temporary)
             _refuse_what_is_no_file(target / place, str(Path(shown) / place))
         if target.exists():
-            if produced and not _swapped(temporary, target, produced):
-                _move_one_by_one(temporary, target, produced)
+            gone = {Path(name) for name in without} - {path.relative_to(temporary) for path in produced}
+            if produced and not _swapped(temporary, target, produced, gone):
+                _move_one_by_one(temporary, target, produced, gone)
         elif produced:
             os.chmod(temporary, 0o777 & ~_umask())
             os.replace(temporary, target)
@@ -119,12 +128,12 @@ _UNFINISHED = ".part"
 _AT_WORKING_FOLDER, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of renameat2(2)
 
 
-def _swapped(temporary: Path, target: Path, produced: list[Path]) -> bool:
+def _swapped(temporary: Path, target: Path, produced: list[Path], gone: set[Path]) -> bool:
     """Exchange two folders in one step; False, with nothing changed, where that cannot be done."""
     if _stands_in(target) or os.path.ismount(target) or not sys.platform.startswith("linux"):
         return False
     try:
-        _link_the_rest(target, temporary, {path.relative_to(temporary) for path in produced})
+        _link_the_rest(target, temporary, gone | {path.relative_to(temporary) for path in produced})
         shutil.copymode(target, temporary)
         exchange = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError):
@@ -141,8 +150,8 @@ def _stands_in(folder: Path) -> bool:
         return True
 
 
-def _link_the_rest(old: Path, new: Path, produced: set[Path]) -> None:
-    """Give the new folder all that the old one holds under other names; links and special files included."""
+def _link_the_rest(old: Path, new: Path, but: set[Path]) -> None:
+    """Give the new folder all that the old one holds but some files; links and special files included."""
     for folder, folders, files in os.walk(old):
         place = Path(folder).relative_to(old)
         for name in folders:
@@ -152,15 +161,50 @@ def _link_the_rest(old: Path, new: Path, produced: set[Path]) -> None:
                 (new / place / name).mkdir(exist_ok=True)
                 shutil.copymode(Path(folder) / name, new / place / name)
         for name in files:
-            if place / name not in produced:
+            if place / name not in but:
                 os.link(Path(folder) / name, new / place / name, follow_symlinks=False)
 
 
-def _move_one_by_one(temporary: Path, target: Path, produced: list[Path]) -> None:
+def _move_one_by_one(temporary: Path, target: Path, produced: list[Path], gone: set[Path]) -> None:
     for path in produced:
         destination = target / path.relative_to(temporary)
         destination.parent.mkdir(parents=True, exist_ok=True)
         os.replace(path, destination)
+    for name in gone:
+        (target / name).unlink(missing_ok=True)
+
+
+class ScratchFolder:
+    """A folder for what a run keeps outside memory and nobody else reads; it goes with this object.
+
+    What killed runs left is removed by the next one that makes such a folder in the same place.
+
+    Parameters
+    ----------
+    within : path-like, optional
+        Where to make it; by default in the system's folder for temporary files.
+
+    Attributes
+    ----------
+    path : Path
+    """
+
+    def __init__(self, within: str | os.PathLike[str] | None = None) -> None:
+        name = Path(within or tempfile.gettempdir()) / "split-scratch"
+        _sweep(name)
+        self.path, claim = _claimed_folder(name)
+        self._remove = weakref.finalize(self, _remove_claimed, self.path, claim)
+
+    def __enter__(self) -> Path:
+        return self.path
+
+    def __exit__(self, *raised: object) -> None:
+        self._remove()
+
+
+def _remove_claimed(folder: Path, claim: int) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    os.close(claim)
 
 
 @contextlib.contextmanager

@@ -181,11 +181,9 @@ def command(drives, vehicle_path, set_path, output, as_json, select, **settings)
     run = evaluate_files(drives, vehicle_path, asked, set_path, say=progress)
     progress.close()
     if output is not None:
-        from split_cli.plots.evaluation import write_figures
-        from split_cli.workflows.recording_report import write_evaluation_report
+        from split_cli.workflows.recording_report import write_evaluation
 
-        drawn = write_figures(run, output)
-        write_evaluation_report(run, output / "report.html")
+        drawn = write_evaluation(run, output)
         click.echo(f"split: report in {output / 'report.html'}", err=True)
         click.echo(f"split: figures in {output}: {', '.join(drawn.written)}", err=True)
         for reason in drawn.left_out:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
 from pathlib import Path
 
 import casadi
@@ -13,6 +12,7 @@ import numpy as np
 from split_cli.compiled_code import cache_folder
 from split_cli.errors import ExportError
 from split_cli.export.compiler import find_compiler
+from split_cli.files import ScratchFolder
 
 __all__ = ["Batch", "compiled"]
 
@@ -75,10 +75,10 @@ def compiled(function: casadi.Function) -> tuple[casadi.Function, str]:
     library = Path(folder) / f"{function.name()}-{digest}.so"
     try:
         if not library.exists():
-            with tempfile.TemporaryDirectory(dir=folder) as scratch:
-                written = Path(scratch) / f"{function.name()}.c"
+            with ScratchFolder(folder) as scratch:
+                written = scratch / f"{function.name()}.c"
                 written.write_text(source, encoding="utf-8")
-                built = Path(scratch) / library.name
+                built = scratch / library.name
                 compiler.build([written], built, FLAGS)
                 os.replace(built, library)
         return casadi.external(function.name(), str(library)), ""

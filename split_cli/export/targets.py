@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -45,7 +44,7 @@ from split_cli.export.step_check import make_step_oracle, rk4_substeps
 from split_cli.export.symbolic import NominalGraph, build_nominal
 from split_cli.export.tables import BcmTables, TableData, build_tables, require_usable, table_data
 from split_cli.export.validity import valid_function
-from split_cli.files import sha256_of_file
+from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.table import TablePredictor
 from split_cli.vehicle.single_track import SingleTrack
@@ -263,8 +262,8 @@ def _write_c(
     if compiler is None:
         note = f"{missing}not compiled, hence not verified: there is no C compiler here"
         return TargetResult("c", tuple(written), None, None, None, None, source.table_bytes, None, note)
-    with tempfile.TemporaryDirectory(prefix="split-export-") as scratch:
-        found = check_c(source, graph, training_set, oracle, compiler, Path(scratch), drives)
+    with ScratchFolder() as scratch:
+        found = check_c(source, graph, training_set, oracle, compiler, scratch, drives)
     return TargetResult(
         "c", tuple(written), found.predictions, found.step_error, found.seconds_predict, found.seconds_jacobian,
         source.table_bytes, found.code_bytes, f"{missing}{plan.real}, {found.compiler}",
@@ -330,9 +329,9 @@ def _write_casadi(
     note = "the generated C was not compiled, hence not verified: there is no C compiler here"
     code = None
     if compiler is not None:
-        with tempfile.TemporaryDirectory(prefix="split-export-") as scratch:
+        with ScratchFolder() as scratch:
             code = check_generated(
-                plan.name, folder, Path(scratch), compiler, oracle, functions.step is not None, steps
+                plan.name, folder, scratch, compiler, oracle, functions.step is not None, steps
             )
         note = f"generated C verified with {compiler.version}"
     inside = oracle.slope_z

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from split_cli.export.documents import document_answer, read_json, read_npz
 from split_cli.export.step_check import STEP_TOLERANCE
 from split_cli.export.targets import MANIFEST, MANIFEST_FORMAT
 from split_cli.export.verified import VerifiedItem
-from split_cli.files import sha256_of_file
+from split_cli.files import ScratchFolder, sha256_of_file
 
 __all__ = ["read_manifest", "verify_folder"]
 
@@ -91,10 +90,10 @@ def _verify_c(folder: Path, name: str) -> VerifiedItem:
     compiler = find_compiler()
     if compiler is None:
         return VerifiedItem("c: self-test", None, "there is no C compiler here")
-    with tempfile.TemporaryDirectory(prefix="split-verify-") as scratch:
+    with ScratchFolder() as scratch:
         for suffix in (".h", ".c", "_selftest.c"):
-            (Path(scratch) / f"{name}{suffix}").write_bytes((folder / f"{name}{suffix}").read_bytes())
-        said = run_selftest(compiler, Path(scratch), name)
+            (scratch / f"{name}{suffix}").write_bytes((folder / f"{name}{suffix}").read_bytes())
+        said = run_selftest(compiler, scratch, name)
         return VerifiedItem("c: self-test", True, "; ".join(said.splitlines()))
 
 

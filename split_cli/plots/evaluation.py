@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,17 +41,21 @@ class FigureFiles:
     left_out: tuple[str, ...]
 
 
-def write_figures(run: EvaluationRun, folder: str | Path) -> FigureFiles:
-    """Draw an evaluation into a folder: all figures appear together, or none.
+def write_figures(run: EvaluationRun, folder: str | Path, also: Mapping[str, str] | None = None) -> FigureFiles:
+    """Draw an evaluation into a folder: all files appear together, or none; figures of an earlier one go.
 
     Parameters
     ----------
     run : EvaluationRun
     folder : path
         Files of other names that are in it stay.
+    also : mapping of str to str, optional
+        Text files that belong to the figures, by name.
     """
     figures, left_out = draw_figures(run)
-    with atomic_directory(folder) as temporary:
+    with atomic_directory(folder, without=[entry.split(":")[0] for entry in left_out]) as temporary:
+        for name, text in (also or {}).items():
+            (temporary / name).write_text(text, encoding="utf-8")
         for name, figure in figures.items():
             save(figure, temporary / name)
     return FigureFiles(tuple(figures), left_out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -122,28 +123,20 @@ def write_diagnosis(
 
     charts = diagnosis_charts(diagnosis, vehicle, drives, simulated)
     comment = diagnosis.summary or "No terms were added."
-    produced = set()
-    with atomic_directory(output) as folder:
+    earlier = [*VEHICLES, *(f"figures/{name}" for name in FIGURES)]
+    with atomic_directory(output, without=earlier) as folder:
         (folder / "diagnosis.json").write_text(diagnosis_to_text(diagnosis), encoding="utf-8")
-        judged = vehicle_name(diagnosis)
-        write_vehicle(
-            corrected_vehicle(diagnosis, vehicle), folder / judged, comment=f"{_judged(diagnosis)}{comment}"
-        )
+        corrected = folder / vehicle_name(diagnosis)
+        write_vehicle(corrected_vehicle(diagnosis, vehicle), corrected, comment=f"{_judged(diagnosis)}{comment}")
         _write_gap(diagnosis, drives, vehicle, folder / "gap.parquet")
         (folder / "report.html").write_text(report_page(diagnosis, charts), encoding="utf-8")
         (folder / "figures").mkdir()
         for name, figure in diagnosis_figures(diagnosis):
             save(figure, folder / "figures" / f"{name}.png")
-            produced.add(f"{name}.png")
         if diagnosis.improvement is not None:
             _write_help(diagnosis.improvement, folder / "figures" / "help.csv")
-            produced.add("help.csv")
-        if not produced:
-            (folder / "figures").rmdir()
-    for other in VEHICLES - {judged}:
-        (Path(output) / other).unlink(missing_ok=True)
-    for name in FIGURES - produced:
-        (Path(output) / "figures" / name).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            (folder / "figures").rmdir()  # where nothing was drawn
 
 
 def _judged(diagnosis: Diagnosis) -> str:

@@ -1,4 +1,4 @@
-"""Write the pages of a recording and of an evaluation: each file whole or not at all."""
+"""Write the pages of a recording and of an evaluation, the latter with its figures, whole or not at all."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from pathlib import Path
 
 from split_cli.files import atomic_write_text
 from split_cli.logs.drive import Drive
+from split_cli.plots.evaluation import FigureFiles, write_figures
 from split_cli.scoring.run import EvaluationRun
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.pictures import recording_charts
 from split_cli.workflows.report.evaluation import evaluation_page
 from split_cli.workflows.report.recording import recording_page
 
-__all__ = ["write_evaluation_report", "write_recording_report"]
+__all__ = ["write_evaluation", "write_recording_report"]
 
 
 def write_recording_report(drive: Drive, vehicle_path: str | Path | None, path: str | Path) -> None:
@@ -27,6 +28,6 @@ def write_recording_report(drive: Drive, vehicle_path: str | Path | None, path: 
     atomic_write_text(path, recording_page(drive, drive.metadata.quality, recording_charts(drive, vehicle)))
 
 
-def write_evaluation_report(run: EvaluationRun, path: str | Path) -> None:
-    """Write the page of an evaluation."""
-    atomic_write_text(path, evaluation_page(run))
+def write_evaluation(run: EvaluationRun, folder: str | Path) -> FigureFiles:
+    """Write the figures of an evaluation and its page ``report.html`` into a folder, all or none."""
+    return write_figures(run, folder, also={"report.html": evaluation_page(run)})

@@ -7,14 +7,13 @@ import glob
 import hashlib
 import re
 import shutil
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from split_cli.errors import SplitError
-from split_cli.files import sha256_of_file
+from split_cli.files import ScratchFolder, sha256_of_file
 
 __all__ = ["DRIVE_SUFFIXES", "LOG_SUFFIXES", "SourceFile", "find_sources", "is_remote"]
 
@@ -66,14 +65,11 @@ class SourceFile:
             yield Path(self.address)
             return
         system, path = _system(self.address)
-        folder = Path(tempfile.mkdtemp(prefix="split-fetch-"))
-        try:
+        with ScratchFolder() as folder:
             target = folder / self.name
             with _told(self.address), system.open(path, "rb") as remote, target.open("wb") as copy:
                 shutil.copyfileobj(remote, copy, _COPY_BYTES)
             yield target
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 _IDENTITY = {

@@ -1,27 +1,33 @@
-"""Kill commands at random moments; see that the old or the new output is there, whole, and nothing stray stays.
+"""Kill commands; see that the old or the new output is there, whole, and nothing stray stays after the next run.
 
-Example: ``python -m tests.studies.kill --kills 200 --seed 1``. Prints a row a command: kills, how often the old
-and how often the new output was found, and what broke a rule; exits with 1 if anything did.
+Example: ``python -m tests.studies.kill --kills 200 --seed 1`` kills at random moments, ``--steps`` before every
+step that a command takes on the disk. Prints a row a command: kills, how often the old and the new output was
+found, and what broke a rule; exits with 1 if anything did.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+import os
 import random
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from split_cli.errors import SplitError
 from split_cli.logs.drive import write_drive
 from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows.verifying.verify import verify
 from tests.factories import MissingForce, make_drive, road_car
+from tests.studies.snapshots import leftovers_of_kills
 
 
 @dataclass(frozen=True)
@@ -32,13 +38,21 @@ class Case:
     ----------
     name : str
     arguments : tuple of str
-    output : str
-        File or folder the command writes.
+    outputs : tuple of str
+        Files or folders the command writes, each whole or not at all.
+    repeats : bool
+        Whether two runs write the same bytes. A page that tells times of computing does not repeat, and a set to
+        which a drive is appended twice has learned it twice.
     """
 
     name: str
     arguments: tuple[str, ...]
-    output: str
+    outputs: tuple[str, ...]
+    repeats: bool = True
+
+    def state(self, folder: Path) -> tuple[str, ...]:
+        """Return a digest of each output."""
+        return tuple(state(folder / output) for output in self.outputs)
 
 
 @dataclass
@@ -51,30 +65,50 @@ class Outcome:
     broken: list[str] = field(default_factory=list)
 
 
-RACE = ("race", "--vehicle", "road_car.yaml", "--laps", "1", "--max-speed", "11", "-o", "race.parquet")
+RACE = ("race", "--vehicle", "road_car.yaml", "--laps", "1", "--max-speed", "11", "--report", "race.html",
+        "--set", "race.split", "-o", "race.parquet")  # fmt: skip
+MANEUVER = ("maneuver", "brake-avoid", "--vehicle", "road_car.yaml", "--set", "turn.split", "-o", "turn.parquet")
 CASES = (
-    Case("ingest", ("ingest", "lap.csv", "-o", "lap.parquet", "--rate", "40"), "lap.parquet"),
-    Case("ingest folder", ("ingest", "archive", "-o", "drives", "--rate", "40"), "drives"),
-    Case("train", ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "a.split", "--capacity", "5"), "a.split"),
-    Case("append", ("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "b.split", "--append"), "b.split"),
+    Case("ingest", ("ingest", "lap.csv", "-o", "lap.parquet", "--rate", "40"), ("lap.parquet",)),
+    Case("ingest folder", ("ingest", "archive", "-o", "drives", "--rate", "40"), ("drives",)),
+    Case(
+        "train",
+        ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "a.split", "--capacity", "5"),
+        ("a.split",),
+    ),
+    Case("append", ("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "b.split", "--append"), ("b.split",)),
+    Case(
+        "evaluate",
+        ("evaluate", "d1.parquet", "--vehicle", "car.yaml", "-o", "evaluation"),
+        ("evaluation",),
+        repeats=False,
+    ),
     Case(
         "diagnose",
         ("diagnose", "--real", "d1.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"),
-        "diagnosis",
+        ("diagnosis",),
     ),
-    Case("race", RACE, "race.parquet"),
-    Case("export", ("export", "new.split", "--target", "json", "-o", "export"), "export"),
+    Case("race", RACE, ("race.parquet", "race.split", "race.html"), repeats=False),
+    Case("maneuver", MANEUVER, ("turn.parquet", "turn.split")),
+    Case("export", ("export", "new.split", "--target", "json", "-o", "export"), ("export",)),
 )
 
 
-def run(folder: Path, arguments: Sequence[str]) -> subprocess.Popen:
-    """Start one command in a folder."""
+def start(folder: Path, arguments: Sequence[str]) -> subprocess.Popen:
+    """Start one command in a folder, whose folder ``tmp`` serves as the system's for temporary files."""
+    (folder / "tmp").mkdir(exist_ok=True)
     return subprocess.Popen(
         [sys.executable, "-m", "split_cli", *arguments],
         cwd=folder,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
+        env={**os.environ, "TMPDIR": str(folder / "tmp")},
     )
+
+
+def run(folder: Path, arguments: Sequence[str]) -> int:
+    """Run one command in a folder; return its exit code."""
+    return start(folder, arguments).wait()
 
 
 def prepare(folder: Path, names: Collection[str]) -> None:
@@ -93,23 +127,27 @@ def prepare(folder: Path, names: Collection[str]) -> None:
         simulate_log(SimulateSettings(track="small", duration=6.0, seed=seed), folder / "archive" / f"{seed}.csv")
     shutil.copy(folder / "archive" / "0.csv", folder / "lap.csv")
     train = ("train", "d0.parquet", "--vehicle", "car.yaml", "-o")
-    old = (
-        ("ingest", "lap.csv", "-o", "lap.parquet"),
-        ("ingest", "archive", "-o", "drives"),
-        (*train, "a.split"),
-        (*train, "b.split"),
-        (*train, "new.split", "--capacity", "6"),
-        ("export", "a.split", "--target", "json", "-o", "export"),
-        *(
-            (("diagnose", "--real", "d0.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"),)
-            if "diagnose" in names
-            else ()
+    old: dict[str, tuple[tuple[str, ...], ...]] = {
+        "ingest": (("ingest", "lap.csv", "-o", "lap.parquet"),),
+        "ingest folder": (("ingest", "archive", "-o", "drives"),),
+        "train": ((*train, "a.split"),),
+        "append": ((*train, "b.split"),),
+        "export": (
+            (*train, "c.split"),
+            (*train, "new.split", "--capacity", "6"),
+            ("export", "c.split", "--target", "json", "-o", "export"),
         ),
-        *(((*RACE, "--seed", "2"),) if "race" in names else ()),
-    )
-    for arguments in old:
-        if run(folder, arguments).wait() != 0:
-            raise RuntimeError(f"could not prepare: split {' '.join(arguments)}")
+        "diagnose": (("diagnose", "--real", "d0.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"),),
+        "evaluate": (
+            ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--features", "z1,z2", "-o", "evaluation"),
+        ),
+        "race": ((*RACE, "--seed", "2"),),
+        "maneuver": ((*MANEUVER, "--seed", "2"),),
+    }
+    for name in names:
+        for arguments in old[name]:
+            if run(folder, arguments) != 0:
+                raise RuntimeError(f"could not prepare: split {' '.join(arguments)}")
 
 
 def state(path: Path) -> str:
@@ -120,25 +158,22 @@ def state(path: Path) -> str:
     return digest.hexdigest()
 
 
-def try_case(case: Case, ready: Path, kills: int, rng: random.Random) -> Outcome:
+def try_moments(case: Case, ready: Path, kills: int, rng: random.Random) -> Outcome:
     """Kill one command at random moments of its duration."""
     outcome = Outcome()
     with tempfile.TemporaryDirectory() as name:
         whole = Path(name) / "whole"
         shutil.copytree(ready, whole)
-        old = state(whole / case.output)
+        old = case.state(whole)
         begin = time.perf_counter()
-        if run(whole, case.arguments).wait() != 0:
+        if run(whole, case.arguments) != 0:
             outcome.broken.append("the command fails when it is left alone")
             return outcome
-        duration, new = time.perf_counter() - begin, state(whole / case.output)
-        if new == old:
-            outcome.broken.append("old and new output cannot be told apart")
-        inputs = {p.name for p in ready.iterdir()} | {case.output}
+        duration, new = time.perf_counter() - begin, case.state(whole)
         for _ in range(kills):
             folder = Path(name) / "run"
             shutil.copytree(ready, folder)
-            process = run(folder, case.arguments)
+            process = start(folder, case.arguments)
             # Most of a run is imports: three quarters of the kills fall into its last third, which writes.
             moment = duration * (rng.uniform(0.66, 1.02) if rng.random() < 0.75 else rng.uniform(0.0, 0.66))
             try:
@@ -146,26 +181,96 @@ def try_case(case: Case, ready: Path, kills: int, rng: random.Random) -> Outcome
             except subprocess.TimeoutExpired:
                 process.send_signal(signal.SIGKILL)
                 process.wait()
-            outcome.kills += 1
-            found = state(folder / case.output)
-            outcome.old += found == old
-            outcome.new += found == new
-            if found not in (old, new):
-                outcome.broken.append(f"after {moment:.3f} s the output is neither the old nor the new one")
-            if outcome.kills % 8 == 0 and found == old:
-                if run(folder, case.arguments).wait() != 0 or state(folder / case.output) != new:
-                    outcome.broken.append("the next run does not give the new output")
-                stray = {p.name for p in folder.iterdir()} - inputs
-                if stray:
-                    outcome.broken.append(f"left behind after the next run: {', '.join(sorted(stray))}")
+            _look(outcome, case, folder, old, new, f"after {moment:.3f} s")
+            if outcome.kills % 8 == 0:
+                _run_again(outcome, case, folder, ready, old, new, f"after {moment:.3f} s")
             shutil.rmtree(folder)
     return outcome
+
+
+def try_steps(case: Case, ready: Path, place: Path, again: Callable[[Path, Sequence[str]], int] = run) -> Outcome:
+    """Kill one command before each of its steps on the disk.
+
+    The next run is tried after each kind of state: the outputs, and what lies beside them. `place` is an empty
+    folder to work in, `again` runs a command.
+    """
+    outcome, whole = Outcome(), place / "whole"
+    shutil.copytree(ready, whole)
+    old = case.state(whole)
+    left = leftovers_of_kills(whole, case.arguments, place / "copies")
+    new = case.state(whole)
+    kinds = set()
+    for number, folder in enumerate(left):
+        moment = f"before step {number}"
+        _look(outcome, case, folder, old, new, moment)
+        names = {re.sub(r"[.][a-z0-9_]{8}[.]part", ".*.part", p.name) for p in folder.iterdir()}
+        kind = (case.state(folder), frozenset(names))
+        if kind not in kinds:
+            kinds.add(kind)
+            _run_again(outcome, case, folder, ready, old, new, moment, again)
+    return outcome
+
+
+def _look(outcome: Outcome, case: Case, folder: Path, old: tuple, new: tuple, moment: str) -> None:
+    """See that each output is the old or the new one and is what `split verify` takes for whole."""
+    outcome.kills += 1
+    found = case.state(folder)
+    outcome.old += found == old
+    outcome.new += found == new
+    if new == old:
+        outcome.broken.append("old and new output cannot be told apart")
+    if not case.repeats and moment.startswith("after"):
+        return  # nothing to compare a run of its own with
+    for output, now, before, after in zip(case.outputs, found, old, new, strict=True):
+        if now not in (before, after):
+            outcome.broken.append(f"{moment} {output} is neither the old nor the new one")
+        problem = _verified(folder / output)
+        if problem:
+            outcome.broken.append(f"{moment} {output}: {problem}")
+
+
+def _verified(output: Path) -> str:
+    """Return what `split verify` finds wrong with an output; pages and figures it does not know."""
+    pages = [output] if output.suffix == ".html" else []
+    if output.is_dir() and not any((output / name).exists() for name in ("manifest.json", "diagnosis.json")):
+        pages = list(output.glob("report.html"))
+    if pages:
+        return "" if pages[0].read_text(encoding="utf-8").rstrip().endswith("</html>") else "the page is cut"
+    try:
+        return "; ".join(i.detail for i in verify(output).items if i.passed is False)
+    except SplitError as error:
+        return str(error)
+
+
+def _run_again(
+    outcome: Outcome,
+    case: Case,
+    folder: Path,
+    ready: Path,
+    old: tuple,
+    new: tuple,
+    moment: str,
+    again: Callable[[Path, Sequence[str]], int] = run,
+) -> None:
+    """See that the next run works, gives the new output, and leaves nothing stray."""
+    found = case.state(folder)
+    code = again(folder, case.arguments)
+    if code != 0:
+        outcome.broken.append(f"{moment} the next run ends with {code}")
+    elif case.repeats and (found == old or case.name != "append") and case.state(folder) != new:
+        outcome.broken.append(f"{moment} the next run does not give the new output")
+    known = {p.name for p in ready.iterdir()} | {*case.outputs, "tmp"}
+    stray = {p.name for p in folder.iterdir()} - known | {p.name for p in (folder / "tmp").iterdir()}
+    stray |= {p.name for p in folder.rglob("*.part")}
+    if stray:
+        outcome.broken.append(f"{moment} the next run leaves {', '.join(sorted(stray))}")
 
 
 def main() -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=200, help="over all commands")
+    parser.add_argument("--steps", action="store_true", help="before every step on the disk")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="commands whose name holds this")
     given = parser.parse_args()
@@ -177,8 +282,12 @@ def main() -> int:
         prepare(ready, {case.name for case in cases})
         print(f"{'command':14} {'kills':>6} {'old':>6} {'new':>6} {'broken':>7}")
         for case in cases:
-            rng = random.Random(f"{given.seed} {case.name}")
-            outcome = try_case(case, ready, given.kills // len(cases), rng)
+            if given.steps:
+                with tempfile.TemporaryDirectory() as place:
+                    outcome = try_steps(case, ready, Path(place))
+            else:
+                rng = random.Random(f"{given.seed} {case.name}")
+                outcome = try_moments(case, ready, given.kills // len(cases), rng)
             broken += len(outcome.broken)
             counts = f"{outcome.kills:6} {outcome.old:6} {outcome.new:6} {len(outcome.broken):7}"
             print(f"{case.name:14} {counts}", flush=True)

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 from split_cli.cli.main import group as main_group
 from split_cli.errors import LogError, SplitError, VehicleError
-from split_cli.files import atomic_directory, atomic_path, exclusive_access
+from split_cli.files import ScratchFolder, atomic_directory, atomic_path, exclusive_access
 from split_cli.logs.readers import open_recording
 from split_cli.vehicle.parameters import read_vehicle
 
@@ -165,3 +165,28 @@ def test_a_place_that_cannot_be_written_is_said_before_any_work(tmp_path, monkey
                 assert "no permission" in str(done.exception) and "Nothing was computed" in str(done.exception)
                 refused.append(command.name)
     assert {"ingest", "train", "diagnose", "race", "simulate", "evaluate", "export"} <= set(refused)
+
+
+def test_files_that_a_run_does_not_write_again_go_in_the_same_step(tmp_path):
+    target = tmp_path / "out"
+    written(target, 1)
+    (target / "notes.txt").write_text("mine")
+    with atomic_directory(target, without=["f0", "f1", "sub/deep", "never"]) as temporary:
+        (temporary / "f1").write_text("new")
+    assert sorted(p.name for p in target.iterdir()) == ["f1", *(f"f{n}" for n in range(2, 8)), "notes.txt", "sub"]
+    assert (target / "f1").read_text() == "new"
+    assert not list((target / "sub").iterdir())
+
+
+def test_scratch_of_a_killed_run_goes_with_the_next_run(tmp_path):
+    code = f"import os, split_cli.files as f; s = f.ScratchFolder({str(tmp_path)!r}); os.kill(os.getpid(), 9)"
+    subprocess.run([sys.executable, "-c", code], check=False)
+    (left,) = tmp_path.iterdir()
+    kept = ScratchFolder(tmp_path)
+    assert not left.exists() and kept.path.is_dir()
+    with ScratchFolder(tmp_path) as folder:
+        (folder / "large").write_text("1")
+        assert kept.path.is_dir()  # of a living run
+    assert not folder.exists()
+    del kept
+    assert not list(tmp_path.iterdir())

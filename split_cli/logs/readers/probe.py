@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 from split_cli.errors import LogError
+from split_cli.files import ScratchFolder
 
 __all__ = ["probe"]
 
@@ -45,8 +45,8 @@ def probe(path: Path) -> None:
     command = [sys.executable, "-c", _CODE, str(path.resolve()), str(_LEAST_MEMORY + _MEMORY_A_BYTE * size)]
     try:
         # asammdf unfolds into files in the temporary folder: a probe that is killed leaves none behind.
-        with tempfile.TemporaryDirectory() as scratch:
-            own = {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1", "TMPDIR": scratch}
+        with ScratchFolder() as scratch:
+            own = {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1", "TMPDIR": str(scratch)}
             done = subprocess.run(
                 command,
                 capture_output=True,

@@ -8,7 +8,6 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import monotonic
 from typing import Any
 from urllib.parse import quote
@@ -17,7 +16,7 @@ import yaml
 import zstandard
 
 from split_cli.errors import LogError, SplitError
-from split_cli.files import read_text
+from split_cli.files import ScratchFolder, read_text
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.budget import most_bytes_out
 from split_cli.logs.readers.mcap import McapContainer
@@ -137,7 +136,7 @@ class ConcatenatedContainer:
         What was found before reading.
     packed : bool
         Whether every single message is compressed (zstd).
-    temporary : TemporaryDirectory, optional
+    temporary : ScratchFolder, optional
         Holds files that the parts read; it is removed with this container.
     """
 
@@ -146,7 +145,7 @@ class ConcatenatedContainer:
         parts: Sequence[Container],
         notes: list[ReadNote],
         packed: bool,
-        temporary: TemporaryDirectory[str] | None,
+        temporary: ScratchFolder | None,
     ) -> None:
         self._parts = parts
         self._packed = packed
@@ -182,14 +181,14 @@ def open_rosbag2_folder(path: Path) -> Container:
     """
     notes: list[ReadNote] = []
     files, packed = _listed_files(path, notes)
-    temporary: TemporaryDirectory[str] | None = None
+    temporary: ScratchFolder | None = None
     parts: list[Container] = []
     problem: LogError | None = None
     for file in files:
         try:
             if file.suffix == ".zstd":
-                temporary = temporary or TemporaryDirectory(prefix="split-")
-                file = _unpacked_file(file, Path(temporary.name))
+                temporary = temporary or ScratchFolder()
+                file = _unpacked_file(file, temporary.path)
             parts.append(McapContainer(file) if file.suffix == ".mcap" else SqliteContainer(file))
         except LogError as error:
             problem = error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import DriveError, SetError
-from split_cli.files import sha256_of_file
+from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.label_file import drive_of_labels, read_labels, write_labels
 from split_cli.learning.labels import Labels, compute_labels, window_samples
@@ -114,7 +113,7 @@ class LabelledDrives:
         self._kept: dict[int, Labels | Path] = {}
         self._seconds: dict[int, float] = {}
         self._bytes = 0
-        self._scratch: tempfile.TemporaryDirectory[str] | None = None
+        self._scratch: ScratchFolder | None = None
 
     def __len__(self) -> int:
         return len(self._sources)
@@ -186,8 +185,8 @@ class LabelledDrives:
         if self._bytes <= KEPT_BYTES:
             self._kept[number] = labels
             return
-        self._scratch = self._scratch or tempfile.TemporaryDirectory(prefix="split-labels-")
-        path = Path(self._scratch.name) / f"{number}.parquet"
+        self._scratch = self._scratch or ScratchFolder()
+        path = self._scratch.path / f"{number}.parquet"
         write_labels(labels, path)
         self._kept[number] = path
 
