@@ -330,9 +330,7 @@ def _write_casadi(
     code = None
     if compiler is not None:
         with ScratchFolder() as scratch:
-            code = check_generated(
-                plan.name, folder, scratch, compiler, oracle, functions.step is not None, steps
-            )
+            code = check_generated(plan.name, folder, scratch, compiler, oracle, functions.step is not None, steps)
         note = f"generated C verified with {compiler.version}"
     inside = oracle.slope_z
     begin = perf_counter()
