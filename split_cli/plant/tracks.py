@@ -195,12 +195,13 @@ def _from_closed_points(name: str, points: np.ndarray, length: float, spacing: f
     parameter = np.interp(np.arange(samples) * arc[-1] / samples, arc, fine)
     velocity, bend = speed(parameter), spline.derivative(2)(parameter)
     curvature = (velocity[:, 0] * bend[:, 1] - velocity[:, 1] * bend[:, 0]) / np.linalg.norm(velocity, axis=1) ** 3
-    at = (spline(parameter) - spline(0.0)) * scale
+    # Each coordinate lies in one piece, as those of a test circle do: the loop is compiled for one layout.
+    x, y = np.ascontiguousarray(((spline(parameter) - spline(0.0)) * scale).T)
     return Track(
         name=name,
         spacing=length / samples,
-        x=at[:, 0],
-        y=at[:, 1],
+        x=x,
+        y=y,
         direction=np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])),
         curvature=curvature / scale,
         half_width=half_width,

@@ -14,9 +14,9 @@ from tests.cli.hostile import tool
 from tests.factories import MissingForce, make_drive, road_car
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def depot(tmp_path_factory) -> Path:
-    """A folder with a vehicle, two drives, a trained set, a table and a log with messages."""
+    """A folder with a vehicle, two drives, a trained set, a table and a log with messages; nobody writes to it."""
     folder = tmp_path_factory.mktemp("depot")
     car = road_car()
     write_vehicle(car, folder / "car.yaml")
@@ -31,19 +31,8 @@ def depot(tmp_path_factory) -> Path:
             name=f"d{number}.parquet",
         )
         write_drive(drive, folder / drive.name)
-    assert (
-        tool(
-            "train",
-            folder / "d0.parquet",
-            "--vehicle",
-            folder / "car.yaml",
-            "-o",
-            folder / "a.split",
-            "--trust",
-            "full",
-        )[0]
-        == 0
-    )
+    asked = ("train", folder / "d0.parquet", "--vehicle", folder / "car.yaml", "-o", folder / "a.split")
+    assert tool(*asked, "--trust", "full")[0] == 0
     settings = SimulateSettings(track="small", duration=8.0, seed=1)
     simulate_log(settings, folder / "lap.csv")
     simulate_log(settings, folder / "lap.parquet")

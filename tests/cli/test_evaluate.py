@@ -32,16 +32,8 @@ def garage(tmp_path_factory) -> Path:
     for number in range(2):
         drive = make_drive(number, segments=12, seconds=5.0, terms=[TERM], name=f"d{number}.parquet")
         write_drive(drive, folder / drive.name)
-    trained = run(
-        "train",
-        folder / "d0.parquet",
-        "--vehicle",
-        folder / "car.yaml",
-        "-o",
-        folder / "a.split",
-        "--trust",
-        "full",
-    )
+    asked = ("train", folder / "d0.parquet", "--vehicle", folder / "car.yaml", "-o", folder / "a.split")
+    trained = run(*asked, "--trust", "full")
     assert trained.exit_code == 0, trained.output
     return folder
 

@@ -181,7 +181,7 @@ def test_a_channel_that_never_changes_is_named(real, channel):
     assert f"{channel} never changes" in reason
 
 
-def test_a_channel_that_freezes_for_a_while_is_left_out(real, simulated):
+def test_a_channel_that_freezes_for_a_while_is_left_out(real):
     rows = slice(1000, 1300)
     for channel in ("vx", "vy", "r"):
         values = real[channel].copy()
@@ -190,10 +190,6 @@ def test_a_channel_that_freezes_for_a_while_is_left_out(real, simulated):
         # Six seconds, but for the edges of runs that begin and end a second off.
         assert len(real) - len(drive) == pytest.approx(300, abs=100)
         assert channel in notes[0]
-    frozen = altered(real, vy=np.where((real["t"] > 22.0) & (real["t"] < 30.0), real["vy"][1000], real["vy"]))
-    diagnosis = diagnose([frozen], road_car(), [simulated])
-    assert_nothing_named(diagnosis)
-    assert "vy stands still" in said(diagnosis)
 
 
 def test_straight_running_without_noise_is_no_dropout():
@@ -205,30 +201,38 @@ def test_straight_running_without_noise_is_no_dropout():
     assert notes == ()
 
 
-def test_samples_without_a_number_are_left_out_and_counted(real, simulated):
-    values = real["vy"].copy()
-    values[600:640] = np.nan
-    values[2200] = np.inf
-    broken = altered(real, vy=values)
-    drive, notes = cleaned(broken)
+def with_holes(values: np.ndarray) -> np.ndarray:
+    values = values.copy()
+    values[600:640], values[2200] = np.nan, np.inf
+    return values
+
+
+def test_samples_without_a_number_are_left_out_and_counted(real):
+    drive, notes = cleaned(altered(real, vy=with_holes(real["vy"])))
     assert len(real) - len(drive) == 41
     assert len(drive.segments()) == len(real.segments()) + 2
     assert "41 samples without a number in vy" in notes[0]
-    diagnosis = diagnose([broken], road_car(), [simulated])
-    assert_nothing_named(diagnosis)
-    assert "41 samples" in said(diagnosis)
 
 
-def test_nothing_is_computed_across_a_jump_of_the_clock(real, simulated):
-    jumped = altered(
-        real, t=real["t"] + 3.0 * (np.arange(len(real)) > 1800) - 40.0 * (np.arange(len(real)) > 3000)
-    )
-    drive, notes = cleaned(jumped)
+def jumping(time: np.ndarray) -> np.ndarray:
+    return time + 3.0 * (np.arange(len(time)) > 1800) - 40.0 * (np.arange(len(time)) > 3000)
+
+
+def test_nothing_is_computed_across_a_jump_of_the_clock(real):
+    drive, notes = cleaned(altered(real, t=jumping(real["t"])))
     assert len(drive.segments()) == len(real.segments()) + 2
     assert "2 jumps of the clock" in notes[0]
-    diagnosis = diagnose([jumped], road_car(), [simulated])
+
+
+def test_what_is_left_out_is_told_and_brings_no_name(real, simulated):
+    """Everything at once: a frozen channel, samples without a number, jumps of the clock and a lost position."""
+    vy = np.where((real["t"] > 22.0) & (real["t"] < 30.0), real["vy"][1000], with_holes(real["vy"]))
+    x = real["X"].copy()
+    x[3500:3700] = np.nan
+    diagnosis = diagnose([altered(real, t=jumping(real["t"]), vy=vy, X=x)], road_car(), [simulated])
     assert_nothing_named(diagnosis)
-    assert "jumps of the clock" in said(diagnosis)
+    for words in ("vy stands still", "41 samples", "jumps of the clock", "not known for 4.0 s"):
+        assert words in said(diagnosis)
 
 
 @pytest.mark.parametrize("period", [0.01, 0.04])
@@ -273,7 +277,7 @@ def test_derived_torque_tells_nothing_along_the_car(real, simulated):
     assert "torque is derived" in said(diagnosis)
 
 
-def test_position_that_is_lost_is_not_used(real, simulated):
+def test_position_that_is_lost_is_not_used(real):
     x = real["X"].copy()
     x[100:105] = np.nan
     filled, notes = cleaned(altered(real, X=x))
@@ -283,7 +287,6 @@ def test_position_that_is_lost_is_not_used(real, simulated):
     bare, notes = cleaned(altered(real, X=x))
     assert not bare.has_position
     assert "not known for 4.0 s" in notes[0]
-    assert_nothing_named(diagnose([altered(real, X=x)], road_car(), [simulated]))
     late = real["t"] > 40.0
     still, notes = cleaned(altered(real, X=np.where(late, 1.0, real["X"]), Y=np.where(late, 2.0, real["Y"])))
     assert not still.has_position

@@ -121,12 +121,10 @@ class TestFarFromTheSimulation:
         assert far.verdict == "undecided" and not far.unexplained
         assert "no effect of the catalogue" in far.not_judged[0]
 
-    def test_nor_is_it_told_from_that_in_a_tenth_of_the_drive(self, reality, simulation, answer):
+    def test_nor_is_it_told_from_that_in_a_tenth_of_the_drive(self, simulation):
         strange, little = recording(85, Lopsided({"share": 0.3})), STANDARD.altered("comparison", least_share=1.1)
         near = diagnose([strange], road_car(), [simulation], policy=little)
         assert near.verdict == "undecided" and "no effect of the catalogue" in near.not_judged[0]
-        named = diagnose([reality], road_car(), [simulation], policy=little)
-        assert [one.term for one in named.findings] == [one.term for one in answer.findings]
 
     def test_the_same_car_matches(self, simulation):
         far = diagnose([recording(83)], road_car(), [simulation], policy=self.near)

@@ -63,18 +63,13 @@ def test_a_car_that_does_not_turn_tells_no_scale_of_its_yaw_rate():
     assert scale_of("r", [still]) is None
 
 
-def test_a_speed_out_of_scale_is_named_and_contradicts_nothing_then():
+def test_a_speed_out_of_scale_is_named_beside_a_turned_sensor_and_contradicts_nothing_then():
     """Without position it would be a match or a mass: 3 % of speed are 3 % of every force."""
-    simulation = recording(81)
-    said = diagnose([recording(83, vx=1.03)], road_car(), [simulation])
-    (finding,) = said.findings
-    assert said.verdict == "mismatch" and finding.term == "speed_scale" and not finding.exported
-    low, high = finding.parameters["scale"].interval_95
-    assert low <= 1.03 <= high and high - low < 0.02
+    said = diagnose([faulty(recording(83, vx=1.03), angle=0.02)], road_car(), [recording(81)])
+    findings = {one.term: one for one in said.findings}
+    assert said.verdict == "mismatch" and set(findings) == {"speed_scale", "sensor_misalignment"}
+    scale = findings["speed_scale"]
+    low, high = scale.parameters["scale"].interval_95
+    assert not scale.exported and low <= 1.03 <= high and high - low < 0.02
     assert not any("integral of" in reason for reason in said.not_judged)
     jsonschema.validate(diagnosis_to_mapping(said), read_schema())
-    # A second fault that position tells too is named beside it.
-    turned = faulty(recording(83, vx=1.03), angle=0.02)
-    assert {one.term for one in diagnose([turned], road_car(), [simulation]).findings} == {
-        "speed_scale", "sensor_misalignment",
-    }  # fmt: skip

@@ -38,7 +38,7 @@ def run() -> EvaluationRun:
         for seed, segments in ((0, 12), (1, 18))
     ]
     settings = EvaluationSettings(
-        predictors=("bcm", "full"), features=("z2", "z1"), sizes=(20, 40), rollout=(0.4,)
+        predictors=("bcm", "full"), features=("z2", "z1"), sizes=(20, 40), rollout=(0.4,), trust="full"
     )
     return evaluate(drives, CAR, settings)
 

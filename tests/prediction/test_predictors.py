@@ -54,9 +54,15 @@ def query_points(stored, count, seed, spread=1.3):
     return middle + spread * half * random.uniform(-1, 1, (count, stored.z.shape[1]))
 
 
+LEARNED = {}  # a table takes seconds to fill; a predictor keeps its set, so that no other gets its id
+
+
 def made(name, stored, z):
     # What weights leaves out jumps at the reach, by as much as its bound; a difference divides that by the step.
-    predictor = make_predictor(name, stored, **({"bound": 1e-10} if name == "weights" else {}))
+    if (name, id(stored)) not in LEARNED:
+        bound = {"bound": 1e-10} if name == "weights" else {}
+        LEARNED[name, id(stored)] = make_predictor(name, stored, **bound)
+    predictor = LEARNED[name, id(stored)]
     return predictor.at(z[:10]) if predictor.needs_context else predictor
 
 
