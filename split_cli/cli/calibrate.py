@@ -180,8 +180,10 @@ def _show_calibration(calibration, used, output, as_json) -> None:
     )
 
 
-def _stiffness(curve) -> tuple[float, float]:
+def _stiffness(curve) -> tuple[float | str, float | str]:
     """Return the fitted cornering stiffness and half its 95 % interval, to the digits that this supports."""
+    if not curve.slope_is_known:
+        return "open", "open"
     middle, low, high = curve.cornering_stiffness
     return pair_known(middle, 0.5 * (high - low))
 

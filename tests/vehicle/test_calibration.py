@@ -103,6 +103,18 @@ def test_a_published_peak_is_kept(road_car, gentle_run):
     assert found.vehicle.origins["front_tire.D"] == "published"
 
 
+def test_a_force_that_falls_with_the_slip_is_told_with_what_to_check(road_car, gentle_run):
+    """With v_y measured 3 m ahead of where the map says, the slip angles are those of no tyre."""
+    guess = a_guess(road_car)
+    ahead = replace(gentle_run, vy=gentle_run.vy + 3.0 * gentle_run.r)
+    found = calibrate_vehicle([ahead], guess, CalibrationSettings(parts=("tires",)))
+    assert found.vehicle.rear_tire == guess.rear_tire and found.vehicle.front_tire == guess.front_tire
+    assert any(
+        "rear" in remark and "does not grow with the slip angle, correlation -" in remark
+        for remark in found.remarks
+    )
+
+
 def test_resistances_come_back_inside_their_intervals(road_car, gentle_run):
     found = calibrate_vehicle([gentle_run], replace(a_guess(road_car), yaw_inertia=road_car.yaw_inertia))
     resistance = found.resistance

@@ -181,7 +181,7 @@ def _fit_curves(
         ("rear", gentle.slip_rear, gentle.slip_noise_rear, vehicle.static_load_rear),
     )
     forces, everywhere = axle_lateral_forces(gentle, vehicle), axle_lateral_forces(samples, vehicle)
-    curves = []
+    curves, follows = [], []
     for (axle, slip, noise, load), force, force_anywhere in zip(axles, forces, everywhere, strict=True):
         tire = getattr(start, f"{axle}_tire")
         curve = fit_force_curve(
@@ -199,18 +199,31 @@ def _fit_curves(
             draws=draws,
             seed=settings.seed,
         )
+        along = float(np.corrcoef(slip, force)[0, 1])
         curves.append(curve)
-    return _kept_where_open(tuple(curves), start)
+        follows.append(along)
+    return _kept_where_open(tuple(curves), tuple(follows), start)
 
 
-def _kept_where_open(curves: tuple[ForceCurve, ...], start: Vehicle) -> tuple[ForceCurve, ...]:
-    """Return the start's tyres on both axles when the drives leave a slope open: half a balance is none."""
+def _kept_where_open(
+    curves: tuple[ForceCurve, ...], follows: tuple[float, ...], start: Vehicle
+) -> tuple[ForceCurve, ...]:
+    """Return the start's tyres on both axles when the drives leave a slope open: half a balance is none.
+
+    `follows` is the correlation of force and slip angle at each axle; no tyre has a negative one.
+    """
     reasons = []
-    for curve in curves:
+    for curve, correlation in zip(curves, follows, strict=True):
         slope, low, high = curve.cornering_stiffness
         if 0.5 * (high - low) > _OPEN_SLOPE * slope:
-            spread = f"known to +- {50.0 * (high - low) / slope:.0f} %" if high < 10.0 * slope else "open"
-            reasons.append(f"the {curve.axle} slope is {spread}")
+            spread = f"known to +- {50.0 * (high - low) / slope:.0f} %" if curve.slope_is_known else "open"
+            why = ""
+            if correlation <= 0.0:
+                why = (
+                    f" (the force does not grow with the slip angle, correlation {correlation:.2f}: check the place "
+                    "of v_y, the place of the CG, and the signs of v_y, r and delta)"
+                )
+            reasons.append(f"the {curve.axle} slope is {spread}{why}")
         elif curve.held_out.calibrated >= min(curve.held_out.start, curve.held_out.signal):
             reasons.append(f"on held-out blocks the {curve.axle} curve is no better than the start or none")
     if not reasons:

@@ -93,6 +93,12 @@ class ForceCurve:
     blocks: int
     remarks: tuple[str, ...]
 
+    @property
+    def slope_is_known(self) -> bool:
+        """Whether the interval of the cornering stiffness ends within ten times its value."""
+        middle, _, high = self.cornering_stiffness
+        return high < 10.0 * middle
+
 
 @dataclass(frozen=True)
 class _Problem:
