@@ -220,8 +220,8 @@ def _kept_where_open(
             why = ""
             if correlation <= 0.0:
                 why = (
-                    f" (the force does not grow with the slip angle, correlation {correlation:.2f}: check the place "
-                    "of v_y, the place of the CG, and the signs of v_y, r and delta)"
+                    f" (the force does not grow with the slip angle, correlation {correlation:.2f}: check the "
+                    "place of v_y, the place of the CG, and the signs of v_y, r and delta)"
                 )
             reasons.append(f"the {curve.axle} slope is {spread}{why}")
         elif curve.held_out.calibrated >= min(curve.held_out.start, curve.held_out.signal):
