@@ -229,9 +229,10 @@ def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy) -> Diagnosis:
     """Say where the difference is, what it is, and whether naming it helps."""
     selection, findings, remainder, unexplained = describe(found.outcome, bool(found.contradictions))
     unexplained = unexplained or found.line is not None
-    shared = [case.discrepancy_rates(one) for one in case.real]
-    forces = [gap_forces(one, (), rates) for one, rates in zip(case.real, shared, strict=True)]
-    after = [gap_forces(one, selection.terms, rates) for one, rates in zip(case.real, shared, strict=True)]
+    forces, after = (
+        [gap_forces(one, terms, case.discrepancy_rates(one, terms)) for one in case.real]
+        for terms in ((), selection.terms)
+    )
     if unexplained:
         lead = (
             found.line.in_words() if found.line else sparse_formula(case.real, after, case.keep, policy.reporting)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import split_cli.diagnosis.innovations.objective as objective_module
+import split_cli.diagnosis.baseline.discrepancy as discrepancy_module
 from split_cli.diagnosis.baseline.body import at_another_body
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.objective import build_objective
@@ -86,7 +86,7 @@ def test_an_inertia_is_found_beside_much_that_the_nominal_lacks(monkeypatch):
         return fit.parts[0].values["scale"]
 
     assert fitted() == pytest.approx(1.2, abs=0.02)
-    monkeypatch.setattr(objective_module, "at_another_body", lambda rates, vehicle, terms: rates)
+    monkeypatch.setattr(discrepancy_module, "at_another_body", lambda rates, vehicle, terms: rates)
     assert abs(fitted() - 1.2) > 0.05
 
 

@@ -14,6 +14,7 @@ from itertools import product
 import numpy as np
 
 from split_cli.diagnosis.baseline.body import at_another_body
+from split_cli.diagnosis.baseline.tires import at_other_tires
 from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.recording import first_order_response
@@ -68,10 +69,11 @@ class SharedDiscrepancy:
         return out
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
-        """Return what weights add in the middle of samples, shape (N, 3); terms alter inputs, sensors or body.
+        """Return what weights add in the middle of samples, shape (N, 3); terms alter inputs, sensors, tyres
+        or body.
 
-        What the actuators really did, and where the car really was, is what the shared discrepancy answers to; and
-        its forces move the body that is there.
+        What the actuators really did, and where the car really was, is what the shared discrepancy answers to; its
+        forces are those of the tyres that are there, and move the body that is there.
         """
         _, smooth = series.corrected(terms)
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
@@ -90,7 +92,11 @@ class SharedDiscrepancy:
             total = here @ functions
             for row, direction in zip(out, directions[:, axis], strict=True):
                 row += direction * total
-        return at_another_body(np.stack(out, axis=1), self.vehicle, terms)
+        return self.at_another_car(np.stack(out, axis=1), actual, terms)
+
+    def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
+        """Return rates (N, 3) of a recording with the tyres and the body that terms make of the vehicle's."""
+        return at_another_body(at_other_tires(rates, series, self.vehicle, terms), self.vehicle, terms)
 
     def _directions(self) -> np.ndarray:
         return self.vehicle.force_matrix() * self._peak * _SMOOTH_DEVIATION

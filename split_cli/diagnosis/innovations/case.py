@@ -16,6 +16,7 @@ from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
 from split_cli.diagnosis.together import together
+from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["DiagnosisCase", "gather_case"]
@@ -60,11 +61,11 @@ class DiagnosisCase:
         )
         return replace(self, keep=keep, keep_holdout=kept_out)
 
-    def discrepancy_rates(self, evidence: Evidence) -> np.ndarray:
-        """Return what the simulation knows beyond the nominal model along a recording, shape (N, 3)."""
+    def discrepancy_rates(self, evidence: Evidence, terms: Sequence[Term] = ()) -> np.ndarray:
+        """Return what the simulation knows beyond the nominal model with terms along a recording, shape (N, 3)."""
         if self.posterior is None:
             return np.zeros_like(evidence.series.measured)
-        return self.discrepancy.rates(evidence.series, self.posterior.weights)
+        return self.discrepancy.rates(evidence.series, self.posterior.weights, terms)
 
 
 def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STANDARD) -> DiagnosisCase:

@@ -6,14 +6,15 @@ integrated out (a marginalised baseline), or taken for what they are (a fixed ba
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from split_cli.diagnosis.baseline.body import alters_body, at_another_body
+from split_cli.diagnosis.baseline.body import alters_body
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
+from split_cli.diagnosis.baseline.tires import alters_tires
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.projection import damped
@@ -22,7 +23,7 @@ from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.vehicle.effects import Term
 
 _LEAST_INFORMED = 2e-3
-#: States of the sensors of which a witness's rows are kept while a fit moves other parameters.
+#: States of terms of which rows and rates are kept while a fit moves other parameters.
 _REMEMBERED = 64
 
 __all__ = ["DiscrepancyPosterior", "MarginalLikelihood", "build_objective", "learn_discrepancy"]
@@ -95,6 +96,11 @@ def _values(terms: Sequence[Term]) -> tuple:
 def alters_inputs(term: Term) -> bool:
     """Return whether a term changes what arrives of the commands, or what is measured."""
     return not term.exported or type(term).actuate is not Term.actuate
+
+
+def alters_car(term: Term) -> bool:
+    """Return whether a term changes the tyres or the body that the shared discrepancy's forces belong to."""
+    return alters_tires(term) or alters_body(term)
 
 
 @dataclass(frozen=True)
@@ -192,14 +198,18 @@ class MarginalLikelihood:
     def _kinematic_rows(self, one: KinematicResiduals, terms: Sequence[Term]) -> np.ndarray:
         """Return the rows of a witness, shape (W,); only terms that it feels can change them."""
         felt = [term for term in terms if not term.exported or term.is_felt]
-        known = self.memo.setdefault(("kinematics", id(one)), {})
-        key = _values(felt)
-        rows = known.get(key)
-        if rows is None:
+        return self._remembered(("kinematics", id(one)), felt, lambda: one.rows(felt))
+
+    def _remembered(self, what: Hashable, terms: Sequence[Term], made: Callable[[], np.ndarray]) -> np.ndarray:
+        """Return what is made of terms, as it was made before for the same values of them."""
+        known = self.memo.setdefault(what, {})
+        key = _values(terms)
+        found = known.get(key)
+        if found is None:
             if len(known) >= _REMEMBERED:
                 known.clear()
-            known[key] = rows = one.rows(felt)
-        return rows
+            known[key] = found = made()
+        return found
 
     def places(self) -> np.ndarray:
         """Return how far along the track each entry lies [m], shape (R,)."""
@@ -234,26 +244,33 @@ class MarginalLikelihood:
         altering = [term for term in terms if alters_inputs(term)]
         if self.posterior is None or not altering:
             return np.zeros(len(self.weight))
-        key = _values(altering)
-        if key not in self.memo:
-            self.memo[key] = self._discrepancy_rows(altering) - self.offset
-        return self.memo[key]
+        others = [term for term in terms if alters_car(term)]
 
-    def _discrepancy_rows(self, terms: Sequence[Term]) -> np.ndarray:
-        rows = []
-        for one in self.evidence:
-            rates = self.discrepancy.rates(one.series, self.posterior.weights, terms)
-            rows.append(one.whitener(integrated(one.series, rates)))
-        return self.stack(rows)
+        def rows() -> np.ndarray:
+            moved = []
+            for one in self.evidence:
+                rates = [self._rates(one, some) for some in ((), altering)]
+                here, there = (self.discrepancy.at_another_car(some, one.series, others) for some in rates)
+                moved.append(one.whitener(integrated(one.series, there - here)))
+            return self.stack(moved)
+
+        return self._remembered("shift", [*altering, *others], rows)
+
+    def _rates(self, one: Evidence, altering: Sequence[Term]) -> np.ndarray:
+        """Return the shared discrepancy's rates (N, 3) where terms alter inputs or sensors."""
+        return self._remembered(
+            ("discrepancy rates", id(one)),
+            altering,
+            lambda: self.discrepancy.rates(one.series, self.posterior.weights, altering),
+        )
 
     def carried(self, one: Evidence, terms: Sequence[Term]) -> np.ndarray | None:
-        """Return how the discrepancy rates change where terms alter the body, shape (N, 3), or nothing."""
-        if self.posterior is None or not any(map(alters_body, terms)):
+        """Return how the discrepancy rates change where terms alter tyres or body, shape (N, 3), or nothing."""
+        others = [term for term in terms if alters_car(term)]
+        if self.posterior is None or not others:
             return None
-        key = ("discrepancy rates", id(one))
-        if key not in self.memo:
-            self.memo[key] = self.discrepancy.rates(one.series, self.posterior.weights)
-        return at_another_body(self.memo[key], self.discrepancy.vehicle, terms) - self.memo[key]
+        rates = self._rates(one, ())
+        return self.discrepancy.at_another_car(rates, one.series, others) - rates
 
     def left_by(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what terms leave while they are fitted, shape (R,).
