@@ -82,9 +82,9 @@ def test_a_vehicle_that_is_worse_is_marked_in_name_head_json_and_report(tmp_path
     assert "vehicle_rejected.yaml" in page and "vehicle_corrected.yaml" not in page
 
 
-def improvement_of(last: HorizonErrors) -> Improvement:
+def improvement_of(last: HorizonErrors, removed=(0.5, 0.4, 0.6)) -> Improvement:
     row = (0.1, 0.1, 0.1)
-    return Improvement(row, row, row, row, row, row, {}, (last,), {"physics": (0.5, 0.4, 0.6)})
+    return Improvement(row, row, row, row, row, row, {}, (last,), {"physics": removed})
 
 
 def test_the_summary_tells_what_changed_most_in_noise_and_what_got_worse():
@@ -97,10 +97,27 @@ def test_the_summary_tells_what_changed_most_in_noise_and_what_got_worse():
     text = summarise("mismatch", finding, improvement=improvement_of(last))
     assert "error of r changes from 0.10 to 0.010 rad/s (persistence: 0.050; noise floor: 0.0010)" in text
     assert "The error of v_y rises from 0.20 to 0.30 m/s" in text
+    assert "Persistence still predicts v_y better." in text
     assert "v_x" not in text
     # A state that only changed within chance is not said to be worse.
     calm = replace(last, change={"physics": (0.5, 1.0, -5.0)})
     assert "rises" not in summarise("mismatch", finding, improvement=improvement_of(calm))
+
+
+@pytest.mark.parametrize(
+    ("removed", "words"),
+    [
+        ((0.5, 0.4, 0.6), "falls by 50 % (95 %: 40 to 60 %)"),
+        ((-0.08, -0.51, 0.21), "rises by 8 % (95 %: -21 to 51 %, within chance)"),
+        ((-0.3, -0.5, -0.1), "rises by 30 % (95 %: 10 to 50 %)"),
+    ],
+)
+def test_an_error_that_rises_is_said_to_rise(removed, words):
+    row = (0.1, 0.1, 0.1)
+    last = HorizonErrors(2.0, row, row, row, row, row, (0.01, 0.01, 0.01), {}, 40)
+    text = summarise("mismatch", found(CorrectedVehicle(())).findings, improvement=improvement_of(last, removed))
+    assert f"the squared one-step error above the noise floor {words}." in text
+    assert "Persistence" not in text
 
 
 def test_a_state_is_worse_beyond_chance_and_beyond_noise_only():

@@ -94,6 +94,19 @@ def test_what_is_told_holds_for_every_variant(sound):
     assert dx(*candidates) == max(each) > 2.0 * min(each)
 
 
+def test_each_parameter_is_told_as_if_it_were_there_alone(sound):
+    """Softer front tyres alone take more to be seen than both axles' tyres, and as much as is told is named."""
+    candidates = candidates_of(sound, "tire_stiffness", *NAMES)
+    found = {one.term: one.parameters for one in smallest_named((sound,), candidates, VARIANCE_INFLATION, LEVEL)}
+    assert set(found["tire_stiffness"]) == {"front_scale", "rear_scale"}
+    told = found["tire_stiffness"]["front_scale"][0]
+    for share, expected in ((1.5, ["tire_stiffness"]), (0.5, [])):
+        values = {"front_scale": 1.0 + share * (told - 1.0), "rear_scale": 1.0}
+        objective = objective_of(CATALOGUE["tire_stiffness"](values, ""))
+        selection = select_terms(objective, candidates_of(objective, "tire_stiffness", *NAMES), VARIANCE_INFLATION)
+        assert [one.id for one in selection.terms] == expected
+
+
 def test_an_effect_that_would_have_to_be_larger_than_any_is_told_at_no_size(sound):
     deaf = replace(sound, form_error_inflation=1e9)
     assert all(not one.parameters for one in smallest(deaf).values())

@@ -299,6 +299,11 @@ class HorizonErrors:
         """Return the channels whose error a stage makes larger beyond chance (5 %, two-sided)."""
         return tuple(k for k, z in enumerate(self.change.get(stage, ())) if z > _NORMAL_95)
 
+    def beaten_by_persistence(self, stage: str) -> tuple[int, ...]:
+        """Return the channels that velocities held as they are predict better than a stage does."""
+        pairs = zip(getattr(self, stage), self.persistence, strict=True)
+        return tuple(k for k, (error, held) in enumerate(pairs) if error > held)
+
 
 @dataclass(frozen=True)
 class Improvement:
@@ -353,7 +358,8 @@ class Detectable:
     ----------
     term : str
     parameters : mapping of str to (float, str)
-        Value and unit, those that vanish without the effect moved together; empty where no size would be named.
+        Value and unit, of each the value it needs while the others are as without the effect; those are left out
+        that would be named at no size.
     """
 
     term: str

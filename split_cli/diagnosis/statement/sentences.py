@@ -188,10 +188,12 @@ def _help(improvement: Improvement, stage: str) -> str:
         return f"The held-out data show too little of the gap to tell whether {model} would reduce it."
     removed, intro, parts = improvement.removed.get(stage), f"With {model}, on held-out data", []
     if removed is not None:
-        share, low, high = removed
-        interval = f"95 %: {100.0 * low:.0f} to {100.0 * high:.0f} %"
-        told = percent(share) if share > 0.0 else "0 %"
-        parts.append(f"{intro}, the squared one-step error above the noise floor falls by {told} ({interval}).")
+        share, *ends = removed
+        verb = "falls" if share >= 0.0 else "rises"
+        low, high = sorted(100.0 * end if share >= 0.0 else -100.0 * end for end in ends)
+        chance = ", within chance" if low < 0.0 < high else ""
+        told = f"{verb} by {percent(abs(share))} (95 %: {low:.0f} to {high:.0f} %{chance})"
+        parts.append(f"{intro}, the squared one-step error above the noise floor {told}.")
     if improvement.rollouts:
         told = _open_loop(improvement.rollouts[-1], stage)
         parts.append(told if parts else f"{intro}: {told[:1].lower()}{told[1:]}")
@@ -209,12 +211,16 @@ def _open_loop(last: HorizonErrors, stage: str) -> str:
         f"After {last.horizon:g} s of open-loop simulation the error of {name} changes from {before} to {after} "
         f"{unit} (persistence: {held}; noise floor: {floor})"
     )
+    beaten = last.beaten_by_persistence(stage)
     others = [
         f"The error of {_STATES[i][0]} rises from {number(last.before[i], 2)} to "
         f"{number(getattr(last, stage)[i], 2)} {_STATES[i][1]}"
         for i in last.worse(stage)
         if i != k
     ]
+    if beaten:
+        names = " and ".join(_STATES[i][0] for i in beaten)
+        others.append(f"Persistence still predicts {names} better")
     return " ".join(f"{one}." for one in (text, *others))
 
 

@@ -30,7 +30,7 @@ def smallest_named(
     variance_inflation: float,
     level: float,
 ) -> tuple[Detectable, ...]:
-    """Return from which size on each term of the catalogue would be named alone on these recordings.
+    """Return from which size on each parameter of each term would be named alone on these recordings.
 
     Parameters
     ----------
@@ -51,38 +51,61 @@ def smallest_named(
     is told holds for both. Its size is searched where the test that is asked of every name is passed just so.
     Chance makes it pass a little earlier or later; what looks the same may be named in its stead.
     """
-    variants: dict[str, list[Candidate]] = {}
-    for one in candidates:
-        if one.starts:
-            variants.setdefault(one.term, []).append(one)
     bare = [nothing(objective) for objective in objectives]
 
-    def smallest(candidate: Candidate) -> tuple[float, dict[str, float]]:
-        last = -1 if alters_inputs(candidate.build(candidate.starts[0])) else 0
-        return _smallest(objectives[last], bare[last], candidate, variance_inflation, level / len(candidates))
+    def smallest(candidate: Candidate, start: Mapping[str, float]) -> tuple[float, dict[str, float]]:
+        last = -1 if alters_inputs(candidate.build(start)) else 0
+        return _smallest(
+            objectives[last], bare[last], candidate, start, variance_inflation, level / len(candidates)
+        )
 
-    every = [one for several in variants.values() for one in several]
-    found = dict(zip((one.label for one in every), together(smallest, every), strict=True))
-    out = []
-    for term, several in variants.items():
-        # Which of them is there nobody knows: what is reported holds for all. Each late channel is its own effect.
-        alone = [one for one in several if len(one.ranges) == 1]
-        apart = len({frozenset(one.ranges) for one in several}) > 1 and bool(alone)
-        told = alone if apart else [max(several, key=lambda one: found[one.label][0])]
-        parameters = {
-            name: (value, CATALOGUE[term].parameter_units(one.variant)[name])
-            for one in told
-            for name, value in found[one.label][1].items()
-        }
-        out.append(Detectable(term, parameters))
-    return tuple(out)
+    every = _alone(candidates)
+    tried = [(one, start) for several in every.values() for one, start in several]
+    found = iter(together(lambda one: smallest(*one), tried))
+    parameters: dict[str, dict[str, tuple[float, str]]] = {}
+    for (term, name), several in every.items():
+        # Which variant of them is there nobody knows: what is reported holds for all.
+        _, values, unit = max(
+            ((*next(found), CATALOGUE[term].parameter_units(one.variant)[name]) for one, _ in several),
+            key=lambda one: one[0],
+        )
+        told = parameters.setdefault(term, {})
+        if values:
+            told[name] = values[name], unit
+    return tuple(Detectable(term, told) for term, told in parameters.items())
+
+
+def _alone(candidates: Sequence[Candidate]) -> dict[tuple[str, str], list[tuple[Candidate, dict[str, float]]]]:
+    """Return by term and parameter where each of its variants begins with that parameter alone.
+
+    Two parameters of a term need not be there together: brakes may be weak and the drive sound. A parameter that
+    no effect leaves open, a place in time, keeps its start. Where variants have several parameters and others one
+    of them, each late channel alone, those tell.
+    """
+    found: dict[tuple[str, str], list[tuple[Candidate, dict[str, float]]]] = {}
+    for one in candidates:
+        neutral = CATALOGUE[one.term].neutral
+        for name in one.ranges if one.starts else ():
+            acting = [start for start in one.starts if neutral.get(name) not in (None, start[name])]
+            if acting:
+                start = acting[len(acting) // 2]
+                alone = {each: start[each] if each == name else neutral.get(each, start[each]) for each in start}
+                found.setdefault((one.term, name), []).append((one, alone))
+    for key, several in found.items():
+        fewest = min(len(one.ranges) for one, _ in several)
+        found[key] = [(one, start) for one, start in several if len(one.ranges) == fewest]
+    return found
 
 
 def _smallest(
-    objective: MarginalLikelihood, bare: Fit, candidate: Candidate, variance_inflation: float, level: float
+    objective: MarginalLikelihood,
+    bare: Fit,
+    candidate: Candidate,
+    start: Mapping[str, float],
+    variance_inflation: float,
+    level: float,
 ) -> tuple[float, dict[str, float]]:
-    """Return how many times its start an effect has to be, and its values; infinity and none beyond its range."""
-    start = candidate.starts[len(candidate.starts) // 2]
+    """Return how many times a start an effect has to be, and its values; infinity and none beyond its range."""
     near = _NEAR if alters_inputs(candidate.build(start)) else _PROPORTIONAL
 
     def excess(size: float, saved: float) -> float:
@@ -112,7 +135,9 @@ def _smallest(
         values, everyday = candidate.moved(start, factor), False
         if candidate.is_everyday(values):
             # As large as this it is seen, and yet no fault.
-            factor *= min(limit.everyday / abs(values[name]) for name, limit in candidate.ranges.items())
+            factor *= min(
+                limit.everyday / abs(values[name]) for name, limit in candidate.ranges.items() if values[name]
+            )
             values, everyday = candidate.moved(start, factor), True
         if not candidate.allows(values):
             break

@@ -109,11 +109,9 @@ def _lead(diagnosis: Diagnosis) -> str:
 def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
     if diagnosis.p_value is not None:
         yield "p value", chance(diagnosis.p_value), "of so large a gap if simulation and reality were the same"
-    yield (
-        "Compared",
-        percent(diagnosis.compared_share),
-        "of the real drive, at operating points that the simulation has too",
-    )
+    simulated = any(one.role == "sim" for one in diagnosis.inputs)
+    where = "at operating points that the simulation has too" if simulated else "with the nominal model"
+    yield "Compared", percent(diagnosis.compared_share), f"of the real drive, {where}"
     if diagnosis.findings:
         largest = max(diagnosis.findings, key=lambda finding: finding.effect_to_noise)
         note = f"sensor noise over 0.05 s ({term_title(largest.term)})"
@@ -331,7 +329,8 @@ def _would_show(diagnosis: Diagnosis) -> str:
         for one in diagnosis.detectable
     ]
     words = (
-        "<p>Each effect, alone on these drives, would have been identified from about this size on. A smaller one "
+        "<p>Each effect, alone on these drives, would have been identified from about this size on; of several "
+        "parameters each is given for itself. A smaller effect "
         "stays unnoticed or unexplained, and a similar effect may be identified instead.</p>"
     )
     unfolded = " open" if diagnosis.verdict == "match" else ""
