@@ -180,7 +180,29 @@ def find_unit(symbol: str) -> Unit | None:
     spelled = _spelling(symbol)
     if spelled in _AMBIGUOUS:
         return None
-    return _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower())
+    return _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower()) or _quotient(spelled)
+
+
+_SPANS = {
+    **dict.fromkeys(("s", "sec", "second"), 1.0), "ms": 1e-3, **dict.fromkeys(("min", "minute"), 60.0),
+    **dict.fromkeys(("h", "hr", "hour"), 3600.0),
+}  # fmt: skip
+
+
+def _quotient(spelled: str) -> Unit | None:
+    """Return a length or an angle per time (``mm/s``, ``degrees/sec``), or per time squared (``mm/s^2``)."""
+    above, _, below = spelled.lower().partition("/")
+    bare = re.sub(r"\^?2$", "", below)
+    length = _BY_FOLDED.get(above)
+    if length is None or length.si not in ("m", "rad") or bare not in _SPANS:
+        return None
+    power = 1 if bare == below else 2
+    per = "/s" if power == 1 else "/s^2"
+    known = next((u for u in UNITS if u.si == length.si + per and u.symbol == length.symbol + per), None)
+    if known is not None and _SPANS[bare] == 1.0:
+        return known
+    symbol = f"{length.symbol}/{bare}{'^2' if power == 2 else ''}"
+    return Unit(symbol, length.si + per, length.factor / _SPANS[bare] ** power)
 
 
 def convert_to_si(
@@ -226,6 +248,7 @@ def convert_to_si(
     return values * found.factor + found.offset
 
 
+_BARRED = re.compile(r'"?(?P<name>[^"|]+)"?\|"?(?P<unit>[^"|]*)"?(\|[-+.\deE]*)+')
 _BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[](?P<unit>[^()\[\]]*)[\)\]]\s*$")
 _SUFFIXES = {
     suffix: suffix
@@ -244,7 +267,8 @@ _TIME_IN_MS = re.compile(r"(^|.*_)(t|time|timestamp|stamp|dt|delay|duration|late
 def split_name_and_unit(header: str) -> tuple[str, str | None]:
     """Split a column header into name and unit.
 
-    ``vx(m/s)`` and ``vx [m/s]`` give ``("vx", "m/s")``; a known suffix as in ``vx_mps`` gives
+    ``vx(m/s)``, ``vx [m/s]`` and ``vx|m/s|0|90|50`` (unit, range and rate, as RaceCapture writes them) give
+    ``("vx", "m/s")``; a known suffix as in ``vx_mps`` gives
     ``("vx_mps", "m/s")`` with the name left as it is, since users address columns by it.
 
     Returns
@@ -254,7 +278,7 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
         the bracket's own text when not known, None when nothing was said.
     """
     text = header.strip().lstrip("#").strip().strip('"').strip()
-    match = _BRACKETED.match(text)
+    match = _BARRED.fullmatch(text) or _BRACKETED.match(text)
     if match and match["name"] and match["unit"].strip().lower() not in ("x", "y", "z"):
         unit = find_unit(match["unit"]) if match["unit"].strip() else None
         return match["name"].strip(' "'), unit.symbol if unit else (match["unit"].strip() or None)

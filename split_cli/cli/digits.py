@@ -31,8 +31,9 @@ def known_to(value: float, error: float) -> Told:
     told = Told(value)
     told.text = plausible(value)
     if math.isfinite(error) and error > 0.0 and math.isfinite(value):
-        place = math.floor(math.log10(error))
-        place -= f"{error:.1e}"[0] in "12"
+        # Of the error as it is printed: 0.0996 is 0.10, which begins with 1.
+        leading, _, exponent = f"{error:.1e}".partition("e")
+        place = int(exponent) - (leading[0] in "12")
         rounded = round(value, -place) + 0.0  # no minus before a zero
         told.text = f"{rounded:.{max(-place, 0)}f}"
     return told

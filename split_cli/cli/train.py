@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from split_cli.cli.digits import three_digits
 from split_cli.cli.options import (
     existing_file,
     held_option,
@@ -149,9 +150,10 @@ def _print_laps(laps) -> None:
     header = ["drive", "lap", "time s", "mean speed m/s", "max |v_x r| m/s^2", "updates", "set size", "cells"]
     share = any(row.valid_share is not None for row in laps)
     rows = [
-        [row.drive, f"{row.lap}" if row.finished else f"{row.lap} (unfinished)", row.time, row.mean_speed,
-         row.largest_lateral_acceleration, row.updates, row.points, row.cells,
-         *([100.0 * row.valid_share] if share else [])]
+        [row.drive, f"{row.lap}" if row.finished else f"{row.lap} (unfinished)", row.time,
+         three_digits(row.mean_speed), three_digits(row.largest_lateral_acceleration),
+         row.updates, row.points, row.cells,
+         *([three_digits(100.0 * row.valid_share)] if share else [])]
         for row in laps
     ]  # fmt: skip
     print_table([*header, *(["valid region %"] if share else [])], rows)
@@ -167,15 +169,15 @@ def _print_rows(result) -> None:
     for row in rows:
         rejected = dict(row.rejected)
         cells = [row.drive, row.samples, row.accepted, *(rejected.get(reason, 0) for reason in reasons)]
-        cells += [row.updates, row.points, row.cells, *([100.0 * row.valid_share] if share else [])]
-        table.append([*cells, row.microseconds, row.megabytes])
+        cells += [row.updates, row.points, row.cells, *([three_digits(100.0 * row.valid_share)] if share else [])]
+        table.append([*cells, three_digits(row.microseconds), three_digits(row.megabytes)])
     print_table(header, table)
     kernel = result.kernel
     horizons = ", ".join(f"{value:g}" for value in dict.fromkeys(result.horizons))
     click.echo(f"\nlabel interval {horizons} s; hyperparameters: {kernel.origin}")
-    click.echo("length scales " + ", ".join(f"{value:.4g}" for value in kernel.length_scales))
-    click.echo("signal variance " + ", ".join(f"{value:.4g}" for value in kernel.signal_variance))
-    click.echo("noise variance " + ", ".join(f"{value:.4g}" for value in kernel.noise_variance))
+    click.echo("length scales " + ", ".join(three_digits(value).text for value in kernel.length_scales))
+    click.echo("signal variance " + ", ".join(three_digits(value).text for value in kernel.signal_variance))
+    click.echo("noise variance " + ", ".join(three_digits(value).text for value in kernel.noise_variance))
     if result.fit:
         fit = result.fit
         click.echo(f"fitted to {fit.points} points in {fit.blocks} blocks, {fit.evaluations} evaluations")

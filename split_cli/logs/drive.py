@@ -271,7 +271,7 @@ def open_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
     if columns.length <= _LONG or not columns.is_plain or "t" not in columns:
         return read_drive(path, held)
     metadata, period = _metadata_from_schema(columns.schema.metadata or {}, path)
-    segment = columns["segment"].astype(np.int32) if "segment" in columns else None
+    segment = _whole(columns["segment"], path) if "segment" in columns else None
     drive = _checked_drive(columns.without("segment"), segment, period, metadata, path)
     return drive.with_held(held) if held else drive
 
@@ -312,14 +312,14 @@ def _drive_from_table(table: pa.Table, path: Path) -> Drive:
         name, unit = split_name_and_unit(table.column_names[0])
         column, table = table.column(0), table.remove_column(0)
         try:
-            values = np.array(column.to_numpy(), dtype=np.int32 if name == "segment" else float)
+            values = np.array(column.to_numpy(), dtype=float)
         except (TypeError, ValueError):
             continue  # text columns ride along in logs; a drive has no use for them
         finally:
             del column
             pa.default_memory_pool().release_unused()
         if name == "segment":
-            segment = values
+            segment = _whole(values, path)
         else:
             if name in columns:
                 raise DriveError(f"two columns are {name}", where=str(path), advice="Leave one.")
@@ -327,6 +327,18 @@ def _drive_from_table(table: pa.Table, path: Path) -> Drive:
     if "t" not in columns:
         raise DriveError("the drive lacks t", where=str(path), advice=nearest_names("t", columns))
     return _checked_drive(columns, segment, period, metadata, path)
+
+
+def _whole(values: np.ndarray, path: Path) -> np.ndarray:
+    """Return the numbers of segments as int32, shape (N,); what is missing or no whole number has no segment."""
+    bad = np.flatnonzero(~(np.isfinite(values) & (values == np.round(values)) & (np.abs(values) < 2**31)))
+    if len(bad):
+        raise DriveError(
+            f"segment holds {len(bad)} values that are no whole numbers, the first in row {bad[0] + 1}",
+            where=str(path),
+            advice="Number every row, or leave the column out: gaps in time then part the segments.",
+        )
+    return values.astype(np.int32)
 
 
 def _checked_drive(

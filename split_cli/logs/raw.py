@@ -36,7 +36,8 @@ TIME_COLUMNS = (
     "timestamp_ns", "timestamp_us", "timestamp_ms", "elapsed_time", "sec", "seconds", "__time", "%time",
     "ts", "ts_ms", "ts_us", "ts_ns", "gps_tow", "tow", "itow", "gps_itow", "gps_time", "time_of_week", "sow",
     "logmonotime", "tempo",
-    "zeit", "zeit_s", "zeit_ms", "zeitstempel", "temps", "tiempo", "unix_time", "epoch", "utc", "utc_time",
+    "zeit", "zeit_s", "zeit_ms", "zeitstempel", "时间", "时间戳", "temps", "tiempo",
+    "unix_time", "epoch", "utc", "utc_time",
     "time_utc", "elapsed", "elapsed_s", "elapsed_ms", "datetime", "date_time", "date/time", "stamp",
 )  # fmt: skip
 """Names of columns that hold the time, in lower case, blanks as underscores."""
@@ -204,13 +205,20 @@ class LazyTableRecording:
 
 
 def time_column(infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
-    """Return the column that holds the time: of a known name, the better known first; None when there is none."""
+    """Return the column that holds the time; None when there is none.
+
+    One of a known name, the better known first; else one whose type is a time stamp (an index of pandas); else the
+    only one whose name holds the word.
+    """
     # T is a torque.
     named = [info for info in reversed(infos) if info.name.strip() != "T"]
     names = {re.sub(r"[\s.]+", "_", info.name.strip().lower()): info for info in named}
     for name in TIME_COLUMNS:
         if name in names and names[name].type_name != "text":
             return names[name]
+    stamped = [info for info in infos if info.type_name.startswith("timestamp[")]
+    if stamped:
+        return stamped[0]
     timed = [info for name, info in names.items() if re.search(r"(^|_)(time|timestamp)(_|$)", name)]
     timed = [info for info in timed if not counts_rows(info.name)]
     return timed[0] if len(timed) == 1 and timed[0].type_name != "text" else None

@@ -185,6 +185,7 @@ def test_numbers_are_printed_with_digits_that_can_be_known():
     told = [plausible(v) for v in (12345.678, 0.0123456, 3.0, 123456789.0, 1e-7, 2.5e12)]
     assert told == ["12346", "0.01235", "3", "123456789", "1e-07", "2.5e+12"]
     measured = {(0.85493, 0.0102): "0.855", (0.85493, 0.04): "0.85", (1573.4, 31.0): "1570", (0.5, 0.0): "0.5"}
+    measured |= {(0.23456, 0.0996): "0.23", (0.23456, 0.094): "0.23", (1.2345, 0.0249): "1.234"}
     measured |= {(-0.00012, 0.003): "0.000", (101.482, 14.0): "101", (12.3456, float("inf")): "12.35"}
     assert {pair: known_to(*pair).text for pair in measured} == measured
     assert [one.text for one in pair_known(0.855, 0.0102)] == ["0.855", "0.010"]

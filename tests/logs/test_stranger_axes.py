@@ -88,7 +88,7 @@ def test_velocities_and_accelerations_of_the_world_are_left_open(planted, tmp_pa
     opened = {s.channel: s.reason for s in draft.suggestions if s.status == "open"}
     assert set(opened) == {"vx", "vy", "ax", "ay"}
     assert all("axes of the world" in reason for reason in opened.values())
-    assert draft.of("r").unit == "deg/s" and draft.of("r").status == "judged"
+    assert draft.of("r").unit == "deg/s" and draft.of("r").status == "unsided"
     assert "vx, vy, r: --derive velocity-from-pose" in render_draft(draft, "log.csv")
 
 
@@ -127,6 +127,9 @@ def test_where_nothing_tells_left_from_right_the_draft_says_so(planted, tmp_path
     draft = drafted(Style(mirrored), planted, tmp_path)
     assert draft.left == ""
     assert "CHECK left and right" in render_draft(draft, "log.csv")
+    # Sizes agree, so that r would pass as judged; its side is not.
+    assert {draft.of(c).status for c in ("X", "Y", "yaw", "r", "ay", "vy")} == {"unsided"}
+    assert draft.of("vx").status == "judged"
 
 
 def test_columns_called_e_and_n_tell_left_from_right_whatever_their_unit(planted, tmp_path):
@@ -156,7 +159,7 @@ def test_an_angle_called_the_steering_wheels_is_the_road_wheels_by_its_size(plan
         return {"t": t, "vx": c["vx"], "yaw_rate": c["r"], "SteerAngleWheel": ratio * c["delta"], "ay": c["ay"]}
 
     road = drafted(Style(lambda t, c: write(1.0, t, c)), planted, tmp_path)
-    assert road.of("delta").status == "judged" and road.of("steering_wheel_angle") is None
+    assert road.of("delta").status == "unsided" and road.of("steering_wheel_angle") is None
     hand = drafted(Style(lambda t, c: write(-15.0, t, c)), planted, tmp_path)
     assert hand.of("delta").status == "open"
     assert hand.of("steering_wheel_angle").scale == -1.0

@@ -278,6 +278,35 @@ STYLES = {
         "Device Time": text_times(t, "%d-%b-%Y %H:%M:%S.%f"), "Longitude": degrees_of(c)[1], "Latitude": degrees_of(c)[0],
         "GPS Speed (Meters/second)": c["vx"], "Bearing": bearing(c), "G(x)": c["ay"] / G, "G(y)": c["ax"] / G,
     }, frozenset({"course"}), tolerances={"X": 2.0, "Y": 2.0}),
+    "RaceCapture, unit and range in the title, x to the right": Style(lambda t, c: {
+        'Interval|"ms"|0|0|1': np.round(t * 1e3), 'AccelX|"G"|-3.0|3.0|50': c["ay"] / G,
+        'AccelY|"G"|-3.0|3.0|50': c["ax"] / G, 'Yaw|"Deg/Sec"|-120|120|50': c["r"] * DEG,
+        'Latitude|"Degrees"|-180|180|10': degrees_of(c)[0], 'Longitude|"Degrees"|-180|180|10': degrees_of(c)[1],
+        'Speed|"kph"|0|240|10': c["vx"] * 3.6, 'Steering|"Deg"|-360|360|50': c["delta"] * 15.0 * DEG,
+    }, frozenset({"delta"}), tolerances={"X": 2.0, "Y": 2.0}),
+    "Apollo, x to the right, world velocity": Style(lambda t, c: {
+        "header.timestamp_sec": 1.7e9 + t, "pose.position.x": c["X"], "pose.position.y": c["Y"],
+        "pose.heading": c["yaw"], "linear_acceleration_vrf.x": -c["ay"], "linear_acceleration_vrf.y": c["ax"],
+        "angular_velocity_vrf.z": c["r"], "chassis.speed_mps": c["vx"],
+        "chassis.steering_percentage": 200.0 * c["delta"],
+    }, frozenset({"delta"})),
+    "VI-grade, units in a row, millimetres": Style(lambda t, c: {
+        "TIME": t, "chassis_displacements.longitudinal": c["X"], "chassis_displacements.lateral": c["Y"],
+        "chassis_displacements.yaw": c["yaw"] * DEG, "chassis_velocities.longitudinal": c["vx"] * 1e3,
+        "chassis_velocities.lateral": c["vy"] * 1e3, "chassis_velocities.yaw": c["r"] * DEG,
+        "chassis_accelerations.lateral": c["ay"] / G, "driver_demands.steering": c["delta"] * 15.0 * DEG,
+        "wheel_torque.L1": 0.5 * c["T"], "wheel_torque.R1": 0.5 * c["T"],
+    }, frozenset({"delta"}), units=("s", "m", "m", "deg", "mm/s", "mm/s", "deg/s", "g", "deg", "Nm", "Nm")),
+    "Chinese, in its code page": Style(lambda t, c: {
+        "时间(s)": t, "车速(km/h)": c["vx"] * 3.6, "侧向速度(m/s)": c["vy"], "横摆角速度(deg/s)": c["r"] * DEG,
+        "侧向加速度(g)": c["ay"] / G, "纵向加速度(m/s^2)": c["ax"], "方向盘转角(deg)": c["delta"] * 15.0 * DEG,
+        "前轮转角(deg)": c["delta"] * DEG, "车轮总转矩(Nm)": c["T"], "航向角(deg)": c["yaw"] * DEG,
+    }, encoding="gb18030"),
+    "German letters of the field": Style(lambda t, c: {
+        "Timestamp_ms": np.round(1.7e12 + t * 1e3), "v [km/h]": c["vx"] * 3.6, "vquer [m/s]": c["vy"],
+        "psiPunkt [°/s]": c["r"] * DEG, "aQuer [m/s²]": c["ay"], "aLaengs [m/s²]": c["ax"],
+        "Radlenkwinkel [°]": c["delta"] * DEG, "Radmoment gesamt [Nm]": c["T"],
+    }, separator=";", decimal=","),
     "units in a row, driver's wheel": Style(lambda t, c: {
         "Time": t, "Vehicle Speed": c["vx"] * 3.6, "Lateral Velocity": c["vy"], "Yaw Rate": c["r"] * DEG,
         "Steering Wheel Angle": c["delta"] * 15.0 * DEG, "Lateral Acceleration": c["ay"] / G, "Wheel Torque": c["T"],

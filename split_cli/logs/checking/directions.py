@@ -70,10 +70,11 @@ def along_the_world(checks: Checks) -> list[ConsistencyFinding]:
 
 def exchanged_accelerations(checks: Checks) -> list[ConsistencyFinding]:
     """Return accelerations that do not go with their own motion and do with the other's."""
-    if not checks.usable("ax", "r"):
+    if not checks.usable("ax") or not (checks.usable("r") or checks.usable("X", "Y")):
         return []
     inertial = checks.k.rate("vx") - checks.carried()
-    turning = checks.k.columns["vx"] * checks.k.columns["r"]
+    rate = checks.k.columns["r"] if checks.usable("r") else checks.k.course_rate()
+    turning = checks.k.columns["vx"] * rate
     motions = {"ax": (inertial, "dv_x/dt - v_y r"), "ay": (turning, "v_x r")}
     found = []
     for channel, other in (("ax", "ay"), ("ay", "ax")):

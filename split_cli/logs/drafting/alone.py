@@ -11,7 +11,12 @@ from split_cli.logs.checking.checks import LEAST_CORRELATION
 from split_cli.logs.checking.kinematics import Kinematics, Slope, fit_slope
 from split_cli.logs.drafting.draft import Suggestion
 
-__all__ = ["read_sideslip", "read_torque"]
+__all__ = ["read_pedal", "read_sideslip", "read_torque"]
+
+_LEAST_OF_A_CAR = 50.0
+"""Mass times wheel radius of the lightest car that a person drives: 250 kg on wheels of 0.2 m [kg m]."""
+_MOST_SHARE, _MOST_PERCENT = 1.2, 120.0
+"""Of a pedal's travel, sensors that overshoot included: as a share of 1, and in per cent."""
 
 
 def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
@@ -30,10 +35,25 @@ def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -
     size = f"{abs(slope.slope):.3g} N m for 1 m/s^2, which should be mass times wheel radius"
     if slope.slope < 0.0:
         s, size = replace(s, scale=-s.scale), f"its sign is turned; {size}"
-    status = "assumed" if two or s.unit is None else "judged"
+    too_small = abs(slope.slope) < _LEAST_OF_A_CAR and float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0
+    status = "assumed" if two or s.unit is None or too_small else "judged"
     unit = s.unit or "N m"
     told = "" if s.unit else "unit not stated"
+    size += ": too small for a car, is it the engine's?" if too_small else ""
     return replace(s, status=status, unit=unit, reason="; ".join(filter(None, (of_two, told, size))))
+
+
+def read_pedal(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
+    """Tell a pedal in per cent from one in shares of 1 by how far it goes."""
+    if s.status == "open" or s.channel not in columns or s.unit not in (None, "1"):
+        return s
+    largest = float(np.nanmax(np.abs(columns[s.channel])))
+    if largest <= _MOST_SHARE or s.status == "stated":
+        return s
+    if largest > _MOST_PERCENT:
+        told = f"reaches {largest:.4g}: neither a share nor per cent of the pedal's travel. Give its `scale:`"
+        return replace(s, status="open", reason=told)
+    return replace(s, unit="%", reason=f"unit not stated; it reaches {largest:.3g}, so per cent")
 
 
 def read_sideslip(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:

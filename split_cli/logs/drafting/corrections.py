@@ -49,6 +49,11 @@ def correct(chosen: dict[str, Suggestion], trial: Trial) -> tuple[dict[str, Sugg
                 chosen = {**chosen, channel: better}
                 if channel == "X" and better.unit:
                     chosen["Y"] = replace(chosen["Y"], unit=better.unit)
+        if {"ax", "ay"} <= {f.channel for f in verdict.findings if f.check == "swapped"}:
+            told = "along this axis by the data, not by its name"
+            pair = (("ax", chosen["ay"]), ("ay", chosen["ax"]))
+            chosen = {**chosen, **{c: replace(s, channel=c, scale=abs(s.scale), reason=told) for c, s in pair}}
+            changed = True
         for finding in verdict.findings:
             if finding.check == "compass" and "yaw" in chosen:
                 chosen = {**chosen, "yaw": _as_compass(chosen["yaw"])}
@@ -169,6 +174,8 @@ def with_status(s: Suggestion, verdict: Consistency) -> Suggestion:
         return replace(s, reason=f"{'; ' + s.reason if s.reason else ''}")
     unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
     assumed = "unit not stated" if s.unit else f"unit not stated, {unit} assumed"
+    if s.foreign_unit and not s.unit:
+        assumed = f"the file says {s.foreign_unit!r}, which is no known unit; {unit} assumed"
     tried = next((u for u in verdict.unjudged if u.check.startswith(_SYMBOLS.get(s.channel, "-"))), None)
     judge = f"not judged ({tried.check}: {tried.reason})" if tried is not None else "nothing judges it"
     return replace(s, unit=unit, reason=f"{told}{assumed}, and {judge}")

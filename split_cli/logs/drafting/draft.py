@@ -17,7 +17,8 @@ _NO_LEFT = (
     "CHECK left and right: the signs above are as recorded, and nothing recorded tells the sides apart",
     "(no satellite fix, east and north, or compass). In a left turn r and delta must be positive.",
 )
-_MARKS = {"judged": "judged: ", "stated": "unit as the file says; not judged", "assumed": "CHECK: "}
+_MARKS = {"judged": "judged: ", "unsided": "CHECK left and right; its size is judged: ",
+          "stated": "unit as the file says; not judged", "assumed": "CHECK: "}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class Suggestion:
     scale : float
     convert, world : str
     status : str
-        ``judged`` (a relation to other channels holds), ``stated`` (the file gives the unit, nothing judges it),
+        ``judged`` (a relation to other channels holds), ``unsided`` (the same, but nothing tells left from right),
+        ``stated`` (the file gives the unit, nothing judges it),
         ``assumed`` (nobody gives the unit, nothing judges it) or ``open`` (left out, with the reason).
     reason : str
     offset : float
@@ -42,6 +44,8 @@ class Suggestion:
         Whether the name says that it was asked for, not measured.
     by_convention : bool
         Whether the unit is that of ROS messages, which the recording itself does not state.
+    foreign_unit : str
+        What the file states where a unit stands, and is none that is known.
     """
 
     channel: str
@@ -55,6 +59,7 @@ class Suggestion:
     offset: float = 0.0
     command: bool = False
     by_convention: bool = False
+    foreign_unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -107,7 +112,7 @@ def render_draft(draft: Draft, name: str) -> str:
     missing = [channel for channel in REQUIRED_CHANNELS if channel not in mapped]
     if missing:
         lines.append(f"# Required and not found: {', '.join(missing)}.")
-    lines += [f"# {text}" for text in _ways(missing, mapped)]
+    lines += [f"# {text}" for text in _ways(missing, mapped, {s.channel for s in draft.suggestions} - mapped)]
     if draft.undefined:
         shown = ", ".join(draft.undefined[:12])
         lines.append(f"# Types that the recording does not define: {shown}. Give their .msg files: --msg-path.")
@@ -117,7 +122,7 @@ def render_draft(draft: Draft, name: str) -> str:
     return "\n".join(lines)
 
 
-def _ways(missing: Sequence[str], mapped: set[str]) -> list[str]:
+def _ways(missing: Sequence[str], mapped: set[str], opened: set[str]) -> list[str]:
     """Return how missing channels can be derived from what is mapped."""
     ways = []
     if "T" in missing:
@@ -128,6 +133,8 @@ def _ways(missing: Sequence[str], mapped: set[str]) -> list[str]:
         ways.append("vx, vy, r: --derive velocity-from-pose.")
     elif "vy" in missing:
         ways.append("vy: neither lateral velocity, sideslip nor pose was found; it takes one of them.")
+    if "delta" in missing and not opened & {"delta", "steering_wheel_angle"}:
+        ways.append("delta: no steering angle was found. Training and diagnosis need one, measured or commanded.")
     return ways
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.raw import RawSignal
 
-__all__ = ["HANDED", "certain_of", "is_heading", "path_is_certain", "what_tells_left"]
+__all__ = ["HANDED", "certain_of", "is_heading", "path_is_certain", "what_tells_left", "without_a_side"]
 
 HANDED = ("r", "vy", "ay", "yaw", "delta", "steering_wheel_angle", "sideslip")
 """Channels whose sign says left or right."""
@@ -63,3 +64,11 @@ def what_tells_left(chosen: Mapping[str, Suggestion]) -> str:
     if any("right by its name" in s.reason for s in chosen.values()):
         return "names"
     return ""
+
+
+def without_a_side(s: Suggestion) -> Suggestion:
+    """Return a suggestion that was judged as one whose side was not, where nothing recorded tells left from right.
+
+    A recording that is mirrored as a whole agrees with itself: relations between its channels see sizes only.
+    """
+    return replace(s, status="unsided") if s.status == "judged" and s.channel in (*HANDED, "X", "Y") else s

@@ -19,7 +19,7 @@ _UNIT_WORDS = {
     "kmph": "km/h", "mph": "mph", "kn": "kn", "knots": "kn", "rad": "rad", "radps": "rad/s", "rads": "rad/s",
     "deg": "deg", "degps": "deg/s", "dps": "deg/s", "degs": "deg/s", "degree": "deg", "degrees": "deg",
     "rpm": "rpm", "s": "s", "sec": "s", "us": "us", "ns": "ns", "nm": "N m", "bar": "bar", "kpa": "kPa",
-    "pct": "%", "percent": "%", "mm": "mm", "m": "m", "ft": "ft", "g": "g", "n": "N",
+    "pct": "%", "percent": "%", "percentage": "%", "mm": "mm", "m": "m", "ft": "ft", "g": "g", "n": "N",
     "lbft": "lbf ft", "ftlb": "lbf ft", "ftlbf": "lbf ft",
 }  # fmt: skip
 _LAST_TWO = {
@@ -150,7 +150,11 @@ def _directs(parts: list[str]) -> bool:
     if len(parts) < 2:
         return False
     own, before = (concepts_of(tokens_of(part))[0] for part in parts[-2:][::-1])
-    return bool(own) and own <= {"long", "lat", "up"} and bool(before & {"velocity", "acceleration", "rate"})
+    # A position.lat is a latitude, a displacement.lateral is none.
+    moved = {"displacement", "displacements"} & set(tokens_of(parts[-2]))
+    return (
+        bool(own) and own <= {"long", "lat", "up"} and bool(before & {"velocity", "acceleration", "rate"} or moved)
+    )
 
 
 def named_by_axis(infos: Sequence[RawChannelInfo]) -> dict[str, RawChannelInfo]:

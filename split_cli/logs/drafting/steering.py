@@ -70,6 +70,10 @@ def read_steering(
         ``Suggestion``.
     """
     told = []
+    shares = [s for c, s in chosen.items() if c in ("delta", "steering_wheel_angle") and s.unit == "%"]
+    chosen = {c: s for c, s in chosen.items() if s not in shares}
+    if shares and "delta" not in chosen:
+        told += [replace(s, channel="delta", status="open", reason=_share(s, columns)) for s in shares[:1]]
     if "steering_wheel_angle" in chosen:
         wheel = _hand_wheel(chosen["steering_wheel_angle"], columns)
         told.append(wheel)
@@ -86,6 +90,16 @@ def read_steering(
     if "delta" in chosen:
         told.append(_road_wheel(chosen["delta"], columns, vehicle))
     return told
+
+
+def _share(s: Any, columns: Mapping[str, np.ndarray]) -> str:
+    """Say of steering in per cent how it becomes an angle."""
+    text = "a share of the steering's lock, no angle: {source: ..., unit: rad, scale: ANGLE/100} with the"
+    text += " road wheels' angle at 100 %"
+    reach = apparent_wheelbase(columns[s.channel], columns) if s.channel in columns else None
+    if reach is None:
+        return text
+    return f"{text}, near wheelbase/{abs(reach):.3g} m{' with a minus sign' if reach < 0.0 else ''}"
 
 
 def _hand_wheel(s: Any, columns: Mapping[str, np.ndarray]) -> Any:

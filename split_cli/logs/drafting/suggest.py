@@ -13,12 +13,12 @@ from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.gather import row_rate_from_yaw
 from split_cli.logs.checking.checks import ACROSS
 from split_cli.logs.checking.consistency import Consistency
-from split_cli.logs.drafting.alone import read_sideslip, read_torque
+from split_cli.logs.drafting.alone import read_pedal, read_sideslip, read_torque
 from split_cli.logs.drafting.axes import without_other_axes, without_the_world
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.fields import field_candidates
-from split_cli.logs.drafting.hand import what_tells_left
+from split_cli.logs.drafting.hand import what_tells_left, without_a_side
 from split_cli.logs.drafting.naming import (
     is_command,
     meanings,
@@ -97,7 +97,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     turning = {**trial.motion_of_pose(clear, ("vx", "r")), **clear}
     steering = read_steering(corrected, turning, vehicle, Suggestion)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
-    alone = {"T": read_torque, "sideslip": read_sideslip}
+    alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal}
     suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
     suggestions += [replace(s, status="open", reason=hand) if hand and s.status != "open" else s for s in steering]
     taken = {name for s in suggestions for name in s.sources}
@@ -106,6 +106,8 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     unused = tuple(info.name for info in infos if info.name not in taken)
     undefined = dict.fromkeys(i.type_name for i in infos if i.name.startswith("/") and _is_bare_topic(i, infos))
     told = what_tells_left({s.channel: s for s in suggestions if s.status != "open"})
+    if not told:
+        suggestions = [without_a_side(s) for s in suggestions]
     return Draft(tuple([*suggestions, *dict.fromkeys(opened)]), line, unused, tuple(undefined), told)
 
 
@@ -159,11 +161,16 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
             si = getattr(find_unit(unit), "si", None) if unit else None
             if channel == "brake" and si == "Pa":
                 channel = "brake_pressure"
+            if channel in ("yaw", "r") and si in ("rad", "rad/s"):
+                channel = "yaw" if si == "rad" else "r"  # some call the rate yaw, as the axis
             expected = UNITS_OF.get(channel) or expected_unit(channel)
             turning = channel.startswith("wheel_speed") and si == "rad/s"
+            turning = turning or (channel in ("delta", "steering_wheel_angle") and unit == "%")
             if si is not None and expected is not None and si != expected and not turning:
                 continue
-            found.append(TrialCandidate(channel, (info.name,), meaning.weight - info.name.startswith("_"), unit))
+            foreign = info.unit if info.unit and unit is None else ""
+            weight = meaning.weight - info.name.startswith("_")
+            found.append(TrialCandidate(channel, (info.name,), weight, unit, foreign_unit=foreign))
     bare = {spelled_without_unit(info): info for info in infos if info.type_name != "text"}
     for u, v in (("u", "v"), ("U", "V")):
         if u in bare and v in bare:
@@ -173,7 +180,7 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
     numbers = [info for info in infos if info.type_name != "text"]
     lowered = {spelled_without_unit(info).lower(): info for info in numbers}
     lowered |= {"_".join(words_of(info.name)): info for info in numbers}
-    for north, east in (("x_n", "y_e"), ("pos_n", "pos_e"), ("p_n", "p_e"), ("pn", "pe")):
+    for north, east in (("x_n", "y_e"), ("pos_n", "pos_e"), ("p_n", "p_e"), ("pn", "pe"), ("utm_n", "utm_e")):
         if north in lowered and east in lowered:
             # y_E alone may be an error; beside x_N it is east.
             pair = {"X": lowered[east], "Y": lowered[north]}
@@ -337,7 +344,7 @@ def _first_guess(candidate: TrialCandidate, trial: Trial) -> Suggestion:
                       reason="to the right by its name" if to_the_right else "",
                       status="stated" if candidate.unit else "assumed",
                       command=all(is_command(name) for name in candidate.sources),
-                      by_convention=candidate.by_convention)  # fmt: skip
+                      by_convention=candidate.by_convention, foreign_unit=candidate.foreign_unit)  # fmt: skip
 
 
 def _only_measured(usable: dict[str, list[TrialCandidate]], opened: Sequence[Suggestion]) -> None:

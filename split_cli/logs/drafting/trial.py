@@ -38,6 +38,8 @@ class TrialCandidate:
     convert : str
     by_convention : bool
         Whether the unit is that of ROS messages, which the recording itself does not state.
+    foreign_unit : str
+        What the file states where a unit stands, and is none that is known.
     """
 
     channel: str
@@ -46,6 +48,7 @@ class TrialCandidate:
     unit: str | None
     convert: str = ""
     by_convention: bool = False
+    foreign_unit: str = ""
 
 
 def names_of(candidate: TrialCandidate) -> tuple[str, ...]:

@@ -1,7 +1,8 @@
 """What the words of a recorded name mean together: quantity, direction, object, in several languages.
 
-A name is taken apart into words, compounds too (``WhlSpdFL``, ``Querbeschleunigung``). Each word stands for a
-concept; the set of concepts decides the channel. Words that say who measured, where or how well are neutral.
+A name is taken apart into words, compounds too (``WhlSpdFL``, ``Querbeschleunigung``, ``横摆角速度``). Each word
+stands for a concept; the set of concepts decides the channel. Words that say who measured, where or how well are
+neutral.
 """
 
 from __future__ import annotations
@@ -15,36 +16,39 @@ __all__ = ["concepts_of", "read_concepts", "tokens_of"]
 _WORDS: dict[str, str] = {
     "velocity": (
         "v vel velo velocity velocities velocidad velocita speed speeds spd vitesse geschwindigkeit "
-        "geschw fahrgeschwindigkeit"
+        "geschw fahrgeschwindigkeit 车速 速度"
     ),
     "acceleration": (
         "a acc accel accelerometer acceleration "
-        "accelerations beschleunigung beschl gforce aceleracion accelerazione"
+        "accelerations beschleunigung beschl gforce aceleracion accelerazione 加速度"
     ),
-    "rate": "rate rates rt rot rotation rotationrate gyro gyroscope omega dot drehrate geschwindigkeitsrate",
+    "rate": (
+        "rate rates rt rot rotation rotationrate gyro gyroscope omega dot punkt drehrate geschwindigkeitsrate "
+        "角速度"
+    ),
     "angular": "angular",
-    "yaw": "yaw psi heading hdg gier lacet guinada imbardata",
-    "angle": "angle angles ang winkel angulo angolo",
-    "position": "pose pos posn position loc location coordinate coord",
-    "long": "x long longi longitudinal longitudinale lng lngt lgt fwd forward forwards inline laengs",
-    "lat": "y lat lateral laterale side sideways quer transverse transversal transversale trasversale",
+    "yaw": "yaw psi heading hdg gier lacet guinada imbardata 横摆 航向",
+    "angle": "angle angles ang winkel angulo angolo 角 角度 转角",
+    "position": "pose pos posn position loc location coordinate coord displacement displacements 位置 坐标",
+    "long": "x long longi longitudinal longitudinale lng lngt lgt fwd forward forwards inline lineal laengs 纵向",
+    "lat": "y lat lateral laterale side sideways quer transverse transversal transversale trasversale 侧向 横向",
     "up": "z vert vertical up hoch",
     "linear": "linear lin",
-    "steer": "steer steered steering str strg lenk lenkung braquage direccion sterzo sterzata",
-    "handwheel": "handwheel lenkrad stw swa sw msw volant volante",
-    "wheel": "wheel wheels whl whls roadwheel roue roues rueda ruedas ruota ruote",
+    "steer": "steer steered steering str strg lenk 转向 lenkung braquage direccion sterzo sterzata",
+    "handwheel": "handwheel lenkrad stw swa sw msw volant volante 方向盘 转向盘",
+    "wheel": "wheel wheels whl whls roadwheel roue roues rueda ruedas ruota ruote 轮 车轮",
     "road": "road tire tyre",
-    "torque": "torque torques trq tq moment mom drehmoment couple par coppia",
-    "brake": "brake brakes braking brk brems bremse frein freins freno freni",
-    "pressure": "pressure press pres prs druck pression presion pressione",
+    "torque": "torque torques trq tq moment mom drehmoment couple par coppia 转矩 扭矩 力矩",
+    "brake": "brake brakes braking brk brems bremse frein freins freno freni 制动 刹车",
+    "pressure": "pressure press pres prs druck pression presion pressione 压力",
     "throttle": (
-        "throttle thr thrt gas accelerator app tps fahrpedal gaspedal accelerateur acelerador acceleratore"
+        "throttle thr thrt gas accelerator app tps fahrpedal gaspedal accelerateur acelerador acceleratore 油门"
     ),
-    "pedal": "pedal ped",
-    "engine": "engine eng motor mot kurbelwelle",
+    "pedal": "pedal ped 踏板",
+    "engine": "engine eng motor mot kurbelwelle 发动机 电机",
     "current": "current curr strom",
-    "drive": "drive drv antrieb antriebs total sum axle axles powertrain net",
-    "slip": "slip sideslip beta schwimm bodyslip",
+    "drive": "drive drv antrieb antriebs total sum axle axles powertrain net gesamt summe 总 驱动",
+    "slip": "slip sideslip beta schwimm bodyslip 侧偏",
     "east": "east easting ost",
     "north": "north northing nord",
     "world": "world map global earth inertial utm enu ned ground over abs",
@@ -52,13 +56,13 @@ _WORDS: dict[str, str] = {
     "fr": "fr rf r1 vr",
     "rl": "rl lr l2 hl",
     "rr": "rr r2 hr",
-    "front": "front vorn vorne",
-    "rear": "rear hinten",
-    "left": "left links",
-    "right": "right rechts",
+    "front": "front vorn vorne 前",
+    "rear": "rear hinten 后",
+    "left": "left links 左",
+    "right": "right rechts 右",
     "command": (
         "cmd cmded command commanded commands demand demanded dmd request requested req desired target "
-        "goal setpoint reference ref soll sollwert"
+        "goal setpoint reference ref soll sollwert 目标 期望 指令"
     ),
     "other": (
         "std stddev sigma cov covariance var variance err error accuracy quality status valid validity "
@@ -66,15 +70,17 @@ _WORDS: dict[str, str] = {
         "min max limit bias temp temperature lap age confidence jerk "
         "roll rolling pitch pitching tilt bank bearing course slope grade altitude height kappa curvature "
         "radius distance dist combined combo gear ratio level battery voltage power fuel lean satellites "
-        "sats hdop residual steps engine_speed orientation quaternion quat"
+        "sats hdop residual spring damper jounce suspension steps engine_speed orientation quaternion quat"
     ),
     "driver": "driver fahrer",
-    "velocity long": "vx vlong vlon vlgt vfwd",
-    "velocity lat": "vy vlat",
-    "acceleration long": "ax along alon algt",
-    "acceleration lat": "ay alat",
-    "yaw rate": "wz psip yr yawrate psidot dpsi",
+    "velocity long": "vx vlong vlon vlgt vfwd vlaengs",
+    "velocity lat": "vy vlat vquer",
+    "acceleration long": "ax along alon algt alaengs",
+    "acceleration lat": "ay alat aquer",
+    "yaw rate": "wz psip yr yawrate psidot psipunkt dpsi",
     "torque wheel": "radmoment radmomente raddrehmoment",
+    "steer road angle": "radlenkwinkel vorderradlenkwinkel spurwinkel 前轮转角",
+    "pedal acceleration": "加速踏板",
     "position long": "px xpos",
     "position lat": "py ypos",
     "": (
@@ -84,7 +90,7 @@ _WORDS: dict[str, str] = {
         "msg fahrzeug ist corr corrected mti oxts novatel vicon optitrack mocap rt3000 of in the at from "
         "to s de del des di du la le della sm tm ii 2d "
         "3d dev device coor sys e1 sim simulated model true truth gt log data input "
-        "output stellung stand"
+        "output stellung stand 车辆 车身 质心 开度 实际 测量"
     ),
 }
 _CONCEPT = {word: concept for concept, words in _WORDS.items() for word in words.split()}
@@ -102,7 +108,10 @@ def tokens_of(name: str) -> list[str]:
     folded = re.sub(r"[ÄÖÜ]", lambda m: {"Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}[m[0]], name).translate(_FOLD)
     folded = "".join(ch for ch in unicodedata.normalize("NFKD", folded) if not unicodedata.combining(ch))
     found: list[str] = []
-    for piece in re.split(r"[^A-Za-z0-9]+", folded):
+    for piece in re.findall(r"[A-Za-z0-9]+|[\u4e00-\u9fff]+", folded):
+        if piece[0] > "\u4dff":
+            found += _of_characters(piece)
+            continue
         # L1 is a wheel and FL a corner: what is a word as it stands is not parted at its capitals.
         if piece.lower() in _CONCEPT:
             found.append(piece.lower())
@@ -110,6 +119,16 @@ def tokens_of(name: str) -> list[str]:
         for part in _PARTS.findall(piece):
             found += _segmented(part.lower())
     return [word for word in found if not word.isdigit()]
+
+
+def _of_characters(piece: str) -> list[str]:
+    """Return the words of a name written without blanks, each time the longest that is known."""
+    found, rest = [], piece
+    while rest:
+        size = next((n for n in range(min(len(rest), 8), 0, -1) if rest[:n] in _CONCEPT), 1)
+        found.append(rest[:size])
+        rest = rest[size:]
+    return found
 
 
 @lru_cache(maxsize=4096)

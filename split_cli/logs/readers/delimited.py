@@ -83,7 +83,9 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
     if renamed:
         note_once(notes, ReadNote("column names that occur twice, numbered", path.name, renamed))
     if sniffed.unnamed:
-        note_once(notes, ReadNote("no header row: columns are called column1, column2, ...", path.name))
+        beside = f" ({sniffed.titles} titles stand before {len(sniffed.header)} columns of values)"
+        told = beside if sniffed.titles else ""
+        note_once(notes, ReadNote(f"no header row{told}: columns are called column1, column2, ...", path.name))
     return columns
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import csv
+import io
 import re
 from collections import Counter
 from dataclasses import dataclass
@@ -66,6 +67,8 @@ class Sniffed:
         The first rows of values.
     unnamed : bool
         Whether there is no header and the titles were made up.
+    titles : int
+        Then the most titles that stand in a row before the values, and do not fit them in number.
     """
 
     dialect: Dialect
@@ -73,6 +76,7 @@ class Sniffed:
     units: list[str] | None
     rows: list[list[str]]
     unnamed: bool
+    titles: int = 0
 
 
 def sniff(path: Path) -> Sniffed:
@@ -91,7 +95,7 @@ def sniff(path: Path) -> Sniffed:
         whole = len(sample) < _SAMPLE_BYTES
     mark, encoding = next(((m, e) for m, e in _MARKS if sample.startswith(m)), (b"", _encoding(sample)))
     text = sample[len(mark) :].decode(encoding, errors="replace")
-    lines = text.splitlines(keepends=True)
+    lines = io.StringIO(text, newline="").readlines()
     if not whole and len(lines) > 1:
         lines.pop()
     if "\ufffd" in text[:1000] or sum(ch < " " and ch not in "\t\r\n\f" for ch in text[:1000]) > 5:
@@ -134,11 +138,19 @@ def _is_quoted_whole(lines: list[str]) -> bool:
 
 
 def _encoding(sample: bytes) -> str:
-    try:
-        codecs.getincrementaldecoder("utf-8")().decode(sample, final=False)
-    except UnicodeDecodeError:
-        return "latin-1"
-    return "utf-8"
+    """Return UTF-8, the Chinese code page, or that of Western Europe.
+
+    In Chinese text the bytes beyond ASCII come in pairs (or in fours, with digits between); umlauts stand alone.
+    """
+    for encoding in ("utf-8", "gb18030"):
+        try:
+            codecs.getincrementaldecoder(encoding)().decode(sample, final=False)
+        except UnicodeDecodeError:
+            continue
+        runs = re.findall(rb"[\x80-\xff]+", re.sub(rb"[\x81-\xfe][0-9][\x81-\xfe][0-9]", b"", sample))
+        if encoding == "utf-8" or (runs and all(len(run) % 2 == 0 for run in runs)):
+            return encoding
+    return "latin-1"
 
 
 def _candidates(lines: list[str]) -> list[tuple[str, str]]:
@@ -210,15 +222,33 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     width = len(rows[first])
     values = [row for row in rows[first : first + _CHECKED_ROWS] if len(row) == width]
     above = [row for row in rows[:first] if any(cell.strip() for cell in row)]
-    above = [row for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
+    above = [_rejoined(row, width) for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
     while above and not _is_title_row(above[0], width) and not _is_unit_row(above[0], width):
         above.pop(0)
     units = None
     if len(above) > 1 and _is_unit_row(above[0], width) and _is_title_row(above[1], width):
         units = (above.pop(0) + [""] * width)[:width]
     if not above:
-        return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True)
+        titles = max((len(row) for row in rows[:first] if _looks_like_titles(row)), default=0)
+        return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True, titles)
     return Sniffed(dialect, (above[0] + [""] * width)[:width], units, values, False)
+
+
+def _looks_like_titles(row: list[str]) -> bool:
+    return len([cell for cell in row if re.search(r"[^\W\d]", cell)]) > 1
+
+
+def _rejoined(row: list[str], width: int) -> list[str]:
+    """Return a row of titles with those put together again that hold separators in brackets; else as it is."""
+    if len(row) <= width + 1:
+        return row
+    made: list[str] = []
+    for cell in row:
+        if made and made[-1].count("[") > made[-1].count("]"):
+            made[-1] += "," + cell
+        else:
+            made.append(cell)
+    return made if abs(len(made) - width) <= 1 else row
 
 
 def _is_title_row(row: list[str], width: int) -> bool:

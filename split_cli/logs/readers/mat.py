@@ -28,7 +28,8 @@ def open_mat(path: Path) -> RawRecording:
 
     Vectors become channels; a struct's fields are addressed as ``struct.field``, the columns of a matrix as
     ``name[0]``. A structure with time (Simulink) becomes one channel of its name with its own clock, or one for
-    each signal's label. Objects of MATLAB (timeseries, timetable, Dataset) cannot be read; they are named.
+    each signal's label. A recording of ControlDesk (dSPACE) becomes one channel for each signal's name. Objects of
+    MATLAB (timeseries, timetable, Dataset) cannot be read; they are named.
 
     Raises
     ------
@@ -75,7 +76,9 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
     """Yield the numeric arrays of a variable, with their addresses."""
     if depth > _DEEPEST:
         return
-    if hasattr(value, "_fieldnames"):
+    if {"X", "Y"} <= set(getattr(value, "_fieldnames", ())) and all(_named(value.Y)) and all(_named(value.X)):
+        yield from _capture(name, value)
+    elif hasattr(value, "_fieldnames"):
         for key in value._fieldnames:
             yield from _leaves(f"{name}.{key}", getattr(value, key), depth + 1)
     elif isinstance(value, np.ndarray) and value.dtype == object:
@@ -93,12 +96,44 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
         yield name, value
 
 
+def _named(items: Any) -> list[str]:
+    """Return the names in an array of structures with Name and Data; one empty name where it is something else."""
+    fields = [set(getattr(item, "_fieldnames", ())) for item in np.ravel(items)]
+    if not fields or not all({"Name", "Data"} <= each for each in fields):
+        return [""]
+    return [_text(item.Name) for item in np.ravel(items)]
+
+
+def _text(value: Any) -> str:
+    text = np.ravel(value)
+    return str(text[0]).strip() if len(text) == 1 and text.dtype.kind == "U" else ""
+
+
+def _capture(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the signals of a recording of ControlDesk (dSPACE): ``Y`` with Name, Unit and Data over ``X``.
+
+    A name is the path of a block; its last part counts, without the port, unless two signals share it.
+    """
+    axes = [np.asarray(axis.Data) for axis in np.ravel(value.X)]
+    parts = [re.sub(r"/(Out|In)\d+$", "", title).replace(".", "_") for title in _named(value.Y)]
+    short = [part.rpartition("/")[2] for part in parts]
+    for part, bare, signal in zip(parts, short, np.ravel(value.Y), strict=True):
+        raster = int(np.ravel(getattr(signal, "XIndex", 1))[0]) if len(axes) > 1 else 1
+        group = f"{name}.{raster}" if len(axes) > 1 else name
+        unit = _text(getattr(signal, "Unit", ""))
+        title = bare if short.count(bare) == 1 else part.replace("/", "_")
+        if not 1 <= raster <= len(axes):
+            continue
+        yield f"{group}.{title}" + (f" [{unit}]" if unit else ""), np.asarray(signal.Data)
+    for raster, axis in enumerate(axes, 1):
+        yield f"{name}.{raster}.time" if len(axes) > 1 else f"{name}.time", axis
+
+
 def _label(item: Any) -> str:
     """Return the label of a signal of a structure with time, without dots; nothing if it has none."""
     if not {"values", "label"} <= set(getattr(item, "_fieldnames", ())):
         return ""
-    text = np.asarray(item.label).ravel()
-    return str(text[0]).strip().replace(".", "_") if text.dtype.kind == "U" and len(text) == 1 else ""
+    return _text(item.label).replace(".", "_")
 
 
 def _collect_hdf5(

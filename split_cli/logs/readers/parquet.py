@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, column_name_and_unit
+from split_cli.logs.raw import (
+    LazyTableRecording,
+    RawChannelInfo,
+    RawRecording,
+    RawSignal,
+    ReadNote,
+    column_name_and_unit,
+    note_once,
+)
 
 __all__ = ["column_values", "numbers_of", "open_arrow", "open_parquet"]
 
@@ -61,11 +69,16 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
         raise LogError("holds no rows", where=path.name)
     columns: dict[str, tuple[str, ...]] = {}
     infos = []
+    notes: list[ReadNote] = []
     for path_of, column in _leaves(schema):
         name, unit = column_name_and_unit(".".join(path_of))
         stated = (column.metadata or {}).get(b"unit")
-        name = name if name not in columns else ".".join(path_of)
+        if name in columns:
+            name = next(f"{name}_{n}" for n in range(2, len(columns) + 3) if f"{name}_{n}" not in columns)
+            note_once(notes, ReadNote("column names that occur twice, numbered", f"{path.name}, {name}"))
         columns[name] = path_of
+        if _is_time(column.type):
+            unit = "s"  # `column_values` gives seconds, whatever the name ends with
         infos.append(RawChannelInfo(name, str(column.type), rows, stated.decode() if stated else unit))
     units = {info.name: info.unit for info in infos}
 
@@ -86,7 +99,13 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
             pa.default_memory_pool().release_unused()
         return {name: RawSignal(name, None, values[name], units[name]) for name in names}
 
-    return LazyTableRecording(path.name, path, infos, load)
+    return LazyTableRecording(path.name, path, infos, load, notes=notes)
+
+
+def _is_time(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
 
 
 def _leaves(fields: Iterable[Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -123,7 +142,7 @@ def column_values(column: Any, where: str) -> np.ndarray:
     if pa.types.is_dictionary(kind):
         column, kind = column.cast(kind.value_type), kind.value_type
     scale = 1.0
-    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+    if _is_time(kind):
         scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
         column = column.cast(pa.int64())
     elif pa.types.is_decimal(kind) or pa.types.is_boolean(kind):

@@ -68,6 +68,11 @@ class InitResult:
         mapped = {s.channel for s in self.draft.suggestions if s.status != "open"}
         missing = [channel for channel in REQUIRED_CHANNELS if channel not in mapped]
         check = [s.channel for s in self.draft.suggestions if s.status == "assumed"]
+        if not mapped:
+            return (
+                f"No channel was recognised. See what the log holds: split ingest {self.log} --list",
+                f"Write the channels into {self.map_path}; docs/formats.md, Signal map, shows how.",
+            )
         steps = [f"Fill in the empty values of {self.vehicle_path}."]
         if check:
             steps.append(f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}.")
@@ -75,14 +80,17 @@ class InitResult:
             steps.append(
                 "Check in a left turn that r and delta are positive: nothing recorded tells left from right."
             )
-        if missing:
-            steps.append(f"Map or derive {', '.join(missing)}: the map's comments say how.")
-        derive = ""
+        derive, derived = "", {"T"}
         if "vy" in missing and {"sideslip", "vx"} <= mapped:
             derive += " --derive lateral-velocity-from-sideslip"
+            derived.add("vy")
         elif {"vx", "vy", "r"} & set(missing) and {"X", "Y", "yaw"} <= mapped:
             derive += " --derive velocity-from-pose"
+            derived |= {"vx", "vy", "r"}
         derive += " --derive torque-from-acceleration" if "T" in missing else ""
+        left = [channel for channel in missing if channel not in derived]
+        if left:
+            steps.append(f"Map {', '.join(left)} in {self.map_path}: its comments say what was found.")
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
         steps.append(f"Run: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o drive.parquet")
         return tuple(steps)
@@ -90,9 +98,10 @@ class InitResult:
     def to_text(self) -> str:
         """Return the result for a terminal."""
         counts = {status: [s.channel for s in self.draft.suggestions if s.status == status]
-                  for status in ("judged", "stated", "assumed", "open")}  # fmt: skip
+                  for status in ("judged", "unsided", "stated", "assumed", "open")}  # fmt: skip
         words = {
             "judged": "fit the other channels",
+            "unsided": "fit but for left and right: CHECK",
             "stated": "unit as the file says, not judged",
             "assumed": "unit assumed: CHECK",
             "open": "left open, with the reason",
