@@ -50,7 +50,7 @@ def test_a_recording_of_controldesk_is_read_by_the_names_inside(planted, driven,
 
     t, c = driven
     signals = {"vx_cog": (c["vx"] * 3.6, "km/h"), "vy_cog": (c["vy"], "m/s"), "YawRate": (c["r"] * DEG, "deg/s"),
-               "delta_f": (c["delta"], "rad"), "T_sum": (c["T"], "Nm"), "psi": (c["yaw"], "rad")}  # fmt: skip
+               "delta_f": (c["delta"], "rad"), "T_wheel": (c["T"], "Nm"), "psi": (c["yaw"], "rad")}  # fmt: skip
     fields = [(name, "O") for name in ("Name", "Unit", "Data", "XIndex")]
     rows = [(f"Model Root/Plant/{name}/Out1", unit, v[None], 1.0) for name, (v, unit) in signals.items()]
     capture = {"X": np.array([("Time", "s", t[None], 1.0)], dtype=fields), "Y": np.array(rows, dtype=fields)}
