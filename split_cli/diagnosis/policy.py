@@ -233,8 +233,9 @@ class Abstention:
         0.5,
         "1",
         "share from which on it is the greater part: of what the best explanation saves, for one that no real "
-        "car has to be a lead; of the track, for the interval of a stretch's end to leave its place open; of what "
-        "a car can have, for an effect of which a match tells where it would hide",
+        "car has to be a lead, and of what a term saves, for a rival to be fitted; of the track, for the interval "
+        "of a stretch's end to leave its place open; of what a car can have, for an effect of which a match tells "
+        "where it would hide",
         JUDGEMENT + "a half",
     )
     most_leads: int = number(2, "leads", "leads that are reported", JUDGEMENT + "a list of more helps nobody")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 
+from split_cli.diagnosis.search import form_error
 from split_cli.diagnosis.search.exchange import joined, merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
@@ -50,6 +53,50 @@ def test_a_peak_and_both_stiffnesses_merge_into_a_curve():
     assert said_of(both, found) == "another variant in place of tire_stiffness"
     alone = select_terms(objective, explore.candidates, VARIANCE_INFLATION)
     assert [term.id for term in alone.terms] == ["friction_scale"]
+
+
+@pytest.fixture(scope="module")
+def heavier():
+    """A car a fifth heavier whose tyres take the load degressively."""
+    return noisy_objective(driven(31, [CATALOGUE["mass"]({"scale": 1.2}, "degressive")]), 2)
+
+
+def repaired(explore: Explorer) -> Fit:
+    """Fit another mass, with the softer tyres that repair it."""
+    return fitted(explore, mass__loaded={"scale": 1.2}, tire_stiffness={"front_scale": 0.9, "rear_scale": 0.9})
+
+
+def test_a_stiffness_that_repairs_a_wrong_variant_of_a_mass_gives_way_to_the_right_one(heavier):
+    """Proportional load makes stiffness grow with the mass m, degressive load with its root: 1.2^-0.5 = 0.91."""
+    explore = explorer(heavier, "mass", "tire_stiffness")
+    both = repaired(explore)
+    assert both.parts[1].values["front_scale"] == pytest.approx(1.2**-0.5, rel=0.01)
+    (part,) = merged(explore, nothing(heavier), both, (True, True)).parts
+    assert part.candidate.label == "mass (degressive)" and part.values["scale"] == pytest.approx(1.2, abs=0.002)
+    # What is no name stays: it takes nothing from those that are.
+    assert merged(explore, nothing(heavier), both, (True, False)) is None
+
+
+def test_a_repair_gives_way_though_it_fits_better_by_what_a_single_track_gets_wrong(heavier):
+    """Some hundredths of what the mass does, by operating point, look like the repair."""
+    explore = explorer(heavier, "mass", "tire_stiffness")
+    both, right = repaired(explore), fitted(explore, mass__degressive={"scale": 1.2})
+    columns = form_error._varied(heavier, right.terms, 0)
+    weights = 1.2 * np.linalg.lstsq(columns, both.residuals - right.residuals, rcond=None)[0]
+    assert np.abs(weights).max() < 0.1
+    wrong = replace(heavier, offset=heavier.offset + columns @ weights)
+    explore = explorer(wrong, "mass", "tire_stiffness")
+    both, right = repaired(explore), fitted(explore, mass__degressive={"scale": 1.2})
+    assert explore.price(right) > explore.price(both) + explore.rules.price
+    assert merged(explore, nothing(wrong), both, (True, True)).parts[0].candidate.label == "mass (degressive)"
+
+
+def test_tyres_that_differ_beside_a_mass_stay():
+    """No variant of a mass makes one axle softer and the other stiffer."""
+    tyres = CATALOGUE["tire_stiffness"]({"front_scale": 1.05, "rear_scale": 0.95})
+    objective = noisy_objective(driven(31, [CATALOGUE["mass"]({"scale": 1.2}, "degressive"), tyres]), 2)
+    explore = explorer(objective, "mass", "tire_stiffness")
+    assert merged(explore, nothing(objective), repaired(explore), (True, True)) is None
 
 
 def test_steering_and_torque_late_by_the_same_join_into_late_sensors_and_by_unlike_do_not():

@@ -65,6 +65,16 @@ def test_what_was_explored_is_not_explored_again(objective, explore, current):
     assert explore(nothing(objective)) is not fits
 
 
+def test_what_promises_too_little_is_fitted_only_among_the_first(objective, current):
+    fresh = Explorer(objective, tuple(candidates_of(objective, *NAMES)), VARIANCE_INFLATION)
+    first = fresh(current, worth=0.0)
+    assert len(first) == fresh.rules.considered < len(NAMES) - 1
+    fits = fresh(current)
+    assert [fit.cost for fit in first] == pytest.approx([fit.cost for fit in fits[: len(first)]], abs=0.05)
+    # Who wants fewer than there are gets all.
+    assert fresh(current, worth=0.5 * current.cost) is fits
+
+
 def test_promises_beside_another_term_are_close_to_fits(objective, explore, current):
     """Tangents are taken without the other term: of what a term saves they miss a few hundredths."""
     for fit in explore(current):

@@ -238,3 +238,36 @@ def test_held_commands_hide_no_delay_and_taken_for_lines_they_do():
     # A ramp is a late staircase only to first order in a sample that is as long as the car is quick.
     assert late_by[()] == pytest.approx(0.01, abs=2e-3)
     assert late_by["T", "delta"] < 3e-4
+
+
+def test_derivatives_of_another_fit_lead_to_the_same_optimum_for_less(pushed, monkeypatch):
+    """A drag beside a resistance, from what the drag alone left; and both again, which costs two evaluations."""
+    drag, resistance = candidate(pushed, "aero_drag"), candidate(pushed, "rolling_resistance")
+    alone = fit_parts(pushed, [Part(drag, dict(drag.starts[0]))])
+    parts = (*alone.parts, Part(resistance, dict(resistance.starts[0])))
+    evaluated = []
+    whole = MarginalLikelihood.residual
+    monkeypatch.setattr(
+        MarginalLikelihood, "residual", lambda self, terms: evaluated.append(terms) or whole(self, terms)
+    )
+    fresh = fit_parts(pushed, parts)
+    needed, evaluated[:] = len(evaluated), []
+    shared = fit_parts(pushed, parts, known=alone)
+    assert len(evaluated) < needed
+    assert shared.cost == pytest.approx(fresh.cost, abs=0.05)
+    for one, other, error in zip(shared.parts, fresh.parts, standard_errors(fresh), strict=True):
+        assert list(one.values.values()) == pytest.approx(list(other.values.values()), abs=0.05 * error)
+    evaluated[:] = []
+    again = fit_parts(pushed, shared.parts, known=shared)
+    assert len(evaluated) == 2 and again.cost <= shared.cost
+
+
+def test_wrong_derivatives_of_another_fit_do_not_end_a_fit(pushed):
+    """Neither where a part comes to those known, nor where one leaves and a step along them gains nothing."""
+    drag, resistance = candidate(pushed, "aero_drag"), candidate(pushed, "rolling_resistance")
+    both = fit_parts(pushed, [Part(drag, {"drag": 0.2}), Part(resistance, {"force": 100.0})])
+    turned = replace(both, sensitivity=-both.sensitivity)
+    for parts in ((*both.parts[:1], Part(resistance, {"force": 20.0})), both.parts[:1]):
+        assert fit_parts(pushed, parts, known=turned).cost == pytest.approx(
+            fit_parts(pushed, parts).cost, abs=0.05
+        )

@@ -5,33 +5,103 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import product
 
+import numpy as np
+
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
-from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
+from split_cli.diagnosis.search.form_error import costs_beside_form_error, free_to_form_error
+from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
+from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["joined", "merged", "said_of", "split"]
+__all__ = ["is_better_beside_form_error", "joined", "merged", "said_of", "split"]
 
 
 def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
-    """Return the best explanation with one part less and another in another variant, where that is no dearer.
+    """Return the best explanation with one named part less and another in another variant, where that is as good.
 
     A variant with another term may be a second variant alone: the whole curve of a tyre scaled and made stiffer is
-    its peak scaled. Tried are parts one of which declares that the other is part of what looks like it.
+    its peak scaled. Or a term repairs what a wrong variant of another gets wrong. Then it costs more to leave it,
+    though no more than model-form error of both explanations, and the term would be refused if it came back.
+    Straight lines tell what is worth a fit.
     """
-    best, least = None, explore.price(chosen)
-    parts = chosen.parts
-    for k, gone in enumerate(parts):
-        for j, kept in enumerate(parts):
-            if j == k or not _declares(gone.candidate.term, kept.candidate.term):
-                continue
-            others = [part for i, part in enumerate(parts) if i not in (j, k)]
-            for sibling in _siblings(kept.candidate, explore.candidates):
-                fit = fit_parts(explore.objective, (*others, Part(sibling, dict(kept.values))))
-                if explore.price(fit) < least:
-                    best, least = fit, explore.price(fit)
+    best, least = None, np.inf
+    for parts, gone in _promising_mergers(explore, chosen, named)[: explore.rules.considered]:
+        fit = fit_parts(explore.objective, parts, known=chosen)
+        price = explore.price(fit)
+        if price < least and (price < explore.price(chosen) or _repairs(explore, chosen, fit, gone)):
+            best, least = fit, price
     return best
+
+
+def _repairs(explore: Explorer, chosen: Fit, without: Fit, gone: Part) -> bool:
+    """Return whether a part saves no more than model-form error, beside others in a variant that it repaired."""
+    if is_better_beside_form_error(explore, chosen, without):
+        return False
+    sizes = sizes_with_form_error(explore.objective, without.terms)
+    back = fit_parts(explore.objective, (*without.parts, gone), known=without)
+    return bool(refusal(explore, without, sizes, back))
+
+
+def _promising_mergers(
+    explore: Explorer, chosen: Fit, named: Sequence[bool]
+) -> list[tuple[tuple[Part, ...], Part]]:
+    """Return parts with another variant of one, and the one that is gone, that promise to be as good, best first.
+
+    Notes
+    -----
+    Taking part k away moves the residuals by what it does beside the others, another variant by how the two differ
+    at the same values; along straight lines the rest follows, and promises what `Tangent.cost` says.
+    """
+    objective, parts = explore.objective, chosen.parts
+    siblings = [(j, one) for j, part in enumerate(parts) for one in _siblings(part.candidate, explore.candidates)]
+    if len(parts) < 2 or not siblings:
+        return []
+    here = objective.left_by(chosen.terms)
+    owner = np.repeat(np.arange(len(parts)), [len(part.values) for part in parts])
+    free = free_to_form_error(objective, chosen)
+    seen = free.T @ chosen.residuals
+    own = chosen.cost - float(seen @ seen)
+    gone = {
+        k: objective.whiten(objective.left_by(chosen.terms[:k] + chosen.terms[k + 1 :]) - here)
+        for k, is_named in enumerate(named)
+        if is_named
+    }
+
+    def promises(j: int, sibling: Candidate) -> list[tuple[float, tuple[Part, ...], Part]]:
+        others = chosen.terms[:j] + chosen.terms[j + 1 :]
+        line = tangent(objective, here, Part(sibling, dict(parts[j].values)), others)
+        out = []
+        for k, moved in gone.items():
+            if k != j:
+                kept = tuple(part for i, part in enumerate(parts) if i not in (j, k))
+                rest = Fit(kept, 0.0, chosen.residuals + moved, chosen.sensitivity[:, (owner != j) & (owner != k)])
+                fewer = chosen.complexity - rest.complexity - sibling.complexity
+                worse = line.cost(rest, free) - own - explore.variance_inflation * explore.rules.price * fewer
+                out.append((worse, (*kept, line.part), parts[k]))
+        return out
+
+    found = together(lambda one: promises(*one), siblings)
+    most = explore.variance_inflation * explore.rules.price
+    promising = [one for several in found for one in several if one[0] < most]
+    return [(kept, out) for _, kept, out in sorted(promising, key=lambda one: one[0])]
+
+
+def is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:
+    """Return whether a fit costs less than another, price included, beside model-form error of both.
+
+    Several terms may imitate one, and fit better by the model-form error of the one.
+    """
+    rules, more = explore.rules, len(fit.parts) > len(than.parts)
+    # Of explanations that are as good, the one with fewer terms stays.
+    least = rules.price if more else rules.tie
+    if explore.price(fit) > explore.price(than) - least:
+        return False
+    there, here = costs_beside_form_error(explore.objective, [than, fit])
+    price = rules.price * (fit.complexity - than.complexity)
+    return (there - here) / explore.variance_inflation > price + least
 
 
 def joined(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
@@ -46,7 +116,7 @@ def joined(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> 
         if not one.starts or frozenset(part.candidate.term for part in own) not in pairs:
             continue
         others = [part for part in chosen.parts if part not in own]
-        fit = fit_parts(explore.objective, (*others, Part(one, nearest_start(one, own[0]))))
+        fit = fit_parts(explore.objective, (*others, Part(one, nearest_start(one, own[0]))), known=chosen)
         if explore.price(fit) < least:
             best, least = fit, explore.price(fit)
     return best
@@ -67,7 +137,7 @@ def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
         taken = {one.candidate.term for one in others}
         for pair in _pairs_like(part, explore.candidates) if named[k] else ():
             if not taken & {one.candidate.term for one in pair}:
-                fit = fit_parts(explore.objective, (*others, *pair))
+                fit = fit_parts(explore.objective, (*others, *pair), known=chosen)
                 worth = (chosen.cost - fit.cost) / widened > rules.price * (fit.complexity - chosen.complexity)
                 if worth and explore.price(fit) < least:
                     best, least = fit, explore.price(fit)
@@ -87,13 +157,6 @@ def _siblings(own: Candidate, candidates: Sequence[Candidate]) -> list[Candidate
         for one in candidates
         if one.term == own.term and one.variant != own.variant and set(one.ranges) == set(own.ranges)
     ]
-
-
-def _declares(term: str, other: str) -> bool:
-    """Return whether one of two terms is among what looks like the other, alone or together with more."""
-    return any(
-        b in mimic.terms.split("+") for a, b in ((term, other), (other, term)) for mimic in CATALOGUE[a].mimics
-    )
 
 
 def _pairs_like(part: Part, candidates: Sequence[Candidate]) -> list[tuple[Part, Part]]:

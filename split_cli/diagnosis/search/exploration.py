@@ -41,7 +41,9 @@ class Explorer:
     objective: MarginalLikelihood
     candidates: tuple[Candidate, ...]
     variance_inflation: float
-    _explored: list[tuple[Fit, list[Fit]]] = field(default_factory=list, init=False, repr=False, compare=False)
+    _explored: list[tuple[Fit, float, list[Fit]]] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
 
     @property
     def rules(self) -> SelectionRules:
@@ -52,14 +54,17 @@ class Explorer:
         """Return a fit's cost with the price of its parameters."""
         return fit.cost / self.variance_inflation + self.rules.price * fit.complexity
 
-    def __call__(self, current: Fit) -> list[Fit]:
-        """Return the promising candidates fitted together with an explanation, best first; one fit a variant."""
-        for known, fits in self._explored:
+    def __call__(self, current: Fit, worth: float = np.inf) -> list[Fit]:
+        """Return the promising candidates fitted together with an explanation, best first; one fit a variant.
+
+        Beside the few that promise most, only those are fitted that promise a cost below `worth`.
+        """
+        for known, as_much, fits in self._explored:
             close = abs(known.cost - current.cost) < self.rules.tie * self.variance_inflation
-            if close and _labels(known) == _labels(current):
+            if close and as_much >= worth and _labels(known) == _labels(current):
                 return fits
-        fits = self._followed(self._fits(current, self._starts(current)))
-        self._explored.append((current, fits))
+        fits = self._followed(self._fits(current, self._starts(current, worth=worth)))
+        self._explored.append((current, worth, fits))
         return fits
 
     def beyond_form_error(self, current: Fit) -> list[Fit]:
@@ -121,11 +126,14 @@ class Explorer:
                 best[term] = promised, line
         return [line for _, line in best.values()]
 
-    def _starts(self, current: Fit, free: np.ndarray | None = None) -> dict[str, list[tuple[float, Part]]]:
+    def _starts(
+        self, current: Fit, free: np.ndarray | None = None, worth: float = np.inf
+    ) -> dict[str, list[tuple[float, Part]]]:
         """Return the best promises by the candidates' labels, and what they promise to cost."""
         starts: dict[str, list[tuple[float, Part]]] = {}
         for promised, part in self._promises(current, free):
-            if part.candidate.label in starts or len(starts) < self.rules.full_fits:
+            most = self.rules.full_fits if promised <= worth else self.rules.considered
+            if part.candidate.label in starts or len(starts) < most:
                 starts.setdefault(part.candidate.label, []).append((promised, part))
         return starts
 
@@ -138,7 +146,8 @@ class Explorer:
             for promised, part in promises:
                 # Another start may have kept more than this one promises.
                 if len(fits) < 2 and all(fit.cost >= promised for fit in fits):
-                    fits.append(fit_parts(self.objective, (*current.parts, part), refreshes=settled))
+                    parts = (*current.parts, part)
+                    fits.append(fit_parts(self.objective, parts, refreshes=settled, known=current))
             return fits
 
         fits = [fit for several in together(fitted, starts.values()) for fit in several]
@@ -151,7 +160,8 @@ class Explorer:
             best.setdefault(fit.parts[-1].candidate.label, fit)
 
         def followed(fit: Fit) -> Fit:
-            return fit_parts(self.objective, fit.parts) if any(alters_inputs(term) for term in fit.terms) else fit
+            altering = any(alters_inputs(term) for term in fit.terms)
+            return fit_parts(self.objective, fit.parts, known=fit) if altering else fit
 
         # Only what may win is worth following with the shared discrepancy.
         first, rest = list(best.values())[: self.rules.followed], list(best.values())[self.rules.followed :]
@@ -176,7 +186,7 @@ class Explorer:
             if one.label not in done and one.term not in taken and one.starts and look_alike(own.term.id, one.term)
         ]
         parts = [part for part in parts if alters_inputs(part.term)]
-        return together(lambda part: fit_parts(self.objective, (*others, part)), parts)
+        return together(lambda part: fit_parts(self.objective, (*others, part), known=found[0]), parts)
 
     def _is_everywhere(self, part: Part) -> bool:
         """Return whether a stretch covers so much of the track that it is none, or a term is another one."""

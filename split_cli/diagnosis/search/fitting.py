@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.vehicle.descent import Slopes, descend
+from split_cli.vehicle.descent import Descent, Slopes, descend
 from split_cli.vehicle.effects import Term
 
 __all__ = [
@@ -27,6 +29,7 @@ __all__ = [
 ]
 
 _ITERATIONS = 12
+_TRIES = 5  # of steps at each linearisation
 _JOINT_ITERATIONS = 6  # of all terms at once, to see which of them are needed
 _REFRESHES = 1
 _LEAST_GAIN = 0.02  # of a step [chi squared], below which a fit ends
@@ -92,7 +95,9 @@ class Fit:
         return sum(part.candidate.complexity for part in self.parts)
 
 
-def fit_parts(objective: MarginalLikelihood, parts: Sequence[Part], *, refreshes: int = _REFRESHES) -> Fit:
+def fit_parts(
+    objective: MarginalLikelihood, parts: Sequence[Part], *, refreshes: int = _REFRESHES, known: Fit | None = None
+) -> Fit:
     """Refit all parameters of all parts together from where they are.
 
     Parameters
@@ -102,13 +107,15 @@ def fit_parts(objective: MarginalLikelihood, parts: Sequence[Part], *, refreshes
     refreshes : int
         How often the shared discrepancy follows what the terms do to the inputs; 0 to leave it where the recording
         puts it, for a first look at many candidates.
+    known : Fit, optional
+        On the same objective; the derivatives of parts that it shares with these serve the first step.
     """
     parts = tuple(parts)
     if objective.fixed_baseline or not refreshes or not any(alters_inputs(part.term) for part in parts):
-        return _fit(objective, parts, np.zeros(len(objective.weight)), _ITERATIONS)
-    fit = _fit(objective, parts, objective.shift([part.term for part in parts]), _ITERATIONS)
+        return _fit(objective, parts, np.zeros(len(objective.weight)), _ITERATIONS, known=known)
+    fit = _fit(objective, parts, objective.shift([part.term for part in parts]), _ITERATIONS, known=known)
     for _ in range(refreshes):
-        fit = _fit(objective, fit.parts, objective.shift(fit.terms), _ITERATIONS)
+        fit = _fit(objective, fit.parts, objective.shift(fit.terms), _ITERATIONS, known=fit)
     return fit
 
 
@@ -153,6 +160,7 @@ def _fit(
     shift: np.ndarray,
     iterations: int,
     pulls: tuple[np.ndarray, np.ndarray] | None = None,
+    known: Fit | None = None,
 ) -> Fit:
     """Refit all parameters from where they are, the shared discrepancy's shift held.
 
@@ -160,7 +168,8 @@ def _fit(
 
     Notes
     -----
-    See `descend`; derivatives by forward differences.
+    See `descend`; derivatives by forward differences. What one term does hardly depends on the others beside it,
+    so the first step may use derivatives that another fit left; further steps have their own.
     """
     names = [(k, name) for k, part in enumerate(parts) for name in part.values]
     limits = [parts[k].candidate.ranges[name] for k, name in names]
@@ -179,15 +188,42 @@ def _fit(
         residuals = objective.whiten(here - shift)
         return float(residuals @ residuals) + float(precision @ (x - mean) ** 2), (here, residuals)
 
-    def linearise(x: np.ndarray, state: tuple[np.ndarray, np.ndarray]) -> Slopes:
+    def linearise(
+        x: np.ndarray,
+        state: tuple[np.ndarray, np.ndarray],
+        shared: Mapping[int, np.ndarray] = MappingProxyType({}),
+    ) -> Slopes:
         here, residuals = state
-        jacobian = objective.whiten(_slopes(residual_at, here, x, upper))
+        jacobian = np.empty((len(here), len(x)))
+        for p, column in shared.items():
+            jacobian[:, p] = column
+        own = [p for p in range(len(x)) if p not in shared]
+        if own:
+            jacobian[:, own] = objective.whiten(_slopes(residual_at, here, x, upper, own))
         slope = jacobian.T @ residuals + precision * (x - mean)
         return Slopes(jacobian, slope, jacobian.T @ jacobian + np.diag(precision))
 
-    found = descend(
-        evaluate, linearise, x, lower, upper, enough=lambda gained, _: gained < _LEAST_GAIN, iterations=iterations
-    )
+    def descended(
+        start: np.ndarray,
+        there: tuple[float, tuple[np.ndarray, np.ndarray]],
+        linearise: Callable[..., Slopes],
+        iterations: int,
+        tries: int,
+    ) -> Descent[tuple[np.ndarray, np.ndarray]]:
+        return descend(
+            lambda at: there if at is start else evaluate(at),
+            linearise, start, lower, upper, enough=lambda gained, _: gained < _LEAST_GAIN,
+            iterations=iterations, tries=tries,
+        )  # fmt: skip
+
+    there, settled = evaluate(x), False
+    shared = {} if known is None else _shared_slopes(parts, known, steps)
+    if shared:
+        found = descended(x, there, partial(linearise, shared=shared), 1, 1)
+        settled = len(shared) == len(x) and 0.0 < there[0] - found.cost < _LEAST_GAIN
+        x, there = found.parameters, (found.cost, found.state)
+    if not settled:
+        found = descended(x, there, linearise, iterations, _TRIES)
     residuals = found.state[1]
     parts = _with(parts, names, found.parameters * steps)
     return Fit(parts, float(residuals @ residuals), residuals, found.slopes.jacobian / steps)
@@ -205,13 +241,31 @@ def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarr
     def residual_at(x: np.ndarray) -> np.ndarray:
         return objective.left_by([part.term for part in _with(parts, names, x * steps)])
 
-    return _slopes(residual_at, residual_at(x), x, upper)
+    return _slopes(residual_at, residual_at(x), x, upper, range(len(x)))
 
 
-def _slopes(residual_at: Callable, here: np.ndarray, x: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return derivatives of a residual by x, shape (R, P), by differences of one step; `here` is that at x."""
+def _shared_slopes(parts: Sequence[Part], known: Fit, steps: np.ndarray) -> dict[int, np.ndarray]:
+    """Return derivatives by steps of those parameters whose parts another fit has, by number, shape (R,) each."""
+    columns: dict[int, np.ndarray] = {}
+    first = {id(part): sum(len(one.values) for one in known.parts[:k]) for k, part in enumerate(known.parts)}
+    number = 0
+    for part in parts:
+        for i in range(len(part.values)):
+            if id(part) in first:
+                columns[number] = known.sensitivity[:, first[id(part)] + i] * steps[number]
+            number += 1
+    return columns
+
+
+def _slopes(
+    residual_at: Callable, here: np.ndarray, x: np.ndarray, upper: np.ndarray, own: Sequence[int]
+) -> np.ndarray:
+    """Return derivatives of a residual by `own` of x, shape (R, len(own)), by differences of one step.
+
+    `here` is the residual at x.
+    """
     columns = []
-    for p in range(len(x)):
+    for p in own:
         # Away from a bound; one step is small against what matters, large against rounding.
         direction = -1.0 if x[p] + 1.0 > upper[p] else 1.0
         moved = x.copy()
@@ -257,14 +311,24 @@ class Tangent:
         return float(products[-1, -1] - promised)
 
 
-def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part) -> Tangent:
-    """Return a part's lines at the values it has; `base` is `objective.residual(())`."""
+def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside: tuple[Term, ...] = ()) -> Tangent:
+    """Return a part's lines at the values it has.
+
+    Parameters
+    ----------
+    objective : MarginalLikelihood
+    base : ndarray, shape (R,)
+        What is left without it, by `MarginalLikelihood.left_by`.
+    part : Part
+    beside : tuple of Term
+        Others that act.
+    """
     names = [(0, name) for name in part.values]
     steps = np.array([part.candidate.ranges[name].step for _, name in names])
     x = np.array(list(part.values.values())) / steps
 
     def at(values: np.ndarray) -> np.ndarray:
-        return objective.left_by([one.term for one in _with((part,), names, values * steps)])
+        return objective.left_by([*beside, *(one.term for one in _with((part,), names, values * steps))])
 
     here = at(x)
     columns = [here - base, *(at(x + unit) - here for unit in np.eye(len(x)))]

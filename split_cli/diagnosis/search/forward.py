@@ -158,7 +158,8 @@ def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
     history = []
     while len(fit.parts) > 1:
         reduced = [
-            fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :]) for k in range(len(fit.parts) - 1)
+            fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :], known=fit)
+            for k in range(len(fit.parts) - 1)
         ]
         best = min(reduced, key=explore.price)
         if explore.price(best) > explore.price(fit):

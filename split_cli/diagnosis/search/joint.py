@@ -75,7 +75,7 @@ def without_needless(explore: Explorer, fit: Fit) -> Fit:
     """
     while len(fit.parts) > 1:
         parts, tried = fit.parts, cheapest_first(explore, fit)[:_TRIED]
-        reduced = [fit_parts(explore.objective, parts[:k] + parts[k + 1 :]) for k in tried]
+        reduced = [fit_parts(explore.objective, parts[:k] + parts[k + 1 :], known=fit) for k in tried]
         best = min(reduced, key=explore.price)
         if explore.price(best) > explore.price(fit):
             break

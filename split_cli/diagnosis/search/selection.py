@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.exchange import joined, merged, said_of, split
+from split_cli.diagnosis.search.exchange import is_better_beside_form_error, joined, merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
@@ -184,28 +184,13 @@ def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
     left = len(fit.parts)
     while left > 1:
         for k in cheapest_first(explore, fit):
-            rest = fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :])
+            rest = fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :], known=fit)
             if _refused_last(explore, rest, fit, k):
                 fit, left = rest, left - 1
                 break
         else:
             break
-    return fit if _is_better_beside_form_error(explore, fit, chosen) else None
-
-
-def _is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:
-    """Return whether a fit costs less than another, price included, beside model-form error of both.
-
-    Several terms may imitate one, and fit better by the model-form error of the one.
-    """
-    rules, more = explore.rules, len(fit.parts) > len(than.parts)
-    # Of explanations that are as good, the one with fewer terms stays.
-    least = rules.price if more else rules.tie
-    if explore.price(fit) > explore.price(than) - least:
-        return False
-    there, here = costs_beside_form_error(explore.objective, [than, fit])
-    price = rules.price * (fit.complexity - than.complexity)
-    return (there - here) / explore.variance_inflation > price + least
+    return fit if is_better_beside_form_error(explore, fit, chosen) else None
 
 
 def _refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
@@ -319,7 +304,7 @@ def without_parts(objective: MarginalLikelihood, base: Fit, fit: Fit) -> tuple[F
     """Return an explanation refitted without each of its parts; `base` is the one without any."""
     several = len(fit.parts) > 1
     return tuple(
-        fit_parts(objective, fit.parts[:k] + fit.parts[k + 1 :]) if several else base
+        fit_parts(objective, fit.parts[:k] + fit.parts[k + 1 :], known=fit) if several else base
         for k in range(len(fit.parts))
     )
 
@@ -352,7 +337,7 @@ def rivals_of(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> tuple[tuple[
     own = chosen.parts[k].candidate
     reference = objective.block_sums(chosen.residuals**2)
     rivals = []
-    for fit in explore(rest):
+    for fit in explore(rest, _worth_a_fit(explore, chosen, k, rest)):
         if fit.parts[-1].candidate.label == own.label:
             continue
         difference = (objective.block_sums(fit.residuals**2) - reference) / variance_inflation
@@ -364,3 +349,17 @@ def rivals_of(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> tuple[tuple[
         tuple(rival for rival, mine in zip(rivals, of_own, strict=True) if not mine),
         tuple(rival for rival, mine in zip(rivals, of_own, strict=True) if mine),
     )
+
+
+def _worth_a_fit(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> float:
+    """Return the cost that a rival has to promise: the greater part of what a part saves, or its price.
+
+    Who promises less is not as good and takes no place, unless all of it may be model-form error.
+    """
+    objective, policy = explore.objective, explore.objective.policy
+    share = min(1.0 / max(part_over_allowance(objective, chosen, k), 1e-9), 1.0) ** 2
+    if policy.self_test.term_margin * share > policy.abstention.greater_part:
+        return np.inf
+    widened = max(explore.variance_inflation, objective.form_error_inflation)
+    price = widened * explore.rules.price * (1.0 + chosen.parts[k].candidate.complexity)
+    return chosen.cost + max(policy.abstention.greater_part * (rest.cost - chosen.cost), price)
