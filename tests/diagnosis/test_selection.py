@@ -103,11 +103,16 @@ def test_a_pair_is_named_as_a_search_of_every_subset_would(pair, chosen_pair):
 
 def test_rivals_are_in_the_place_of_one_part_and_sorted(pair, chosen_pair):
     fit = chosen_pair.chosen
-    for own, rivals in zip(fit.parts, chosen_pair.rivals, strict=True):
+    for own, rivals, rest in zip(fit.parts, chosen_pair.rivals, chosen_pair.without, strict=True):
         others = {part.candidate.term for part in fit.parts} - {own.candidate.term}
         taken = [rival.fit.parts[-1].candidate.term for rival in rivals]
         assert own.candidate.term not in taken and not others & set(taken)
-        assert set(taken) == set(NAMES) - {own.candidate.term} - others
+        left_out = set(NAMES) - {own.candidate.term} - others - set(taken)
+        assert len(taken) >= STANDARD.selection.considered - 1 and len(set(taken)) == len(taken)
+        # Who is left out saves less than half of what the part saves.
+        for one in candidates_of(pair, *left_out) if left_out else ():
+            costs = [fit_parts(pair, (*rest.parts, Part(one, dict(start)))).cost for start in one.starts]
+            assert rest.cost - min(costs) < 0.5 * (rest.cost - fit.cost)
         assert all({part.candidate.term for part in rival.fit.parts[:-1]} == others for rival in rivals)
         excess = [rival.excess for rival in rivals]
         assert excess == sorted(excess) and excess[0] > 0.0

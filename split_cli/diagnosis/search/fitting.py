@@ -29,7 +29,6 @@ __all__ = [
 ]
 
 _ITERATIONS = 12
-_TRIES = 5  # of steps at each linearisation
 _JOINT_ITERATIONS = 6  # of all terms at once, to see which of them are needed
 _REFRESHES = 1
 _LEAST_GAIN = 0.02  # of a step [chi squared], below which a fit ends
@@ -208,7 +207,7 @@ def _fit(
         there: tuple[float, tuple[np.ndarray, np.ndarray]],
         linearise: Callable[..., Slopes],
         iterations: int,
-        tries: int,
+        tries: int = 5,
     ) -> Descent[tuple[np.ndarray, np.ndarray]]:
         return descend(
             lambda at: there if at is start else evaluate(at),
@@ -219,14 +218,21 @@ def _fit(
     there, settled = evaluate(x), False
     shared = {} if known is None else _shared_slopes(parts, known, steps)
     if shared:
-        found = descended(x, there, partial(linearise, shared=shared), 1, 1)
-        settled = len(shared) == len(x) and 0.0 < there[0] - found.cost < _LEAST_GAIN
+        found = descended(x, there, partial(linearise, shared=shared), 1, tries=1)
+        # A step that gains nothing ends a fit only where straight lines promise nothing either.
+        settled = len(shared) == len(x) and max(there[0] - found.cost, _promised(found.slopes)) < _LEAST_GAIN
         x, there = found.parameters, (found.cost, found.state)
     if not settled:
-        found = descended(x, there, linearise, iterations, _TRIES)
+        found = descended(x, there, linearise, iterations)
     residuals = found.state[1]
     parts = _with(parts, names, found.parameters * steps)
     return Fit(parts, float(residuals @ residuals), residuals, found.slopes.jacobian / steps)
+
+
+def _promised(slopes: Slopes) -> float:
+    """Return what a step to where straight lines have their least would gain [chi squared]."""
+    curvature = slopes.curvature + np.diag(1e-9 * np.diag(slopes.curvature) + 1e-9)
+    return float(slopes.gradient @ np.linalg.solve(curvature, slopes.gradient))
 
 
 def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarray:
