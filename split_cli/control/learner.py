@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,11 +17,11 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.prediction.online import OnlineCommittee
 from split_cli.prediction.online_process import OnlineProjection
-from split_cli.prediction.predictor import Predictor
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
+    "FOLLOWING",
     "LabellingLearner",
     "Learned",
     "Learner",
@@ -176,12 +175,13 @@ class NoLearner(LabellingLearner):
     ----------
     header : TrainingSet
         Vehicle, features and region by which errors are reported.
-    predictor : Predictor, optional
+    predictor : str or None
+        Name of what evaluates the header's points; None where they are not to be used.
     """
 
-    def __init__(self, header: TrainingSet, predictor: Predictor | None = None) -> None:
+    def __init__(self, header: TrainingSet, predictor: str | None = None) -> None:
         super().__init__(header)
-        self.residual = NoResidual() if predictor is None else PredictorResidual(predictor)
+        self.residual = NoResidual() if predictor is None else PredictorResidual(header, predictor)
 
     def begin_lap(self, name: str, start_time: float) -> None:
         """Do nothing: no set grows."""
@@ -194,35 +194,38 @@ class NoLearner(LabellingLearner):
         return None
 
 
+#: Predictors that follow every update while the car drives; others are made anew after each lap.
+FOLLOWING: dict[str, type[OnlineCommittee] | type[OnlineProjection]] = {
+    "bcm": OnlineCommittee,
+    "projected": OnlineProjection,
+}
+
+
 class SplitLearner(LabellingLearner):
-    """Every interval is offered to its cell, and the committee or the projected process follows at once.
+    """Every interval is offered to its cell, and a predictor of `FOLLOWING` follows at once.
 
     Parameters
     ----------
     header : TrainingSet
         What is known before; may be empty.
-    evaluate : callable, optional
-        Makes a predictor of a set. It is then built anew at the end of each lap instead of following every update,
-        and in the first lap of an empty set nothing is known.
-    projected : bool
-        The projected process follows instead of the committee. It learns every valid label, those too that their
-        cells do not keep.
+    predictor : str
+        Name of what evaluates the set. The projected process learns every valid label, those too that their cells
+        do not keep. One that does not follow is made anew at the end of each lap, and in the first lap of an empty
+        set nothing is known.
     """
 
-    def __init__(
-        self,
-        header: TrainingSet,
-        evaluate: Callable[[TrainingSet], Predictor] | None = None,
-        *,
-        projected: bool = False,
-    ) -> None:
+    def __init__(self, header: TrainingSet, predictor: str = "bcm") -> None:
         super().__init__(header)
-        self.online = OnlineSet(header)
-        self.known = OnlineProjection(self.online) if projected else OnlineCommittee(self.online)
-        self.evaluate = evaluate
-        self.residual: Residual = OnlineResidual(self.known, header.features)
-        if evaluate is not None:
-            self.residual = PredictorResidual(evaluate(header)) if header.size else NoResidual()
+        self.online, self.predictor = OnlineSet(header), predictor
+        follows = FOLLOWING.get(predictor)
+        self.known = None if follows is None else follows(self.online)
+        self.residual: Residual
+        if self.known is not None:
+            self.residual = OnlineResidual(self.known, header.features)
+        elif header.size:
+            self.residual = PredictorResidual(header, predictor)
+        else:
+            self.residual = NoResidual()
             self.residual.features = header.features
 
     @property
@@ -243,7 +246,7 @@ class SplitLearner(LabellingLearner):
         change = self.online.offer(labels)
         if isinstance(self.known, OnlineCommittee):
             self.known.update(change.changed)
-        else:
+        elif self.known is not None:
             valid = labels.inside(self.header.grid)
             self.known.learn(valid.z[valid.accepted], valid.y[valid.accepted])
         return change.updates
@@ -251,6 +254,6 @@ class SplitLearner(LabellingLearner):
     def end_lap(self, duration: float) -> TrainingSet:
         """Return the set with the lap as its last source."""
         trained = self.online.end_drive(duration)
-        if self.evaluate is not None and trained.size:
-            self.residual = PredictorResidual(self.evaluate(trained))
+        if self.known is None and trained.size:
+            self.residual = PredictorResidual(trained, self.predictor)
         return trained

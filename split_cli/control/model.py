@@ -176,7 +176,7 @@ def check_features(vehicle: Vehicle, features: FeatureSet, step: float) -> None:
         raise VehicleError(
             f"the residual asks for {', '.join(foreign)}, which no state of the controller determines",
             where=f"vehicle {vehicle.name}",
-            advice="Name features that a controller knows: z2, z1, vx, vy, r, delta, T.",
+            advice="A controller knows z2, z1, vx, vy, r, delta, T and states of the terms in its vehicle file.",
         )  # fmt: skip
 
 

@@ -166,53 +166,76 @@ def resampled(
     return Path(name, float(s[1]), xy[:, 0], xy[:, 1], direction, curvature, *widths, closed)
 
 
+_CENTERLINE = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
+
+
 def read_centerline(path: str | FilePath) -> Path:
     """Read a closed centre line in the form of the TUM racetrack database.
 
-    Columns ``x_m,y_m,w_tr_right_m,w_tr_left_m``, with or without this header after a ``#``.
+    Columns ``x_m,y_m,w_tr_right_m,w_tr_left_m``, split by commas or semicolons. A header, with or without a ``#``
+    before it, may name them in another order and beside others; without one this order is taken.
 
     Raises
     ------
     SplitError
-        If the file is missing, has other columns, numbers that are not finite, or fewer than 8 points.
+        If the file is missing, lacks columns, has numbers that are not finite or fewer than 8 points, if a point
+        lies far from the others, or if the line is not closed.
     """
     path = FilePath(path)
-    advice = "A centre line has the columns x_m,y_m,w_tr_right_m,w_tr_left_m."
+    advice = f"A centre line has the columns {','.join(_CENTERLINE)}."
     if not path.is_file():
         raise SplitError("no such file, and no track is called so", where=str(path), advice=advice)
-    rows = []
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise SplitError(f"cannot be read ({error})", where=str(path), advice=advice) from error
+    names: tuple[str, ...] = _CENTERLINE
+    rows, numbers = [], []
     for number, line in enumerate(lines, 1):
-        text = line.strip()
-        if not text or text.startswith("#") or text.lower().startswith("x_m"):
+        parts = [part.strip() for part in line.strip().lstrip("#").replace(";", ",").split(",")]
+        if "x_m" in parts:
+            names = tuple(parts)
+            missing = [name for name in _CENTERLINE if name not in names]
+            if missing:
+                raise SplitError(f"has no column {', '.join(missing)}", where=str(path), advice=advice)
+        if "x_m" in parts or not line.strip() or line.strip().startswith("#"):
             continue
-        parts = text.replace(";", ",").split(",")
-        try:
-            values = [float(part) for part in parts]
-        except ValueError:
-            values = []
-        if len(values) != 4 or not np.isfinite(values).all():
-            raise SplitError(f"row {number} is {text[:60]!r}", where=str(path), advice=advice)
-        if min(values[2:]) <= 0.0:
-            raise SplitError(f"row {number} has a width that is not positive", where=str(path))
-        rows.append(values)
-    table = np.array(rows)
+        rows.append(_centerline_row(parts, names, f"row {number} is {line.strip()[:60]!r}", path, advice))
+        numbers.append(number)
+    table = np.array(rows).reshape(-1, 4)
     if len(table) > 1 and np.linalg.norm(table[0, :2] - table[-1, :2]) < 1e-6:
         table = table[:-1]
     if len(table) < 8:
         raise SplitError(f"holds {len(table)} points, 8 or more are needed", where=str(path), advice=advice)
-    if (np.linalg.norm(np.diff(table[:, :2], axis=0), axis=1) < 1e-9).any():
-        raise SplitError("two neighbouring points are the same", where=str(path))
     step = np.linalg.norm(np.diff(table[:, :2], axis=0, append=table[:1, :2]), axis=1)
-    if step.max() > 20.0 * np.median(step):
+    far, same = int(np.argmax(step)), int(np.argmin(step))
+    if step[same] < 1e-9:
+        raise SplitError(f"row {numbers[same]} and the next are the same point", where=str(path))
+    if step[far] > 20.0 * np.median(step):
+        last = far == len(table) - 1
+        where = "between its last point and its first" if last else f"after row {numbers[far]}"
         raise SplitError(
-            f"does not close: a gap of {step.max():.1f} m", where=str(path), advice="A track is a closed line."
-        )
+            f"has a gap of {step[far]:.1f} m {where}, where {np.median(step):.2g} m are usual", where=str(path),
+            advice="A track is a closed line." if last else "Remove the point that lies apart, or fill the gap.",
+        )  # fmt: skip
     spacing = min(0.5, float(step.sum()) / 400.0)
     return resampled(path.stem, table[:, :2], table[:, 3], table[:, 2], closed=True, spacing=spacing)
+
+
+def _centerline_row(
+    parts: list[str], names: tuple[str, ...], told: str, path: FilePath, advice: str
+) -> list[float]:
+    """Return x, y and the widths to the right and to the left of one row [m]."""
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) != len(names) or not np.isfinite(values).all():
+        raise SplitError(told, where=str(path), advice=advice)
+    chosen = [values[names.index(name)] for name in _CENTERLINE]
+    if min(chosen[2:]) <= 0.0:
+        raise SplitError(f"{told}: a width is not positive", where=str(path))
+    return chosen
 
 
 def check_path(path: Path, width: float) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.control.grip import PeakShift
 from split_cli.learning.features import Z2, FeatureSet
+from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction import make_predictor
 from split_cli.prediction.online import OnlineCommittee
 from split_cli.prediction.online_process import OnlineProjection
@@ -95,31 +96,41 @@ class NoResidual(Residual):
 
 
 class PredictorResidual(Residual):
-    """A predictor of a trained set.
+    """A predictor of a trained set, made when it is first asked: a table takes seconds.
 
     Parameters
     ----------
-    predictor : Predictor
+    training_set : TrainingSet
+    name : str
+        Of the predictor.
     damped : bool
         Multiply the slope by what is known, 1 - variance/prior: where data thin out a slope is the least certain
         of all that the residual says, and a controller that follows it to the edge spins.
     """
 
-    def __init__(self, predictor: Predictor, damped: bool = True) -> None:
-        self.predictor, self.damped = predictor, damped
-        self._set = predictor.training_set
-        self.features = self._set.features
-        self._prior = self._set.kernel.signal_variance
+    def __init__(self, training_set: TrainingSet, name: str, damped: bool = True) -> None:
+        self.name, self.damped = name, damped
+        self._set = training_set
+        self._made: Predictor | None = None
+        self.features = training_set.features
+        self._prior = training_set.kernel.signal_variance
+
+    @property
+    def predictor(self) -> Predictor:
+        """The predictor of what labels say beyond the prior mean."""
+        if self._made is None:
+            shifted = replace(self._set, y=self.beyond_prior(self._set.z, self._set.y))
+            self._made = make_predictor(self.name, shifted)
+        return self._made
 
     def rest_on(self, peak: PeakShift | None) -> None:
-        """Take the prior mean, and make the predictor anew."""
+        """Take the prior mean; the predictor is made anew."""
         super().rest_on(peak)
-        shifted = replace(self._set, y=self.beyond_prior(self._set.z, self._set.y))
-        self.predictor = make_predictor(self.predictor.name, shifted)
+        self._made = None
 
     def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return mean, slope and variance at features `z`, shape (N, D)."""
-        if self.predictor.training_set.size == 0:
+        if self._set.size == 0:
             nothing = NoResidual().of_data(z)
             variance = np.broadcast_to(self._prior, nothing.mean.shape)
             return ResidualValues(nothing.mean, nothing.slope, variance, nothing.knowledge)

@@ -330,6 +330,7 @@ def _feature_expressions(
         "speed": casadi.sqrt(a[1] * a[1] + a[2] * a[2]),
         "steer_rate": u[1],
         **{name: x[index] for index, name in enumerate(STATES)},
+        **{name: a[6 + index] for index, name in enumerate(model.state_names)},
     }
 
 

@@ -24,7 +24,13 @@ class FeatureSet:
     ----------
     names : tuple of str
         ``alpha_f``, ``alpha_r`` [rad], ``torque_ratio`` (T/T_max) [1], ``speed`` [m/s], ``steer_rate`` [rad/s],
-        or any channel of the drive.
+        a state of one of the vehicle's terms, as ``drive_lag.torque`` [N m] or ``tire_relaxation.front`` [N], or
+        any channel of the drive.
+
+    Notes
+    -----
+    Features of one moment cannot tell how the car came there. A state of a term, the torque that has arrived or
+    the lateral force that has built up, is such a memory.
     """
 
     names: tuple[str, ...]
@@ -49,6 +55,7 @@ class FeatureSet:
             "alpha_r": flow.rear.slip_angle,
             "torque_ratio": drive["T"] / model.vehicle.max_torque,
             "speed": np.hypot(drive["vx"], drive["vy"]),
+            **{name: flow.values[name] for name in model.state_names},
         }
         if "steer_rate" in self.names:
             computed["steer_rate"] = _rate_inside_segments(drive, "delta")

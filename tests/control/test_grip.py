@@ -15,7 +15,6 @@ from split_cli.learning.cells import empty_set
 from split_cli.learning.features import Z2, FeatureSet
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.region import build_grid
-from split_cli.prediction.full import FullPredictor
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle
 from split_cli.vehicle.tire import lateral_force
 
@@ -97,7 +96,7 @@ def half_grip_set():
 
 def test_the_prior_mean_is_that_of_a_dense_process():
     known, shift = half_grip_set()
-    residual = PredictorResidual(FullPredictor(known))
+    residual = PredictorResidual(known, "full")
     plain = residual.along(known.z)
     rng = np.random.default_rng(6)
     z = np.concatenate([known.z[:20], 0.2 * rng.normal(size=(30, 3))])
@@ -122,7 +121,7 @@ def test_on_half_the_grip_the_slope_is_that_of_the_mean_at_the_edge_of_the_data(
     z = np.stack([np.linspace(0.08, 0.14, 20), np.linspace(0.07, 0.11, 20), np.full(20, -0.45)], axis=1)
     off = {}
     for name, prior in (("zero", None), ("shift", shift)):
-        residual = PredictorResidual(FullPredictor(known))
+        residual = PredictorResidual(known, "full")
         residual.rest_on(prior)
         step = np.array([1e-5, 0.0, 0.0])
         steepness = (residual.along(z + step).mean - residual.along(z - step).mean)[:, 1] / 2e-5

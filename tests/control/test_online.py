@@ -84,14 +84,14 @@ def test_the_committee_that_follows_updates_is_the_committee(drive, empty):
     expected = reference.predict(z)
     assert found.mean == pytest.approx(expected.mean, abs=1e-4)
     assert found.variance == pytest.approx(expected.variance, rel=1e-3)
-    undamped = PredictorResidual(reference, damped=False).along(z)
-    damped = PredictorResidual(reference).along(z)
+    undamped = PredictorResidual(trained, "bcm", damped=False).along(z)
+    damped = PredictorResidual(trained, "bcm").along(z)
     assert found.slope == pytest.approx(damped.slope, abs=2e-2)
     assert (np.abs(damped.slope) <= np.abs(undamped.slope) + 1e-12).all()
 
 
 def test_the_process_that_follows_updates_has_absorbed_every_valid_label_of_the_lap(drive, empty):
-    learner = SplitLearner(empty, projected=True)
+    learner = SplitLearner(empty, "projected")
     trained = driven(learner, drive)
     labels = compute_labels(drive, empty.vehicle, Z2, empty.region, horizon=empty.horizon).inside(empty.grid)
     process = OnlineProcess(empty.kernel)

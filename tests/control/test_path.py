@@ -66,9 +66,31 @@ def test_a_centre_line_file_is_read_with_its_widths_in_their_order(tmp_path):
     check_path(path, 1.8)
 
 
+def test_a_centre_line_of_a_stranger_follows_its_header(tmp_path):
+    """Semicolons, another order, a column more, points at unequal distances, the first one again at the end."""
+    angle = np.sort(np.random.default_rng(4).uniform(0.0, 2 * np.pi, 90))
+    angle = np.append(angle, angle[0])
+    rows = [f"{k}; {50 * np.cos(a):.4f}; 5.0; 3.0; {50 * np.sin(a):.4f}" for k, a in enumerate(angle)]
+    file = tmp_path / "ring.csv"
+    file.write_text("# made by hand\n# number; x_m; w_tr_left_m; w_tr_right_m; y_m\n" + "\n".join(rows))
+    path = read_centerline(file)
+    assert (path.right[0], path.left[0]) == (pytest.approx(3.0), pytest.approx(5.0))
+    assert path.length == pytest.approx(2 * np.pi * 50, rel=1e-3)
+    assert np.abs(np.hypot(path.x, path.y) - 50.0).max() < 0.1
+    file.write_text(file.read_text().replace("w_tr_left_m", "width"))
+    with pytest.raises(SplitError, match="no column w_tr_left_m"):
+        read_centerline(file)
+
+
+RING = [f"{50 * np.cos(a):.3f},{50 * np.sin(a):.3f},3,5" for a in np.arange(120) * np.pi / 60]
+
+
 @pytest.mark.parametrize(
     ("rows", "says"),
     [
+        ([*RING[:5], "900,900,3,5", *RING[5:]], "gap of .* after row 6"),
+        (RING[:60], "between its last point and its first"),
+        ([*RING[:5], RING[4], *RING[5:]], "row 6 and the next"),
         (["1,2,3"] * 9, "row 2"),
         (["1,2,3,x"], "row 2"),
         (["1,1,2,2"], "8 or"),

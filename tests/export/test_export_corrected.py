@@ -77,6 +77,8 @@ def corrected(tmp_path_factory):
     drive = lagging_drive(vehicle)
     write_drive(drive, folder / "real.parquet")
     arguments = [str(folder / "real.parquet"), "--vehicle", str(folder / "vehicle_corrected.yaml")]
+    # The angle that has arrived is a feature of its own: a state of a term as any other signal.
+    arguments += ["--features", "alpha_f,alpha_r,torque_ratio,steer_lag.angle"]
     arguments += ["--hyperparameters", "default", "-o", str(folder / "car.split")]
     done = CliRunner().invoke(train_command, arguments, catch_exceptions=False)
     assert done.exit_code == 0, done.output

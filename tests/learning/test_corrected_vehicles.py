@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.train import command as train_command
+from split_cli.errors import DriveError
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.label_file import read_labels
 from split_cli.learning.training_set import read_set
@@ -128,3 +129,18 @@ def test_a_late_sensor_changes_when_features_are_seen_and_not_what_they_are(reco
     assert (
         np.abs(features.compute(SingleTrack(CAR), replace(recorded, columns=late))[20:] - there[:-20]).max() > 0.01
     )
+
+
+def test_a_state_of_a_term_is_a_feature(recorded):
+    """A torque that rises over one sample arrives late, as the closed form of a first-order lag says."""
+    tau, top = 0.2, 100
+    torque = np.where(np.arange(len(recorded)) < top, 100.0, 500.0)
+    risen = replace(recorded, columns=recorded.columns | {"T": torque})
+    model = SingleTrack(CAR.with_effects(EffectSpec("drive_lag", {"tau": tau})))
+    arrived = FeatureSet(("alpha_f", "drive_lag.torque")).compute(model, risen)[:, 1]
+    behind = tau / PERIOD * (1.0 - np.exp(-PERIOD / tau))  # of the step, where the ramp ends
+    since = PERIOD * (np.arange(len(recorded)) - top)
+    expected = np.where(since < 0, 100.0, 500.0 - 400.0 * behind * np.exp(-since / tau))
+    assert arrived == pytest.approx(expected, rel=1e-9)
+    with pytest.raises(DriveError, match=r"no feature 'steer_lag\.angle'"):
+        FeatureSet(("alpha_f", "steer_lag.angle")).compute(model, risen)

@@ -50,6 +50,11 @@ def check_settings(settings: RaceSettings) -> None:
     if settings.predictor not in PREDICTORS:
         advice = nearest_names(settings.predictor, PREDICTORS)
         raise SplitError(f"no predictor {settings.predictor!r}", where="--predictor", advice=advice)
+    if settings.learner == "split" and settings.predictor == "table" and len(features.names) != 3:
+        raise SplitError(
+            f"a table needs three features, --features names {len(features.names)}", where="--predictor",
+            advice="Use --predictor projected.",
+        )  # fmt: skip
     if settings.learner == "iol" and settings.start_set is not None:
         raise SplitError(
             "the dictionary of iol begins empty", where="--start-set", advice="Use --learner none or split."

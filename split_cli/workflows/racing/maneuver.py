@@ -29,7 +29,6 @@ from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import write_drive
 from split_cli.plant.cars import CarParameters, find_car
 from split_cli.plant.recording import write_mcap
-from split_cli.prediction import make_predictor
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.racing.closed_loop import World, body_ends, body_width
 from split_cli.workflows.racing.entry import check_car, check_trusted
@@ -247,7 +246,7 @@ def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Residual, s
         return NoResidual(), "nominal", np.ones(2)
     training_set = read_set(settings.start_set)
     check_trusted(training_set, vehicle, settings.start_set)
-    residual = PredictorResidual(make_predictor(settings.predictor, training_set))
+    residual = PredictorResidual(training_set, settings.predictor)
     grip = np.ones(2)
     if settings.guarded and tells_peaks(vehicle, training_set.features):
         grip = learned_grip(vehicle, training_set.features, training_set.z, training_set.y)

@@ -16,7 +16,6 @@ from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
-from split_cli.prediction import Predictor, make_predictor
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.racing.settings import RaceSettings
 
@@ -63,14 +62,8 @@ def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]
 
 def make_learner(settings: RaceSettings, training_set: TrainingSet) -> Learner:
     """Return the learner that the settings name, beginning with `training_set`."""
-    name = settings.predictor
-
-    def evaluate(known: TrainingSet) -> Predictor:
-        return make_predictor(name, known)
-
     if settings.learner == "none":
-        return NoLearner(training_set, evaluate(training_set))
+        return NoLearner(training_set, settings.predictor)
     if settings.learner == "split":
-        follows = name in ("bcm", "projected")
-        return SplitLearner(training_set, None if follows else evaluate, projected=name == "projected")
+        return SplitLearner(training_set, settings.predictor)
     return IolLearner(training_set, printed=settings.printed_iol)
