@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -113,7 +114,12 @@ def layer_of(file: str) -> str:
 
 
 SOURCES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in ROOT.rglob("*.py")}
-ALL = [found for file, source in SOURCES.items() for found in imports_of(source, file)]
+
+
+@cache
+def every_import() -> list[Import]:
+    """Return all imports of the package; found when a test asks, since every worker collects this file."""
+    return [found for file, source in SOURCES.items() for found in imports_of(source, file)]
 
 
 def upward(found: Import) -> bool:
@@ -138,7 +144,7 @@ def test_every_top_level_name_has_a_layer():
 
 
 def test_no_import_points_upward():
-    wrong = [f"{found.place} imports {found.module}" for found in ALL if upward(found)]
+    wrong = [f"{found.place} imports {found.module}" for found in every_import() if upward(found)]
     assert not wrong, "\n".join(wrong)
 
 
@@ -152,7 +158,7 @@ def upward_between_rooms(found: Import) -> bool:
 
 
 def test_rooms_of_every_layer_import_one_way():
-    wrong = [f"{found.place} imports {found.module}" for found in ALL if upward_between_rooms(found)]
+    wrong = [f"{found.place} imports {found.module}" for found in every_import() if upward_between_rooms(found)]
     assert not wrong, "\n".join(wrong)
 
 
@@ -170,7 +176,7 @@ def upward_in_diagnosis(found: Import) -> bool:
 def test_rooms_of_the_diagnosis_import_one_way():
     rooms = {file.split("/")[1] for file in SOURCES if file.startswith("diagnosis/") and file.count("/") == 2}
     assert rooms <= set(ROOMS) and len(rooms) <= 7
-    wrong = [f"{found.place} imports {found.module}" for found in ALL if upward_in_diagnosis(found)]
+    wrong = [f"{found.place} imports {found.module}" for found in every_import() if upward_in_diagnosis(found)]
     assert not wrong, "\n".join(wrong)
 
 
@@ -185,7 +191,7 @@ def test_a_room_says_in_two_lines_what_lives_there(room):
 
 
 def test_no_relative_imports():
-    wrong = [found.place for found in ALL if found.level]
+    wrong = [found.place for found in every_import() if found.level]
     assert not wrong, "\n".join(wrong)
 
 
@@ -196,7 +202,7 @@ def test_no_cycle_is_hidden_behind_type_checking():
 
 def test_each_library_stays_in_its_home():
     wrong = []
-    for found in ALL:
+    for found in every_import():
         library = found.module.split(".")[0]
         home = HOMES.get(library)
         if home and layer_of(found.file) not in home and (found.file, library) not in HOME_EXCEPTIONS:
@@ -205,14 +211,15 @@ def test_each_library_stays_in_its_home():
 
 
 def test_no_pickle():
-    wrong = [found.place for found in ALL if found.module.split(".")[0] in ("pickle", "joblib", "dill", "shelve")]
+    pickling = ("pickle", "joblib", "dill", "shelve")
+    wrong = [found.place for found in every_import() if found.module.split(".")[0] in pickling]
     assert not wrong, "\n".join(wrong)
 
 
 def test_the_command_line_imports_nothing_heavy_before_a_command_runs():
     wrong = [
         f"{found.place} imports {found.module}"
-        for found in ALL
+        for found in every_import()
         if layer_of(found.file) in ("cli", "__init__", "__main__")
         and found.at_import_time
         and (found.module.split(".")[0] in HEAVY or found.module.startswith("split_cli.workflows"))
