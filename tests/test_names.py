@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent / "split_cli"
@@ -16,3 +17,18 @@ def test_no_two_public_classes_share_a_name():
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 where.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
     assert {name: places for name, places in where.items() if len(places) > 1} == {}
+
+
+def test_the_map_of_the_data_names_what_there_is():
+    """CONTRIBUTING leads a newcomer by files and functions: each is where it says."""
+    page = (
+        (ROOT.parent / "CONTRIBUTING.md")
+        .read_text(encoding="utf-8")
+        .split("## Where data goes")[1]
+        .split("\n## ")[0]
+    )
+    named = re.findall(r"`([\w/]+\.py)(?:: (\w+))?`", page)
+    assert len(named) > 8
+    for file, function in named:
+        tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+        assert not function or function in {getattr(node, "name", "") for node in tree.body}, f"{file}: {function}"

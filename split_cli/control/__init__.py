@@ -1,4 +1,4 @@
 """Controllers that drive with an exported model: MPC, MPCC, their quadratic programmes, paths and scenarios.
 
-May import export, learning, prediction and vehicle; never the plant, which only `workflows` puts beside it.
+May import: export, learning, prediction, vehicle; never the plant, which only `workflows` puts beside it.
 """
