@@ -73,7 +73,7 @@ def make_drive(
     """Return a drive of `segments` runs of a single track with `terms` or the vehicle's, driven at random.
 
     Inputs are linear between knots `knot` seconds apart, so that the same motion can be recorded with any period
-    that divides it. Integrated with steps of 2.5 ms: off by 1e-7 at most, where the torque changes its sign within a step.
+    that divides it. Integrated with steps of 2.5 ms: off by 1e-7 at most, where torque changes its sign.
     """
     vehicle = vehicle or road_car()
     model = SingleTrack(vehicle, tuple(terms) or None)
