@@ -10,8 +10,7 @@ import numpy as np
 import scipy.sparse
 
 from split_cli.errors import ExportError
-from split_cli.export.casadi_linear import linear_response
-from split_cli.export.casadi_memory import memory_step
+from split_cli.export.casadi_step import memory_step
 from split_cli.export.check import ExportAnswer, Oracle, PredictionCheck, check_predictions
 from split_cli.export.step_check import StepOracle, Stepper, compare_drives, compare_memory, compare_states
 from split_cli.export.symbolic import NominalGraph
@@ -185,37 +184,7 @@ def model_step(
     exact to rounding while the velocity Jacobian's norm times h is below about 8; no branch, so any number of
     derivatives is right.
     """
-    if graph.features is None:
-        return None
-    if graph.memory is not None:
-        return memory_step(predict, graph, name, plain)
-    x, u, h = casadi.MX.sym("x", 8), casadi.MX.sym("u", 2), casadi.MX.sym("h")
-    p = casadi.MX.sym("p", 2)
-    place_time = p if graph.needs_place_and_time else casadi.DM.zeros(2)
-    f, A = _whole_model(graph)(x, u, place_time)
-    residual = predict(graph.features(x, u)[0])[0]
-    velocity_block = A[3:6, 3:6]
-    change = h * residual if plain else linear_response(velocity_block, residual, h)
-    following = x + linear_response(A, f, h) + casadi.vertcat(casadi.MX.zeros(3), change, casadi.MX.zeros(2))
-    arguments, names = ([x, u, h, p], ["x", "u", "h", "p"]) if graph.needs_place_and_time else (
-        [x, u, h], ["x", "u", "h"])  # fmt: skip
-    return casadi.Function(name, arguments, [following], names, ["x_next"])
-
-
-def _whole_model(graph: NominalGraph) -> casadi.Function:
-    """Return (x, u, p) -> x' = f of the whole state and its Jacobian A, sparse (8, 8)."""
-    x, u, p = casadi.SX.sym("x", 8), casadi.SX.sym("u", 2), casadi.SX.sym("p", 2)
-    rates, jacobian = graph.rates(x[2:8], p)
-    sine, cosine = casadi.sin(x[2]), casadi.cos(x[2])
-    east, north = x[3] * cosine - x[4] * sine, x[3] * sine + x[4] * cosine
-    A = casadi.SX(8, 8)
-    A[0, 2:5] = casadi.horzcat(-north, cosine, -sine)
-    A[1, 2:5] = casadi.horzcat(east, sine, cosine)
-    A[2, 5] = 1
-    A[3:6, 2:8] = jacobian
-    return casadi.Function(
-        "whole_model", [x, u, p], [casadi.vertcat(east, north, x[5], rates, u), A], {"cse": True}
-    )
+    return None if graph.features is None else memory_step(predict, graph, name, plain)
 
 
 def casadi_answer(predict: casadi.Function) -> ExportAnswer:

@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.errors import ExportError
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["Memory", "exported_model", "memory_of", "present"]
+__all__ = ["Memory", "exported_model", "memory_of", "nothing_kept", "present"]
 
 Part = TypeVar("Part")
 
@@ -97,6 +97,11 @@ class Memory:
         steps = np.arange(self.lengths[command] + 1)
         share: np.ndarray = np.maximum(0.0, 1.0 - np.abs(self.delays[command] / self.step - steps))
         return share
+
+
+def nothing_kept(step: float) -> Memory:
+    """Return the memory of a model that remembers nothing, with which it is stepped as any other."""
+    return Memory((), (), (), (0.0, 0.0), (0, 0), step, (0.0, 0.0))
 
 
 def present(part: Part | None) -> Part:

@@ -1,4 +1,4 @@
-"""What an exported step with memory is compared with: single steps from anywhere, and drives from their start.
+"""What an exported step is compared with: single steps from anywhere, and drives from their start.
 
 Single steps take past commands by `numpy.interp`; drives are followed as recordings are, delays and plays solved
 along the whole of it, so that a line of past commands that shifts wrongly shows.
@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from split_cli.errors import ExportError
-from split_cli.export.memory import COMMANDS, exported_model, present
+from split_cli.export.memory import COMMANDS, exported_model, nothing_kept, present
 from split_cli.export.reference import AnyReference
 from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
@@ -56,7 +56,6 @@ class MemoryModel:
     Parameters
     ----------
     graph : NominalGraph
-        With memory.
     training_set : TrainingSet
     reference : Reference or SplineReference
     substeps : int
@@ -68,7 +67,7 @@ class MemoryModel:
     ) -> None:
         self.graph, self.training_set, self.reference = graph, training_set, reference
         self.model = exported_model(SingleTrack(training_set.vehicle))
-        self.memory = present(graph.memory)
+        self.memory = graph.memory or nothing_kept(training_set.horizon)
         self.step = self.memory.step
         self.substeps = substeps
 
@@ -94,9 +93,12 @@ class MemoryModel:
 
     def features(self, acting: np.ndarray, command: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return features (N, D) and their slopes (N, D, 8 + S + 4) by what acts, command and input."""
-        z, slopes = present(self.graph.features).map(len(u))(np.column_stack([acting, command]).T, u.T)
-        width = acting.shape[1] + 4
-        return np.asarray(z).T, np.asarray(slopes).reshape(-1, len(u), width).transpose(1, 0, 2)
+        given = acting if self.graph.memory is None else np.column_stack([acting, command])
+        z, flat = present(self.graph.features).map(len(u))(given.T, u.T)
+        slopes = np.asarray(flat).reshape(-1, len(u), given.shape[1] + 2).transpose(1, 0, 2)
+        if self.graph.memory is None:  # without a memory the command is what acts
+            slopes = np.insert(slopes, [8, 8], 0.0, axis=2)
+        return np.asarray(z).T, slopes
 
     def linear(
         self, acting: np.ndarray, driven: np.ndarray, place_time: np.ndarray
@@ -267,12 +269,12 @@ class MemoryModel:
                 raise ExportError("the traced model's Jacobian is not that of Python; nothing was written")
 
 
-def random_memory(graph: NominalGraph, x: np.ndarray, place_time: np.ndarray) -> np.ndarray:
+def random_memory(memory_model: MemoryModel, x: np.ndarray, place_time: np.ndarray) -> np.ndarray:
     """Return whole states (N, n) with first eight `x`, their memory on its way from somewhere."""
-    rng, memory = np.random.default_rng(17), present(graph.memory)
+    rng, memory = np.random.default_rng(17), memory_model.memory
     parts = [x]
     if memory.states:
-        settled = np.asarray(present(graph.start).map(len(x))(x[:, 2:8].T, place_time.T)).T
+        settled = np.asarray(present(memory_model.graph.start).map(len(x))(x[:, 2:8].T, place_time.T)).T
         parts.append(settled * rng.uniform(0.7, 1.3, settled.shape))
     for c, length in enumerate(memory.lengths):
         size = 0.1 * np.abs(x[:, [6 + c]]).mean()

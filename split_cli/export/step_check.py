@@ -6,16 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 
 from split_cli.errors import ExportError
-from split_cli.export.memory import Memory, exported_model, present
+from split_cli.export.memory import Memory, present
 from split_cli.export.memory_check import Drives, MemoryModel, random_memory, roll_drives
 from split_cli.export.reference import AnyReference
 from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
-from split_cli.vehicle.integration import Situation, exact_step, integrate_recorded, phi_matrix
-from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
     "RK4_SUBSTEPS",
@@ -39,7 +36,6 @@ STEP_TOLERANCE = {"double": 1e-9, "float": 1e-4}
 LINEARISATION_TOLERANCE = {"double": 1e-5, "float": 1e-2}
 """Of an entry, relative to 1 + the entry; the reference's own residual slopes are finite differences."""
 
-_DIFFERENCES_TOLERANCE = 1e-5
 RK4_SUBSTEPS = 4
 _STATES = 120
 
@@ -60,10 +56,10 @@ class StepOracle:
         Derivative by (x, u) with A and Phi held.
     features : ndarray, shape (N, D)
     drives : Drives or None
-        Of a model with memory, as are the following.
-    arrived : ndarray, shape (N, 2), or None
+        Of a model with memory.
+    arrived : ndarray, shape (N, 2)
         What arrives of the commands of `asked`.
-    rates : ndarray, shape (N, 8 + S), or None
+    rates : ndarray, shape (N, 8 + S)
         Right-hand side there.
     """
 
@@ -72,9 +68,9 @@ class StepOracle:
     runge_kutta: np.ndarray
     linear: np.ndarray
     features: np.ndarray
-    drives: Drives | None = None
-    arrived: np.ndarray | None = None
-    rates: np.ndarray | None = None
+    drives: Drives | None
+    arrived: np.ndarray
+    rates: np.ndarray
 
     @property
     def size(self) -> int:
@@ -94,45 +90,27 @@ def rk4_substeps(memory: Memory | None) -> int:
 def make_step_oracle(
     graph: NominalGraph, training_set: TrainingSet, reference: AnyReference, dtype: type = np.float64
 ) -> StepOracle:
-    """Step random states in Python.
+    """Step random states with random memories in Python, and drive from steady where there is a memory.
 
     Raises
     ------
     ExportError
         If the traced model is not the one NumPy evaluates.
     """
-    if graph.memory is not None:
-        return _memory_oracle(graph, training_set, reference, dtype)
-    model, h = exported_model(SingleTrack(training_set.vehicle)), training_set.horizon
-    asked = _states(training_set, h, dtype)
-    x, u = asked[:, :8], asked[:, 8:10]
-    rates = [np.array(value) for value in graph.rates.map(len(x))(x[:, 2:].T, asked[:, 11:].T)]
-    jacobian = rates[1].reshape(3, len(x), 6).transpose(1, 0, 2)
-    z, slopes = (np.array(value) for value in present(graph.features).map(len(x))(x.T, u.T))
-    z, slopes = z.T, slopes.reshape(-1, len(x), 10).transpose(1, 0, 2)
-    phi = phi_matrix(jacobian[:, :, 1:4], h)
-    if training_set.plain:
-        phi = np.broadcast_to(np.eye(3), phi.shape)
-    change = np.zeros((len(x), 8))
-    change[:, 3:6] = h * (phi @ reference.predict(z).mean[:, :, None])[..., 0]
-    moved, by_state, by_input = _exponential(*_whole(x, u, rates[0].T, jacobian), h)
-    if not graph.needs_place_and_time:
-        by_differences = exact_step(model, x, u[:, 0], u[:, 1], h)
-        _require(x + moved, by_differences, np.abs(moved), _DIFFERENCES_TOLERANCE, "the traced model")
-    torque, steer = (x[:, [6 + k]] + u[:, [k]] * h * np.array([0.0, 1.0]) for k in (0, 1))
-    recorded = integrate_recorded(
-        model,
-        x[:, [0, 1, 2, 3, 4, 5]],
-        torque,
-        steer,
-        h,
-        RK4_SUBSTEPS,
-        Situation(t=asked[:, 11], s=asked[:, 12]),
-    )
-    linear = np.concatenate([by_state, by_input], axis=2)
-    linear[:, 3:6] += h * phi @ reference.jacobian_by_differences(z) @ slopes
-    runge_kutta = np.concatenate([recorded, x[:, 6:] + h * u], axis=1) + change
-    return StepOracle(asked, x + moved + change, runge_kutta, linear, z)
+    model = MemoryModel(graph, training_set, reference, rk4_substeps(graph.memory))
+    plain = _states(training_set, model.step, dtype)
+    u, place_time = plain[:, 8:10], plain[:, 11:]
+    x = random_memory(model, plain[:, :8], place_time).astype(dtype).astype(float)
+    model.require_slopes(x, place_time)
+    exact, recorded = model.one_step(x, u, place_time)
+    first, _ = model.arrivals(x, u)
+    acting = np.column_stack([x[:, :6], first, x[:, 8 : model.memory.continuous]])
+    z = model.features(acting, x[:, 6:8], u)[0]
+    rates = model.rates(acting, u, place_time)
+    rates[:, 3:6] += reference.predict(z).mean
+    asked, linear = np.column_stack([x, plain[:, 8:]]), model.derivative(x, u, place_time)
+    drives = None if graph.memory is None else roll_drives(model)
+    return StepOracle(asked, exact, recorded, linear, z, drives, first, rates)
 
 
 def compare_states(found: np.ndarray, expected: np.ndarray, oracle: StepOracle, real: str, what: str) -> float:
@@ -194,7 +172,7 @@ def compare_memory(name: str, answer: Stepper, oracle: StepOracle, real: str, wh
     ExportError
         If the error exceeds `STEP_TOLERANCE`.
     """
-    asked = np.column_stack([oracle.asked, present(oracle.arrived)])
+    asked = np.column_stack([oracle.asked, oracle.arrived])
     if name.endswith("start"):
         drives = present(oracle.drives)
         steady = drives.exact[0]
@@ -203,7 +181,7 @@ def compare_memory(name: str, answer: Stepper, oracle: StepOracle, real: str, wh
         asked[:, oracle.size + 3 : oracle.size + 5] = drives.place_time[0]
         expected = steady
     else:
-        expected = present(oracle.rates if name.endswith("rates") else oracle.arrived)
+        expected = oracle.rates if name.endswith("rates") else oracle.arrived
     size = np.abs(expected)
     if real == "float":
         # A force on its way to a steady one is a small difference of two that are rounded to seven digits.
@@ -228,28 +206,6 @@ def _require(found: np.ndarray, expected: np.ndarray, size: np.ndarray, toleranc
     if not worst <= tolerance:
         raise ExportError(f"{what} is {worst:.3g} off Python where {tolerance:g} is allowed; nothing was written")
     return worst
-
-
-def _memory_oracle(
-    graph: NominalGraph, training_set: TrainingSet, reference: AnyReference, dtype: type
-) -> StepOracle:
-    """Step random states with random memories, and drive from steady, in Python."""
-    memory = present(graph.memory)
-    h = memory.step
-    plain = _states(training_set, h, dtype)
-    place_time, u = plain[:, 11:], plain[:, 8:10]
-    x = random_memory(graph, plain[:, :8], place_time).astype(dtype).astype(float)
-    model = MemoryModel(graph, training_set, reference, rk4_substeps(memory))
-    model.require_slopes(x, place_time)
-    exact, recorded = model.one_step(x, u, place_time)
-    first, _ = model.arrivals(x, u)
-    acting = np.column_stack([x[:, :6], first, x[:, 8 : memory.continuous]])
-    z = model.features(acting, x[:, 6:8], u)[0]
-    asked = np.column_stack([x, plain[:, 8:]])
-    linear = model.derivative(x, u, place_time)
-    rates = model.rates(acting, u, place_time)
-    rates[:, 3:6] += reference.predict(z).mean
-    return StepOracle(asked, exact, recorded, linear, z, roll_drives(model), first, rates)
 
 
 def _states(training_set: TrainingSet, h: float, dtype: type) -> np.ndarray:
@@ -277,25 +233,3 @@ def _states(training_set: TrainingSet, h: float, dtype: type) -> np.ndarray:
         between(0.0, 900.0),
     ]
     return np.column_stack(columns).astype(dtype).astype(float)
-
-
-def _whole(x: np.ndarray, u: np.ndarray, rates: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return A (N, 8, 8) and f (N, 8) of the whole state from the velocities' rates and Jacobian."""
-    sine, cosine = np.sin(x[:, 2]), np.cos(x[:, 2])
-    east, north = x[:, 3] * cosine - x[:, 4] * sine, x[:, 3] * sine + x[:, 4] * cosine
-    A = np.zeros((len(x), 8, 8))
-    A[:, 0, 2], A[:, 0, 3], A[:, 0, 4] = -north, cosine, -sine
-    A[:, 1, 2], A[:, 1, 3], A[:, 1, 4] = east, sine, cosine
-    A[:, 2, 5] = 1.0
-    A[:, 3:6, 2:8] = jacobian
-    return A, np.column_stack([east, north, x[:, 5], rates, u])
-
-
-def _exponential(A: np.ndarray, f: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return phi_1(A h) h f, exp(A h) and the response to each input's rate."""
-    augmented = np.zeros((len(A), 11, 11))
-    augmented[:, :8, :8] = A
-    augmented[:, :8, 8] = f
-    augmented[:, 6, 9] = augmented[:, 7, 10] = 1.0
-    exponential = scipy.linalg.expm(augmented * h)
-    return exponential[:, :8, 8], exponential[:, :8, :8], exponential[:, :8, 9:]

@@ -22,7 +22,7 @@ from split_cli.export.casadi_function import (
     model_step,
     spline_table,
 )
-from split_cli.export.casadi_memory import memory_functions
+from split_cli.export.casadi_step import memory_functions
 from split_cli.export.check import Oracle, PredictionCheck, check_predictions, make_oracle
 from split_cli.export.compiler import Compiler, find_compiler
 from split_cli.export.documents import (

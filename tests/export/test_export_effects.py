@@ -13,7 +13,7 @@ import pytest
 from split_cli.errors import ExportError
 from split_cli.export.c_check import check_c
 from split_cli.export.casadi_function import CasadiFunctions, committee, generate_c, model_step
-from split_cli.export.casadi_memory import memory_functions
+from split_cli.export.casadi_step import memory_functions
 from split_cli.export.check import make_oracle
 from split_cli.export.compiler import STRICT_FLAGS
 from split_cli.export.documents import document_of, read_json, require_equal, schema_text, write_json

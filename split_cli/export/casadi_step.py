@@ -1,4 +1,4 @@
-"""The step of a model with memory, its start and its right-hand side, as CasADi functions."""
+"""The step of a model, with memory or without, its start and its right-hand side, as CasADi functions."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import casadi
 import numpy as np
 
 from split_cli.export.casadi_linear import linear_response
-from split_cli.export.memory import Memory, present
+from split_cli.export.memory import Memory, nothing_kept, present
 from split_cli.export.symbolic import NominalGraph
 
 __all__ = ["memory_functions", "memory_step"]
@@ -19,11 +19,11 @@ def memory_step(predict: casadi.Function, graph: NominalGraph, name: str, plain:
 
     Notes
     -----
-    As without memory, with the commands that arrive in the place of those given: both ends of a step are known
-    from the past commands, and in between they move evenly. Plays move as evenly to where the end drags them.
+    The commands that arrive take the place of those given: both ends of a step are known from the past commands,
+    and in between they move evenly. Plays move as evenly to where the end drags them.
     Where there are delays, any interval but that of the past commands gives not-a-number.
     """
-    memory = present(graph.memory)
+    memory = graph.memory or nothing_kept(1.0)  # a step of any length, since no past command is spaced by it
     x, u, h, p = (
         casadi.MX.sym(label, size) for label, size in (("x", memory.whole), ("u", 2), ("h", 1), ("p", 2))
     )
@@ -35,8 +35,9 @@ def memory_step(predict: casadi.Function, graph: NominalGraph, name: str, plain:
         ended = casadi.vertcat(acting[2:6], last, acting[8:])
         dragged = present(graph.jumps)(ended, place_time)[0]
         moving += [(dragged[k] - acting[8 + play]) / h for k, play in enumerate(memory.plays)]
-    f, A = _whole_model(graph)(acting, casadi.vertcat(*moving), place_time)
-    residual = predict(present(graph.features)(casadi.vertcat(acting, x[6:8]), u)[0])[0]
+    f, A = _whole_model(graph, memory)(acting, casadi.vertcat(*moving), place_time)
+    given = x if graph.memory is None else casadi.vertcat(acting, x[6:8])
+    residual = predict(present(graph.features)(given, u)[0])[0]
     substeps = max(8, int(np.ceil(graph.stiffness * memory.step)))
     change = h * residual if plain else linear_response(A[3:6, 3:6], residual, h, substeps)
     after = acting + linear_response(A, f, h, substeps)
@@ -104,9 +105,8 @@ def _arrivals(memory: Memory, x: casadi.MX, u: casadi.MX, h: casadi.MX) -> tuple
     return casadi.vertcat(*first), casadi.vertcat(*last)
 
 
-def _whole_model(graph: NominalGraph) -> casadi.Function:
+def _whole_model(graph: NominalGraph, memory: Memory) -> casadi.Function:
     """Return (what acts, rates of arriving commands and plays, p) -> f and its Jacobian A, sparse."""
-    memory = present(graph.memory)
     size, plays = memory.continuous, memory.plays
     x, p = casadi.SX.sym("x", size), casadi.SX.sym("p", 2)
     moving = casadi.SX.sym("m", 2 + len(plays))
