@@ -60,6 +60,20 @@ def test_each_axle_has_its_own_peak_and_the_force_along_the_car_stays():
     )
 
 
+def test_a_lower_peak_changes_nothing_at_small_slip_and_all_at_the_limit():
+    car, series = road_car(), prepared(driven(3, runs=1))
+    rates = np.ones((len(series), 3)) @ car.force_matrix().T
+    peak = at_other_tires(rates, series, car, (term("friction_scale", scale=GRIP),))
+    ratio = peak @ np.linalg.inv(car.force_matrix()).T
+    flow = series.flow(extended_model(car))
+    for k, axle, tire in ((1, flow.front, car.front_tire), (2, flow.rear, car.rear_tire)):
+        used = np.abs(tire.B * axle.slip_angle)
+        assert np.all((ratio[:, k] > GRIP - 0.05) & (ratio[:, k] <= 1.0 + 1e-12))
+        np.testing.assert_allclose(ratio[used < 0.02, k], 1.0, atol=2e-3)
+        assert np.corrcoef(used, ratio[:, k])[0, 1] < -0.9
+    np.testing.assert_allclose(ratio[:, 0], 1.0)
+
+
 def test_what_alters_no_tyre_leaves_the_rates_alone():
     car, series = road_car(), prepared(driven(3, runs=1))
     rates = np.ones((len(series), 3))

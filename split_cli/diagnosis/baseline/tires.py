@@ -1,4 +1,4 @@
-"""The shared model discrepancy of a car on other tyres, or on another road: its lateral forces grow with the peak.
+"""The shared model discrepancy of a car on other tyres, or on another road: its lateral forces grow with theirs.
 
 What a single track lacks of an axle's lateral force was learned at one grip. On half the grip a tyre carries half
 of it. Were it left as it is, the correction that a drive on rubber taught would be as large on ice as the force of
@@ -14,9 +14,13 @@ import numpy as np
 from split_cli.diagnosis.baseline.body import alters_body
 from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.vehicle.effects import Term
+from split_cli.vehicle.flow import AxleFlow
 from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.tire import lateral_force
 
 __all__ = ["alters_tires", "at_other_tires"]
+
+_LEAST_SLIP = 1e-6  # [rad] below which forces vanish, and their ratio is that of the stiffnesses
 
 
 def alters_tires(term: Term) -> bool:
@@ -25,7 +29,7 @@ def alters_tires(term: Term) -> bool:
 
 
 def at_other_tires(rates: np.ndarray, series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> np.ndarray:
-    """Return rates whose lateral axle forces are scaled as terms scale the peaks of the axles' tyres.
+    """Return rates whose lateral axle forces are scaled as terms scale those of the axles' tyres.
 
     Parameters
     ----------
@@ -38,18 +42,24 @@ def at_other_tires(rates: np.ndarray, series: Series, vehicle: Vehicle, terms: S
 
     Notes
     -----
-    With (F_x, F_f, F_r) the forces that make the rates, F_f and F_r become F_f D_f'/D_f and F_r D_r'/D_r. That is
-    the similarity of tyre curves (Pacejka 2012, section 4.2) at equal slip: exact where a whole curve is scaled.
-    Where the peak alone is, slip would scale as well; the learned forces level off beyond the slips they were
-    learned at, and are taken where the car is.
+    With (F_x, F_f, F_r) the forces that make the rates, F_f and F_r become F_f g'/g and F_r g'/g, where g is the
+    curve D sin(C atan(B alpha)) of the axle at its slip angle. What is lacked is a share of the axle's force. That
+    is exact where a whole curve is scaled. Where the peak alone is, it is exact for small slip, where nothing
+    changes, and at the limit; in between it stands for the similarity of curves (Pacejka 2012, section 4.2).
     """
     altering = [term for term in terms if alters_tires(term)]
     if not altering:
         return rates
     old, new = (series.flow(extended_model(vehicle, some)) for some in ((), altering))
-    grown = [(getattr(new, axle).D / getattr(old, axle).D, k) for k, axle in ((1, "front"), (2, "rear"))]
     matrix = vehicle.force_matrix()
     forces = rates @ np.linalg.inv(matrix).T
-    for ratio, k in grown:
-        forces[:, k] *= ratio
+    for k, axle in ((1, "front"), (2, "rear")):
+        forces[:, k] *= _ratio(getattr(old, axle), getattr(new, axle))
     return forces @ matrix.T
+
+
+def _ratio(old: AxleFlow, new: AxleFlow) -> np.ndarray:
+    """Return the force of one curve over that of another at the slip angles of the other, (N,) [1]."""
+    slip = np.where(np.abs(old.slip_angle) < _LEAST_SLIP, _LEAST_SLIP, old.slip_angle)
+    before, after = (lateral_force(one.B, one.C, one.D, slip) for one in (old, new))
+    return after / before
