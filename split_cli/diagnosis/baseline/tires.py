@@ -20,8 +20,6 @@ from split_cli.vehicle.tire import lateral_force
 
 __all__ = ["alters_tires", "at_other_tires"]
 
-_LEAST_SLIP = 1e-6  # [rad] below which forces vanish, and their ratio is that of the stiffnesses
-
 
 def alters_tires(term: Term) -> bool:
     """Return whether a term changes the curve of a tyre, and nothing of the body that stands on it."""
@@ -60,6 +58,6 @@ def at_other_tires(rates: np.ndarray, series: Series, vehicle: Vehicle, terms: S
 
 def _ratio(old: AxleFlow, new: AxleFlow) -> np.ndarray:
     """Return the force of one curve over that of another at the slip angles of the other, (N,) [1]."""
-    slip = np.where(np.abs(old.slip_angle) < _LEAST_SLIP, _LEAST_SLIP, old.slip_angle)
+    slip = np.where(old.slip_angle == 0.0, 1e-9, old.slip_angle)  # without slip it is that of the stiffnesses
     before, after = (lateral_force(one.B, one.C, one.D, slip) for one in (old, new))
     return after / before

@@ -25,8 +25,6 @@ from split_cli.vehicle.effects import Term
 _LEAST_INFORMED = 2e-3
 #: States of terms of which rows and rates are kept while a fit moves other parameters.
 _REMEMBERED = 64
-#: The same of the shared discrepancy's rows, which are few and cost most: a search comes back to them.
-_SHIFTS = 1024
 
 __all__ = ["DiscrepancyPosterior", "MarginalLikelihood", "build_objective", "learn_discrepancy"]
 
@@ -203,14 +201,14 @@ class MarginalLikelihood:
         return self._remembered(("kinematics", id(one)), felt, lambda: one.rows(felt))
 
     def _remembered(
-        self, what: Hashable, terms: Sequence[Term], made: Callable[[], np.ndarray], most: int = _REMEMBERED
+        self, what: Hashable, terms: Sequence[Term], made: Callable[[], np.ndarray], *, for_good: bool = False
     ) -> np.ndarray:
         """Return what is made of terms, as it was made before for the same values of them."""
         known = self.memo.setdefault(what, {})
         key = _values(terms)
         found = known.get(key)
         if found is None:
-            if len(known) >= most:
+            if len(known) >= _REMEMBERED and not for_good:
                 known.clear()
             known[key] = found = made()
         return found
@@ -258,7 +256,7 @@ class MarginalLikelihood:
                 moved.append(one.whitener(integrated(one.series, there - here)))
             return self.stack(moved)
 
-        return self._remembered("shift", [*altering, *others], rows, _SHIFTS)
+        return self._remembered("shift", [*altering, *others], rows, for_good=True)
 
     def _rates(self, one: Evidence, altering: Sequence[Term]) -> np.ndarray:
         """Return the shared discrepancy's rates (N, 3) where terms alter inputs or sensors."""
