@@ -25,7 +25,7 @@ PREDICTORS = {
     "local": ("split_cli.prediction.local", "LocalPredictor"),
     "weights": ("split_cli.prediction.weights", "WeightsPredictor"),
     "table": ("split_cli.prediction.table", "TablePredictor"),
-    "projected": ("split_cli.prediction.online_process", "ProjectedPredictor"),
+    "projected": ("split_cli.prediction.projected", "ProjectedPredictor"),
     "iol": ("split_cli.prediction.iol", "IolPredictor"),
 }
 

@@ -8,12 +8,9 @@ import numpy as np
 
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.online import OnlineSet
-from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction._process_numba import absorb, answer
-from split_cli.prediction.factorization import queries
-from split_cli.prediction.predictor import Prediction, Predictor
 
-__all__ = ["MOST_SPANNING", "OnlineProcess", "OnlineProjection", "ProjectedPredictor"]
+__all__ = ["MOST_SPANNING", "OnlineProcess", "OnlineProjection"]
 
 #: Points that span the process at most [1]. It bounds memory (12 MB) and time (0.3 ms an update) where length
 #: scales are short; at two cells, 200 points span the valid region of a road car.
@@ -117,38 +114,3 @@ class OnlineProjection:
     def along(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mean (N, 3), latent variance (N, 3) and the mean's Jacobian (N, 3, D) at `z`, shape (N, D)."""
         return self.process.along(z)
-
-
-class ProjectedPredictor(Predictor):
-    """The online process after the points of a set, in order of time.
-
-    Parameters
-    ----------
-    training_set : TrainingSet
-    most : int
-        Largest number of points that span the process.
-    threshold : float or None
-        As of `OnlineProcess`.
-    """
-
-    name: str = "projected"
-
-    def __init__(
-        self, training_set: TrainingSet, most: int = MOST_SPANNING, threshold: float | None = None
-    ) -> None:
-        super().__init__(training_set)
-        self.process = OnlineProcess(training_set.kernel, most, threshold)
-        order = np.lexsort((training_set.row, training_set.source))
-        self.process.learn(training_set.z[order], training_set.y[order])
-
-    def predict(self, z: np.ndarray) -> Prediction:
-        """Return mean and latent variance at queries `z`, shape (N, D)."""
-        return Prediction(*self.process.along(queries(z, self.training_set))[:2])
-
-    def mean(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean alone, shape (N, 3)."""
-        return self.process.along(queries(z, self.training_set), certainty=False)[0]
-
-    def jacobian(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
-        return self.process.along(queries(z, self.training_set), certainty=False)[2]

@@ -9,9 +9,9 @@ from scipy.spatial import cKDTree
 
 from split_cli.errors import SetError
 from split_cli.learning.training_set import TrainingSet
+from split_cli.prediction.batch_process import MOST_INDUCING, BatchProcess
 from split_cli.prediction.factorization import queries
 from split_cli.prediction.predictor import Prediction, Predictor
-from split_cli.prediction.projected import MOST_INDUCING, ProjectedProcess
 from split_cli.prediction.spline import Lattice, fit_spline, lattice_over, smooth_step
 
 __all__ = ["DEFAULT_BOUND", "TableError", "TablePredictor"]
@@ -70,7 +70,7 @@ class TablePredictor(Predictor):
     real : {"double", "float"}
         Precision the coefficients are kept in.
     most : int
-        Points the process is projected on, see `projected.ProjectedProcess`.
+        Points the process is projected on, see `batch_process.BatchProcess`.
 
     Attributes
     ----------
@@ -166,7 +166,7 @@ class TablePredictor(Predictor):
             self._values = np.zeros((1, 6))
             self._finish(TableError(self.bound, 0.0, 0.0, 0.0, 0.0, 0), 0)
             return
-        process = ProjectedProcess(s.z, s.y, s.kernel, self.most)
+        process = BatchProcess(s.z, s.y, s.kernel, self.most)
         lower, upper = s.z.min(axis=0) - _MARGIN * scales, s.z.max(axis=0) + _MARGIN * scales
         nodes = _FIRST_NODES
         while True:
@@ -189,7 +189,7 @@ class TablePredictor(Predictor):
     def _refit(self) -> None:
         self.spline = fit_spline(self._lattice, self._values, np.float32 if self.real == "float" else np.float64)
 
-    def _fill(self, process: ProjectedProcess, places: np.ndarray, rows: np.ndarray) -> int:
+    def _fill(self, process: BatchProcess, places: np.ndarray, rows: np.ndarray) -> int:
         """Compute values at nodes `rows`, faded to the prior far from points; return how many were computed."""
         s, scales = self.training_set, self.training_set.kernel.length_scales
         lower, upper = s.z.min(axis=0) / scales - _MARGIN, s.z.max(axis=0) / scales + _MARGIN
@@ -203,7 +203,7 @@ class TablePredictor(Predictor):
         self._values[rows[used]] = fade[used, None] * np.column_stack([mean, 1.0 - np.sqrt(1.0 - known)])
         return len(used)
 
-    def _measure(self, process: ProjectedProcess) -> TableError:
+    def _measure(self, process: BatchProcess) -> TableError:
         """Compare the spline with the process at random places near points."""
         self._refit()
         s = self.training_set
@@ -243,7 +243,7 @@ class TablePredictor(Predictor):
             reached |= _faded_by(old, places) & ~_faded_by(self, places)
         rows = np.flatnonzero(reached)
         near = cKDTree(places[rows] / scales).query(s.z / scales, distance_upper_bound=_REACH)[0] <= _REACH
-        process = ProjectedProcess(s.z[near], s.y[near], s.kernel, self.most)
+        process = BatchProcess(s.z[near], s.y[near], s.kernel, self.most)
         computed = self._fill(process, places[rows], rows)
         self._finish(old.error, computed)
 

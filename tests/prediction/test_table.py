@@ -9,8 +9,8 @@ import pytest
 
 from split_cli.learning.cells import extend
 from split_cli.learning.kernel import Kernel
+from split_cli.prediction.batch_process import BatchProcess
 from split_cli.prediction.full import FullPredictor
-from split_cli.prediction.projected import ProjectedProcess
 from split_cli.prediction.spline import fit_spline, lattice_over
 from split_cli.prediction.table import TablePredictor
 from tests.factories import make_labels, make_training_set, smooth_residual
@@ -35,7 +35,7 @@ def near(stored, count, seed, spread=0.5):
 
 def test_projection_on_every_point_is_the_dense_process(trained):
     z = near(trained, 300, 1)
-    mean, known = ProjectedProcess(trained.z, trained.y, trained.kernel).mean_and_known(z)
+    mean, known = BatchProcess(trained.z, trained.y, trained.kernel).mean_and_known(z)
     full = FullPredictor(trained).predict(z)
     # Points of a gain below 1e-8 are left out and directions of a share below 1e-5 count as unknown.
     np.testing.assert_allclose(mean, full.mean, atol=1e-4)
@@ -44,7 +44,7 @@ def test_projection_on_every_point_is_the_dense_process(trained):
 
 def test_projection_on_half_the_points_is_near_and_hardly_more_certain(trained):
     z = near(trained, 300, 2)
-    mean, known = ProjectedProcess(trained.z, trained.y, trained.kernel, most=250).mean_and_known(z)
+    mean, known = BatchProcess(trained.z, trained.y, trained.kernel, most=250).mean_and_known(z)
     full = FullPredictor(trained).predict(z)
     left = 1.0 - full.variance / trained.kernel.signal_variance
     # The labels of the points left out are taken for labels of their projections, which they nearly are.
