@@ -239,3 +239,15 @@ def test_a_lateral_velocity_that_is_mostly_error_contradicts_the_path(drive):
     assert [(f.check, f.channel) for f in found] == [("contradiction", "vy")]
     assert "does not follow the path" in found[0].text and "--derive velocity-from-pose" in found[0].text
     assert judged(drive, altered={"vy": lambda v: v + 0.1 * wave}).findings == ()
+
+
+def test_a_course_over_ground_is_told_from_a_yaw_by_the_slip_that_tyres_need(drive):
+    """The course is yaw + sideslip; with it for yaw a derived v_y would be zero, whatever the car does."""
+    t = np.arange(0.0, drive.seconds, 0.01)
+    sideslip = np.arctan2(drive.at("vy", t), drive.at("vx", t))
+    found = judged(drive, altered={"yaw": lambda v: v + sideslip}).findings
+    assert ("course", "yaw") in [(f.check, f.channel) for f in found]
+    # At the rear axle a rolling car has no sideslip, but its tyres have: that is a yaw.
+    yaw, ahead = drive.at("yaw", t), -drive.vehicle.cg_to_rear_axle
+    moved = {"X": lambda v: v + ahead * np.cos(yaw), "Y": lambda v: v + ahead * np.sin(yaw)}
+    assert "course" not in {f.check for f in judged(drive, altered=moved).findings}

@@ -173,6 +173,21 @@ def test_columns_of_the_same_name_are_numbered(tmp_path):
     assert recording.notes[0].count == 2
 
 
+def test_names_that_repeat_are_told_apart_by_the_devices_under_them(tmp_path):
+    """As RaceChrono writes: names, units and devices in three rows, the names not the last of them."""
+    path = tmp_path / "session.csv"
+    preamble = 'This file is created using RaceChrono Pro\nFormat,3\nSession title,"Lake"\nNote,\n\n'
+    header = "timestamp,lap_number,speed,latitude,speed\nunix time,,m/s,deg,m/s\n,,100: gps,100: gps,calc\n"
+    rows = "".join(f"{1767150797 + 0.04 * k:.2f},8,{30 + k},31.07,{31 + k}\n" for k in range(40))
+    path.write_text(preamble + header + rows)
+    recording = open_recording(path)
+    names = {info.name: info.unit for info in recording.channels()}
+    assert list(names) == ["timestamp", "lap_number", "speed gps", "latitude", "speed calc"]
+    assert names["speed calc"] == "m/s" and names["latitude"] == "deg"
+    read = recording.read(["speed gps", "speed calc"])
+    assert np.array_equal(read["speed calc"].values - read["speed gps"].values, np.ones(40))
+
+
 def test_text_in_the_middle_of_a_large_file_is_found(tmp_path):
     # Past the first block of the parser, which is where a guess of the type from the beginning breaks.
     count = 300_000

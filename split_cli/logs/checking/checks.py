@@ -23,8 +23,6 @@ _STRAIGHT_SECONDS = 3.0
 _STEER_TOLERANCE = 0.7
 """Of the logarithm of steer angle over the steady one: a factor of two, see `Checks._steer_angle`."""
 ACROSS = "v_y/v_x against the path across yaw"
-_LEAST_DIRECTION = 0.05
-"""Smaller errors of a direction are those of an ordinary pose [rad]; judgement."""
 _GRAVITY = 9.80665
 _GRIP_MARGIN = 1.1
 """Over the sum of both D: banking of 5 degrees or a cresting road gives as much [1]."""
@@ -354,45 +352,12 @@ class Checks:
         if not self.usable("X", "Y", "yaw"):
             return False
         count = len(self.relations)
-        sideslip, path = self._sideslips()
+        sideslip, path = self.k.sideslip(), self.k.path_across()
         told = len(self.unjudged)
         self.relate(ACROSS, sideslip, path, {"vy": 1, "vx": -1}, 0.3)
         del self.unjudged[told:]
         self.relations[count:] = [replace(relation, of_the_world=True) for relation in self.relations[count:]]
         return len(self.relations) > count
-
-    def _sideslips(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return v_y/v_x and the angle from yaw to the travel of X, Y, its mean taken off [rad]; NaN at rest."""
-        k = self.k
-        across = np.arctan2(k.rate("Y"), k.rate("X")) - k.signal("yaw")
-        moving = across[k.moving & np.isfinite(across)]
-        centre = np.angle(np.mean(np.exp(1j * moving))) if len(moving) else 0.0
-        path = np.angle(np.exp(1j * (across - centre)))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sideslip = np.where(k.moving, k.signal("vy") / k.signal("vx"), np.nan)
-        return sideslip, np.where(k.moving, path, np.nan)
-
-    def velocity_across(self) -> list[ConsistencyFinding]:
-        """Look for a v_y that is mostly error: it varies much more than the path across yaw, and not with it.
-
-        What the variance of v_y/v_x exceeds that of the path by is error of v_y, whatever the noise of the pose.
-        """
-        if not self.usable("X", "Y", "yaw", "vy") or not self.known("vx"):
-            return []
-        sideslip, path = self._sideslips()
-        slope = fit_slope(sideslip, path, self.k.moving)
-        if slope is None or abs(slope.correlation) >= LEAST_CORRELATION:
-            return []
-        measured, true = (_spread_of(values) for values in (sideslip, path))
-        error = float(np.sqrt(max(measured**2 - true**2, 0.0)))
-        if error < _LEAST_DIRECTION or measured < 2.0 * true:
-            return []
-        text = (
-            f"v_y does not follow the path: v_y/v_x spreads by {measured:.2g} rad, the travel of X, Y across yaw "
-            f"by {true:.2g} rad, and the two correlate by {slope.correlation:.2f} only. At least {error:.2g} rad "
-            "of it is error. Map another v_y, or leave it out and pass `--derive velocity-from-pose`."
-        )
-        return [ConsistencyFinding("contradiction", "vy", text, measured, None)]
 
     def _sideslip_sign(self) -> None:
         """Relate the sign of v_y to that of r: p and q of the steady sideslip are both positive."""
@@ -430,33 +395,6 @@ class Checks:
             return [ConsistencyFinding("place", "vy", text, float(p), float(p_error))]
         return []
 
-    def direction_of_travel(self) -> list[ConsistencyFinding]:
-        """Compare yaw with the direction in which X, Y moves."""
-        if not self.usable("X", "Y", "yaw") or not self.known("vx"):
-            return []
-        k = self.k
-        course = np.arctan2(k.rate("Y"), k.rate("X"))
-        # Without v_y: the sideslip of left and right bends has no mean.
-        sideslip = np.arctan2(k.signal("vy"), k.signal("vx")) if self.usable("vy") else 0.0
-        expected = k.signal("yaw") + sideslip
-        off = np.angle(np.exp(1j * (course - expected)))[k.moving]
-        off = off[np.isfinite(off)]
-        if len(off) < 50:
-            return []
-        centre = float(np.angle(np.mean(np.exp(1j * off))))
-        spread = 1.4826 * float(np.median(np.abs(np.angle(np.exp(1j * (off - centre))))))
-        if abs(centre) < _LEAST_DIRECTION or abs(centre) < 2.0 * spread:
-            if spread > 0.3:
-                self.unjudged.append(
-                    Unjudged("yaw against the travel of X, Y", f"they differ by {spread:.2f} rad at random")
-                )
-            return []
-        text = (
-            f"X, Y travels {np.degrees(centre):+.1f} deg off yaw (spread {np.degrees(spread):.1f} deg): yaw has "
-            f"another zero than the map's X axis. Use `offset: {centre:.4f}` rad for yaw, or set `world:`."
-        )
-        return [ConsistencyFinding("direction", "yaw", text, centre, spread)]
-
 
 def _scaled_parts(
     y: np.ndarray,
@@ -484,11 +422,6 @@ def _scaled_parts(
         return float(np.copysign(np.sqrt(covariance[0, 0] / variance), covariance[0, 1:] @ weights))
 
     return ratio
-
-
-def _spread_of(values: np.ndarray) -> float:
-    values = values[np.isfinite(values)]
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 def _median_of(values: np.ndarray) -> tuple[float, float]:

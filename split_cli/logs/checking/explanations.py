@@ -39,7 +39,7 @@ class ConsistencyFinding:
     ----------
     check : str
         ``scale``, ``sign``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``world``, ``constant``,
-        ``range``, ``contradiction``.
+        ``range``, ``contradiction``, ``course``.
     channel : str
         The one to look at.
     text : str

@@ -98,6 +98,18 @@ class Kinematics:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(squared > 0.04 * fast, (dX * ddY - dY * ddX) / squared, np.nan)
 
+    def sideslip(self) -> np.ndarray:
+        """Return v_y/v_x [1], shape (N,); NaN where nearly at rest."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.moving, self.signal("vy") / self.signal("vx"), np.nan)
+
+    def path_across(self) -> np.ndarray:
+        """Return the angle from yaw to the travel of X, Y, its mean taken off [rad], shape (N,); NaN at rest."""
+        across = np.arctan2(self.rate("Y"), self.rate("X")) - self.signal("yaw")
+        moving = across[self.moving & np.isfinite(across)]
+        centre = np.angle(np.mean(np.exp(1j * moving))) if len(moving) else 0.0
+        return np.where(self.moving, np.angle(np.exp(1j * (across - centre))), np.nan)
+
     def _filtered(self, name: str, values: np.ndarray, order: int) -> np.ndarray:
         key = (name, order)
         if key not in self._known:

@@ -68,7 +68,7 @@ def correct(chosen: dict[str, Suggestion], trial: Trial) -> tuple[dict[str, Sugg
 
 
 def _as_compass(yaw: Suggestion) -> Suggestion:
-    return replace(yaw, scale=1.0, offset=0.0, world="ned", reason="a compass bearing")
+    return replace(yaw, scale=1.0, offset=0.0, world="ned", reason="a compass bearing, or a course if of GPS")
 
 
 def as_siblings(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[str, Suggestion]:
@@ -155,7 +155,7 @@ def as_others_turn(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[
 
 def with_status(s: Suggestion, verdict: Consistency) -> Suggestion:
     """Say what supports or contradicts a suggestion."""
-    faults = ("scale", "sign", "range", "constant", "swapped", "contradiction")
+    faults = ("scale", "sign", "range", "constant", "swapped", "contradiction", "course")
     wrong = [f for f in verdict.findings if f.channel == s.channel and f.check in faults]
     if wrong:
         return replace(s, status="open", reason=wrong[0].text)

@@ -174,7 +174,7 @@ class Trial:
         """
         made: dict[str, np.ndarray] = {}
         wanted = [channel for channel in channels if channel not in columns]
-        if len(self.grid) < 200 or not self.time_is_known:
+        if not columns or len(self.grid) < 200 or not self.time_is_known:
             return made
         k = Kinematics(columns, 1.0 / self.rate, [slice(0, len(self.grid))])
         if "vx" in wanted and {"X", "Y"} <= set(columns):
@@ -198,15 +198,22 @@ class Trial:
                     continue
                 values = values * radius
             used[channel] = values
-        kinds = {channel: NOT_RECORDED for channel in REQUIRED_CHANNELS if channel not in used}
-        used = {**self.motion_of_pose(used, ("vx",)), **used}
+        certain = certain_of(chosen)
+        # Motion of a path whose left and right are beyond doubt judges what is recorded beside it.
+        sure = {"X": "hand", "Y": "hand", "yaw": "yaw"}
+        pose = {channel: used[channel] for channel, by in sure.items() if channel in used and by in certain}
+        motion = self.motion_of_pose(used, ("vx",))
+        motion |= self.motion_of_pose(pose, ("r",)) if "r" not in used else {}
+        kinds = {channel: NOT_RECORDED for channel in REQUIRED_CHANNELS if channel not in {*used, *motion}}
+        kinds |= dict.fromkeys(motion, "derived: from the path")
+        used |= motion
         if "vx" not in used or len(self.grid) < 200 or not self.time_is_known:
             return Consistency()
         nothing = {channel: np.zeros(len(self.grid)) for channel in kinds if channel not in used}
         drive = Drive("draft", {"t": self.grid - self.grid[0], **used, **nothing},
                       np.zeros(len(self.grid), dtype=np.int32), 1.0 / self.rate)  # fmt: skip
         with np.errstate(all="ignore"):
-            return check_consistency(drive, self.vehicle, kinds, certain_of(chosen))
+            return check_consistency(drive, self.vehicle, kinds, certain)
 
 
 def _is_long(stamps: np.ndarray, others: Sequence[np.ndarray]) -> bool:

@@ -68,8 +68,13 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
     """Return position and unit of every named column."""
     columns: dict[str, tuple[int, str | None]] = {}
     renamed = 0
+    repeated = {title for title, count in Counter(sniffed.header).items() if count > 1}
     for index, title in enumerate(sniffed.header):
         name, unit = column_name_and_unit(title)
+        if title in repeated and name and sniffed.devices:
+            # "100: gps" under one speed and "calc" under another tell them apart.
+            device = re.sub(r"[^A-Za-z ]", "", sniffed.devices[index]).strip()
+            name = f"{name} {device}".strip()
         stated = sniffed.units[index].strip().strip("[]()") if sniffed.units else ""
         if stated:
             known = find_unit(stated)

@@ -69,6 +69,8 @@ class Sniffed:
         Whether there is no header and the titles were made up.
     titles : int
         Then the most titles that stand in a row before the values, and do not fit them in number.
+    devices : list of str or None
+        Where each column comes from, if a further row under the titles tells it (RaceChrono: ``100: gps``).
     """
 
     dialect: Dialect
@@ -77,13 +79,14 @@ class Sniffed:
     rows: list[list[str]]
     unnamed: bool
     titles: int = 0
+    devices: list[str] | None = None
 
 
 def sniff(path: Path) -> Sniffed:
     """Find separator, decimal mark, encoding, header, units and the first row of values.
 
     The values begin at the first row from which on several rows hold numbers in most of their cells; the
-    header is the last row of titles, as wide as they are, before it; a row of units may stand between.
+    header is the row of titles, as wide as they are, before it; rows of units and of devices may stand between.
 
     Raises
     ------
@@ -223,15 +226,19 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     values = [row for row in rows[first : first + _CHECKED_ROWS] if len(row) == width]
     above = [row for row in rows[:first] if any(cell.strip() for cell in row)]
     above = [_rejoined(row, width) for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
-    while above and not _is_title_row(above[0], width) and not _is_unit_row(above[0], width):
-        above.pop(0)
-    units = None
-    if len(above) > 1 and _is_unit_row(above[0], width) and _is_title_row(above[1], width):
-        units = (above.pop(0) + [""] * width)[:width]
-    if not above:
-        titles = max((len(row) for row in rows[:first] if _looks_like_titles(row)), default=0)
-        return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True, titles)
-    return Sniffed(dialect, (above[0] + [""] * width)[:width], units, values, False)
+    titles = [
+        n for n, row in enumerate(above) if _is_title_row(row, width) and not _holds_values(row, dialect.decimal)
+    ]
+    if not titles:
+        most = max((len(row) for row in rows[:first] if _looks_like_titles(row)), default=0)
+        return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True, most)
+    # Rows of units and of devices repeat themselves: the names are the row with the most different cells.
+    differ = [len({cell.strip() for cell in row} - {""}) for row in above]
+    chosen = max(titles, key=lambda n: (not _is_unit_row(above[n], width), differ[n], -n))
+    below = [(row + [""] * width)[:width] for row in above[:chosen]]
+    units = next((row for row in below if _is_unit_row(row, width)), None)
+    devices = next((row for row in below if row is not units and _is_title_row(row, width)), None)
+    return Sniffed(dialect, (above[chosen] + [""] * width)[:width], units, values, False, 0, devices)
 
 
 def _looks_like_titles(row: list[str]) -> bool:

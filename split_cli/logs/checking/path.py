@@ -1,0 +1,102 @@
+"""The path of X, Y beside yaw and v_y: another zero, a course instead of a yaw, a v_y that is mostly error."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from split_cli.logs.checking.checks import LEAST_CORRELATION, Checks, Unjudged
+from split_cli.logs.checking.explanations import ConsistencyFinding
+from split_cli.logs.checking.kinematics import block_interval, fit_slope
+
+__all__ = ["direction_of_travel", "velocity_across", "yaw_is_course"]
+
+_LEAST_DIRECTION = 0.05
+"""Smaller errors of a direction are those of an ordinary pose [rad]; judgement."""
+_LEAST_REAR_SLIP = 1e-3
+"""Slip of the rear axle a unit of lateral acceleration that every car exceeds [rad/(m/s^2)]: racing tyres carry at
+most some 40 times their load a radian, which makes 2.5e-3."""
+
+
+def direction_of_travel(checks: Checks) -> list[ConsistencyFinding]:
+    """Compare yaw with the direction in which X, Y moves."""
+    if not checks.usable("X", "Y", "yaw") or not checks.known("vx"):
+        return []
+    k = checks.k
+    course = np.arctan2(k.rate("Y"), k.rate("X"))
+    # Without v_y: the sideslip of left and right bends has no mean.
+    sideslip = np.arctan2(k.signal("vy"), k.signal("vx")) if checks.usable("vy") else 0.0
+    expected = k.signal("yaw") + sideslip
+    off = np.angle(np.exp(1j * (course - expected)))[k.moving]
+    off = off[np.isfinite(off)]
+    if len(off) < 50:
+        return []
+    centre = float(np.angle(np.mean(np.exp(1j * off))))
+    spread = 1.4826 * float(np.median(np.abs(np.angle(np.exp(1j * (off - centre))))))
+    if abs(centre) < _LEAST_DIRECTION or abs(centre) < 2.0 * spread:
+        if spread > 0.3:
+            checks.unjudged.append(
+                Unjudged("yaw against the travel of X, Y", f"they differ by {spread:.2f} rad at random")
+            )
+        return []
+    text = (
+        f"X, Y travels {np.degrees(centre):+.1f} deg off yaw (spread {np.degrees(spread):.1f} deg): yaw has "
+        f"another zero than the map's X axis. Use `offset: {centre:.4f}` rad for yaw, or set `world:`."
+    )
+    return [ConsistencyFinding("direction", "yaw", text, centre, spread)]
+
+
+def velocity_across(checks: Checks) -> list[ConsistencyFinding]:
+    """Look for a v_y that is mostly error: it varies much more than the path across yaw, and not with it.
+
+    What the variance of v_y/v_x exceeds that of the path by is error of v_y, whatever the noise of the pose.
+    """
+    if not checks.usable("X", "Y", "yaw", "vy") or not checks.known("vx"):
+        return []
+    k = checks.k
+    sideslip, path = k.sideslip(), k.path_across()
+    slope = fit_slope(sideslip, path, k.moving)
+    if slope is None or abs(slope.correlation) >= LEAST_CORRELATION:
+        return []
+    measured, true = (_spread_of(values) for values in (sideslip, path))
+    error = float(np.sqrt(max(measured**2 - true**2, 0.0)))
+    if error < _LEAST_DIRECTION or measured < 2.0 * true:
+        return []
+    text = (
+        f"v_y does not follow the path: v_y/v_x spreads by {measured:.2g} rad, the travel of X, Y across yaw "
+        f"by {true:.2g} rad, and the two correlate by {slope.correlation:.2f} only. At least {error:.2g} rad "
+        "of it is error. Map another v_y, or leave it out and pass `--derive velocity-from-pose`."
+    )
+    return [ConsistencyFinding("contradiction", "vy", text, measured, None)]
+
+
+def yaw_is_course(checks: Checks) -> list[ConsistencyFinding]:
+    """Tell a yaw that is the direction of travel: rear tyres slip when they carry force, a course does not.
+
+    The path across yaw is v_x tan(angle) = p r - q v_x^2 r + b with q the slip of the rear axle a unit of lateral
+    acceleration, wherever on the car X, Y is.
+    """
+    if not checks.usable("X", "Y", "yaw") or not checks.known("vx", "r"):
+        return []
+    k = checks.k
+    vx, r = k.signal("vx"), k.signal("r")
+    path = (k.path_across() * vx)[:, None]
+    use = k.moving & np.isfinite(path[:, 0] * vx * r)
+    if np.count_nonzero(use) < 300:
+        return []
+    design = np.stack([r[use], -(vx[use] ** 2) * r[use], np.ones(np.count_nonzero(use))], axis=1)
+    (_, q, _), (_, q_error, _) = block_interval(
+        lambda rows: np.linalg.lstsq(design[rows], path[use][rows, 0], rcond=None)[0], np.count_nonzero(use)
+    )
+    if abs(q) + 4.0 * q_error > _LEAST_REAR_SLIP:
+        return []
+    text = (
+        f"yaw shows no slip of tyres: {1e3 * q:.2g} +- {1e3 * q_error:.1g} mrad a m/s^2 of lateral acceleration, "
+        "and no car does with less than 1. It is the course over ground, or a simulation without slip. "
+        "A v_y derived from a course is zero: map a yaw that is measured, or leave yaw out."
+    )
+    return [ConsistencyFinding("course", "yaw", text, float(q), float(q_error))]
+
+
+def _spread_of(values: np.ndarray) -> float:
+    values = values[np.isfinite(values)]
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
