@@ -94,7 +94,7 @@ def atomic_directory(target: str | os.PathLike[str], without: Iterable[str] = ()
     shown = str(target)
     target = _real_target(target)
     if target.exists() and not target.is_dir():
-        raise SplitError("is a file, a folder was to be written", where=shown)
+        raise SplitError("is a file, a folder was to be written", where=shown, advice="Name a folder.")
     temporary: Path | None = None
     claim: int | None = None
     try:
@@ -394,7 +394,7 @@ def _real_target(target: str | os.PathLike[str]) -> Path:
 
 def _refuse_what_is_no_file(target: Path, shown: str) -> None:
     if target.is_dir():
-        raise SplitError("is a folder, a file was to be written", where=shown)
+        raise SplitError("is a folder, a file was to be written", where=shown, advice="Name a file in it.")
     if target.exists() and not target.is_file():
         raise SplitError("is not a regular file, it would be replaced by one", where=shown)
 

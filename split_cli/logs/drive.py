@@ -251,7 +251,9 @@ def read_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
     try:
         drive = _drive_from_table(_read_table(path), path)
     except (UnicodeDecodeError, pa.ArrowException) as error:  # text is decoded when it is asked for
-        raise DriveError(f"is damaged ({str(error).splitlines()[0][:160]})", where=str(path)) from error
+        reason = str(error).splitlines()[0][:160]
+        advice = "Ingest the recording again."
+        raise DriveError(f"is damaged ({reason})", where=str(path), advice=advice) from error
     return drive.with_held(held) if held else drive
 
 
@@ -281,7 +283,7 @@ def _existing(path: str | Path) -> Path:
     refuse_no_regular_file(path, DriveError)
     if not path.is_file():
         what = "is a folder, a drive is a file" if path.is_dir() else "no such file"
-        raise DriveError(what, where=str(path))
+        raise DriveError(what, where=str(path), advice="Name the Parquet file that `split ingest` wrote.")
     return path
 
 
@@ -407,7 +409,8 @@ def _period_from_time(time: np.ndarray, segment: np.ndarray, path: Path) -> floa
     inside = np.diff(segment) == 0
     step = np.diff(time)[inside]
     if not len(step) or not np.isfinite(step).all():
-        raise DriveError("no two samples follow each other without a gap", where=str(path))
+        advice = "Run the recording through `split ingest`, which puts it on one clock."
+        raise DriveError("no two samples follow each other without a gap", where=str(path), advice=advice)
     return float(np.round(np.median(step), 9))
 
 
@@ -441,7 +444,8 @@ def _metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[Drive
             raise ValueError(f"a period of {period:g} s")
         return metadata, period
     except (KeyError, TypeError, ValueError) as error:
-        raise DriveError(f"its metadata is damaged ({error})", where=str(path)) from error
+        advice = "Ingest the recording again."
+        raise DriveError(f"its metadata is damaged ({error})", where=str(path), advice=advice) from error
 
 
 def metadata_of_drive(path: Path) -> DriveMetadata | None:

@@ -133,7 +133,7 @@ def convert_files(sources: Sequence[str | Path], output: str | Path, *, alpha_ma
         If the files cannot be read or are of no known kind.
     """
     if not sources:
-        raise SplitError("no parameter file was named")
+        raise SplitError("no parameter file was named", advice="Name the CommonRoad, F1TENTH or ForzaETH file.")
     refuse_overwriting_inputs(output, sources)
     conversion = convert_parameters(sources, alpha_max=alpha_max)
     names = ", ".join(Path(source).name for source in sources)

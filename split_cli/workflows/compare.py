@@ -147,7 +147,9 @@ def compare_models(
     if len(set(names)) != len(names):
         raise SplitError(f"two models are called {_first_twice(names)!r}", advice="Name them: NEW=car.split.")
     if not models or not all(0.0 < time < np.inf for time in horizons):
-        raise SplitError(f"horizons {tuple(horizons)} s: positive times were expected")
+        raise SplitError(
+            f"horizons {tuple(horizons)} s: positive times were expected", advice="Give --horizon in seconds."
+        )
     horizons = sorted(set(horizons))
     parts: list[tuple[str, list[RunErrors], int]] = []
     first_block = 0

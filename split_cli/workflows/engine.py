@@ -65,7 +65,7 @@ def open_engine(name: str = "process", *, jobs: int = 1, scheduler: str | None =
         with _dask(jobs, scheduler) as engine:
             yield engine
     elif scheduler is not None:
-        raise SplitError("needs `--engine dask`", where="--scheduler")
+        raise SplitError("needs `--engine dask`", where="--scheduler", advice="Add it, or leave --scheduler out.")
     elif jobs <= 1:
         yield Engine("this process", 1, lambda function, items: map(function, items))
     else:

@@ -215,7 +215,7 @@ def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
         raise DriveError(
             "no training sample lies inside the valid region",
             where=labels[0].drive,
-            advice="Look at `split label`'s counts by reason, and at units and signs.",
+            advice="`split label` counts why; look at units and signs with `split info`.",
         )
     y = np.concatenate([part.y[part.accepted] for part in labels])
     grid = build_grid(labels[0].features, vehicle, labels[0].region, accepted)
@@ -227,10 +227,13 @@ def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
 
 def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
     if not settings.features or not settings.predictors:
-        raise SplitError("at least one feature set and one predictor are needed")
+        raise SplitError(
+            "no feature set or no predictor was named",
+            advice="Leave out --features or --predictor for the default.",
+        )
     if any(size < 0 for size in settings.sizes) or not all(0 < time < np.inf for time in settings.rollout):
         raise SplitError(
-            f"sizes {settings.sizes} and rollout horizons {settings.rollout} s: positive numbers were expected"
+            f"--sizes {settings.sizes} or --rollout {settings.rollout}: every number must be positive"
         )
     for name in settings.predictors:
         if name not in PREDICTORS:
@@ -282,6 +285,7 @@ def _require_samples(held: Sequence[HeldOutSamples]) -> None:
         raise DriveError(
             "no test sample can be scored: all are in gaps, too slow or not finite",
             where=", ".join(h.drive.name for h in held),
+            advice="`split label` counts why; look at units and signs with `split info`.",
         )
 
 

@@ -42,7 +42,7 @@ def describe_file(path: str | Path) -> FileDescription:
     """
     path = Path(path)
     if not path.exists():
-        raise SplitError("no such file", where=str(path))
+        raise SplitError("no such file", where=str(path), advice="Is the path right?")
     suffix = path.suffix.lower()
     if path.is_dir() and (path / "manifest.json").is_file():
         return _export(path)
@@ -163,13 +163,16 @@ def _yaml(path: Path) -> FileDescription:
     return FileDescription(str(path), "vehicle", tuple(facts))
 
 
+_READS = "Name a drive, a trained set, labels, a vehicle file, a map, a diagnosis or an export."
+
+
 def _load_json(path: Path) -> dict:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, OSError) as error:
         raise SplitError(f"is not JSON ({error})", where=str(path)) from error
     if not isinstance(content, dict):
-        raise SplitError("is JSON of no kind known here", where=str(path))
+        raise SplitError("is JSON that this program did not write", where=str(path), advice=_READS)
     return content
 
 
@@ -185,7 +188,7 @@ def _json(path: Path) -> FileDescription:
         return FileDescription(str(path), "diagnosis", facts)
     if (path.parent / "manifest.json").is_file():
         return _export(path.parent)
-    raise SplitError("is JSON of no kind known here", where=str(path))
+    raise SplitError("is JSON that this program did not write", where=str(path), advice=_READS)
 
 
 def _export(folder: Path) -> FileDescription:

@@ -239,7 +239,7 @@ def test_a_table_named_like_a_drive_needs_no_map(folder, drive):
         (("--map", "genesis_slw"), "no such map.*genesis_slow"),
         (("--map", "canonical", "--vehicle", "genesi"), "no such file.*genesis"),
         (("--map", "canonical", "--derive", "torque"), "no derivation 'torque'.*torque-from"),
-        (("--map", "canonical", "--delay", "yaw_rate=0.1"), "delay is given for 'yaw_rate'"),
+        (("--map", "canonical", "--delay", "yaw_rate=0.1"), "--delay names 'yaw_rate'"),
         (("--map", "canonical", "--clock", "header"), "has no header clock"),
         (("--map", "f1tenth"), "no '/odom/twist.twist.linear.x', mapped to vx"),
         (("--map", "odometry"), "no 'nav_msgs/Odometry:twist.twist.linear.x'"),

@@ -249,27 +249,33 @@ def _check_required(gathered: Gathered, derivations: Sequence[str], signal_map: 
     missing = [c for c in REQUIRED_CHANNELS if c not in gathered.series and c not in made]
     if not missing:
         return
-    ways = [name for name, entry in DERIVATIONS.items() if missing[0] in entry.makes]
-    configured = [name for name in ways if name.replace("-", "_") in signal_map.derivations]
-    how = (
-        f"Or derive it: {', '.join('--derive ' + name for name in configured or ways)}."
-        if ways
-        else "Map it to a recorded signal."
-    )
-    skipped = next((text for text in gathered.skipped if text.startswith(f"{missing[0]}:")), None)
+    skipped = [text for text in gathered.skipped if text.partition(":")[0] in missing]
+    many = len(missing) > 1
     raise MapError(
-        f"the required channel {missing[0]} is {'not recorded (' + skipped + ')' if skipped else 'not mapped'}"
-        + (f" (also {', '.join(missing[1:])})" if missing[1:] else ""),
+        f"{' and '.join([', '.join(missing[:-1]), missing[-1]] if many else missing)} {'are' if many else 'is'} "
+        f"required and not mapped{' (not recorded: ' + '; '.join(skipped) + ')' if skipped else ''}",
         where=where,
-        advice=f"{how} `split ingest LOG --list` shows what is recorded.",
+        advice=" ".join(_way_to(channel, signal_map) for channel in missing)
+        + " `split ingest LOG --list` shows what is recorded.",
     )
+
+
+def _way_to(channel: str, signal_map: SignalMap) -> str:
+    """Return how a required channel comes into the drive; what the map configures goes first."""
+    ways = [name for name, entry in DERIVATIONS.items() if channel in entry.makes]
+    ways = [name for name in ways if name.replace("-", "_") in signal_map.derivations] or ways
+    derived = f", or derive it with --derive {' or '.join(ways)}" if ways else ""
+    return f"{channel}: map a recorded signal{derived}."
 
 
 def _with_delays(gathered: Gathered, settings: IngestSettings) -> dict[str, tuple[RawSeries, ...]]:
     given = dict(settings.delays or {})
     for channel in given:
         if channel not in gathered.series:
-            raise MapError(f"a delay is given for {channel!r}", advice=nearest_names(channel, gathered.series))
+            raise MapError(
+                f"--delay names {channel!r}, which is no channel of this drive",
+                advice=nearest_names(channel, gathered.series),
+            )
     return {
         channel: tuple(replace(part, delay=given.get(channel, part.delay)) for part in parts)
         for channel, parts in gathered.series.items()

@@ -93,7 +93,11 @@ class Converter:
         values = self._to_frame(channel, source, values)
         time = common if signals[0].time is None else signals[0].time
         if len(time) != len(values):
-            raise LogError(f"{name} has {len(values)} samples and {len(time)} time stamps", where=self.where)
+            raise LogError(
+                f"{name} has {len(values)} samples and {len(time)} time stamps",
+                where=self.where,
+                advice="Leave it out of the map, or save the log again with its own clock.",
+            )
         recorded = signals[0].name
         if source.convert == "yaw_from_quaternion":
             recorded = recorded.rsplit(".", 1)[0]
@@ -121,7 +125,9 @@ class Converter:
         if source.convert == "signed":
             if len(columns) != 2:
                 raise MapError(
-                    f"{channel}: signed takes a size and a column that is 1 where it is negative", where=self.where
+                    f"{channel}: `convert: signed` takes a size and a column that is 1 where it is negative",
+                    where=self.where,
+                    advice="Write `source: [SIZE, SIGN]`.",
                 )
             self.notes.conversions.append(f"{channel}: negative where {source.names[1]} is 1")
             return transform.signed(*columns), signals[0].unit
@@ -186,6 +192,10 @@ class Converter:
 def _first_fix(latitude: np.ndarray, longitude: np.ndarray, *, where: str) -> tuple[float, float]:
     valid = np.isfinite(latitude) & np.isfinite(longitude) & ((latitude != 0.0) | (longitude != 0.0))
     if not valid.any():
-        raise LogError("no satellite fix with a finite position", where=where)
+        raise LogError(
+            "no satellite fix holds a position",
+            where=where,
+            advice="Leave X and Y out of the map, or cut the time without reception.",
+        )
     index = int(np.flatnonzero(valid)[0])
     return float(latitude[index]), float(longitude[index])

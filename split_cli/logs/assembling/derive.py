@@ -335,7 +335,10 @@ def _run_torque_from_pedals(situation: DerivationInputs) -> Derived:
     points = settings.get("drive_map", [[0.0, 0.0], [1.0, vehicle.max_torque]])
     drive_map = np.asarray(points, dtype=float)
     if drive_map.ndim != 2 or drive_map.shape[1] != 2 or np.any(np.diff(drive_map[:, 0]) <= 0):
-        raise MapError(f"{name}.drive_map must be [[throttle, torque], ...] with rising throttle")
+        raise MapError(
+            f"{name}.drive_map must be [[throttle, torque], ...] with rising throttle",
+            advice="For example `drive_map: [[0, 0], [1, 2600]]`, torque in N m at the wheels.",
+        )
     full_scale = _settings_number(situation, name, "brake_full_scale", 1.0)
     gain = _settings_number(situation, name, "brake_gain", vehicle.max_brake_torque / full_scale)
     power = settings.get("max_power")

@@ -228,6 +228,7 @@ class _Resolver:
             raise MapError(
                 f"{source.convert} takes {', '.join(suffixes)}, but {len(source.names)} sources are given",
                 where=self.where,
+                advice="Name them in this order, or only what stands before their last letter.",
             )
         return list(source.names)
 
@@ -319,7 +320,7 @@ def _common_time(
         raise MapError(f"time column {column!r} is in {unit!r}", where=recording.name, advice=_TIME_ADVICE)
     finite = np.isfinite(raw.values)
     if not finite.any():
-        raise LogError(f"time column {column!r} holds no finite value", where=recording.name)
+        raise LogError(f"the time column {column!r} holds no number", where=recording.name, advice=_TIME_ADVICE)
     if signal_map.time.nanoseconds:
         first, part = np.floor(raw.values[finite][0]), signals[signal_map.time.nanoseconds].values
         time = raw.values - first + 1e-9 * part

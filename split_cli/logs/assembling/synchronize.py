@@ -217,7 +217,11 @@ def _true_period(part: CleanSeries, gap: float) -> float:
 def _period(slowest: float, rate: float | None, where: str) -> float:
     if rate is not None:
         if not rate > 0:
-            raise LogError(f"the rate is {rate:g} Hz, it must be positive", where=where)
+            raise LogError(
+                f"the rate is {rate:g} Hz, it must be positive",
+                where=where,
+                advice="Give --rate in samples a second.",
+            )
         if 1.0 / rate < slowest * 0.99:
             raise LogError(
                 f"a rate of {rate:g} Hz is above the slowest required channel's {1.0 / slowest:.4g} Hz",

@@ -46,7 +46,10 @@ def read_databases(paths: Sequence[Path]) -> Any:
             database.messages.extend(loaded.messages)
         except Exception as error:  # cantools has an error for each grammar
             reason = str(error).splitlines()[0][:160]
-            raise LogError(f"cannot be read as a CAN database ({reason})", where=str(path)) from error
+            advice = "Give a DBC, ARXML, KCD or SYM file, as the car's maker or a CAN tool saves it."
+            raise LogError(
+                f"cannot be read as a CAN database ({reason})", where=str(path), advice=advice
+            ) from error
     database.refresh()
     return database
 

@@ -254,15 +254,24 @@ def _types_in_folders(paths: Sequence[str | Path]) -> dict[str, Any]:
     known: dict[str, Any] = {}
     for path in map(Path, paths):
         if not path.exists():
-            raise LogError("the folder of message definitions does not exist", where=str(path))
+            raise LogError(
+                "the folder of message definitions does not exist",
+                where=str(path),
+                advice="Give --msg-path the folder above msg/.",
+            )
         files = sorted(path.rglob("*.msg")) if path.is_dir() else [path]
         if not files:
-            raise LogError("there are no .msg files in this folder", where=str(path))
+            raise LogError(
+                "there are no .msg files in this folder",
+                where=str(path),
+                advice="Give --msg-path the folder above msg/.",
+            )
         for file in files:
             parts = file.parent.parts
             package = parts[-2] if len(parts) > 1 and parts[-1] == "msg" else parts[-1] if parts else ""
             try:
                 known.update(_parse(f"{package}/msg/{file.stem}", "ros2msg", file.read_bytes()))
             except LogError as error:
-                raise LogError("cannot be parsed as a message definition", where=str(file)) from error
+                advice = "Mend it, or leave it out of the folder."
+                raise LogError("is no message definition of ROS", where=str(file), advice=advice) from error
     return known

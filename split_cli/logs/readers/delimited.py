@@ -55,7 +55,8 @@ def open_delimited(path: Path) -> RawRecording:
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
         for info in infos:
             if info.type_name == "text" and info.name in names:
-                raise LogError(f"column {info.name!r} holds text, not numbers", where=path.name)
+                advice = "Map a column of numbers; `split ingest LOG --list` tells which are text."
+                raise LogError(f"column {info.name!r} holds text, not numbers", where=path.name, advice=advice)
         chosen = {name: columns[name] for name in names}
         titles = {index: name for name, (index, _) in chosen.items()}
         values = _read_columns(path, sniffed.dialect, width, titles, notes)
@@ -175,7 +176,7 @@ def _read_columns(
     if ragged:
         note_once(notes, ReadNote("rows with too few or too many cells, left out", path.name, ragged))
     if not table.num_rows:
-        raise LogError("holds no rows", where=path.name)
+        raise LogError("holds no rows", where=path.name, advice="Export it again.")
     values = {}
     for index, title in titles.items():
         # A column goes as soon as it is read, so that a long recording is not held twice.

@@ -13,8 +13,12 @@ from pathlib import Path
 from split_cli.errors import LogError
 from split_cli.signals import find_unit
 
-__all__ = ["Dialect", "Sniffed", "sniff", "unwrapped"]
+__all__ = ["KNOWN_FORMATS", "Dialect", "Sniffed", "sniff", "unwrapped"]
 
+KNOWN_FORMATS = (
+    "Known are MCAP, rosbag2, ROS 1 bag, CSV, VBO, Parquet, Feather, MAT, MF4, "
+    "and with --dbc also BLF, ASC, TRC and candump."
+)
 _SAMPLE_BYTES = 1 << 18
 _SEPARATORS = (",", ";", "\t", "|")
 _BLANKS = " "
@@ -102,7 +106,7 @@ def sniff(path: Path) -> Sniffed:
     if not whole and len(lines) > 1:
         lines.pop()
     if "\ufffd" in text[:1000] or sum(ch < " " and ch not in "\t\r\n\f" for ch in text[:1000]) > 5:
-        raise LogError("is of no known format: neither a log nor text", where=path.name)
+        raise LogError("is neither a known log nor text", where=path.name, advice=KNOWN_FORMATS)
     quoted = _is_quoted_whole(lines)
     plain = [unwrapped(line) for line in lines] if quoted else lines
     for separator, decimal in _candidates(plain):

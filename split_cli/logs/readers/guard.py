@@ -31,9 +31,12 @@ def guarded(path: Path, step: Callable[[], _T]) -> _T:
     except SplitError:
         raise
     except OSError as error:
-        raise LogError(f"cannot be read ({error.strerror or error})", where=str(path)) from error
+        reason = error.strerror or error
+        raise LogError(f"cannot be read ({reason})", where=str(path), advice="Copy it again.") from error
     except MemoryError as error:
-        raise LogError("needs more memory than there is", where=path.name, advice="Is it damaged?") from error
+        raise LogError(
+            "needs more memory than there is", where=path.name, advice="Cut the recording into pieces."
+        ) from error
     except Exception as error:
         if os.environ.get("SPLIT_TRACEBACK"):
             raise

@@ -185,7 +185,11 @@ def _recording(path: Path, leaves: list[tuple[str, np.ndarray]], objects: Sequen
             raise LogError(f"holds only {what}", where=path.name, advice=advice)
         note_once(notes, ReadNote(what, path.name, len(objects)))
     if not signals:
-        raise LogError("holds no vector of numbers", where=path.name)
+        raise LogError(
+            "holds no vector of numbers",
+            where=path.name,
+            advice="Save the signals as vectors: save('log.mat', 't', 'vx', 'vy').",
+        )
     return TableRecording(path.name, path, signals, type_name="vector", notes=notes)
 
 

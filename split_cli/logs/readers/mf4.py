@@ -65,7 +65,7 @@ def open_mf4(path: Path, databases: Sequence[Path] = ()) -> RawRecording:
         raise _damaged(path, error) from error
     if not places:
         what = "holds no frame of a message that the database defines" if databases else "holds no channel"
-        raise LogError(what, where=path.name)
+        raise LogError(what, where=path.name, advice="Is it the file, and the DBC, of this drive?")
     frames = [n for n in places if n.startswith(("CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame"))]
     if frames and not databases and 2 * len(frames) >= len(places):
         raise LogError(
@@ -85,7 +85,7 @@ def open_mf4(path: Path, databases: Sequence[Path] = ()) -> RawRecording:
             )
         )
     if not any(info.count for info in infos):
-        raise LogError("holds no samples", where=path.name)
+        raise LogError("holds no samples", where=path.name, advice="Export it again.")
     notes: list[ReadNote] = []
     units = {info.name: info.unit for info in infos}
 
@@ -115,7 +115,11 @@ def _signal(
     except Exception as error:  # see open_mf4
         raise _damaged(path, error) from error
     if values.dtype.kind not in "biuf" or values.ndim != 1:
-        raise LogError(f"channel {name!r} holds no numbers", where=path.name)
+        raise LogError(
+            f"channel {name!r} holds no numbers",
+            where=path.name,
+            advice="Map another channel; `split ingest LOG --list` shows all.",
+        )
     values = np.array(values, dtype=np.float64)
     if found.invalidation_bits is not None:
         invalid = np.asarray(found.invalidation_bits, dtype=bool)

@@ -10,6 +10,7 @@ from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import RawRecording
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
 from split_cli.logs.readers.definitions import Definitions
+from split_cli.logs.readers.dialect import KNOWN_FORMATS
 from split_cli.logs.readers.guard import GuardedRecording, guarded
 from split_cli.logs.readers.messages import Container, MessageRecording
 
@@ -79,13 +80,15 @@ def _open_file(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
     called = _BINARY_SUFFIXES.get(path.suffix.lower())
     if called and path.suffix.lower() != ".dat":
         raise LogError(
-            f"is named like {called} but does not begin like one", where=path.name, advice="Is it damaged?"
+            f"is named like {called} but does not begin like one",
+            where=path.name,
+            advice="Copy or record it again.",
         )
     if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise LogError(
             "is of no known format",
             where=path.name,
-            advice="Known are MCAP, rosbag2, ROS 1 bag, CSV, VBO, Parquet, Feather, MAT and MF4.",
+            advice=KNOWN_FORMATS,
         )
     from split_cli.logs.readers.delimited import open_delimited
 

@@ -66,7 +66,7 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
     import pyarrow as pa
 
     if not rows:
-        raise LogError("holds no rows", where=path.name)
+        raise LogError("holds no rows", where=path.name, advice="Export it again.")
     columns: dict[str, tuple[str, ...]] = {}
     infos = []
     notes: list[ReadNote] = []
@@ -148,7 +148,7 @@ def column_values(column: Any, where: str) -> np.ndarray:
     elif pa.types.is_decimal(kind) or pa.types.is_boolean(kind):
         column = column.cast(pa.float64()) if pa.types.is_decimal(kind) else column.cast(pa.uint8())
     elif not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):
-        raise LogError(f"holds {kind}, not numbers", where=where)
+        raise LogError(f"holds {kind}, not numbers", where=where, advice="Map a column of numbers.")
     column = pc.fill_null(pc.cast(column, pa.float64(), safe=False), float("nan"))
     return numbers_of(column) * scale if scale != 1.0 else numbers_of(column)
 

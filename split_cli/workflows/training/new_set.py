@@ -112,7 +112,7 @@ def _blank(
     first = _first_valid(drives)
     valid = first.accepted
     if not 0.0 < cell_edge < np.inf:
-        raise SetError(f"the cell edge is {cell_edge:g} usual edges, a positive number was expected")
+        raise SetError(f"--cell-edge is {cell_edge:g}, it must be positive", advice="1 is the standard edge.")
     grid = build_grid(how.features, how.vehicle, how.region, first.z[valid]).coarser(cell_edge)
     kernel, fit = default_kernel(grid, first.y[valid], scatter_variance(first)), None
     if hyperparameters == "fit":

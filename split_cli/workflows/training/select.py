@@ -95,9 +95,15 @@ def select(
         If a setting is out of its range or nothing can be scored.
     """
     if not all((settings.features, settings.capacities, settings.thresholds, settings.cell_edges)):
-        raise SplitError("at least one value of each setting is needed")
+        raise SplitError(
+            "--capacities, --thresholds or --cell-edges holds no value",
+            advice="Give values, or leave the option out.",
+        )
     if not all(0.0 < edge < np.inf for edge in settings.cell_edges):
-        raise SplitError(f"cell edges {settings.cell_edges}: positive multiples of the usual edge were expected")
+        raise SplitError(
+            f"--cell-edges holds {settings.cell_edges}, every number must be positive",
+            advice="1 is the standard edge.",
+        )
     found: list[tuple[SetCandidate, np.ndarray]] = []
     for features in settings.features:
         parts = _parts(drives, vehicle, features, settings)
@@ -160,7 +166,11 @@ def _fold(
     z = np.concatenate([part.z[part.accepted] for part in labels])
     y = np.concatenate([part.y[part.accepted] for part in labels])
     if not len(z):
-        raise DriveError("no training sample lies inside the valid region", where=labels[0].drive)
+        raise DriveError(
+            "no training sample lies inside the valid region",
+            where=labels[0].drive,
+            advice="`split label` counts why; look at units and signs with `split info`.",
+        )
     grid = build_grid(labels[0].features, vehicle, labels[0].region, z).coarser(cell_edge)
     kernel = default_kernel(grid, y, scatter_variance(labels[0]))
     if len(z) >= FEWEST_TO_FIT:
@@ -194,7 +204,10 @@ def _try(
                 blocks.append(part.block[tested.row])
                 times.append(time_per_query(asked, part.drive, part.z, tested.row))
     if not errors:
-        raise DriveError("no test sample can be scored: all are in gaps, too slow or not finite")
+        raise DriveError(
+            "no test sample can be scored: all are in gaps, too slow or not finite",
+            advice="`split label` counts why; look at units and signs with `split info`.",
+        )
     share, rmse = relative_error(np.concatenate(errors), np.concatenate(nominal), np.concatenate(blocks))
     points, cells = np.mean(sizes, axis=0)
     told = replace(

@@ -221,7 +221,10 @@ def _not_learned(paths: Sequence[Path], known: TrainingSet) -> list[Path]:
     learned = {source.sha256 for source in known.sources}
     new = [path for path in paths if drive_digest(path) not in learned]
     if not new:
-        raise SetError(f"all {len(paths)} drives were learned before; the set is as it was")
+        raise SetError(
+            f"all {len(paths)} drives were learned before; the set is as it was",
+            advice="Give drives that are new.",
+        )
     return new
 
 
@@ -248,7 +251,10 @@ def _train_set(
         say,
     )
     if per_lap and drives.without_recording():
-        raise SetError(f"{drives.without_recording()[0]} holds labels only: laps need the drive")
+        raise SetError(
+            f"{drives.without_recording()[0]} holds labels only: laps need the drive",
+            advice="Give the drive itself, or leave out --per-lap.",
+        )
     warm_up()
     trained, fit = known, None
     if trained is None:
