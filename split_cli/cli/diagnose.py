@@ -61,8 +61,6 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, held, as_
         click.echo(diagnosis_to_text(result), nl=False)
     else:
         _tell(result)
-        for note in result.not_judged:
-            click.echo(f"not judged: {note}", err=True)
     if exit_code and result.verdict == "mismatch":
         sys.exit(3)
 
@@ -72,6 +70,9 @@ def _tell(result) -> None:
     p_value = "" if result.p_value is None else f", p {_chance(result.p_value)}"
     click.echo(f"{result.verdict}{p_value}; compared {result.compared_share:.0%} of the real drive")
     click.echo(result.summary)
+    # Beside the summary: a match says nothing of what these drives cannot show.
+    for note in result.not_judged:
+        click.echo(f"not judged: {note}")
     if result.findings:
         rows = [
             [f.term, name, *pair_known(p.value, p.std_error), p.unit, ", ".join(f.alternatives)]
