@@ -78,10 +78,11 @@ def test_progress_is_one_line_drawn_anew_where_someone_watches_and_nothing_in_a_
     assert run(monkeypatch, "match", "--json").stderr == ""
 
 
-def test_what_was_not_judged_is_a_note_not_a_result(monkeypatch):
+def test_what_was_not_judged_stands_beside_the_summary(monkeypatch):
     told = run(monkeypatch, "match")
-    assert "brake hard once" in told.stderr and "brake hard once" not in told.stdout
-    assert told.stdout.splitlines()[1] == "Alike."
+    verdict, summary, not_judged = told.stdout.splitlines()[:3]
+    assert verdict.startswith("match") and summary == "Alike."
+    assert not_judged.startswith("not judged: ") and "brake hard once" in not_judged
 
 
 def test_a_match_tells_what_would_have_been_named(monkeypatch):
