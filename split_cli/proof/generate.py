@@ -1,10 +1,8 @@
-"""Making cases: in parallel, resumable, sealed at the end. `python -m split_cli.proof.generate` does it alone."""
+"""Making cases: in parallel, resumable, sealed at the end."""
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
-import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -87,25 +85,3 @@ def _claim(root: Path, seed: int, kinds: tuple[str, ...]) -> None:
             advice="Take another folder.",
         )
     mark.write_text(text)
-
-
-def _main() -> None:
-    parser = argparse.ArgumentParser(description="Write cases of the proof.")
-    parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--cases", type=int, default=20)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--kinds", default=",".join(MIXED))
-    parser.add_argument("-o", "--output", type=Path, required=True)
-    given = parser.parse_args()
-
-    def told(done: int, total: int) -> None:
-        print(f"\r{done}/{total}", end="", file=sys.stderr, flush=True)
-
-    seal = generate_cases(
-        given.output, given.seed, given.cases, jobs=given.jobs, kinds=tuple(given.kinds.split(",")), report=told
-    )
-    print(f"\nseal {seal.sha256}, {seal.cases} cases")
-
-
-if __name__ == "__main__":
-    _main()

@@ -231,7 +231,14 @@ def test_what_is_left_out_is_told_and_brings_no_name(real, simulated):
     x[3500:3700] = np.nan
     diagnosis = diagnose([altered(real, t=jumping(real["t"]), vy=vy, X=x)], road_car(), [simulated])
     assert_nothing_named(diagnosis)
-    for words in ("vy stands still", "41 samples", "jumps of the clock", "not known for 4.0 s"):
+    told = (
+        "vy stands still",
+        "41 samples",
+        "jumps of the clock",
+        "not known for 4.0 s",
+        "position and yaw are missing",
+    )
+    for words in told:
         assert words in said(diagnosis)
 
 
@@ -256,14 +263,6 @@ def test_places_and_wind_are_told_with_position_only(real):
     assert {label.split()[0] for label in lost} == places | known_by_position
     assert "road_bank" in without_it
     assert "sensor_misalignment" in without_it
-
-
-def test_wind_without_position_is_not_named(simulated):
-    blown = recorded(1, terms=(CATALOGUE["wind"]({"wx": -12.0, "wy": 0.0}),))
-    bare = without(blown, "X", "Y", "yaw")
-    diagnosis = diagnose([bare], road_car(), [without(simulated, "X", "Y", "yaw")])
-    assert "wind" not in {finding.term for finding in diagnosis.findings}
-    assert "position and yaw are missing" in said(diagnosis)
 
 
 def test_derived_torque_tells_nothing_along_the_car(real, simulated):

@@ -98,15 +98,12 @@ def test_physics_that_comes_and_goes_is_forgiven_as_a_term():
     assert changed.terms["drive_lag"] < 0.2 * changed.terms["friction_scale"]
 
 
-def test_two_recordings_of_one_restless_car_match_and_a_fault_is_still_named():
+def test_two_recordings_of_one_restless_car_match():
+    """With a fault it is named: test_baselines."""
     simulation = recorded(drive(1), 1, restless=0.1)
     same = diagnose([recorded(drive(2), 2, restless=0.1)], road_car(), [simulation])
     assert same.verdict == "match"
     assert not same.findings
-    faulty = drive(2, (CATALOGUE["steer_gain"]({"gain": 0.85}),))
-    other = diagnose([recorded(faulty, 2, restless=0.1)], road_car(), [simulation])
-    assert other.verdict == "mismatch"
-    assert other.findings[0].term == "steer_gain"
 
 
 def test_forgiveness_goes_with_the_rows(restless):

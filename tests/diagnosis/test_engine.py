@@ -36,6 +36,17 @@ def reality() -> Drive:
 
 
 @pytest.fixture(scope="module")
+def same_car() -> Drive:
+    return recording(83)
+
+
+@pytest.fixture(scope="module")
+def strange_car() -> Drive:
+    """What is in no catalogue."""
+    return recording(85, Lopsided({"share": 0.3}))
+
+
+@pytest.fixture(scope="module")
 def answer(reality, simulation) -> Diagnosis:
     return diagnose([reality], road_car(), [simulation])
 
@@ -50,8 +61,8 @@ def test_a_single_is_named_with_the_truth_inside_its_interval(answer):
     assert finding.placebo.excess > 9.0
 
 
-def test_the_same_car_matches(simulation):
-    same = diagnose([recording(83)], road_car(), [simulation])
+def test_the_same_car_matches(simulation, same_car):
+    same = diagnose([same_car], road_car(), [simulation])
     assert same.verdict == "match" and same.p_value >= 0.01
     assert not same.findings and not same.unexplained
     # Positions and velocities of one car agree: no scale of a speed is doubted.
@@ -95,8 +106,8 @@ class Lopsided(Term):
         flow.front.lateral_force = force - self.parameters["share"] * np.abs(force)
 
 
-def test_what_is_in_no_catalogue_is_unexplained(simulation):
-    strange = diagnose([recording(85, Lopsided({"share": 0.3}))], road_car(), [simulation])
+def test_what_is_in_no_catalogue_is_unexplained(simulation, strange_car):
+    strange = diagnose([strange_car], road_car(), [simulation])
     assert strange.verdict == "mismatch" and strange.unexplained
     assert strange.remainder.p_value < 0.01
     # The lead is the right one: the front axle, by the size of its slip angle.
@@ -115,19 +126,18 @@ class TestFarFromTheSimulation:
         assert far.compared_share > 0.3 and any("further off" in text for text in far.not_judged)
         assert not any("further off" in text for text in answer.not_judged)
 
-    def test_what_has_none_may_be_what_the_simulation_has_not_shown(self, simulation):
-        strange = recording(85, Lopsided({"share": 0.3}))
-        far = diagnose([strange], road_car(), [simulation], policy=self.near)
+    def test_what_has_none_may_be_what_the_simulation_has_not_shown(self, simulation, strange_car):
+        far = diagnose([strange_car], road_car(), [simulation], policy=self.near)
         assert far.verdict == "undecided" and not far.unexplained
         assert "no effect of the catalogue" in far.not_judged[0]
 
-    def test_nor_is_it_told_from_that_in_a_tenth_of_the_drive(self, simulation):
-        strange, little = recording(85, Lopsided({"share": 0.3})), STANDARD.altered("comparison", least_share=1.1)
-        near = diagnose([strange], road_car(), [simulation], policy=little)
+    def test_nor_is_it_told_from_that_in_a_tenth_of_the_drive(self, simulation, strange_car):
+        little = STANDARD.altered("comparison", least_share=1.1)
+        near = diagnose([strange_car], road_car(), [simulation], policy=little)
         assert near.verdict == "undecided" and "no effect of the catalogue" in near.not_judged[0]
 
-    def test_the_same_car_matches(self, simulation):
-        far = diagnose([recording(83)], road_car(), [simulation], policy=self.near)
+    def test_the_same_car_matches(self, simulation, same_car):
+        far = diagnose([same_car], road_car(), [simulation], policy=self.near)
         assert far.verdict == "match"
 
     def test_too_far_is_too_far(self, reality, simulation):

@@ -82,13 +82,6 @@ def test_the_real_drive_holds_the_noise_that_severity_is_measured_by(case):
         assert difference_noise(case.real[name], [(0, len(case.real))]) == pytest.approx(sigma, rel=0.08)
 
 
-def test_the_same_plan_gives_the_same_case(case):
-    again = build_case(CasePlan(3, 0, "single", ("steer_gain",), "realistic", *TIERS["realistic"]))
-    for name, values in case.real.columns.items():
-        np.testing.assert_array_equal(values, again.real[name])
-    assert again.answer == case.answer
-
-
 @pytest.mark.parametrize(
     ("term", "parameters"),
     [
