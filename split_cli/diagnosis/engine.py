@@ -127,7 +127,7 @@ def diagnose(
         build_candidates(vehicle, case.real[0].series),
         [one.series for one in case.real],
         vehicle,
-        policy.screening,
+        policy,
     )
     outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)
     if outcome.known.ratio > policy.selection.much_over_noise:

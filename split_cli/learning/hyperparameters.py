@@ -105,8 +105,6 @@ def fit_kernel(
     start: Kernel,
     *,
     longest: float = LENGTH_BOUNDS[1],
-    block_points: int = BLOCK_POINTS,
-    maximum_blocks: int = MAXIMUM_BLOCKS,
 ) -> KernelFit:
     """Fit length scales, signal and noise variances by maximum likelihood.
 
@@ -119,10 +117,6 @@ def fit_kernel(
         Where the search begins; its length scales and four times them are tried.
     longest : float
         Upper bound of the length scales, in cell edges; `longest_scale` has the one that sets are trained with.
-    block_points : int
-        Most points a block.
-    maximum_blocks : int
-        When there are more, so many are taken, evenly over the list of blocks.
 
     Raises
     ------
@@ -150,9 +144,9 @@ def fit_kernel(
     if len(z) > _AT_MOST:
         thinned = np.linspace(0, len(z) - 1, _AT_MOST).round().astype(int)
         z, y = z[thinned], y[thinned]
-    blocks = neighbour_blocks(grid.index(z)[0], block_points)
-    if len(blocks) > maximum_blocks:
-        chosen = np.linspace(0, len(blocks) - 1, maximum_blocks).round().astype(int)
+    blocks = neighbour_blocks(grid.index(z)[0], BLOCK_POINTS)
+    if len(blocks) > MAXIMUM_BLOCKS:
+        chosen = np.linspace(0, len(blocks) - 1, MAXIMUM_BLOCKS).round().astype(int)
         blocks = [blocks[i] for i in chosen]
     rows = np.concatenate(blocks)
     offsets = np.concatenate([[0], np.cumsum([len(block) for block in blocks])])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from split_cli.logs.assembling.noise import difference_noise, estimate_noise, sum_of_noise
-from split_cli.logs.assembling.resample import make_grid, resample_continuous
+from split_cli.logs.assembling.resample import make_grid, resample_together
 
 T = np.arange(0.0, 100.0, 0.01)
 MOTION = 10.0 + 3.0 * np.sin(0.5 * T) + 0.3 * np.sin(4.0 * T)
@@ -36,7 +36,7 @@ def test_noise_on_the_drive_clock_is_what_remains_after_the_filter():
     fine = np.arange(0.0, 200.0, 0.001)
     noise = 0.2 * rng.standard_normal(len(fine))
     grid, _ = make_grid([[(0.0, 199.9)]], 0.01)
-    result = resample_continuous(fine, np.sin(fine) + noise, grid, gap=0.1)
+    (result,) = resample_together(fine, [np.sin(fine) + noise], grid, gap=0.1)
     found = estimate_noise("r", np.sin(fine) + noise, whole(fine), gain=result.gain)
     remains = np.std((result.values - np.sin(grid.time))[50:-50])
     assert found.sigma_raw == pytest.approx(0.2, rel=0.03)

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from split_cli.logs.assembling.resample import (
+    Resampled,
     SampleClock,
     is_sampled_and_held,
     make_grid,
-    resample_continuous,
     resample_held,
+    resample_together,
     runs_of,
 )
 
@@ -18,6 +19,10 @@ from split_cli.logs.assembling.resample import (
 def jittered(rng, seconds: float, step: float, jitter: float = 0.5) -> np.ndarray:
     time = np.arange(0.0, seconds, step)
     return time + jitter * step * rng.uniform(-0.5, 0.5, len(time))
+
+
+def resampled(time: np.ndarray, values: np.ndarray, grid: SampleClock, gap: float) -> Resampled:
+    return resample_together(time, [values], grid, gap=gap)[0]
 
 
 def grid_over(time: np.ndarray, period: float) -> SampleClock:
@@ -29,7 +34,7 @@ def grid_over(time: np.ndarray, period: float) -> SampleClock:
 def test_a_line_comes_through_unchanged_at_every_ratio_of_rates_and_to_the_ends(step, jitter):
     time = jittered(np.random.default_rng(0), 4.0, step, jitter)
     grid = grid_over(time, 0.01 if step < 0.01 else step)
-    result = resample_continuous(time, 3.0 - 7.0 * time, grid, gap=0.1)
+    result = resampled(time, 3.0 - 7.0 * time, grid, gap=0.1)
     # Both schemes reproduce cubics, so only rounding remains: 28 times 1e-16 times the condition of the fit.
     np.testing.assert_allclose(result.values, 3.0 - 7.0 * grid.time, atol=1e-9)
 
@@ -37,7 +42,7 @@ def test_a_line_comes_through_unchanged_at_every_ratio_of_rates_and_to_the_ends(
 def test_equal_clocks_hand_the_samples_through():
     time = 5.0 + 0.01 * np.arange(400)
     values = np.random.default_rng(1).standard_normal(400)
-    result = resample_continuous(time, values, grid_over(time, 0.01), gap=0.1)
+    result = resampled(time, values, grid_over(time, 0.01), gap=0.1)
     np.testing.assert_array_equal(result.values, values)
     assert result.gain == 1.0 and result.autocorrelation == (1.0,) and not result.low_passed
 
@@ -48,9 +53,7 @@ def test_interpolation_is_of_fourth_order():
         grid = grid_over(time + 0.37 * step, step)
         inside = slice(4, -4)
         truth = np.sin(3.0 * grid.time)
-        return float(
-            np.max(np.abs(resample_continuous(time, np.sin(3.0 * time), grid, gap=1.0).values - truth)[inside])
-        )
+        return float(np.max(np.abs(resampled(time, np.sin(3.0 * time), grid, gap=1.0).values - truth)[inside]))
 
     order = np.log2(error(0.04) / error(0.02))
     # Four nodes: the error falls with the fourth power of the step.
@@ -62,7 +65,7 @@ def test_the_low_pass_keeps_what_the_drive_can_show_and_removes_what_would_alias
     grid = grid_over(time, 0.02)
 
     def amplitude(frequency: float) -> float:
-        values = resample_continuous(time, np.sin(2 * np.pi * frequency * time), grid, gap=0.1).values[50:-50]
+        values = resampled(time, np.sin(2 * np.pi * frequency * time), grid, gap=0.1).values[50:-50]
         return float(np.sqrt(2.0 * np.mean(values**2)))
 
     assert amplitude(5.0) == pytest.approx(1.0, abs=0.01)  # a tenth of the rate
@@ -75,7 +78,7 @@ def test_noise_gain_and_autocorrelation_are_what_noise_itself_shows():
     time = jittered(rng, 400.0, 0.002)
     grid = grid_over(time, 0.01)
     noise = rng.standard_normal(len(time))
-    result = resample_continuous(time, noise, grid, gap=0.1)
+    result = resampled(time, noise, grid, gap=0.1)
     x = result.values[20:-20]
     # 40,000 rows that are correlated over three: the standard error of a correlation is about 0.008.
     assert np.std(x) == pytest.approx(result.gain, rel=0.02)
@@ -91,7 +94,7 @@ def test_nothing_is_interpolated_across_a_gap_and_a_new_segment_starts_there():
     assert grid.segment.max() == 1
     assert not np.any((grid.time > 0.995) & (grid.time < 1.495))
     everywhere = SampleClock(0.0, 0.01, np.arange(300), np.zeros(300, np.int32))
-    values = resample_continuous(time, time, everywhere, gap=0.1).values
+    values = resampled(time, time, everywhere, gap=0.1).values
     assert np.isnan(values[(everywhere.time > 1.0) & (everywhere.time < 1.49)]).all()
 
 
@@ -131,7 +134,7 @@ def test_a_dropped_sample_in_a_jittery_fast_signal_does_no_harm():
     time = jittered(rng, 10.0, 0.004, 0.9)
     time = time[rng.uniform(size=len(time)) > 0.3]
     grid = grid_over(time, 0.01)
-    result = resample_continuous(time, np.sin(2.0 * time), grid, gap=0.1)
+    result = resampled(time, np.sin(2.0 * time), grid, gap=0.1)
     # The window spans +-25 ms, its cubic leaves (2 x 0.025)^4/24 = 3e-7; where the clock is too uneven for a cubic
     # a line over at most 20 ms leaves (2 x 0.02)^2/8 = 2e-4.
     error = np.abs(result.values - np.sin(2.0 * grid.time))
@@ -142,5 +145,5 @@ def test_a_short_outage_of_a_fast_signal_is_bridged_not_zeroed():
     time = np.arange(0.0, 4.0, 0.002)
     time = time[(time < 2.0) | (time > 2.09)]
     grid = grid_over(time, 0.01)
-    result = resample_continuous(time, 5.0 + time, grid, gap=0.1)
+    result = resampled(time, 5.0 + time, grid, gap=0.1)
     np.testing.assert_allclose(result.values, 5.0 + grid.time, atol=1e-8)

@@ -81,9 +81,9 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     disturbance = np.max([one.disturbance for one in real], axis=0)
     graded = [graded_as(one, noise, disturbance, discrepancy) for one in simulated]
     posterior = learn_discrepancy(graded, policy.comparison.variance_inflation, rules) if graded else None
-    theirs = [one for series in by_role["sim"] for one in build_witnesses(series)]
+    theirs = [one for series in by_role["sim"] for one in build_witnesses(series, rules=rules)]
     habits = habits_of(theirs)
-    kinematics = [one for series in by_role["real"] for one in build_witnesses(series, habits)]
+    kinematics = [one for series in by_role["real"] for one in build_witnesses(series, habits, rules)]
     if by_role["sim"]:
         # Where the simulation's recordings lack an instrument, nobody knows its habits.
         kinematics = [one for one in kinematics if one.kind in habits]

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from split_cli.diagnosis.policy import STANDARD, Believing, Screening
+from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import (
     KinematicResiduals,
     build_kinematics,
@@ -140,13 +140,14 @@ def habits_of(witnesses: Iterable[KinematicResiduals | Witness]) -> dict[str, np
     return {kind: common_habit(several) for kind, several in by_kind.items()}
 
 
-def late_against_position(series: Series, rules: Screening = STANDARD.screening) -> bool:
+def late_against_position(series: Series, policy: Policy = STANDARD) -> bool:
     """Return whether yaw rate or velocity is some samples early or late against yaw or position.
 
     Velocities that were derived from position are not; what was shifted since, or read with another clock, is.
     """
-    delays = [abs(common_habit([one])[2]) for one in build_witnesses(series) if one.kind in ("turn", "way")]
-    return max(delays, default=0.0) > rules.late_samples * series.period
+    witnesses = build_witnesses(series, rules=policy.believing)
+    delays = [abs(common_habit([one])[2]) for one in witnesses if one.kind in ("turn", "way")]
+    return max(delays, default=0.0) > policy.screening.late_samples * series.period
 
 
 def is_witness_of_position(one: KinematicResiduals | Witness) -> bool:

@@ -135,7 +135,7 @@ def self_test(
     positions = tuple(
         (k, replace(one, scale=max(one.scale, scales[one.kind])))
         for k, recording in enumerate(graded)
-        for one in build_witnesses(recording.series)
+        for one in build_witnesses(recording.series, rules=policy.believing)
         if one.kind in scales
     )
     all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]

@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.diagnosis.baseline.discrepancy import features
 from split_cli.diagnosis.innovations.evidence import Evidence
-from split_cli.diagnosis.policy import STANDARD, Policy, Screening
+from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.screening import (
     measures,
     torque_is_constant,
@@ -85,7 +85,7 @@ def identifiable(
     candidates: Sequence[Candidate],
     real: Sequence[Series],
     vehicle: Vehicle,
-    rules: Screening = STANDARD.screening,
+    policy: Policy = STANDARD,
 ) -> list[Candidate]:
     """Return the candidates that recordings of this kind can tell at all.
 
@@ -103,11 +103,11 @@ def identifiable(
     lacking |= {name for name in ("ax", "ay") if not all(measures(drive, name) for drive in drives)}
     if {"measured position", "ay"} <= lacking:
         lacking.add("witness")
-    if any(velocity_is_from_position(one.drive) and not late_against_position(one, rules) for one in real):
+    if any(velocity_is_from_position(one.drive) and not late_against_position(one, policy) for one in real):
         lacking.add("measured velocities")
     if any(map(torque_is_derived, drives)):
         lacking.add("torque")
-    if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle, rules):
+    if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle, policy.screening):
         lacking.add("torque changes")
     told = [one for one in candidates if not lacking & one.needs]
     return [one.without_witness() for one in told] if "measured position" in lacking else told

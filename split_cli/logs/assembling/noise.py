@@ -55,7 +55,7 @@ def estimate_noise(
     runs : list of (int, int)
         Stretches without a gap.
     gain, autocorrelation
-        Of the filter, as `resample_continuous` gives them.
+        Of the filter, as `resample_together` gives them.
 
     Returns
     -------

@@ -12,7 +12,6 @@ __all__ = [
     "SampleClock",
     "is_sampled_and_held",
     "make_grid",
-    "resample_continuous",
     "resample_held",
     "resample_together",
     "runs_of",
@@ -139,21 +138,19 @@ def _intersect(one: list[tuple[float, float]], other: list[tuple[float, float]])
     return result
 
 
-def resample_continuous(time: np.ndarray, values: np.ndarray, grid: SampleClock, *, gap: float) -> Resampled:
-    """Bring a continuous signal onto the drive's clock with zero phase.
+def resample_together(
+    time: np.ndarray, signals: Sequence[np.ndarray], grid: SampleClock, *, gap: float
+) -> list[Resampled]:
+    """Bring continuous signals that share a clock onto the drive's with zero phase.
 
     Parameters
     ----------
     time : ndarray, shape (M,)
         Strictly increasing; the clock may jitter.
-    values : ndarray, shape (M,)
+    signals : sequence of ndarray, shape (M,)
     grid : SampleClock
     gap : float
         Nothing is interpolated across a step longer than this [s].
-
-    Returns
-    -------
-    Resampled
 
     Notes
     -----
@@ -162,13 +159,6 @@ def resample_continuous(time: np.ndarray, values: np.ndarray, grid: SampleClock,
     Others: the cubic through the four nearest samples, the sample itself where the clocks agree. Both are linear
     in the samples, so the noise on the drive's clock follows from the weights.
     """
-    return resample_together(time, [values], grid, gap=gap)[0]
-
-
-def resample_together(
-    time: np.ndarray, signals: Sequence[np.ndarray], grid: SampleClock, *, gap: float
-) -> list[Resampled]:
-    """Do for several signals that share a clock what `resample_continuous` does for one."""
     outputs = [np.full(len(grid.index), np.nan) for _ in signals]
     rows_time = grid.time
     slack = 1e-6 * grid.period
