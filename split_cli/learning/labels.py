@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -10,9 +9,10 @@ import numpy as np
 
 from split_cli.errors import DriveError
 from split_cli.learning.features import FeatureSet, flow_along, place_of, recording_of
+from split_cli.learning.pieces import Piece, pieces
 from split_cli.learning.region import Grid, Region
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.effects.recording import Handover, Recording
+from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -20,7 +20,6 @@ from split_cli.vehicle.windows import RecordedInputs, recorded_inputs
 
 __all__ = [
     "DEFAULT_HORIZON",
-    "PIECE_ROWS",
     "Labels",
     "Reason",
     "compute_labels",
@@ -30,8 +29,6 @@ __all__ = [
 
 DEFAULT_HORIZON = 0.05
 _CHUNK = 4096  # temporaries of that length stay in the cache
-#: Rows that are labelled at once [1]: a long drive then takes no more memory than its labels.
-PIECE_ROWS = 2**18
 _VELOCITIES = ("vx", "vy", "r")
 
 
@@ -216,7 +213,7 @@ def compute_labels(
     starts = _window_starts(drive, window, window if stride is None else stride)
     t, z = np.empty(len(starts)), np.empty((len(starts), len(features.names)))
     y, reason = np.full((len(starts), 3), np.nan), np.empty(len(starts), dtype=np.int8)
-    for rows, piece in _pieces(model, drive, starts, window):
+    for rows, piece in pieces(model, drive, starts, window):
         local = starts[rows] - piece.first
         t[rows] = piece.drive["t"][local]
         z[rows] = features.compute(model, piece.drive, piece.recording)[local]
@@ -247,32 +244,6 @@ def compute_labels(
         y=y,
         reason=reason,
     )
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """Rows of a drive from `first` on, with the recording that knows what came before."""
-
-    drive: Drive
-    first: int
-    recording: Recording | None
-
-
-def _pieces(model: SingleTrack, drive: Drive, starts: np.ndarray, window: int) -> Iterator[tuple[slice, _Piece]]:
-    """Yield the drive in pieces of `PIECE_ROWS`, each with the range of `starts` whose windows lie in it."""
-    delayed = any(getattr(term, "input_delays", None) for term in model.terms)
-    length = len(drive) if delayed else PIECE_ROWS
-    entering: dict[str, float] = {}
-    for begin in range(0, len(drive), length):
-        # A row before, and one behind the last window: slopes and means over samples reach that far.
-        first, last = max(begin - 1, 0), min(begin + length + window + 2, len(drive))
-        part = drive.stretch(first, last)
-        recording = None
-        if model.state_names and length < len(drive):
-            memory = Handover(min(begin + length, len(drive)) - 1 - first, entering)
-            recording, entering = replace(recording_of(part), memory=memory), memory.leaving
-        begins, ends = np.searchsorted(starts, (begin, begin + length))
-        yield slice(int(begins), int(ends)), _Piece(part, first, recording)
 
 
 def nominal_errors(
@@ -371,7 +342,7 @@ def _window_starts(drive: Drive, window: int, stride: int) -> np.ndarray:
 
 
 def _reject(
-    piece: _Piece, model: SingleTrack, region: Region, starts: np.ndarray, window: int, z: np.ndarray
+    piece: Piece, model: SingleTrack, region: Region, starts: np.ndarray, window: int, z: np.ndarray
 ) -> np.ndarray:
     """Return the reason of every start, int8 shape (N,)."""
     drive = piece.drive

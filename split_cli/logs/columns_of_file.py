@@ -7,14 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet
 
 from split_cli.errors import DriveError
+from split_cli.files import ScratchFolder
 from split_cli.signals import CHANNELS, convert_to_si, split_name_and_unit
 
-__all__ = ["ColumnsOfFile", "column_in_si"]
+__all__ = ["ColumnsOfFile", "column_in_si", "columns_of_csv"]
 
 _BATCH = 2**16  # rows decoded at once
+#: A CSV of fewer bytes is read as a whole [bytes]: it has some 300,000 rows of 11 columns.
+_SMALL_CSV = 2**25
 
 
 class ColumnsOfFile(Mapping[str, np.ndarray]):
@@ -35,6 +39,7 @@ class ColumnsOfFile(Mapping[str, np.ndarray]):
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.keeps: object = None  # what has to last as long as the columns
         self._file = pa.parquet.ParquetFile(path, page_checksum_verification=True)
         self.schema = self._file.schema_arrow
         self.length: int = self._file.metadata.num_rows
@@ -98,6 +103,31 @@ class ColumnsOfFile(Mapping[str, np.ndarray]):
         except (pa.ArrowException, OSError) as error:
             raise DriveError(f"is damaged ({str(error).splitlines()[0][:160]})", where=str(self.path)) from error
         return out
+
+
+def columns_of_csv(path: Path) -> ColumnsOfFile | None:
+    """Return the columns of a large CSV by way of a temporary Parquet; None of a small one, or without numbers.
+
+    Raises
+    ------
+    pa.ArrowException, OSError
+        If the file is no CSV, or a column's first megabytes are of another type than the rest.
+    """
+    if path.stat().st_size < _SMALL_CSV:
+        return None
+    scratch = ScratchFolder()
+    copy = scratch.path / "columns.parquet"
+    with pa.csv.open_csv(path) as reader:
+        numbers = [field.name for field in reader.schema if not pa.types.is_string(field.type)]
+        if not numbers or len(set(reader.schema.names)) < len(reader.schema.names):
+            return None
+        schema = pa.schema([pa.field(name, pa.float64()) for name in numbers])
+        with pa.parquet.ParquetWriter(copy, schema, compression="zstd", write_page_checksum=True) as writer:
+            for batch in reader:
+                writer.write_table(pa.Table.from_batches([batch]).select(numbers).cast(schema))
+    columns = ColumnsOfFile(copy)
+    columns.keeps = scratch
+    return columns
 
 
 def column_in_si(values: np.ndarray, name: str, unit: str | None, path: Path) -> np.ndarray:

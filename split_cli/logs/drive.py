@@ -14,7 +14,7 @@ import pyarrow.parquet
 
 from split_cli.errors import DriveError, nearest_names
 from split_cli.files import atomic_path, refuse_no_regular_file, sha256_of_file
-from split_cli.logs.columns_of_file import ColumnsOfFile, column_in_si
+from split_cli.logs.columns_of_file import ColumnsOfFile, column_in_si, columns_of_csv
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, split_name_and_unit
 
 __all__ = [
@@ -143,7 +143,7 @@ class Drive:
                 advice=nearest_names(missing[0], self.columns) + " Map it with `split ingest --map`.",
             )
         length = len(self.segment)
-        if not isinstance(self.columns, ColumnsOfFile):
+        if not self.stays_in_file:
             length = len(self.columns["t"])
             for name, values in self.columns.items():
                 if len(values) != length:
@@ -170,6 +170,11 @@ class Drive:
                 f"no channel {channel!r}", where=self.name, advice=nearest_names(channel, self.columns)
             )
         return self.columns[channel]
+
+    @property
+    def stays_in_file(self) -> bool:
+        """Whether columns are read when they are asked for, as `open_drive` leaves those of a long drive."""
+        return isinstance(self.columns, ColumnsOfFile)
 
     @property
     def rate(self) -> float:
@@ -257,21 +262,27 @@ def read_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
     return drive.with_held(held) if held else drive
 
 
-def open_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
-    """Return a drive as `read_drive` does; of a long Parquet the columns stay in the file.
+def open_drive(path: str | Path, held: Sequence[str] = (), beside: int = 1) -> Drive:
+    """Return a drive as `read_drive` does; the columns of a long one stay in its file.
 
     The drive is equal to the one that is read. Every access of a column reads it, so it serves what goes through a
-    drive piece by piece (`Drive.stretch`) or column by column.
+    drive piece by piece (`Drive.stretch`) or column by column. A large CSV is copied into a temporary Parquet that
+    goes with the drive.
+
+    Parameters
+    ----------
+    path : path-like
+    held : sequence of str
+    beside : int
+        Drives that are open at a time: each is then long sooner.
     """
     path = _existing(path)
-    if path.suffix.lower() == ".csv":
-        return read_drive(path, held)
     try:
-        columns = ColumnsOfFile(path)
+        columns = columns_of_csv(path) if path.suffix.lower() == ".csv" else ColumnsOfFile(path)
     except (pa.ArrowException, OSError, ValueError):
+        columns = None
+    if columns is None or columns.length * beside <= _LONG or not columns.is_plain or "t" not in columns:
         return read_drive(path, held)  # which says what is wrong
-    if columns.length <= _LONG or not columns.is_plain or "t" not in columns:
-        return read_drive(path, held)
     metadata, period = _metadata_from_schema(columns.schema.metadata or {}, path)
     segment = _whole(columns["segment"], path) if "segment" in columns else None
     drive = _checked_drive(columns.without("segment"), segment, period, metadata, path)

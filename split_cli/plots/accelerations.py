@@ -7,10 +7,12 @@ from matplotlib.figure import Figure
 
 from split_cli.learning.features import flow_along
 from split_cli.learning.labels import Reason
+from split_cli.learning.pieces import pieces
 from split_cli.logs.drive import Drive
 from split_cli.plots.style import PALETTE, new_figure, quiet
 from split_cli.scoring.evaluation import HeldOutSamples
 from split_cli.scoring.run import EvaluationRun
+from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -23,15 +25,18 @@ _COLOURS = (PALETTE[0], "0.5", PALETTE[1], PALETTE[3], PALETTE[4], PALETTE[2])
 _MARKERS = (".", "x", "^", "v", "s", "+")
 
 
-def specific_forces(vehicle: Vehicle, drive: Drive) -> tuple[np.ndarray, np.ndarray, bool]:
+def specific_forces(
+    vehicle: Vehicle, drive: Drive, recording: Recording | None = None
+) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return a_x, a_y at the CG [m/s^2], shape (N,) each, and whether they were recorded.
 
+    `recording` is as of `flow_along`.
     Where they were not, they are the nominal model's: a_x = v_x' - v_y r, a_y = v_y' + v_x r.
     """
     if "ax" in drive and "ay" in drive:
         return drive["ax"], drive["ay"], True
     model = SingleTrack(vehicle)
-    dvx, dvy, _ = model.balance(flow_along(model, drive))
+    dvx, dvy, _ = model.balance(flow_along(model, drive, recording))
     return dvx - drive["vy"] * drive["r"], dvy + drive["vx"] * drive["r"], False
 
 
@@ -69,9 +74,12 @@ def draw_accelerations(run: EvaluationRun) -> Figure:
 
 
 def _at_labels(vehicle: Vehicle, held: HeldOutSamples) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
-    along, across, recorded = specific_forces(vehicle, held.drive)
-    rows = held.labels.row
-    return across[rows], along[rows], held.labels.reason, recorded
+    rows, recorded = held.labels.row, False
+    along, across = np.empty((2, len(rows)))
+    for span, piece in pieces(SingleTrack(vehicle), held.drive, rows, 0):
+        *forces, recorded = specific_forces(vehicle, piece.drive, piece.recording)
+        along[span], across[span] = (force[rows[span] - piece.first] for force in forces)
+    return across, along, held.labels.reason, recorded
 
 
 def _finding(across: np.ndarray, along: np.ndarray, reason: np.ndarray, shown: np.ndarray) -> str:

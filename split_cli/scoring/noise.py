@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.learning.labels import Labels, inputs_along
+from split_cli.learning.pieces import pieces
 from split_cli.logs.assembling.noise import estimate_noise
 from split_cli.logs.drive import Drive, NoiseEstimate
 from split_cli.scoring.persistence import phi_at
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.windows import Windows
 
 __all__ = ["NoiseFloor", "fast_motion", "noise_floor"]
 
@@ -144,9 +146,21 @@ def _flow_derivatives(
     model: SingleTrack, drive: Drive, rows: np.ndarray, window: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the derivatives of f_h by state (N, 3, 3), and by the torque and steer samples (N, 3, K + 1)."""
-    state = np.stack([drive[name][rows] for name in _VELOCITIES], axis=1)
-    windows = inputs_along(model, drive).windows(rows, window)
-    jacobian = windows.jacobian(model, state)
+    by_state = np.empty((len(rows), 3, 3))
+    by_torque, by_steer = np.empty((2, len(rows), 3, window + 1))
+    for span, piece in pieces(model, drive, rows, window):
+        here = rows[span] - piece.first
+        state = np.stack([piece.drive[name][here] for name in _VELOCITIES], axis=1)
+        windows = inputs_along(model, piece.drive, piece.recording).windows(here, window)
+        by_state[span], by_torque[span], by_steer[span] = _window_derivatives(model, windows, state)
+    return by_state, by_torque, by_steer
+
+
+def _window_derivatives(
+    model: SingleTrack, windows: Windows, state: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `_flow_derivatives` does, of windows that begin at a state (N, 3)."""
+    jacobian, samples = windows.jacobian(model, state), windows.torque.shape[1]
 
     def slope(step: float, of: Direction, of_torque: Direction, of_steer: Direction) -> np.ndarray:
         """Return the derivative of f_h along a direction of state, torque and steer samples."""
@@ -159,11 +173,11 @@ def _flow_derivatives(
         along: np.ndarray = (ends[0] - ends[1]) / (2.0 * step)
         return along
 
-    by_state = np.empty((len(rows), 3, 3))
+    by_state = np.empty((len(state), 3, 3))
     for i, unit in enumerate(np.eye(3)):
         by_state[:, :, i] = slope(1e-5, unit, 0.0, 0.0)
-    by_torque, by_steer = np.empty((2, len(rows), 3, window + 1))
-    for k, unit in enumerate(np.eye(window + 1)):
+    by_torque, by_steer = np.empty((2, len(state), 3, samples))
+    for k, unit in enumerate(np.eye(samples)):
         by_torque[:, :, k] = slope(1e-5 * model.vehicle.max_torque, 0.0, unit, 0.0)
         by_steer[:, :, k] = slope(1e-6, 0.0, 0.0, unit)
     return by_state, by_torque, by_steer

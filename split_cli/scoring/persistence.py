@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from split_cli.learning.labels import Labels, inputs_along
+from split_cli.learning.pieces import pieces
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
@@ -13,9 +14,14 @@ __all__ = ["label_persistence_errors", "phi_at", "velocity_persistence_errors"]
 
 
 def phi_at(model: SingleTrack, drive: Drive, rows: np.ndarray, horizon: float) -> np.ndarray:
-    """Return Phi of the nominal model at rows of a drive, shape (N, 3, 3)."""
-    velocity = np.stack([drive[name][rows] for name in ("vx", "vy", "r")], axis=1)
-    return phi_matrix(inputs_along(model, drive).windows(rows, 0).jacobian(model, velocity), horizon)
+    """Return Phi of the nominal model at ascending rows of a drive, shape (N, 3, 3)."""
+    phi = np.empty((len(rows), 3, 3))
+    for span, piece in pieces(model, drive, rows, 0):
+        here = rows[span] - piece.first
+        velocity = np.stack([piece.drive[name][here] for name in ("vx", "vy", "r")], axis=1)
+        windows = inputs_along(model, piece.drive, piece.recording).windows(here, 0)
+        phi[span] = phi_matrix(windows.jacobian(model, velocity), horizon)
+    return phi
 
 
 def velocity_persistence_errors(model: SingleTrack, drive: Drive, labels: Labels) -> np.ndarray:
@@ -29,8 +35,8 @@ def velocity_persistence_errors(model: SingleTrack, drive: Drive, labels: Labels
     errors = np.full((len(labels), 3), np.nan)
     usable = np.isfinite(labels.y).all(axis=1)
     rows = labels.row[usable]
-    velocity = np.stack([drive[name] for name in ("vx", "vy", "r")], axis=1)
-    rate = (velocity[rows + labels.window] - velocity[rows]) / labels.horizon
+    columns = (drive[name] for name in ("vx", "vy", "r"))
+    rate = np.stack([column[rows + labels.window] - column[rows] for column in columns], axis=1) / labels.horizon
     if labels.plain:
         errors[usable] = rate
     else:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.labels import inputs_along
+from split_cli.learning.pieces import pieces
 from split_cli.logs.drive import Drive
 from split_cli.scoring.application import features_at
-from split_cli.vehicle.integration import phi_matrix
+from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import RecordedInputs
 
@@ -126,8 +127,14 @@ def roll_out(
     place take the track position from the channel ``s`` [m], 0 without one.
     """
     names = ("X", "Y", "yaw", *_VELOCITIES) if drive.has_position else _VELOCITIES
+    if drive.stays_in_file:
+        begins, place = np.unique(starts, return_inverse=True)
+        drive, inputs, rows = _gathered(model, drive, begins, steps * window)
+        correction = None if correction is None else replace(correction, z=correction.z[rows])
+        starts = place * (steps * window + 1)
+    else:
+        inputs = inputs_along(model, drive)
     state = np.stack([drive[name][starts] for name in names], axis=1)
-    inputs = inputs_along(model, drive)
     trajectory = np.empty((len(starts), steps, len(names)))
     with np.errstate(over="ignore", invalid="ignore"):
         for step in range(steps):
@@ -137,6 +144,31 @@ def roll_out(
                 state[:, -3] = drive["vx"][rows + window]
             trajectory[:, step] = state
     return trajectory
+
+
+def _gathered(
+    model: SingleTrack, drive: Drive, starts: np.ndarray, length: int
+) -> tuple[Drive, RecordedInputs, np.ndarray]:
+    """Return the stretches of `length` samples from ascending `starts`, end to end, and the rows they are."""
+    rows = starts[:, None] + np.arange(length + 1)
+    columns: list[dict[str, np.ndarray]] = []
+    inputs: list[RecordedInputs] = []
+    for span, piece in pieces(model, drive, starts, length):
+        here = (rows[span] - piece.first).ravel()
+        known = inputs_along(model, piece.drive, piece.recording)
+        columns.append({name: values[here] for name, values in piece.drive.columns.items()})
+        parts = known.torque[here], known.steer_angle[here], known.situation.at(here)
+        inputs.append(RecordedInputs(known.period, *parts, known.held))
+    joined = {name: np.concatenate([part[name] for part in columns]) for name in columns[0]}
+    segment = np.repeat(np.arange(len(starts), dtype=np.int32), length + 1)
+    together = RecordedInputs(
+        drive.period,
+        np.concatenate([part.torque for part in inputs]),
+        np.concatenate([part.steer_angle for part in inputs]),
+        Situation.joined([part.situation for part in inputs]),
+        inputs[0].held,
+    )
+    return replace(drive, columns=joined, segment=segment), together, rows.ravel()
 
 
 def _one_step(

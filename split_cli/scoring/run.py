@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,10 @@ from split_cli.scoring.evaluation import HeldOutSamples, ScoreTally
 from split_cli.scoring.report import Evaluation
 from split_cli.scoring.rollouts import RolloutSums
 
-__all__ = ["EvaluationRun", "Trace"]
+__all__ = ["DRAWN_ROWS", "EvaluationRun", "Trace"]
+
+#: Rows of a drive that a page draws at most [1].
+DRAWN_ROWS = 2**18
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,27 @@ class Trace:
     tested: Labels
     prediction: Prediction
     noise_variance: np.ndarray
+
+    def drawn(self) -> Trace:
+        """Return the trace of at most `DRAWN_ROWS` rows about the middle one that tests."""
+        held, length = self.held, len(self.held.drive)
+        if length <= DRAWN_ROWS:
+            return self
+        middle = int(self.tested.row[len(self.tested) // 2])
+        first = min(max(middle - DRAWN_ROWS // 2, 0), length - DRAWN_ROWS)
+        last = first + DRAWN_ROWS
+        rows, tested = slice(first, last), self.tested.between(first, last)
+        begin = int(np.searchsorted(self.tested.row, first))
+        mean, variance = (
+            values[begin : begin + len(tested)] for values in (self.prediction.mean, self.prediction.variance)
+        )
+        split = held.split
+        split = replace(split, train=split.train[rows], test=split.test[rows], block=split.block[rows])
+        held = replace(
+            held, drive=held.drive.stretch(first, last), split=split, labels=held.labels.between(first, last),
+            z=held.z[rows],
+        )  # fmt: skip
+        return replace(self, held=held, tested=tested, prediction=Prediction(mean, variance))
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,18 @@ class Situation:
         t, s, yaw = (value[rows] if np.ndim(value) else value for value in (self.t, self.s, self.yaw))
         return Situation(t, s, yaw, None if self.states is None else self.states[rows])
 
+    @classmethod
+    def joined(cls, parts: Sequence[Situation]) -> Situation:
+        """Return the situations of several windows one after the other."""
+        t, s, yaw = (
+            np.concatenate([getattr(part, name) for part in parts])
+            if np.ndim(getattr(parts[0], name))
+            else getattr(parts[0], name)
+            for name in ("t", "s", "yaw")
+        )
+        states = [part.states for part in parts if part.states is not None]
+        return cls(t, s, yaw, np.concatenate(states) if states else None)
+
     def told(self, model: SingleTrack) -> dict[str, Any]:
         """Return it as `SingleTrack.flow` takes it, states by name."""
         names = model.state_names

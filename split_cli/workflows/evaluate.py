@@ -19,10 +19,11 @@ from split_cli.learning.hyperparameters import (
     scatter_variance,
 )
 from split_cli.learning.labels import Labels, compute_labels
+from split_cli.learning.pieces import features_along
 from split_cli.learning.region import Region, build_grid
 from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.learning.trust import Trust
-from split_cli.logs.drive import Drive, read_drive, untold_inputs
+from split_cli.logs.drive import Drive, open_drive, untold_inputs
 from split_cli.prediction import PREDICTORS, Predictor, make_predictor
 from split_cli.scoring.application import time_per_query
 from split_cli.scoring.evaluation import (
@@ -35,13 +36,13 @@ from split_cli.scoring.evaluation import (
     rollout_trajectories,
     score,
 )
-from split_cli.scoring.evidence import TrainingDrive
+from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, first_lap, informative_sets
 from split_cli.scoring.hints import late_inputs
 from split_cli.scoring.noise import fast_motion
 from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
-from split_cli.scoring.run import EvaluationRun, Trace
+from split_cli.scoring.run import DRAWN_ROWS, EvaluationRun, Trace
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
 from split_cli.scoring.torque_lag import Prepared, decide, lag_note
 from split_cli.scoring.verdict import (
@@ -91,7 +92,8 @@ def evaluate_files(
             where=str(set_path),
             advice="Leave --vehicle out, the set carries its own.",
         )
-    return evaluate([read_drive(path, settings.held) for path in drives], car, settings, trained, say)
+    opened = [open_drive(path, settings.held, beside=len(drives)) for path in drives]
+    return evaluate(opened, car, settings, trained, say)
 
 
 def evaluate(
@@ -178,7 +180,7 @@ def _train(held: Sequence[HeldOutSamples], vehicle: Vehicle, settings: Evaluatio
     def prepared(car: Vehicle, labelled: Sequence[HeldOutSamples]) -> Prepared[TrainingSet]:
         labels = [_training(h) for h in labelled]
         trained = train_in_memory(labels, car)
-        parts = [TrainingDrive(h.drive, own) for h, own in zip(labelled, labels, strict=True)]
+        parts = [TrainingDrive(h.drive, own).middle(MOST_ROWS) for h, own in zip(labelled, labels, strict=True)]
         return Prepared(without_points(trained), parts, trained)
 
     def relabelled(late: Vehicle) -> Prepared[TrainingSet]:
@@ -271,7 +273,7 @@ def _hold_out(
         )
         plain = trained.plain if trained else False
         labels = compute_labels(drive, vehicle, features, region, horizon=settings.horizon, plain=plain)
-        held.append(HeldOutSamples(drive, split, labels, features.compute(model, drive)))
+        held.append(HeldOutSamples(drive, split, labels, features_along(model, drive, features)))
     return held
 
 
@@ -305,6 +307,7 @@ def _score_predictors(
     ]
     traces, predictors = [], {}
     for features, held, training_set in contestants:
+        tested = [h.labels.take(h.tested) for h in held]
         for name, plain in _named(settings, training_set):
             believed = replace(training_set, trust=Trust.full()) if plain else training_set
             say(f"{features}: {name} on {training_set.size} points")
@@ -319,11 +322,10 @@ def _score_predictors(
             seconds = time_per_query(predictor, longest.drive, longest.z, rows)
             scores.append(score(label, tally, pooled, time_per_query=seconds, **known))
             predictors[label, features] = (held, predictor)
-            for h, own, (part, prediction) in zip(held, baselines, parts, strict=True):
+            for h, known_of, own, (part, prediction) in zip(held, tested, baselines, parts, strict=True):
                 by_drive.append(score(label, part, own, drive=h.drive.name, **known))
                 noise = training_set.kernel.noise_variance
-                tested = h.labels.take(h.tested)
-                traces.append(Trace(label, features, h, tested, prediction, noise))
+                traces.append(Trace(label, features, h, known_of, prediction, noise))
     traces.sort(key=lambda trace: trace.name.endswith(PLAIN))  # figures show what is believed
     return scores + (by_drive if len(baselines) > 1 else []), traces, tallies, predictors
 
@@ -474,6 +476,9 @@ def _notes(
     if settings.protocol == "held-out" and any(PREDICTORS[n][1] == "FitcPredictor" for n in settings.predictors):
         notes.append("fitc was given the recorded future as pseudo-inputs, which no controller knows")
     for held in drives:
+        for what, rows in (("trust was found on", MOST_ROWS), ("the page draws", DRAWN_ROWS)):
+            if len(held.drive) > rows:
+                notes.append(f"{what} {rows * held.drive.period / 60.0:.3g} minutes of {held.drive.name}")
         if rollouts and not _same_interval(held, drives[0]):
             steps = f"{held.labels.horizon:g} s, not {drives[0].labels.horizon:g} s as of {drives[0].drive.name}"
             notes.append(f"no rollouts of {held.drive.name}: its label interval is {steps}")

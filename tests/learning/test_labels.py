@@ -269,7 +269,7 @@ def test_labels_are_the_same_to_the_bit_whatever_the_pieces(effects, held, monke
     assert isinstance(long.columns, ColumnsOfFile)
     # Borders inside segments, on theirs and beside them.
     for rows in (57, 351, 352):
-        monkeypatch.setattr("split_cli.learning.labels.PIECE_ROWS", rows)
+        monkeypatch.setattr("split_cli.learning.pieces.PIECE_ROWS", rows)
         for drive in (made, long):
             again = compute_labels(drive, car, features, horizon=0.1, stride=3)
             for name in ("t", "row", "segment", "z", "y", "reason"):

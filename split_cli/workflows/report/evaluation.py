@@ -51,7 +51,7 @@ def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:
     """Return the charts of the drive with the most test samples, of the first predictor."""
     if not run.traces:
         return ()
-    trace = _shown(run)
+    trace = _shown(run).drawn()
     vehicle = run.sets[0].vehicle
     drive = trace.held.drive
     part = drive if trace.held.split.test.all() else drive.select(trace.held.split.test)
