@@ -17,6 +17,7 @@ __all__ = [
     "VehicleError",
     "nearest_names",
     "printable",
+    "spreadsheet_text",
 ]
 
 
@@ -94,6 +95,18 @@ def printable(text: str) -> str:
         return text
     unfit = [c for c in set(text) if not c.isprintable()]
     return text.translate({ord(c): f"\\x{ord(c):02x}" if ord(c) < 256 else f"\\u{ord(c):04x}" for c in unfit})
+
+
+def spreadsheet_text(text: str) -> str:
+    """Return a name for a CSV file, such that a spreadsheet takes it for text and not for a formula.
+
+    Examples
+    --------
+    >>> spreadsheet_text("=1+1")
+    "'=1+1"
+    """
+    text = printable(text)
+    return f"'{text}" if text[:1] in ("=", "+", "-", "@") else text
 
 
 def nearest_names(name: str, known: Iterable[str], count: int = 3) -> str:

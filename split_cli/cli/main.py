@@ -13,6 +13,7 @@ import warnings
 import click
 
 from split_cli import CACHE_NOTE, __version__
+from split_cli.cli.voice import show_only
 from split_cli.errors import NumericalRepairWarning, SplitError, nearest_names
 
 __all__ = ["COMMANDS", "group", "main"]
@@ -159,6 +160,7 @@ def main(arguments: list[str] | None = None) -> None:
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", NumericalRepairWarning)
     _open_closed_streams()
+    show_only()
     stopped = _stop_cleanly()
     if CACHE_NOTE:
         click.echo(f"split: note: {CACHE_NOTE}", err=True)

@@ -12,12 +12,56 @@ from typing import TextIO
 
 import click
 
-__all__ = ["Loud", "Quiet", "StepBar"]
+from split_cli.errors import printable
+
+__all__ = ["Loud", "Quiet", "StepBar", "show_only"]
 
 _WIDTH = 20
 _COUNT = re.compile(r"\[(\d+)/(\d+)\] *")
 #: What of our own lines is news of a run that went well.
 _NEWS = ("note:", "report in", "figures in", "not drawn:")
+
+
+#: Takes the line of progress away: the one thing of ours that is no text.
+_WIPE = "\r\x1b[K"
+_TEXT = re.compile(r"[^\n\t]+")
+
+
+class Shown(io.TextIOBase):
+    """A stream whose text a terminal only shows: names of files, topics and vehicles are others' text."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        wipe = _WIPE if text.startswith(_WIPE) else ""
+        self._stream.write(wipe + _TEXT.sub(lambda found: printable(found[0]), text[len(wipe) :]))
+        return len(text)
+
+    def flush(self) -> None:
+        self._stream.flush()
+
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        return self._stream.fileno()
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._stream.encoding
+
+    @property
+    def errors(self) -> str | None:  # type: ignore[override]
+        return self._stream.errors
+
+
+def show_only() -> None:
+    """Let stdout and stderr pass text and no control of the terminal from now on."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if not isinstance(stream, Shown):
+            setattr(sys, name, Shown(stream))
 
 
 class Quiet(io.TextIOBase):
@@ -157,7 +201,7 @@ class StepBar:
         with self._drawing:
             self._drawn = (self._done, begun)
             click.echo(
-                f"\r\x1b[K{self._line()}" if self._in_place else self._line(), err=True, nl=not self._in_place
+                f"{_WIPE}{self._line()}" if self._in_place else self._line(), err=True, nl=not self._in_place
             )
         if self._in_place and self._clock is None:
             self._clock = threading.Thread(target=self._tick, daemon=True)
@@ -168,11 +212,11 @@ class StepBar:
         while not self._over.wait(1.0):
             with self._drawing:
                 if not self._over.is_set():
-                    click.echo(f"\r\x1b[K{self._line()}", err=True, nl=False)
+                    click.echo(f"{_WIPE}{self._line()}", err=True, nl=False)
 
     def _wipe(self) -> None:
         if self._in_place:
-            click.echo("\r\x1b[K", err=True, nl=False)
+            click.echo(_WIPE, err=True, nl=False)
 
 
 def _span(seconds: float) -> str:

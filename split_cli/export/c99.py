@@ -12,7 +12,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from split_cli.errors import ExportError
+from split_cli.errors import ExportError, printable
 from split_cli.export.memory import Memory, present
 from split_cli.export.provenance import Provenance
 from split_cli.export.straight_line import number, straight_line
@@ -406,5 +406,6 @@ def _array(declaration: str, literals: list[str]) -> str:
 
 
 def _comment(text: str) -> str:
-    """Return text that cannot end a C comment or leave ASCII."""
-    return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *").replace("\\", "/")
+    """Return text that cannot end a C comment, control a terminal or leave ASCII."""
+    text = printable(text).encode("ascii", "replace").decode()
+    return text.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/")

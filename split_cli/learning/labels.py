@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.errors import DriveError
 from split_cli.learning.features import FeatureSet, flow_along, place_of, recording_of
-from split_cli.learning.pieces import Piece, pieces
+from split_cli.learning.pieces import DrivePiece, pieces
 from split_cli.learning.region import Grid, Region
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects.recording import Recording
@@ -342,7 +342,7 @@ def _window_starts(drive: Drive, window: int, stride: int) -> np.ndarray:
 
 
 def _reject(
-    piece: Piece, model: SingleTrack, region: Region, starts: np.ndarray, window: int, z: np.ndarray
+    piece: DrivePiece, model: SingleTrack, region: Region, starts: np.ndarray, window: int, z: np.ndarray
 ) -> np.ndarray:
     """Return the reason of every start, int8 shape (N,)."""
     drive = piece.drive

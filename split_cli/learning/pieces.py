@@ -12,14 +12,14 @@ from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects.recording import Handover, Recording
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["PIECE_ROWS", "Piece", "features_along", "pieces"]
+__all__ = ["PIECE_ROWS", "DrivePiece", "features_along", "pieces"]
 
 #: Rows that are worked through at once [1]: a long drive then takes no more memory than what comes out.
 PIECE_ROWS = 2**18
 
 
 @dataclass(frozen=True)
-class Piece:
+class DrivePiece:
     """Rows of a drive from `first` on, with the recording that knows what came before."""
 
     drive: Drive
@@ -27,7 +27,9 @@ class Piece:
     recording: Recording | None
 
 
-def pieces(model: SingleTrack, drive: Drive, starts: np.ndarray, window: int) -> Iterator[tuple[slice, Piece]]:
+def pieces(
+    model: SingleTrack, drive: Drive, starts: np.ndarray, window: int
+) -> Iterator[tuple[slice, DrivePiece]]:
     """Yield a drive in pieces of `PIECE_ROWS`, each with the range of `starts` whose windows lie in it.
 
     Parameters
@@ -60,7 +62,7 @@ def pieces(model: SingleTrack, drive: Drive, starts: np.ndarray, window: int) ->
         if model.state_names and length < len(drive):
             memory = Handover(min(begin + length, len(drive)) - 1 - first, entering)
             recording, entering = replace(recording_of(part), memory=memory), memory.leaving
-        yield slice(int(begins), int(ends)), Piece(part, first, recording)
+        yield slice(int(begins), int(ends)), DrivePiece(part, first, recording)
 
 
 def features_along(model: SingleTrack, drive: Drive, features: FeatureSet) -> np.ndarray:

@@ -6,6 +6,7 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+from split_cli.errors import spreadsheet_text
 from split_cli.files import atomic_directory
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
@@ -42,7 +43,8 @@ def write_comparison(
             for name, scores in (("all", compared.scores), *compared.by_drive):
                 for score in scores:
                     for one in score.states:
-                        what = name, score.name, score.horizon, one.state, one.unit
+                        names = spreadsheet_text(name), spreadsheet_text(score.name)
+                        what = *names, score.horizon, one.state, one.unit
                         numbers = one.rmse, *one.interval, one.fit, one.skill, *one.to_best
                         writer.writerow((*what, *numbers, int(one.is_best)))
 

@@ -121,6 +121,14 @@ class TestTheCommand:
         page = (folder / "out" / "report.html").read_text(encoding="utf-8")
         assert "new is best after 1 s, significantly in" in page
 
+    def test_a_name_is_no_formula_and_no_script(self, folder):
+        named = [f"@SUM(A1)<script>={folder / 'wrong.yaml'}", str(folder / "right.yaml")]
+        assert compare(folder, *named, "-o", str(folder / "named")).exit_code == 0
+        with (folder / "named" / "compare.csv").open(encoding="utf-8") as file:
+            assert {row["model"] for row in csv.DictReader(file)} == {"'@SUM(A1)<script>", "right.yaml"}
+        page = (folder / "named" / "report.html").read_text(encoding="utf-8")
+        assert "@SUM(A1)&lt;script&gt;" in page and page.count("<script") == 2
+
     def test_the_gate_is_shut_by_a_worse_model_only(self, folder):
         wrong, right = str(folder / "wrong.yaml"), str(folder / "right.yaml")
         assert compare(folder, wrong, right, "--exit-code").exit_code == 3

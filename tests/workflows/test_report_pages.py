@@ -15,6 +15,7 @@ from split_cli.workflows.pictures import recording_charts
 from split_cli.workflows.recording_report import write_recording_report
 from split_cli.workflows.report.evaluation import evaluation_charts, evaluation_page
 from split_cli.workflows.report.recording import recording_page
+from tests.browsers import headless
 from tests.factories import MissingForce, make_drive, road_car
 
 HOSTILE = "</script><script>window.taken = 1</script>.parquet"
@@ -88,3 +89,20 @@ def test_its_page_says_the_verdict_first_and_lets_no_name_act(run):
     headline = re.search(r'<h1 id="verdict">(.*?)</h1>', page).group(1)
     assert re.search("errors up to|changes nothing|worse|Too little", headline)
     assert page.count("<script") == 2 and HOSTILE not in page
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    yield from headless(tmp_path_factory.mktemp("profile"))
+
+
+def test_in_a_browser_no_name_runs_or_hides(run, drive, car, browser, tmp_path):
+    pages = recording_page(drive, FOUND, recording_charts(drive, car)), evaluation_page(run)
+    for page in pages:
+        (tmp_path / "page.html").write_text(page, encoding="utf-8")
+        browser.get((tmp_path / "page.html").as_uri())
+        for button in browser.find_elements("css selector", "button")[:8]:
+            browser.execute_script("arguments[0].click()", button)
+        assert browser.execute_script("return window.taken === undefined && document.images.length === 0")
+        assert HOSTILE in browser.find_element("css selector", "body").text
+        assert not [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]

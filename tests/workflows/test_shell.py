@@ -152,6 +152,12 @@ def test_every_chart_is_saved_as_numbers_and_as_a_picture(opened, downloads):
         assert {"CSV", "PNG"} <= {button.text for button in figure.find_elements("css selector", ".zoom button")}
 
 
+def test_a_saved_name_is_no_formula(opened):
+    rows = [["=1+1", "-", "-1.5 m"], [-1.5, "a,b", '"q"']]
+    text = opened().execute_script("return Charts.csv(arguments[0])", rows)
+    assert text == '\'=1+1,-,\'-1.5 m\n-1.5,"a,b","""q"""\n'
+
+
 def test_a_picture_has_its_colours_spelled_out(opened):
     """A file outside the page knows none of its variables."""
     browser = opened()

@@ -63,9 +63,11 @@ const Charts = (() => {
     setTimeout(() => URL.revokeObjectURL(link.href), 10000);
   }
 
-  /* Rows as CSV: a field with a comma, a quote or a line's end is quoted. */
+  /* Rows as CSV: a field with a comma, a quote or a line's end is quoted, a name that begins as a formula is marked as text. */
   function csv(rows) {
-    const field = (value) => (/[",\n]/.test(String(value)) ? `"${String(value).replace(/"/g, '""')}"` : Number.isNaN(value) ? "" : String(value));
+    const text = (value) => (typeof value === "string" && /^[=+@-]./.test(value) ? `'${value}` : String(value));
+    const quoted = (value) => (/[",\n]/.test(value) ? `"${value.replace(/"/g, '""')}"` : value);
+    const field = (value) => (Number.isNaN(value) ? "" : quoted(text(value)));
     return `${rows.map((row) => row.map(field).join(",")).join("\n")}\n`;
   }
 
