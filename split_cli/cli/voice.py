@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
-from typing import TextIO
+from typing import BinaryIO, TextIO
 
 import click
 
@@ -46,6 +46,11 @@ class Shown(io.TextIOBase):
 
     def fileno(self) -> int:
         return self._stream.fileno()
+
+    @property
+    def buffer(self) -> BinaryIO:
+        """What bytes are written to that are no text, as the answers to a shell's completion."""
+        return self._stream.buffer
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
