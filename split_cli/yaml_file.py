@@ -17,7 +17,7 @@ __all__ = ["parse_yaml", "read_yaml_mapping"]
 _MOST_BYTES = 4 << 20
 """Size of a YAML file [bytes]; judgement: the largest of ours has 20 kB."""
 _MOST_VALUES = 100_000
-"""Values a file may hold once its aliases are written out [1]; judgement: the longest map has 300."""
+"""Values of a file, also once its aliases are written out [1]; judgement: the longest map has 300."""
 _MOST_DIGITS = 400
 """Digits of a number [1]; theory: no double has more than 309 before its point."""
 
@@ -29,16 +29,31 @@ class _StrictLoader(yaml.SafeLoader):
     than a computer holds, so what a file amounts to is counted before anything is built of it.
     """
 
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._composed = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        self._composed += 1
+        if self._composed > _MOST_VALUES:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"more than {_MOST_VALUES} values", self.peek_event().start_mark
+            )
+        return super().compose_node(parent, index)
+
     def compose_document(self) -> yaml.Node:
         node = super().compose_document()
         _values_of(node, {}, set())
         return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        twice = next((key for key in keys if keys.count(key) > 1), None)
-        if twice is not None:
-            raise yaml.constructor.ConstructorError(None, None, f"the key {twice!r} stands twice", node.start_mark)
+        keys: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                if key.value in keys:
+                    said = f"the key {key.value!r} stands twice"
+                    raise yaml.constructor.ConstructorError(None, None, said, node.start_mark)
+                keys.add(key.value)
         return super().construct_mapping(node, deep)
 
 
