@@ -206,7 +206,7 @@ def test_figures_are_written_and_named(garage, tmp_path):
         (("--set", "a.split", "--sizes", "100"), "are made from training blocks"),
         (("--vehicle", "car.yaml", "--sizes", "-5"), "every number must be positive"),
         (("--vehicle", "car.yaml", "--rollout", "-1"), "every number must be positive"),
-        (("--vehicle", "car.yaml", "--features", ","), "at least one feature set"),
+        (("--vehicle", "car.yaml", "--features", ","), "no feature set or no predictor"),
         (("--vehicle", "car.yaml", "--holdout", "1.5"), "cannot be made"),
         (("--vehicle", "car.yaml", "--guard", "30"), "Use fewer blocks or a shorter guard"),
         (("--vehicle", "car.yaml", "--horizon", "-1"), "the label horizon is -1"),
