@@ -11,7 +11,6 @@ from split_cli.errors import ExportError
 from split_cli.export.c99 import CSource, fill, memory_parts, template
 from split_cli.export.check import ExportAnswer, Oracle, PredictionCheck, check_predictions
 from split_cli.export.compiler import STRICT_FLAGS, Compiler, Driver, run_program, section_bytes
-from split_cli.export.memory_check import Drives
 from split_cli.export.step_check import (
     compare_drives,
     compare_features,
@@ -19,8 +18,8 @@ from split_cli.export.step_check import (
     compare_memory,
     compare_states,
     make_step_oracle,
-    rk4_substeps,
 )
+from split_cli.export.stepped_model import Drives, rk4_substeps
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.validity import is_valid
 from split_cli.learning.training_set import TrainingSet

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.errors import ExportError
-from split_cli.export.memory import Memory, present
-from split_cli.export.memory_check import Drives, MemoryModel, random_memory, roll_drives
+from split_cli.export.memory import present
 from split_cli.export.reference import AnyReference
+from split_cli.export.stepped_model import Drives, SteppedModel, random_memory, roll_drives
 from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
 
 __all__ = [
-    "RK4_SUBSTEPS",
     "STEP_TOLERANCE",
     "StepOracle",
     "Stepper",
@@ -25,7 +24,6 @@ __all__ = [
     "compare_memory",
     "compare_states",
     "make_step_oracle",
-    "rk4_substeps",
 ]
 
 Stepper = Callable[[np.ndarray], np.ndarray]
@@ -36,7 +34,6 @@ STEP_TOLERANCE = {"double": 1e-9, "float": 1e-4}
 LINEARISATION_TOLERANCE = {"double": 1e-5, "float": 1e-2}
 """Of an entry, relative to 1 + the entry; the reference's own residual slopes are finite differences."""
 
-RK4_SUBSTEPS = 4
 _STATES = 120
 
 
@@ -79,14 +76,6 @@ class StepOracle:
         return size
 
 
-def rk4_substeps(memory: Memory | None) -> int:
-    """Return the substeps of the Runge-Kutta step that is compared: what states of terms need up to 100 m/s."""
-    if memory is None:
-        return RK4_SUBSTEPS
-    standing, moving = memory.rates
-    return max(RK4_SUBSTEPS, 1 + int(np.ceil((standing + 100.0 * moving) * memory.step)))
-
-
 def make_step_oracle(
     graph: NominalGraph, training_set: TrainingSet, reference: AnyReference, dtype: type = np.float64
 ) -> StepOracle:
@@ -97,7 +86,7 @@ def make_step_oracle(
     ExportError
         If the traced model is not the one NumPy evaluates.
     """
-    model = MemoryModel(graph, training_set, reference, rk4_substeps(graph.memory))
+    model = SteppedModel(graph, training_set, reference)
     plain = _states(training_set, model.step, dtype)
     u, place_time = plain[:, 8:10], plain[:, 11:]
     x = random_memory(model, plain[:, :8], place_time).astype(dtype).astype(float)

@@ -38,9 +38,9 @@ from split_cli.export.documents import (
 )
 from split_cli.export.generated_check import check_generated
 from split_cli.export.ggv import limits_over_speed, write_ggv
-from split_cli.export.memory_check import Drives, MemoryModel, roll_drives
 from split_cli.export.provenance import Provenance
-from split_cli.export.step_check import make_step_oracle, rk4_substeps
+from split_cli.export.step_check import make_step_oracle
+from split_cli.export.stepped_model import Drives, SteppedModel, roll_drives
 from split_cli.export.symbolic import NominalGraph, build_nominal
 from split_cli.export.tables import BcmTables, TableData, build_tables, require_usable, table_data
 from split_cli.export.validity import valid_function
@@ -233,7 +233,7 @@ def _drives(graph: NominalGraph, training_set: TrainingSet, oracle: Oracle) -> D
     """Return drives of a step with memory, None where it has none."""
     if graph.memory is None or graph.features is None:
         return None
-    return roll_drives(MemoryModel(graph, training_set, oracle.reference, rk4_substeps(graph.memory)))
+    return roll_drives(SteppedModel(graph, training_set, oracle.reference))
 
 
 def _write_c(

@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from split_cli.learning.labels import nominal_errors
 from split_cli.learning.training_set import TrainingSet
 from split_cli.scoring.evidence import TrainingDrive
-from split_cli.scoring.hints import torque_delay
+from split_cli.scoring.late_inputs import torque_delay
 from split_cli.scoring.trust import judge_correction
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -117,7 +117,7 @@ def fit_torque_lag(drives: Sequence[TrainingDrive], vehicle: Vehicle) -> Vehicle
     -------
     Vehicle or None
         With ``drive_lag`` as its last effect; None where the torque is no command, the file has such an effect,
-        labels do not go with dT/dt clearly (`hints.torque_delay`), or no time constant leaves smaller labels.
+        labels do not go with dT/dt clearly (`torque_delay`), or no time constant leaves smaller labels.
 
     Notes
     -----

@@ -38,7 +38,7 @@ from split_cli.scoring.evaluation import (
 )
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, first_lap, informative_sets
-from split_cli.scoring.hints import late_inputs
+from split_cli.scoring.late_inputs import late_inputs
 from split_cli.scoring.noise import fast_motion
 from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts

@@ -18,7 +18,7 @@ from split_cli.export.check import make_oracle
 from split_cli.export.compiler import STRICT_FLAGS
 from split_cli.export.documents import document_of, read_json, require_equal, schema_text, write_json
 from split_cli.export.provenance import provenance_of
-from split_cli.export.step_check import rk4_substeps
+from split_cli.export.stepped_model import rk4_substeps
 from split_cli.export.symbolic import build_nominal
 from split_cli.export.tables import build_tables
 from split_cli.export.targets import acados_source

@@ -17,7 +17,7 @@ from split_cli.learning.label_file import drive_of_labels, read_labels, write_la
 from split_cli.learning.labels import Labels, compute_labels, window_samples
 from split_cli.learning.region import Region
 from split_cli.logs.drive import Drive, open_drive, untold_inputs
-from split_cli.scoring.hints import late_inputs
+from split_cli.scoring.late_inputs import late_inputs
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.label import drive_notes
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts

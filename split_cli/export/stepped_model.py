@@ -1,4 +1,4 @@
-"""What an exported step is compared with: single steps from anywhere, and drives from their start.
+"""The exported model stepped in NumPy: what exports are compared with, from anywhere and along drives.
 
 Single steps take past commands by `numpy.interp`; drives are followed as recordings are, delays and plays solved
 along the whole of it, so that a line of past commands that shifts wrongly shows.
@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from split_cli.errors import ExportError
-from split_cli.export.memory import COMMANDS, exported_model, nothing_kept, present
+from split_cli.export.memory import COMMANDS, Memory, exported_model, nothing_kept, present
 from split_cli.export.reference import AnyReference
 from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
@@ -22,10 +22,11 @@ from split_cli.vehicle.effects.recording import Recording, shifted
 from split_cli.vehicle.integration import Situation, integrate_with_memory, phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["Drives", "MemoryModel", "random_memory", "roll_drives"]
+__all__ = ["Drives", "SteppedModel", "random_memory", "rk4_substeps", "roll_drives"]
 
 _DRIVES, _STEPS = 4, 40
 _DIFFERENCES = 1e-5
+_RK4_SUBSTEPS = 4
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,15 @@ class Drives:
     step: float
 
 
-class MemoryModel:
+def rk4_substeps(memory: Memory | None) -> int:
+    """Return the substeps of the Runge-Kutta step that is compared: what states of terms need up to 100 m/s."""
+    if memory is None:
+        return _RK4_SUBSTEPS
+    standing, moving = memory.rates
+    return max(_RK4_SUBSTEPS, 1 + int(np.ceil((standing + 100.0 * moving) * memory.step)))
+
+
+class SteppedModel:
     """The model with its memory in NumPy; the linear model's Jacobian is the traced one, checked by differences.
 
     Parameters
@@ -58,18 +67,14 @@ class MemoryModel:
     graph : NominalGraph
     training_set : TrainingSet
     reference : Reference or SplineReference
-    substeps : int
-        Of the Runge-Kutta step.
     """
 
-    def __init__(
-        self, graph: NominalGraph, training_set: TrainingSet, reference: AnyReference, substeps: int
-    ) -> None:
+    def __init__(self, graph: NominalGraph, training_set: TrainingSet, reference: AnyReference) -> None:
         self.graph, self.training_set, self.reference = graph, training_set, reference
         self.model = exported_model(SingleTrack(training_set.vehicle))
         self.memory = graph.memory or nothing_kept(training_set.horizon)
         self.step = self.memory.step
-        self.substeps = substeps
+        self.substeps = rk4_substeps(graph.memory)
 
     def arrivals(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what arrives at a step's start and end, shape (N, 2) each, of whole states (N, n)."""
@@ -269,7 +274,7 @@ class MemoryModel:
                 raise ExportError("the traced model's Jacobian is not that of Python; nothing was written")
 
 
-def random_memory(memory_model: MemoryModel, x: np.ndarray, place_time: np.ndarray) -> np.ndarray:
+def random_memory(memory_model: SteppedModel, x: np.ndarray, place_time: np.ndarray) -> np.ndarray:
     """Return whole states (N, n) with first eight `x`, their memory on its way from somewhere."""
     rng, memory = np.random.default_rng(17), memory_model.memory
     parts = [x]
@@ -282,7 +287,7 @@ def random_memory(memory_model: MemoryModel, x: np.ndarray, place_time: np.ndarr
     return np.column_stack(parts)
 
 
-def roll_drives(memory_model: MemoryModel) -> Drives:
+def roll_drives(memory_model: SteppedModel) -> Drives:
     """Drive turns with torque and brake from a steady start, following delays and plays along the recording.
 
     Raises
@@ -317,13 +322,13 @@ def roll_drives(memory_model: MemoryModel) -> Drives:
     return drives
 
 
-def _line(m: MemoryModel, nodes: np.ndarray, k: int) -> np.ndarray:
+def _line(m: SteppedModel, nodes: np.ndarray, k: int) -> np.ndarray:
     """Return past commands at sample k, held before the start, shape (R, N_T + N_delta)."""
     past = [nodes[max(k - j, 0), :, c] for c in (0, 1) for j in range(1, m.memory.lengths[c] + 1)]
     return np.stack(past, axis=1) if past else np.empty((nodes.shape[1], 0))
 
 
-def _plays(m: MemoryModel, nodes: np.ndarray, clock: Recording) -> np.ndarray:
+def _plays(m: SteppedModel, nodes: np.ndarray, clock: Recording) -> np.ndarray:
     """Return the plays along each drive, by the exact operator, shape (K + 1, R, P)."""
     out = np.empty((len(nodes), nodes.shape[1], len(m.memory.plays)))
     still = np.full(len(nodes), 20.0), np.zeros(len(nodes)), np.zeros(len(nodes))
@@ -334,7 +339,7 @@ def _plays(m: MemoryModel, nodes: np.ndarray, clock: Recording) -> np.ndarray:
     return out
 
 
-def _commands(m: MemoryModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _commands(m: SteppedModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return input (K, R, 2), commands (K + 1, R, 2), whole start states (R, n), and t, s (K, R, 2)."""
     rng, car, h = np.random.default_rng(23), m.training_set.vehicle, m.step
     speed = m.training_set.region.minimum_speed * np.linspace(2.0, 5.0, _DRIVES)
@@ -364,7 +369,7 @@ def _commands(m: MemoryModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
     return u, nodes, np.column_stack([x, *states, _line(m, nodes, 0)]), place_time
 
 
-def _require_features(m: MemoryModel, drives: Drives, late: np.ndarray) -> None:
+def _require_features(m: SteppedModel, drives: Drives, late: np.ndarray) -> None:
     """Compare features along the drives with those of `FeatureSet.compute`, which training uses."""
     names = m.training_set.features.names
     followed = [k for k, name in enumerate(names) if name != "steer_rate"]

@@ -1,4 +1,4 @@
-"""Labels that go with the rate of an input: an actuator or its time stamp is late, and no feature of z2 tells."""
+"""Inputs that arrive late, as labels tell: they go with the rate of an input, and no feature of z2 holds that."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import pytest
 
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
-from split_cli.scoring.hints import late_inputs
+from split_cli.scoring.late_inputs import late_inputs
 from tests.factories import MissingForce, make_drive, road_car
 
 
