@@ -89,12 +89,18 @@ def _headline(races: Sequence[RaceResult]) -> str:
     clean = [(lap.time, name) for name, lap, _ in _laps(races) if lap.clean]
     if not clean:
         return "No lap was finished within the track."
-    nominal = [lap.time for race in races for lap in race.laps if lap.number == 0 and lap.clean]
+    # Lap 0 is nominal in every race; where nobody learns, so are those that follow it.
+    nominal = [
+        lap.time
+        for race in races
+        for lap in race.laps
+        if lap.clean and (lap.number == 0 or (race.learner == "none" and race.laps[0].number == 0))
+    ]
     best, name = min(clean)
     if not nominal or best >= min(nominal):
         return f"The best clean lap took {best:.2f} s ({name})."
     gain = 100.0 * (1.0 - best / min(nominal))
-    return f"The best clean lap took {best:.2f} s ({name}), {gain:.1f} % less than the nominal lap."
+    return f"The best clean lap took {best:.2f} s ({name}), {gain:.1f} % less than the best nominal one."
 
 
 def _about(race: RaceResult) -> str:
