@@ -157,6 +157,7 @@ def lag_note(training_set: TrainingSet) -> str:
     """Return what the reader of a training must know of the lag that it found."""
     tau = training_set.found[-1].parameters["tau"]
     return (
-        f"torque follows its command {tau:.3f} s late: the set holds drive_lag beyond the vehicle file, since "
-        "held-out blocks gain more with it; --lag none leaves the file as it is, `split diagnose` settles it"
+        f"torque follows its command {tau:.3f} s late. The set models this lag (drive_lag), since held-out blocks "
+        "improve by it; the vehicle file stays as it is. Leave the lag out with --lag none, or examine it with "
+        "`split diagnose`"
     )

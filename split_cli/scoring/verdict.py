@@ -197,8 +197,14 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
 def _span(ratios: Sequence[float]) -> str:
     if not ratios:
         return ""
-    low, high = min(ratios), max(ratios)
-    return f"{low:.2f}" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f}"
+    low, high = (_beside_one(ratio) for ratio in (min(ratios), max(ratios)))
+    return low if low == high else f"{low} to {high}"
+
+
+def _beside_one(ratio: float) -> str:
+    """Return a ratio with two decimals, or as many as tell it from 1."""
+    texts = [f"{ratio:.{digits}f}" for digits in range(2, 6)]
+    return next((text for text in texts if float(text) != 1.0), texts[0])
 
 
 def _where(comparisons: Sequence[Comparison]) -> str:

@@ -59,3 +59,11 @@ def test_blocks_are_whole_stretches_of_at_least_four_seconds_of_driving():
     block = number_blocks(time, segment, first=7)
     assert block[0] == 7 and np.all(np.diff(block) >= 0)
     assert np.min(np.bincount(block - 7)) * 0.01 >= 3.99
+
+
+def test_a_ratio_near_one_is_told_from_one():
+    from split_cli.scoring.verdict import _span
+
+    told = {(0.8512,): "0.85", (1.0031, 1.0042): "1.003 to 1.004", (0.99996,): "0.99996", (1.0,): "1.00"}
+    told[0.997, 1.4] = "0.997 to 1.40"
+    assert {ratios: _span(ratios) for ratios in told} == told

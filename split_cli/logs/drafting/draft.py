@@ -17,7 +17,7 @@ _NO_LEFT = (
     "CHECK left and right: the signs above are as recorded, and nothing recorded tells the sides apart",
     "(no satellite fix, east and north, or compass). In a left turn r and delta must be positive.",
 )
-_MARKS = {"judged": "judged: ", "unsided": "CHECK left and right; its size is judged: ",
+_MARKS = {"judged": "judged: ", "unsided": "CHECK left and right; size judged: ",
           "stated": "unit as the file says; not judged", "assumed": "CHECK: "}  # fmt: skip
 
 

@@ -364,6 +364,11 @@ def _with_peak(p: np.ndarray, log_peak: float) -> np.ndarray:
     return moved
 
 
+def _three(force: float) -> str:
+    """Return a force with three digits, without a power of ten."""
+    return f"{float(f'{force:.3g}'):g}"
+
+
 def _settle(
     problem: _Problem, best: LeastSquaresFit, profile: _Profile, start: MagicFormula, given_peak: float, axle: str
 ) -> tuple[LeastSquaresFit, tuple[str, ...], list[str]]:
@@ -374,15 +379,12 @@ def _settle(
     narrow = high <= 1.15 * estimate and low >= 0.85 * estimate and best.parameters[2] not in _C_BOUNDS
     if narrow and reached >= 0.85 * estimate:
         return best, ("B", "C", "D"), []
-    limit = "no upper limit" if np.isinf(high) else f"at most {high:.4g} N"
+    limit = f"at least {_three(low)} N" if np.isinf(high) else f"between {_three(low)} and {_three(high)} N"
     peak = profile.nearest(given_peak)
-    kept = f"D = {given_peak:.4g} N is given, the slope B C D is fitted"
+    kept = f"The given D = {_three(given_peak)} N is kept, the slope B C D is fitted"
     if peak != given_peak:
-        kept = f"D = {given_peak:.4g} N is given and contradicts that: D = {peak:.4g} N is taken"
-    remarks = [
-        f"{axle}: the peak is not identified: forces reach {reached:.4g} N, D is at least {low:.4g} N with "
-        f"{limit}; {kept}"
-    ]
+        kept = f"The given D = {_three(given_peak)} N contradicts that: D = {_three(peak)} N is taken"
+    remarks = [f"{axle}: the peak is not identified: forces reach {_three(reached)} N, D is {limit}. {kept}"]
     others = problem.free[problem.free != 1]
     held = problem.fit(_with_peak(best.parameters, np.log(peak)), free=others, scale=best.scale)
     error = np.sqrt(np.diag(held.covariance(problem.block))[list(held.free).index(2)])

@@ -87,11 +87,11 @@
   let cells = [];
   function binned(plot) {
     const [xName, yName] = AXES[state.axes];
-    // Fewer samples make larger cells, so that most have enough for a mean.
+    // Fewer samples make larger cells, so that most have enough for a mean. The screen does not decide: means,
+    // colours and the table are the same on paper and on a telephone.
     const samples = chosenDrives().reduce((sum, drive) => sum + drive.size, 0);
-    const wanted = between(17 * (6000 / samples) ** 0.25, 17, 32);
-    const across = Math.max(6, Math.round(plot.inner / wanted));
-    const up = Math.max(5, Math.round(plot.tall / wanted));
+    const fine = between((samples / 6000) ** 0.25, 0.53, 1);
+    const [across, up] = [Math.round(28 * fine), Math.round(20 * fine)];
     const [w, h] = [(plot.x[1] - plot.x[0]) / across, (plot.y[1] - plot.y[0]) / up];
     const found = new Map();
     for (const drive of chosenDrives()) {
