@@ -21,6 +21,17 @@ __all__ = [
 ]
 
 
+#: Characters of an error at most [1], and of its end that stay; judgement: a screen.
+_MOST_CHARACTERS, _KEPT_END = 2000, 400
+
+
+def shortened(text: str) -> str:
+    """Return text without its middle where a name in it fills more than a screen."""
+    if len(text) <= _MOST_CHARACTERS:
+        return text
+    return f"{text[: _MOST_CHARACTERS - _KEPT_END]} [...] {text[-_KEPT_END:]}"
+
+
 class SplitError(Exception):
     """Something in the input is at fault; the text says what, where and what to do.
 
@@ -44,7 +55,7 @@ class SplitError(Exception):
         if advice:
             text = f"{text.rstrip('.')}. {advice}"
         # One line on stderr, whatever a library's message or a file's name brought along.
-        super().__init__(printable(" ".join(text.split("\n"))))
+        super().__init__(printable(" ".join(shortened(text).split("\n"))))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Rebuild from the parts: worker processes send errors back pickled."""

@@ -69,3 +69,10 @@ def test_nearest_names_lists_what_there_is_when_nothing_is_near():
 @given(st.lists(st.text(min_size=1, max_size=12), min_size=1, max_size=8))
 def test_a_known_name_is_always_its_own_nearest(names):
     assert names[0] in nearest_names(names[0], names)
+
+
+def test_an_error_fills_no_more_than_a_screen():
+    """Names are others' text; what to do stands at the end and stays."""
+    text = str(SplitError(f"no unit {'m' * 10**6!r}", where="car.yaml", advice="Did you mean m?"))
+    assert text.startswith("car.yaml: no unit 'mmm") and text.endswith("mm'. Did you mean m?") and len(text) < 2100
+    assert str(SplitError("x" * 1990)) == "x" * 1990

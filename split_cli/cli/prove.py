@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import click
 
-from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
+from split_cli.cli.options import (
+    engine_options,
+    existing_file,
+    json_option,
+    output_option,
+    print_json,
+    print_table,
+)
 
 __all__ = ["command"]
 
@@ -57,14 +65,18 @@ def generate(folder, seed, cases, kinds, sets, jobs, as_json) -> None:
 @command.command("identify")
 @click.argument("folder", type=_folder)
 @click.option("--limit", type=click.IntRange(1), help="Diagnose only this many cases, from the first.")
-@_jobs
+@engine_options
 @json_option
-def identify(folder, limit, jobs, as_json) -> None:
+def identify(folder, limit, engine, scheduler, jobs, as_json) -> None:
     """Diagnose the cases that have no result yet, without their answers; print the seal first."""
+    from split_cli.workflows.engine import open_engine
     from split_cli.workflows.proving.prove import check_seal, identify_cases
 
     _tell_seal(check_seal(folder), as_json)
-    identify_cases(folder, jobs=jobs, limit=limit, report=_progress("identified"))
+    with contextlib.ExitStack() as stack:
+        own = engine == "process" and scheduler is None
+        cluster = None if own else stack.enter_context(open_engine(engine, jobs=jobs, scheduler=scheduler))
+        identify_cases(folder, jobs=jobs, limit=limit, report=_progress("identified"), cluster=cluster)
 
 
 @command.command("score")

@@ -8,6 +8,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from split_cli.errors import SplitError
+from split_cli.files import read_text
 
 __all__ = ["Path", "PathPoint", "check_path", "contour_and_lag", "read_centerline", "resampled"]
 
@@ -166,6 +167,10 @@ def resampled(
     return Path(name, float(s[1]), xy[:, 0], xy[:, 1], direction, curvature, *widths, closed)
 
 
+_MOST_BYTES = 16 << 20
+"""Of a centre line's file [bytes]; judgement: the longest circuit at 1 m takes 2 MB."""
+_LONGEST_LAP = 100_000.0
+"""Of a centre line [m]; judgement: four times the Nuerburgring."""
 _CENTERLINE = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
 
 
@@ -186,7 +191,7 @@ def read_centerline(path: str | FilePath) -> Path:
     if not path.is_file():
         raise SplitError("no such file, and no track is called so", where=str(path), advice=advice)
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path, _MOST_BYTES).removeprefix("\ufeff").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise SplitError(f"cannot be read ({error})", where=str(path), advice=advice) from error
     names: tuple[str, ...] = _CENTERLINE
@@ -218,7 +223,13 @@ def read_centerline(path: str | FilePath) -> Path:
             f"has a gap of {step[far]:.1f} m {where}, where {np.median(step):.2g} m are usual", where=str(path),
             advice="A track is a closed line." if last else "Remove the point that lies apart, or fill the gap.",
         )  # fmt: skip
-    spacing = min(0.5, float(step.sum()) / 400.0)
+    length = float(step.sum())
+    if not length <= _LONGEST_LAP:
+        raise SplitError(
+            f"is {length:.3g} m long, at most {_LONGEST_LAP:.0f} m were expected", where=str(path),
+            advice="Coordinates are in metres.",
+        )  # fmt: skip
+    spacing = min(0.5, length / 400.0)
     return resampled(path.stem, table[:, :2], table[:, 3], table[:, 2], closed=True, spacing=spacing)
 
 

@@ -268,14 +268,19 @@ def _load(path: str | Path, above: tuple[str, ...]) -> dict[str, Any]:
 
 def _with_presets(content: dict[str, Any], where: str, above: tuple[str, ...]) -> dict[str, Any]:
     presets = content.pop("preset", None) or []
+    presets = [presets] if isinstance(presets, str) else presets
+    if not isinstance(presets, list) or not all(isinstance(preset, str) for preset in presets):
+        raise MapError(f"preset is {presets!r}, a name or a list of names was expected", where=where)
+    if len(set(presets)) < len(presets):
+        raise MapError("names a preset twice", where=where, advice="Leave one; the last one overrides the others.")
     base: dict[str, Any] = {}
-    for preset in [presets] if isinstance(presets, str) else presets:
+    for preset in presets:
         if preset in above:
             raise MapError(
                 f"preset {preset!r} includes itself", where=where, advice="Leave out its `preset:` line."
             )
-        if preset_path(str(preset)) is None:
-            raise MapError(f"no preset {preset!r}", where=where, advice=nearest_names(str(preset), preset_names()))
+        if preset_path(preset) is None:
+            raise MapError(f"no preset {preset!r}", where=where, advice=nearest_names(preset, preset_names()))
         base = _merge(base, _load(preset, (*above, preset)))
     return _merge(base, content) if base else content
 

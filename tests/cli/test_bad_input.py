@@ -270,6 +270,12 @@ def test_an_effect_too_fast_to_follow_is_refused_instead_of_waited_for(here):
         ),
         ("preset: split_sim\ntime: {source: stamp}", ("for tables", "header, publish, log")),
         ("preset: nope", ("no preset 'nope'",)),
+        ("preset: 5", ("preset is 5", "a list of names was expected")),
+        ("preset: [split_sim, split_sim]", ("names a preset twice",)),
+        (
+            f"preset: split_sim\nchannels: {{vx: {{source: {'x' * 100_000}}}}}",
+            ("the recording has no 'xxx", "[...]"),
+        ),
     ],
 )
 def test_a_map_that_cannot_be_right_is_refused(here, text, says):

@@ -95,6 +95,8 @@ RING = [f"{50 * np.cos(a):.3f},{50 * np.sin(a):.3f},3,5" for a in np.arange(120)
         (["1,2,3,x"], "row 2"),
         (["1,1,2,2"], "8 or"),
         ([f"{i},0,-1,2" for i in range(9)], "width"),
+        ([f"{5e6 * np.cos(a)},{5e6 * np.sin(a)},3,5" for a in np.arange(120) * np.pi / 60], "m long"),
+        (["#" * 17_000_000], "larger than 16 MB"),
     ],
 )
 def test_a_centre_line_file_that_is_none_says_where(tmp_path, rows, says):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -12,6 +13,7 @@ from split_cli.errors import SplitError
 from split_cli.proof.generate import generate_cases
 from split_cli.proof.store import check_seal, read_answer, read_heldout, shown_cases
 from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.engine import Engine
 from split_cli.workflows.proving import prove
 
 
@@ -119,6 +121,27 @@ def test_identification_is_handed_the_shown_files_only_and_takes_up_where_it_sto
     assert score.identified == 2 and score.failed == (("0002", "too short"),)
     outcomes = {s.answer.kind: s.outcome for s in score.scores}
     assert outcomes == {"null": "exact", "single": "missed"}
+
+
+def test_another_engine_is_handed_the_same_tasks_by_full_paths(copy, monkeypatch):
+    root, seal = copy
+    given: list[Path] = []
+
+    def apply(function, tasks):
+        for case, results in tasks:
+            given.extend((case.real, case.vehicle, results))
+            yield function((case, results))
+
+    monkeypatch.setattr(
+        "split_cli.workflows.diagnose.read_and_diagnose",
+        lambda real, vehicle, *, simulated=(): (Diagnosis("match", 1.0, 1.0), read_vehicle(vehicle), ()),
+    )
+    monkeypatch.chdir(root.parent)
+    counts: list[tuple[int, int]] = []
+    cluster = Engine("others", 2, apply)
+    assert prove.identify_cases(Path(root.name), report=lambda *at: counts.append(at), cluster=cluster) == seal
+    assert counts == [(1, 2), (2, 2)] and len(given) == 6 and all(path.is_absolute() for path in given)
+    assert prove.read_statement(root, "0002").verdict == "match"
 
 
 def test_nothing_is_scored_before_something_was_identified(copy):

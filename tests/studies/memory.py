@@ -124,6 +124,8 @@ def measure(what: str, rows: int, folder: Path) -> tuple[int, float, float]:
     arguments = {
         "label": ["label", str(log), "--vehicle", car, "-o", str(folder / "labels.parquet")],
         "train": ["train", str(log), "--vehicle", car, "-o", str(folder / "a.split")],
+        "evaluate": ["evaluate", str(log), "--vehicle", car, "-o", str(folder / "evaluation")],
+        "diagnose": ["diagnose", "--real", str(log), "--vehicle", car, "--out", str(folder / "diagnosis")],
         "learn": [],
     }.get(what, ["ingest", str(log), "--vehicle", car, "-o", str(folder / "out.parquet")])
     if kind == "mcap":

@@ -5,6 +5,7 @@ The diagnosis sees a case's folder and nothing else; the answers' seal is checke
 
 from __future__ import annotations
 
+import contextlib
 import json
 import multiprocessing
 import time
@@ -24,6 +25,7 @@ from split_cli.proof.outcome import Statement
 from split_cli.proof.scoring import CaseScore, CaseSetScore, named_from, score_case, summarise
 from split_cli.proof.store import Seal, ShownCase, check_seal, read_answer, read_heldout, shown_cases
 from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.engine import Engine
 
 __all__ = ["ProofScore", "generate_cases", "identify_cases", "read_statement", "score_cases"]
 
@@ -57,7 +59,14 @@ class ProofScore:
     failed: tuple[tuple[str, str], ...]
 
 
-def identify_cases(root: Path, *, jobs: int = 1, limit: int | None = None, report: Report | None = None) -> Seal:
+def identify_cases(
+    root: Path,
+    *,
+    jobs: int = 1,
+    limit: int | None = None,
+    report: Report | None = None,
+    cluster: Engine | None = None,
+) -> Seal:
     """Diagnose every case that has no result yet, each in a worker process.
 
     Parameters
@@ -70,23 +79,30 @@ def identify_cases(root: Path, *, jobs: int = 1, limit: int | None = None, repor
         Only the first so many cases.
     report : callable, optional
         Called with (done, total) after each case.
+    cluster : Engine, optional
+        Does the work instead; its workers must see the same folder.
 
     Returns
     -------
     Seal
         Of the answers, checked before the first case.
     """
+    root = root.resolve()
     seal = check_seal(root)
     cases = shown_cases(root)[:limit]
     results = root / "results"
     results.mkdir(exist_ok=True)
     open_ = [case for case in cases if not (results / f"{case.name}.json").exists()]
-    done = len(cases) - len(open_)
-    context = multiprocessing.get_context("spawn")
-    # concurrent.futures can hang when it replaces workers (Python 3.11), multiprocessing's own pool does not.
-    with context.Pool(jobs, use_threads, (1,) if jobs > 1 else (0,), maxtasksperchild=_CASES_OF_A_PROCESS) as pool:
-        for _ in pool.imap_unordered(_identify, [(case, results) for case in open_]):
-            done += 1
+    tasks = [(case, results) for case in open_]
+    with contextlib.ExitStack() as stack:
+        if cluster is not None:
+            told = cluster.map(_identify, tasks)
+        else:
+            context, threads = multiprocessing.get_context("spawn"), (1,) if jobs > 1 else (0,)
+            # concurrent.futures can hang when it replaces workers (Python 3.11), this pool does not.
+            pool = context.Pool(jobs, use_threads, threads, maxtasksperchild=_CASES_OF_A_PROCESS)
+            told = stack.enter_context(pool).imap_unordered(_identify, tasks)
+        for done, _ in enumerate(told, len(cases) - len(open_) + 1):
             if report:
                 report(done, len(cases))
     return seal
