@@ -135,15 +135,8 @@ class Grip:
 
 
 @lru_cache(maxsize=64)
-def grip_of(car: CarParameters, friction: float = 1.0) -> Grip:
-    """Return what a car can do: the axle that saturates first decides, with load transfer.
-
-    Parameters
-    ----------
-    car : CarParameters
-    friction : float
-        Of the road as far as the driver knows [1].
-    """
+def grip_of(car: CarParameters) -> Grip:
+    """Return what a car can do on a dry road: the axle that saturates first decides, with load transfer."""
     angles = np.linspace(0.0, 0.25, 101)
     roll_axis = (
         car.cg_to_rear_axle * car.roll_center_front + car.cg_to_front_axle * car.roll_center_rear
@@ -163,7 +156,7 @@ def grip_of(car: CarParameters, friction: float = 1.0) -> Grip:
             moment = car.mass * trial * (part * height + share * (car.cg_height - roll_axis))
             shift = min(moment / track, 0.5 * static)
             loads = np.array([[0.5 * static - shift], [0.5 * static + shift]])
-            force = tire_force(tire, 0.0, angles, loads, friction)[1].sum(axis=0)
+            force = tire_force(tire, 0.0, angles, loads)[1].sum(axis=0)
             peak = int(np.argmax(force))
             if force[peak] < trial * static / GRAVITY:
                 break
@@ -172,14 +165,14 @@ def grip_of(car: CarParameters, friction: float = 1.0) -> Grip:
             break
         differences.append(float(needed[0] - needed[1]))
     peak_angle = max(
-        angles[np.argmax(tire_force(tire, 0.0, angles, static / 2, friction)[1])]
+        angles[np.argmax(tire_force(tire, 0.0, angles, static / 2)[1])]
         for tire, static in ((car.front_tire, car.static_load_front), (car.rear_tire, car.static_load_rear))
     )
     downforce = 0.5 * car.air_density * (car.downforce_area_front + car.downforce_area_rear) / (car.mass * GRAVITY)
     return Grip(
         lateral=float((len(differences) - 1) * spacing),
-        braking=_longitudinal(car, -1.0, car.brake_split_front, friction),
-        driving=_longitudinal(car, 1.0, car.drive_split_front, friction),
+        braking=_longitudinal(car, -1.0, car.brake_split_front),
+        driving=_longitudinal(car, 1.0, car.drive_split_front),
         downforce=float(max(downforce, 0.0)),
         slip_angle=float(peak_angle),
         slip_difference=np.array(differences),
@@ -187,7 +180,7 @@ def grip_of(car: CarParameters, friction: float = 1.0) -> Grip:
     )
 
 
-def _longitudinal(car: CarParameters, sign: float, split: float, friction: float) -> float:
+def _longitudinal(car: CarParameters, sign: float, split: float) -> float:
     """Return the specific force at which the first axle runs out of grip [m/s^2]."""
     slips = sign * np.linspace(0.01, 0.3, 59)
     best = 0.0
@@ -196,7 +189,7 @@ def _longitudinal(car: CarParameters, sign: float, split: float, friction: float
         front = max(car.static_load_front - shift, 0.0)
         rear = max(car.static_load_rear + shift, 0.0)
         for load, part, tire in ((front, split, car.front_tire), (rear, 1.0 - split, car.rear_tire)):
-            force = 2.0 * np.abs(tire_force(tire, slips, 0.0, 0.5 * load, friction)[0]).max()
+            force = 2.0 * np.abs(tire_force(tire, slips, 0.0, 0.5 * load)[0]).max()
             if part * car.mass * trial > force:
                 return float(best)
         best = trial

@@ -17,7 +17,15 @@ from split_cli.proof.truth import ExactDrive, removed_share
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["CaseScore", "CaseSetScore", "found_terms_removed", "named_from", "score_case", "summarise", "words_of"]
+__all__ = [
+    "CaseScore",
+    "CaseSetScore",
+    "found_terms_removed",
+    "score_case",
+    "statement_of",
+    "summarise",
+    "words_of",
+]
 
 
 @dataclass(frozen=True)
@@ -285,7 +293,13 @@ def words_of(said: Statement) -> str:
     return f"{names}, unexplained" if said.unexplained else names
 
 
-def named_from(finding: dict) -> Named:
-    """Return a finding of a `diagnosis.json`."""
-    parameters = {name: (entry["value"], *entry["interval_95"]) for name, entry in finding["parameters"].items()}
-    return Named(finding["term"], parameters, tuple(finding["alternatives"]), finding.get("variant", "") or "")
+def statement_of(diagnosis: dict) -> Statement:
+    """Return what a `diagnosis.json` says."""
+
+    def named(finding: dict) -> Named:
+        values = {name: (entry["value"], *entry["interval_95"]) for name, entry in finding["parameters"].items()}
+        return Named(finding["term"], values, tuple(finding["alternatives"]), finding.get("variant", "") or "")
+
+    return Statement(
+        diagnosis["verdict"], tuple(map(named, diagnosis["findings"])), bool(diagnosis["unexplained"])
+    )

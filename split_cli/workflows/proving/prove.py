@@ -22,7 +22,7 @@ from split_cli.logs.drive import read_drive
 from split_cli.proof.baselines import build_regression, greedy_bic, stlsq
 from split_cli.proof.generate import generate_cases
 from split_cli.proof.outcome import Statement
-from split_cli.proof.scoring import CaseScore, CaseSetScore, named_from, score_case, summarise
+from split_cli.proof.scoring import CaseScore, CaseSetScore, score_case, statement_of, summarise
 from split_cli.proof.store import Seal, ShownCase, check_seal, read_answer, read_heldout, shown_cases
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.engine import Engine
@@ -139,8 +139,7 @@ def read_statement(root: Path, name: str) -> Statement:
     path = root / "results" / name / "diagnosis.json"
     if not path.exists():
         return Statement("undecided")
-    told = json.loads(path.read_text())
-    return Statement(told["verdict"], tuple(named_from(f) for f in told["findings"]), bool(told["unexplained"]))
+    return statement_of(json.loads(path.read_text()))
 
 
 def score_cases(root: Path, *, with_baselines: bool = True, report: Report | None = None) -> ProofScore:

@@ -19,7 +19,7 @@ from split_cli.proof.injection import (
     split_in_halves,
 )
 from split_cli.proof.outcome import Statement, judge
-from split_cli.proof.scoring import named_from, words_of
+from split_cli.proof.scoring import statement_of, words_of
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
 
@@ -143,7 +143,7 @@ def diagnose_pair(folder: Path, vehicle_path: Path, reference: Drive, faulted: D
     except Exception as error:
         # A fault of the diagnosis is a result too; the other faults are still tried.
         return Statement("undecided"), f"failed: {type(error).__name__}: {error}"
-    said = Statement(told["verdict"], tuple(named_from(f) for f in told["findings"]), bool(told["unexplained"]))
+    said = statement_of(told)
     return said, words_of(said)
 
 
