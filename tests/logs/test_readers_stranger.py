@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 
@@ -163,6 +165,20 @@ def test_bus_logging_in_mf4_is_decoded_with_a_dbc(can_log):
     np.testing.assert_allclose(recording.read([name])[name].values, 0.1 * np.arange(300), atol=1e-9)
     with pytest.raises(LogError, match="--dbc"):
         open_recording(path)
+
+
+@pytest.mark.parametrize("can_log", ["log"], indirect=True)
+def test_a_database_that_takes_all_memory_or_never_ends_is_refused(can_log, tmp_path):
+    log, _ = can_log
+    bad = tmp_path / "bad.dbc"
+    bad.write_text(DBC.replace(": 8 ", ": 999999999 "))
+    assert bad.read_text() != DBC
+    with pytest.raises(LogError, match="takes more memory than its size allows"):
+        open_recording(log, message_paths=[bad])
+    bad.unlink()
+    os.mkfifo(bad)
+    with pytest.raises(LogError, match="is a pipe"):
+        open_recording(log, message_paths=[bad])
 
 
 @pytest.mark.parametrize("can_log", ["log"], indirect=True)

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
+from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, nearest_column
+from split_cli.logs.readers.probe import probe
 
 __all__ = ["DATABASE_SUFFIXES", "is_can_log", "open_can", "read_databases"]
 
@@ -25,6 +27,13 @@ def is_can_log(path: Path, head: bytes) -> bool:
     if head.startswith(b"LOGG") or head.startswith(b";$FILEVERSION"):
         return True
     return bool(_ASC.search(head)) or bool(_CANDUMP.match(head))
+
+
+def load_database(path: Path) -> Any:
+    """Return what cantools makes of one file; a message of a billion bytes would take it 8 GB."""
+    import cantools
+
+    return cantools.database.load_file(str(path), strict=False)
 
 
 def read_databases(paths: Sequence[Path]) -> Any:
@@ -42,8 +51,11 @@ def read_databases(paths: Sequence[Path]) -> Any:
     database = cantools.database.Database(strict=False)
     for path in paths:
         try:
-            loaded = cantools.database.load_file(str(path), strict=False)
-            database.messages.extend(loaded.messages)
+            refuse_no_regular_file(path, LogError)
+            probe(path, load_database)
+            database.messages.extend(load_database(path).messages)
+        except LogError:
+            raise
         except Exception as error:  # cantools has an error for each grammar
             reason = str(error).splitlines()[0][:160]
             advice = "Give a DBC, ARXML, KCD or SYM file, as the car's maker or a CAN tool saves it."

@@ -53,7 +53,7 @@ def open_mf4(path: Path, databases: Sequence[Path] = ()) -> RawRecording:
         raise LogError(
             "is an MDF file, which needs asammdf", where=path.name, advice="pip install 'split-cli[mf4]'"
         ) from error
-    probe(path)
+    probe(path, list_samples)
     try:
         with _without_prints():
             file = MDF(path, raise_on_multiple_occurrences=False)

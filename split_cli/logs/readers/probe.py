@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from split_cli.errors import LogError
@@ -20,19 +21,24 @@ _LONGEST_SECONDS = 60.0
 _SECONDS_A_MEGABYTE = 2.0
 _ADVICE = "Save it again with the logger's own tool."
 _CODE = """
-import pathlib, resource, sys
+import importlib, pathlib, resource, sys
 most = int(sys.argv[2])
 resource.setrlimit(resource.RLIMIT_AS, (most, most))
-from split_cli.logs.readers.mf4 import list_samples
-list_samples(pathlib.Path(sys.argv[1]))
+getattr(importlib.import_module(sys.argv[3]), sys.argv[4])(pathlib.Path(sys.argv[1]))
 """
 
 
-def probe(path: Path) -> None:
+def probe(path: Path, read: Callable[[Path], object]) -> None:
     """Read a file once in another process, with bounds on its memory and time, and throw away what it gave.
 
     A damaged file can make compiled code follow a wrong pointer or take all memory; then only the probe dies. What
     is merely wrong with a file is left for the reader to tell.
+
+    Parameters
+    ----------
+    path : Path
+    read : callable
+        A function of a module.
 
     Raises
     ------
@@ -43,6 +49,7 @@ def probe(path: Path) -> None:
     package = str(Path(__file__).resolve().parents[3])
     paths = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
     command = [sys.executable, "-c", _CODE, str(path.resolve()), str(_LEAST_MEMORY + _MEMORY_A_BYTE * size)]
+    command += [read.__module__, read.__name__]
     try:
         # asammdf unfolds into files in the temporary folder: a probe that is killed leaves none behind.
         with ScratchFolder() as scratch:
