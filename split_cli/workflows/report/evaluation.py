@@ -149,9 +149,9 @@ def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) 
             rows = np.array([when.index(c.when) for c in mine])
             series.append(ChartLine(" on ".join(key), ratio, rows, roles[k % 5], "points", low, high))
         if series:
-            note = "Below 1 the correction helps; bars are 95 % intervals over blocks of time."
+            note = "Error over that of the vehicle file: below 1 the correction helps. Bars are 95 % intervals."
             charts.append(Chart(f"ratio-{symbol.replace('_', '')}", f"{title} {symbol}",
-                                "error over that of the file", "", tuple(series), note,
+                                "ratio of errors", "", tuple(series), note,
                                 rows=tuple(when)))  # fmt: skip
     return charts
 
