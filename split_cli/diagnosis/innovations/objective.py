@@ -256,7 +256,7 @@ class MarginalLikelihood:
                 moved.append(one.whitener(integrated(one.series, there - here)))
             return self.stack(moved)
 
-        return self._remembered("shift", [*altering, *others], rows, for_good=True)
+        return self._remembered(("shift", bool(others)), [*altering, *others], rows, for_good=not others)
 
     def _rates(self, one: Evidence, altering: Sequence[Term]) -> np.ndarray:
         """Return the shared discrepancy's rates (N, 3) where terms alter inputs or sensors."""
