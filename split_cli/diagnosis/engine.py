@@ -18,7 +18,7 @@ from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelati
 from split_cli.diagnosis.remainder.formula import sparse_formula
 from split_cli.diagnosis.remainder.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.remainder.spectrum import Line, strongest_line
-from split_cli.diagnosis.search.baselines import SearchOutcome, search
+from split_cli.diagnosis.search.baselines import SearchOutcome, ends_beyond, search
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable, limits_of
@@ -215,7 +215,7 @@ def _compare(case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[
     autocorrelation = residual_autocorrelation(structure, selection.chosen.residuals)
     ways = [
         unnamed.p_value,
-        selection.first_p if any(selection.named) else 1.0,
+        selection.first_p if any(selection.named) or ends_beyond(selection, policy) else 1.0,
         line.p_value if line else 1.0,
         autocorrelation.p_value(usual_autocorrelation, policy.self_test)
         if is_autocorrelated(autocorrelation, usual_autocorrelation, policy)

@@ -13,7 +13,7 @@ from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.objective import build_objective
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.series import build_series
-from split_cli.diagnosis.search.baselines import SearchOutcome, _brings_back, search, settled
+from split_cli.diagnosis.search.baselines import SearchOutcome, _brings_back, ends_beyond, search, settled
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection
@@ -179,6 +179,30 @@ def test_the_surer_search_is_believed(restless, first, first_p, second, second_p
         assert believed.selection is (one if expected == "first" else other).selection
     else:
         assert not any(believed.selection.named)
+
+
+@pytest.mark.parametrize(
+    ("offset", "p_value", "expected"), [(0.1, 1e-20, True), (0.1, 1e-3, False), (0.05, 1e-20, False)]
+)
+def test_what_would_need_more_than_a_car_has_is_a_difference_without_a_name(restless, offset, p_value, expected):
+    candidates = {one.label: one for one in build_candidates(road_car(), restless.real[0].series)}
+    objective = fixed_objective(restless)
+
+    def outcome(parts, cost, p_value) -> SearchOutcome:
+        chosen, base = (Fit(some, c, np.zeros(0), np.zeros((0, 0))) for some, c in ((parts, cost), ((), 100.0)))
+        every = tuple(() for _ in parts)
+        selection = Selection(
+            base, chosen, tuple(base for _ in parts), every, every, tuple(False for _ in parts), first_p=p_value
+        )
+        return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, 1.5)
+
+    first, second = (
+        outcome((), 100.0, 1.0),
+        outcome((Part(candidates["steer_offset"], {"offset": offset}),), 10.0, p_value),
+    )
+    believed = settled(first, second, STANDARD.selection)
+    assert believed.selection is (second if expected else first).selection
+    assert ends_beyond(believed.selection, STANDARD) is expected and not believed.selection.terms
 
 
 def test_wide_starts_lie_to_both_sides_and_inside_the_bounds():

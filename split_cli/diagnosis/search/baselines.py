@@ -32,7 +32,7 @@ from split_cli.diagnosis.search.running import with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
 from split_cli.diagnosis.statement.separation import exact_mimics
 
-__all__ = ["SearchOutcome", "search", "search_again", "settled"]
+__all__ = ["SearchOutcome", "ends_beyond", "search", "search_again", "settled"]
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,7 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
 
     What the second brings back to where the simulation has been is believed; with the values of the first where
     that named it, too, and is as sure. What the first names in doubt and the second does not confirm has no name.
+    Nor has what would need more than a car has, see `ends_beyond`; then the second is returned, which found it.
     """
     marginalised, fixed = first.selection, again.selection
     confirmed = bool(marginalised.terms) and _ids(marginalised) <= _ids(fixed)
@@ -124,9 +125,28 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     kept = first
     if _brings_back(fixed, marginalised, rules) and (surer or confirmed):
         kept = again if surer else first
+    elif surer and ends_beyond(fixed, again.structure.objective.policy):
+        kept = again
     elif marginalised.terms and marginalised.first_p >= rules.sure_level:
         kept = replace(first, selection=_without_names(marginalised))
     return replace(kept, objectives=(first.structure.objective, again.structure.objective))
+
+
+def ends_beyond(selection: Selection, policy: Policy) -> bool:
+    """Return whether nothing is named since the data want more of an actuator or a sensor than any car has.
+
+    That is beyond doubt a difference, which has no name: a lead tells what it would need.
+    """
+    if selection.terms or selection.first_p >= policy.selection.sure_level:
+        return False
+    chosen, least = (
+        selection.chosen,
+        policy.abstention.greater_part * (selection.base.cost - selection.chosen.cost),
+    )
+    return any(
+        part.candidate.at_limit(part.values) and alters_inputs(part.term) and without.cost - chosen.cost > least
+        for part, without in zip(chosen.parts, selection.without, strict=True)
+    )
 
 
 def _ids(selection: Selection) -> set[str]:
