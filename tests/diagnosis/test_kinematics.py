@@ -9,7 +9,7 @@ import pytest
 
 from split_cli.diagnosis.recording.kinematics import build_kinematics, common_habit
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects import CATALOGUE, Recording
 from tests.diagnosis.recordings import bare_objective, faulty, light_evidence, noisy, prepared
 
 POSITION = 0.01  # standard deviation of X and Y [m]
@@ -101,3 +101,18 @@ def test_no_rows_without_position_or_with_too_few_windows(nominal_drive):
     one = nominal_drive.select(nominal_drive.segment == 0)
     assert build_kinematics(prepared(one)) is None
     assert build_kinematics(prepared(nominal_drive.select(nominal_drive.segment < 2))) is not None
+
+
+@pytest.mark.parametrize(
+    ("name", "variant", "values"),
+    [("channel_delay", "vy", {"vy": 0.05}), ("velocity_bias", "", {"angle": 0.0, "drift": 0.001})],
+)
+def test_a_fault_of_the_sensor_is_no_noise_and_does_not_hide_in_its_own_spread(
+    nominal_drive, name, variant, values
+):
+    sound = noisy(nominal_drive, 3, position=POSITION)
+    recording = Recording(sound.period, tuple((run.start, run.stop) for run in sound.segments()))
+    columns = CATALOGUE[name](values, variant).corrupt(dict(sound.columns), recording)
+    ours, theirs = (build_kinematics(prepared(one)) for one in (sound, replace(sound, columns=columns)))
+    assert theirs.scale < 1.5 * ours.scale
+    assert np.mean(theirs.rows(()) ** 2) > 3.0 * np.mean(ours.rows(()) ** 2)

@@ -39,7 +39,7 @@ class KinematicResiduals:
     angle : ndarray, shape (N,)
         Yaw, quiet [rad].
     scale : float
-        Spread of what velocities leave of it [m].
+        Spread of what velocities leave of it [m], faults of the sensor taken off.
     habit : ndarray, shape (2,)
         Share of yaw angle [m] and of distance [1] that the simulation's recordings leave too.
     """
@@ -86,6 +86,17 @@ class KinematicResiduals:
         _, velocity = self.series.corrected(())
         return np.stack([self._integral(velocity[:, 2]), self._integral(velocity[:, 0])], axis=1)
 
+    @cached_property
+    def wandering_or_late(self) -> np.ndarray:
+        """Return what a sensor would leave whose angle wanders [m s], or whose v_y is late [m/s], shape (W, 2).
+
+        A fault is no noise: were it counted in the spread, a large one would hide itself.
+        """
+        change = quiet(self.series.corrected(())[1][:, 1], self.series.period)
+        return np.stack(
+            [self.causes[:, 1] * self.series.t[self.begin], change[self.end] - change[self.begin]], axis=1
+        )
+
     def select(self, windows: np.ndarray) -> KinematicResiduals:
         """Return these windows alone."""
         chosen = {name: getattr(self, name)[windows] for name in ("begin", "end", "across", "along")}
@@ -127,7 +138,7 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
     plain = KinematicResiduals(
         series, begin, end, across, along, angle, 1.0, np.zeros(2) if habit is None else habit
     )
-    left, causes = plain.left(()), plain.causes
+    left, causes = plain.left(()), np.hstack([plain.causes, plain.wandering_or_late])
     left = left - causes @ np.linalg.lstsq(causes, left, rcond=None)[0]
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-9
     return replace(plain, scale=scale)
