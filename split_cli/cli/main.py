@@ -127,9 +127,10 @@ def group(context, quiet, verbose, legend, config) -> None:
 
     \b
     Example, from a log to C code:
-      split ingest lap.mcap --vehicle car.yaml --map map.yaml -o lap.parquet
-      split train lap.parquet --vehicle car.yaml -o car.split
-      split evaluate lap2.parquet --vehicle car.yaml --set car.split
+      split init lap.mcap -o car/
+      split ingest lap.mcap --vehicle car/vehicle.yaml --map car/map.yaml -o lap.parquet
+      split train lap.parquet --vehicle car/vehicle.yaml -o car.split
+      split evaluate lap2.parquet --vehicle car/vehicle.yaml --set car.split
       split export car.split --target c -o controller/
 
     Results go to stdout, progress and notes to stderr. Exit codes: 0 success, 1 faulty input, 2 wrong usage,
