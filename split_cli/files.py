@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import hashlib
+import json
 import os
 import shutil
 import stat
@@ -14,6 +15,7 @@ import weakref
 from collections.abc import Iterable, Iterator
 from io import BufferedReader
 from pathlib import Path
+from typing import Any
 
 from split_cli.errors import SplitError
 
@@ -25,6 +27,7 @@ __all__ = [
     "atomic_write_text",
     "exclusive_access",
     "open_to_read",
+    "parse_json",
     "read_text",
     "refuse_no_regular_file",
     "refuse_overwriting_inputs",
@@ -335,6 +338,20 @@ def read_text(path: str | os.PathLike[str], most_bytes: int, error: type[SplitEr
     if len(content) > most_bytes:
         raise error(f"is larger than {most_bytes >> 20} MB, a text file of settings was expected", where=str(path))
     return content.decode("utf-8").replace("\r\n", "\n")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return the content of JSON text.
+
+    Raises
+    ------
+    ValueError
+        If it is no JSON, or nested too deeply.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
 
 
 def refuse_overwriting_inputs(output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from split_cli.errors import ExportError
 from split_cli.export.check import ExportAnswer
 from split_cli.export.provenance import Provenance
+from split_cli.files import parse_json
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.table import TablePredictor
 
@@ -142,7 +143,7 @@ def read_npz(path: Path) -> Document:
     """
     try:
         with np.load(path, allow_pickle=False) as content:
-            metadata = json.loads(str(content["metadata"]))
+            metadata = parse_json(str(content["metadata"]))
             arrays = {name: content[name] for name in _names(metadata)}
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise ExportError(f"is not a whole npz export ({error})", where=str(path)) from error
@@ -155,7 +156,7 @@ def read_npz(path: Path) -> Document:
 def read_json(path: Path) -> Document:
     """Read what `write_json` wrote; raises as `read_npz` does."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_text(encoding="utf-8"))
         integers = ("cell_numbers", "offsets")
         arrays = {
             name: np.array(content.pop(name), dtype=np.int64 if name in integers else np.float64)

@@ -17,7 +17,7 @@ from split_cli.export.documents import document_answer, read_json, read_npz
 from split_cli.export.step_check import STEP_TOLERANCE
 from split_cli.export.targets import MANIFEST, MANIFEST_FORMAT
 from split_cli.export.verified import VerifiedItem
-from split_cli.files import ScratchFolder, sha256_of_file
+from split_cli.files import ScratchFolder, parse_json, sha256_of_file
 
 __all__ = ["read_manifest", "verify_folder"]
 
@@ -32,7 +32,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """
     path = folder / MANIFEST
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        manifest = parse_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ExportError("holds no export: manifest.json is missing", where=str(folder)) from None
     except (OSError, ValueError) as error:

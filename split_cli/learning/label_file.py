@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from split_cli.errors import DriveError
-from split_cli.files import atomic_path
+from split_cli.files import atomic_path, parse_json
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.labels import Labels, Reason
@@ -67,7 +67,7 @@ def label_columns(labels: Labels) -> dict[str, pa.Array]:
 def drive_of_labels(path: str | Path) -> str | None:
     """Return the SHA-256 of the drive that a label file is of; None of any other file."""
     try:
-        stored = json.loads((pa.parquet.read_schema(path).metadata or {})[b"split"])
+        stored = parse_json((pa.parquet.read_schema(path).metadata or {})[b"split"])
         return str(stored["sha256"]) if str(stored["format"]).startswith("split-labels/") else None
     except (pa.ArrowException, OSError, KeyError, TypeError, ValueError):
         return None
@@ -88,7 +88,7 @@ def read_labels(path: str | Path) -> Labels:
         raise DriveError("no such file", where=where)
     try:
         table = pa.parquet.read_table(path, page_checksum_verification=True)
-        stored = json.loads((table.schema.metadata or {})[b"split"])
+        stored = parse_json((table.schema.metadata or {})[b"split"])
         if stored["format"] != LABELS_FORMAT:
             raise DriveError(
                 f"is of format {stored['format']!r}, {LABELS_FORMAT!r} was expected", where=where, advice=advice

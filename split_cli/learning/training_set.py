@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from split_cli.errors import SetError, VehicleError
-from split_cli.files import atomic_path
+from split_cli.files import atomic_path, parse_json
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS, Kernel
 from split_cli.learning.region import Grid, Region, valid_cells
@@ -240,7 +240,7 @@ class SetFile:
         try:
             self._source = pa.memory_map(str(path))
             self._reader = pa.ipc.open_file(self._source)
-            self._described = json.loads((self._reader.schema.metadata or {})[b"split"])
+            self._described = parse_json((self._reader.schema.metadata or {})[b"split"])
             found = self._described["format"]
         except PermissionError as error:
             raise SetError("cannot be read (Permission denied)", where=str(path)) from error

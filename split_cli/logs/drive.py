@@ -13,7 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from split_cli.errors import DriveError, nearest_names
-from split_cli.files import atomic_path, refuse_no_regular_file, sha256_of_file
+from split_cli.files import atomic_path, parse_json, refuse_no_regular_file, sha256_of_file
 from split_cli.logs.columns_of_file import ColumnsOfFile, column_in_si, columns_of_csv
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, split_name_and_unit
 
@@ -429,7 +429,7 @@ def _metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[Drive
     if b"split" not in raw:
         return DriveMetadata(), None
     try:
-        stored = json.loads(raw[b"split"])
+        stored = parse_json(raw[b"split"])
         if stored["format"] != DRIVE_FORMAT:
             raise DriveError(
                 f"is of format {stored['format']!r}, this version reads {DRIVE_FORMAT!r}",

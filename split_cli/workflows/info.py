@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import SplitError
+from split_cli.files import parse_json
 
 __all__ = ["FileDescription", "describe_file"]
 
@@ -168,7 +169,7 @@ _READS = "Name a drive, a trained set, labels, a vehicle file, a map, a diagnosi
 
 def _load_json(path: Path) -> dict:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_text(encoding="utf-8"))
     except (ValueError, OSError) as error:
         raise SplitError(f"is not JSON ({error})", where=str(path)) from error
     if not isinstance(content, dict):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet
 import pytest
 
 from split_cli.errors import SetError
@@ -77,3 +78,22 @@ def test_a_sound_set_comes_back(sound, tmp_path):
     write_set(sound, tmp_path / "a.split")
     found = read_set(tmp_path / "a.split")
     assert np.array_equal(found.z, sound.z) and pa.ipc.open_file(str(tmp_path / "a.split")).num_record_batches
+
+
+def test_metadata_nested_without_end_are_refused(sound, tmp_path):
+    from split_cli.errors import DriveError
+    from split_cli.logs.drive import read_drive, write_drive
+    from tests.factories import make_drive
+
+    deep = {b"split": b"[" * 200_000}
+    write_set(sound, tmp_path / "a.split")
+    table = pa.ipc.open_file(tmp_path / "a.split").read_all().replace_schema_metadata(deep)
+    with pa.ipc.new_file(tmp_path / "deep.split", table.schema) as writer:
+        writer.write_table(table)
+    with pytest.raises(SetError, match=r"deep\.split"):
+        read_set(tmp_path / "deep.split")
+    write_drive(make_drive(0, segments=1, seconds=1.0), tmp_path / "a.parquet")
+    table = pa.parquet.read_table(tmp_path / "a.parquet").replace_schema_metadata(deep)
+    pa.parquet.write_table(table, tmp_path / "deep.parquet")
+    with pytest.raises(DriveError, match="nested too deeply"):
+        read_drive(tmp_path / "deep.parquet")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import SplitError
-from split_cli.files import sha256_of_file
+from split_cli.files import parse_json, sha256_of_file
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.kernel_file import read_kernel
@@ -145,7 +144,7 @@ def verify_diagnosis(folder: Path) -> tuple[VerifiedItem, ...]:
     """
     path = folder / "diagnosis.json"
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        told = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise SplitError(f"is no JSON ({error})", where=str(path)) from error
     if not isinstance(told, dict) or told.get("schema") != "split-diagnosis/1":
