@@ -56,8 +56,10 @@ __all__ = ["command"]
 )
 @click.option(
     "--predictor",
+    default="bcm",
+    show_default=True,
     help="Predictor that evaluates the set. bcm and projected follow every update; others are rebuilt after "
-    "each lap.  [default: table, or projected where there are not three features]",
+    "each lap.",
 )
 @click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Largest speed.")
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")

@@ -12,16 +12,14 @@ from split_cli.control.iol_learner import DictionaryResidual, IolLearner
 from split_cli.control.learner import SplitLearner, learning_region
 from split_cli.control.residual import PredictorResidual
 from split_cli.learning.cells import empty_set, extend
-from split_cli.learning.features import Z2, FeatureSet
+from split_cli.learning.features import Z2
 from split_cli.learning.iol import Dictionary
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import compute_labels
-from split_cli.learning.region import Grid, z2_grid
+from split_cli.learning.region import z2_grid
 from split_cli.prediction.bcm import BcmPredictor
 from split_cli.prediction.full import FullPredictor
 from split_cli.prediction.online_process import OnlineProcess
-from split_cli.workflows.racing.settings import RaceSettings
-from split_cli.workflows.racing.study import make_learner
 from tests.factories import MissingForce, make_drive, road_car
 
 PERIOD, WINDOW = 0.01, 5
@@ -125,16 +123,6 @@ def test_a_table_has_the_slope_of_the_dense_process_where_the_committee_has_not(
         found = learner.residual.along(trained.z).slope[:, 1, :2]
         off[name] = np.sqrt(np.square(found - dense).mean() / np.square(dense).mean())
     assert off["table"] < 0.1 < off["bcm"]
-
-
-def test_three_features_are_asked_by_a_table_and_others_by_the_projected_process(empty):
-    more = FeatureSet((*Z2.names, "vx"))
-    grid = Grid((*empty.grid.edges, 2.0), (*empty.grid.lower, -np.inf), (*empty.grid.upper, np.inf))
-    kernel = Kernel(np.append(empty.kernel.length_scales, 5.0), np.ones(3), np.ones(3))
-    wider = empty_set(empty.vehicle, more, empty.region, grid, kernel, horizon=empty.horizon)
-    assert make_learner(RaceSettings(), empty).predictor == "table"
-    assert make_learner(RaceSettings(), wider).predictor == "projected"
-    assert make_learner(RaceSettings(predictor="bcm"), empty).predictor == "bcm"
 
 
 def test_learners_rest_on_the_same_prior_mean_while_they_learn(drive, empty):

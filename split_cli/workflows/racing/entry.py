@@ -47,7 +47,7 @@ def check_settings(settings: RaceSettings) -> None:
     features = parse_features(settings.features)
     if settings.hyperparameters not in ("fit", "default"):
         read_kernel(settings.hyperparameters, features)
-    if settings.predictor is not None and settings.predictor not in PREDICTORS:
+    if settings.predictor not in PREDICTORS:
         advice = nearest_names(settings.predictor, PREDICTORS)
         raise SplitError(f"no predictor {settings.predictor!r}", where="--predictor", advice=advice)
     if settings.learner == "split" and settings.predictor == "table" and len(features.names) != 3:

@@ -112,13 +112,12 @@ def _rivals_and_roads() -> list[Experiment]:
             found.append(_race(group, learner, 0, laps=laps, **road))
         car = {"car": "formula_car", "model": "nominal" if learner == "none" else learner}
         found.append(_race("formula", learner, 0, "formula", laps=laps, **car, **_SMALL))
-    # The same set, asked as the paper does: by a committee that follows every update.
-    found.append(_race("committee", "split", 0, model="split bcm", laps=3, predictor="bcm", **_SMALL))
+    # The same set, asked as a table of its dense process after each lap instead of as a committee at once.
+    found.append(_race("table", "split", 0, model="split table", laps=3, predictor="table", **_SMALL))
     # What the named terms remember, as further features.
     memory = "alpha_f,alpha_r,torque_ratio,drive_lag.torque,tire_relaxation.front,tire_relaxation.rear"
-    found.append(
-        _race("memory", "split", 0, "physics", model="split physics memory", laps=3, features=memory, **_SMALL)
-    )
+    options = {"laps": 3, "features": memory, "predictor": "projected", **_SMALL}
+    found.append(_race("memory", "split", 0, "physics", model="split physics memory", **options))
     # v_x as a fourth feature: what hangs on the speed.
     features = "alpha_f,alpha_r,torque_ratio,vx"
     found.append(_race("feature", "split", 0, model="split vx", laps=3, features=features, **_SMALL))

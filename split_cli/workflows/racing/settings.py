@@ -49,9 +49,9 @@ class RaceSettings:
     delay : bool
         Whether a command takes effect one interval after the measurement it follows from.
     features : str
-    predictor : str or None
+    predictor : str
         Evaluates the set; ``bcm`` and ``projected`` follow every update of a learner, others are built anew after
-        each lap. By default it is ``table`` with three features and ``projected`` with any others.
+        each lap.
     hyperparameters : str
         ``fit`` (to lap 0), ``default``, or a kernel's YAML.
     width : float or None
@@ -85,7 +85,7 @@ class RaceSettings:
     exact_sensors: bool = False
     delay: bool = True
     features: str = "z2"
-    predictor: str | None = None
+    predictor: str = "bcm"
     hyperparameters: str = "fit"
     width: float | None = None
     printed_iol: bool = True

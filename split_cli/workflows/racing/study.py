@@ -62,9 +62,8 @@ def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]
 
 def make_learner(settings: RaceSettings, training_set: TrainingSet) -> Learner:
     """Return the learner that the settings name, beginning with `training_set`."""
-    name = settings.predictor or ("table" if len(training_set.features.names) == 3 else "projected")
     if settings.learner == "none":
-        return NoLearner(training_set, name)
+        return NoLearner(training_set, settings.predictor)
     if settings.learner == "split":
-        return SplitLearner(training_set, name)
+        return SplitLearner(training_set, settings.predictor)
     return IolLearner(training_set, printed=settings.printed_iol)
