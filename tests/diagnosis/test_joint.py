@@ -9,6 +9,7 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, Prior, fit_parts, fit_with_prior
 from split_cli.diagnosis.search.joint import (
     _blocks,
+    _fit_of_everything,
     _worth,
     all_at_once,
     cheapest_first,
@@ -17,7 +18,7 @@ from split_cli.diagnosis.search.joint import (
 )
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
+from tests.diagnosis.recordings import candidates_of, driven, late, noisy_objective
 
 VARIANCE_INFLATION = 1.5
 TRUE = {
@@ -47,6 +48,21 @@ def test_terms_that_a_wrong_beginning_hides_are_found(explore):
     assert explore.price(found) < explore.price(begun)
     # What is whole promises no more than chance gives the columns that are tried.
     assert promised_by_all(explore, found) < 3.0 * explore.rules.price
+
+
+def test_a_valley_that_lies_far_from_no_effect_is_begun_in():
+    """Steering a quarter of a second late: six steps from none do not get there, beside a known delay they do."""
+    drag = CATALOGUE["aero_drag"]({"drag": 0.6})
+    objective = noisy_objective(driven(41, [drag], steer=lambda inputs, step: late(inputs, 0.25, step)), 3)
+    candidates = candidates_of(objective, "steer_delay", "aero_drag", *OTHERS)
+    explore, base = Explorer(objective, tuple(candidates), VARIANCE_INFLATION), nothing(objective)
+    delay = next(one for one in candidates if one.term == "steer_delay")
+    begun = fit_parts(objective, [Part(delay, {"delay": 0.25})])
+    far, near = (_fit_of_everything(explore, one)[0].cost for one in (base, begun))
+    assert far > 10.0 * near
+    found = {part.candidate.term: part.values for part in all_at_once(explore, base, begun).parts}
+    assert found["steer_delay"]["delay"] == pytest.approx(0.25, abs=0.001)
+    assert found["aero_drag"]["drag"] == pytest.approx(0.6, rel=0.02)
 
 
 def test_linear_costs_of_leaving_are_those_of_refits(explore):

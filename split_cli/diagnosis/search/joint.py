@@ -48,7 +48,8 @@ def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
     explore : Explorer
     nothing, current : Fit
         Nothing added, and an explanation. Of its parts only those with a place are taken along: all others begin
-        near no effect, lest a wrong one keep the place that it has.
+        near no effect, lest a wrong one keep the place that it has. Where that ends in a worse valley than all
+        terms beside the explanation do, this begins there.
 
     Notes
     -----
@@ -59,9 +60,10 @@ def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
     """
     placed = tuple(part for part in current.parts if part.candidate.located)
     begun = fit_parts(explore.objective, placed) if placed else nothing
-    parts = _everything(explore, begun)
-    priors = [_prior(part.candidate, explore.rules.deviations) for part in parts]
-    fit, curvature = fit_with_prior(explore.objective, parts, priors)
+    fit, curvature = _fit_of_everything(explore, begun)
+    beside, its_curvature = _fit_of_everything(explore, current)
+    if beside.cost < fit.cost - explore.rules.price * explore.variance_inflation:
+        fit, curvature = beside, its_curvature
     kept = _not_needless(explore, fit.parts, curvature)
     if not kept:
         return current
@@ -89,6 +91,13 @@ def cheapest_first(explore: Explorer, fit: Fit) -> list[int]:
     slopes = fit.sensitivity * steps
     worth = _worth(explore, _blocks(fit.parts), slopes.T @ slopes, np.zeros(len(steps)))
     return [int(k) for k in np.argsort([one for one, _ in worth])]
+
+
+def _fit_of_everything(explore: Explorer, current: Fit) -> tuple[Fit, np.ndarray]:
+    """Return the fit of all terms that begins at an explanation, under their priors, and its curvature."""
+    parts = _everything(explore, current)
+    priors = [_prior(part.candidate, explore.rules.deviations) for part in parts]
+    return fit_with_prior(explore.objective, parts, priors)
 
 
 def _everything(explore: Explorer, current: Fit) -> tuple[Part, ...]:
