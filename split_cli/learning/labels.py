@@ -156,7 +156,7 @@ class Labels:
 
 def window_samples(horizon: float, period: float) -> int:
     """Return h in whole samples, at least one."""
-    if not (np.isfinite(horizon) and horizon > 0):
+    if not (np.isfinite(horizon / period) and horizon > 0):
         raise DriveError(f"the label horizon is {horizon!r}, a positive time in seconds was expected")
     return max(1, round(horizon / period))
 

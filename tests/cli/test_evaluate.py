@@ -210,6 +210,7 @@ def test_figures_are_written_and_named(garage, tmp_path):
         (("--vehicle", "car.yaml", "--holdout", "1.5"), "cannot be made"),
         (("--vehicle", "car.yaml", "--guard", "30"), "Use fewer blocks or a shorter guard"),
         (("--vehicle", "car.yaml", "--horizon", "-1"), "the label horizon is -1"),
+        (("--vehicle", "car.yaml", "--horizon", "1e308"), "the label horizon is 1e+308"),
     ],
 )
 def test_what_makes_no_sense_is_refused_in_words(garage, arguments, message):
