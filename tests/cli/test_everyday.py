@@ -105,7 +105,8 @@ class TestSettings:
     @pytest.mark.parametrize(
         ("content", "said"),
         [("evalute: {}", "evaluate"), ("train: {predictr: x}", "train has no option"), ("train: 3", "no options"),
-         ("- a", "keys"), ("train: {horizon: ~}", "horizon is None"), ("train: {horizon: {a: 1}}", "a value or a list"),
+         ("- a", "keys"), ("train: {horizon: ~}", "horizon is None"),
+         ("train: {horizon: {a: 1}}", "a value or a list"),
          ("ingest: {map: [[a]]}", "a value or a list")],
     )  # fmt: skip
     def test_what_is_wrong_is_named(self, tmp_path, content, said):
