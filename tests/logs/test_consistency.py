@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
-from split_cli.logs.checking.consistency import Consistency
+from split_cli.logs.checking.consistency import Consistency, check_consistency
+from split_cli.logs.drive import Drive
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
 DEGREES = 180.0 / np.pi
@@ -251,3 +252,27 @@ def test_a_course_over_ground_is_told_from_a_yaw_by_the_slip_that_tyres_need(dri
     yaw, ahead = drive.at("yaw", t), -drive.vehicle.cg_to_rear_axle
     moved = {"X": lambda v: v + ahead * np.cos(yaw), "Y": lambda v: v + ahead * np.sin(yaw)}
     assert "course" not in {f.check for f in judged(drive, altered=moved).findings}
+
+
+@pytest.mark.parametrize(("sideslip", "turning"), [(0.1, 0.01), (0.0, 0.6)])
+def test_at_a_steady_speed_neither_sideslip_nor_corners_are_faults_of_scale(sideslip, turning):
+    """At 11 m/s +- 0.1 the speed of a smoothed path varies more by sideslip, or by corners cut, than v_x does."""
+    t = np.arange(0.0, 60.0, 0.01)
+    vy, r = 11.0 * sideslip * np.sin(0.4 * t), turning * np.sin(0.2 * t)
+    vx = 11.0 + 0.1 * (vy / 1.1) ** 2 - 0.2 * (r / 0.6) ** 2  # it varies with them, as a driver's does
+    yaw = np.cumsum(r) * 0.01
+    steps = np.stack([vx * np.cos(yaw) - vy * np.sin(yaw), vx * np.sin(yaw) + vy * np.cos(yaw)]) * 0.01
+    x, y = np.cumsum(steps, axis=1)
+    columns = {
+        "t": t,
+        "vx": vx,
+        "vy": vy,
+        "r": r,
+        "T": np.sin(t),
+        "delta": 0.1 * np.sin(t),
+        "X": x,
+        "Y": y,
+        "yaw": yaw,
+    }
+    made = Drive("steady", columns, np.zeros(len(t), dtype=np.int32), 0.01)
+    assert "scale" not in {finding.check for finding in check_consistency(made, None, {}).findings}

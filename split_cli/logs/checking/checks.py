@@ -153,7 +153,11 @@ class Checks:
             self.relate("r against the turning of X, Y", k.signal("r"), k.course_rate(), {"r": 1, "hand": 1}, 0.15)
         if self.usable("X", "Y", "vx"):
             self.relate(
-                "v_x against the speed of X, Y", k.signal("vx"), k.ground_speed(), {"vx": 1, "X": -1}, 0.03
+                "v_x against the speed of X, Y",
+                k.signal("vx"),
+                k.ground_speed(),
+                {"vx": 1, "X": -1},
+                0.03 + self._spread_of_ground_speed(),
             )
         if self.usable("X", "Y", "yaw") and not self.usable("r"):
             self.relate("dyaw/dt against the turning of X, Y", k.rate("yaw"), k.course_rate(), {"yaw": 1}, 0.15)
@@ -169,6 +173,19 @@ class Checks:
             self._sideslip_sign()
         if self.usable("r") and not any("r" in relation.powers for relation in self.relations):
             self.unjudged.append(Unjudged("yaw rate", "no yaw, position or a_y that turns with it"))
+
+    def _spread_of_ground_speed(self) -> float:
+        """Return how much more the speed of X, Y varies than v_x, as a share of the latter [1].
+
+        By sideslip, and by the smoothing of a curved path, which cuts its corners by exp(-(r width)^2/2). At a
+        steady speed both are more than what v_x varies by.
+        """
+        k = self.k
+        vx = np.abs(k.signal("vx")[k.moving])
+        vy = k.signal("vy")[k.moving] if self.usable("vy") else 0.0
+        r = k.signal("r")[k.moving] if self.known("r") else 0.0
+        added = np.hypot(vx, vy) * np.exp(-0.5 * (r * k.width) ** 2) - vx
+        return float(np.nanstd(added) / max(float(np.nanstd(vx)), 1e-9)) if np.isfinite(added).any() else 0.0
 
     def _accelerations(self) -> None:
         k = self.k
