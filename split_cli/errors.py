@@ -29,7 +29,8 @@ def shortened(text: str) -> str:
     """Return text without its middle where a name in it fills more than a screen."""
     if len(text) <= _MOST_CHARACTERS:
         return text
-    return f"{text[: _MOST_CHARACTERS - _KEPT_END]} [...] {text[-_KEPT_END:]}"
+    gap = " [...] "
+    return f"{text[: _MOST_CHARACTERS - _KEPT_END - len(gap)]}{gap}{text[-_KEPT_END:]}"
 
 
 class SplitError(Exception):
@@ -55,7 +56,7 @@ class SplitError(Exception):
         if advice:
             text = f"{text.rstrip('.')}. {advice}"
         # One line on stderr, whatever a library's message or a file's name brought along.
-        super().__init__(printable(" ".join(shortened(text).split("\n"))))
+        super().__init__(shortened(printable(" ".join(text.split("\n")))))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Rebuild from the parts: worker processes send errors back pickled."""

@@ -76,3 +76,5 @@ def test_an_error_fills_no_more_than_a_screen():
     text = str(SplitError(f"no unit {'m' * 10**6!r}", where="car.yaml", advice="Did you mean m?"))
     assert text.startswith("car.yaml: no unit 'mmm") and text.endswith("mm'. Did you mean m?") and len(text) < 2100
     assert str(SplitError("x" * 1990)) == "x" * 1990
+    # Control characters are told as four characters each, and count as such.
+    assert len(str(SplitError("\x1b" * 1500))) == len(str(SplitError("x" * 5000))) == 2000

@@ -127,6 +127,8 @@ def roll_out(
     place take the track position from the channel ``s`` [m], 0 without one.
     """
     names = ("X", "Y", "yaw", *_VELOCITIES) if drive.has_position else _VELOCITIES
+    if not len(starts):
+        return np.empty((0, steps, len(names)))
     if drive.stays_in_file:
         begins, place = np.unique(starts, return_inverse=True)
         drive, inputs, rows = _gathered(model, drive, begins, steps * window)

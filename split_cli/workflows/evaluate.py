@@ -164,6 +164,7 @@ def evaluate(
         notes=(
             *doubts,
             *_notes(facts, contestants[0][1], settings, rollout_scores),
+            *_left_out(contestants[0][1], trained is None and _finds_trust(settings)),
             *correct.notes,
             *(lag_note(own) for *_, own in contestants if own.found),
             *warnings_of([c for c in comparisons if c.name in settings.predictors]),
@@ -191,10 +192,15 @@ def _train(held: Sequence[HeldOutSamples], vehicle: Vehicle, settings: Evaluatio
         return prepared(late, [replace(h, labels=made) for h, made in zip(held, again, strict=True)])
 
     by_file = prepared(vehicle, held)
-    if settings.trust == "full" or settings.protocol == "paper":
+    if not _finds_trust(settings):
         return by_file.made
     chosen = decide(by_file, relabelled)
     return replace(chosen.made, trust=chosen.empty.trust, found_effects=chosen.empty.found_effects)
+
+
+def _finds_trust(settings: EvaluationSettings) -> bool:
+    """Return whether a set that is trained here is trusted as far as held-out blocks show."""
+    return settings.trust != "full" and settings.protocol != "paper"
 
 
 def _variance_of(nominal: Sequence[HeldOutSamples], trained: TrainingSet) -> np.ndarray | None:
@@ -476,12 +482,21 @@ def _notes(
     if settings.protocol == "held-out" and any(PREDICTORS[n][1] == "FitcPredictor" for n in settings.predictors):
         notes.append("fitc was given the recorded future as pseudo-inputs, which no controller knows")
     for held in drives:
-        for what, rows in (("trust was found on", MOST_ROWS), ("the page draws", DRAWN_ROWS)):
-            if len(held.drive) > rows:
-                notes.append(f"{what} {rows * held.drive.period / 60.0:.3g} minutes of {held.drive.name}")
         if rollouts and not _same_interval(held, drives[0]):
             steps = f"{held.labels.horizon:g} s, not {drives[0].labels.horizon:g} s as of {drives[0].drive.name}"
             notes.append(f"no rollouts of {held.drive.name}: its label interval is {steps}")
     if settings.protocol == "held-out" and settings.rollout and not rollouts:
         notes.append(f"no rollouts: no test stretch without a gap is longer than {max(settings.rollout):g} s")
     return notes
+
+
+def _left_out(drives: Sequence[HeldOutSamples], finds_trust: bool) -> list[str]:
+    """Return of which part of long drives a result is; a set that is given brings its trust along."""
+    bounds = [("trust was found on at most", MOST_ROWS)] if finds_trust else []
+    bounds.append(("the page draws", DRAWN_ROWS))
+    return [
+        f"{what} {rows * held.drive.period / 60.0:.3g} minutes of {held.drive.name}"
+        for held in drives
+        for what, rows in bounds
+        if len(held.drive) > rows
+    ]

@@ -16,8 +16,13 @@ from split_cli.control.mpcc import MpccSettings
 from split_cli.control.policy import FIRST_DEVIATION, MARGIN
 from split_cli.control.scenarios import CONE_RADIUS, build_scenario, cones_hit
 from split_cli.errors import SplitError
-from split_cli.learning.training_set import read_set
+from split_cli.learning.cells import empty_set
+from split_cli.learning.features import parse_features
+from split_cli.learning.kernel import Kernel
+from split_cli.learning.region import Grid, Region
+from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import read_drive
+from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing.driving import next_deviation
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
@@ -144,6 +149,17 @@ def test_what_cannot_be_driven_is_refused_before_the_first_step(options, says):
 def test_manoeuvres_that_cannot_be_driven_are_refused(options, says):
     with pytest.raises(SplitError, match=says):
         run_maneuvers(ManeuverSettings(**options), CAR)
+
+
+def test_a_table_of_a_set_with_other_than_three_features_is_refused_before_the_first_step(tmp_path):
+    car, features = read_vehicle(CAR), parse_features("speed,steer_rate")
+    grid, kernel = Grid((1.0, 1.0), (0.0, -1.0), (9.0, 1.0)), Kernel(np.ones(2), np.ones(3), np.ones(3))
+    write_set(empty_set(car, features, Region(), grid, kernel, horizon=0.05), tmp_path / "two.split")
+    set_of_two = {"start_set": tmp_path / "two.split", "predictor": "table"}
+    with pytest.raises(SplitError, match="three features, there are 2: speed, steer_rate"):
+        run_maneuvers(ManeuverSettings(**set_of_two), CAR)
+    with pytest.raises(SplitError, match="three features, there are 2"):
+        run_race(RaceSettings(learner="none", **set_of_two), CAR)
 
 
 def test_on_half_the_grip_a_set_passes_where_the_file_of_a_dry_road_does_not(tmp_path):

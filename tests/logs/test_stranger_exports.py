@@ -72,6 +72,10 @@ def test_an_index_of_pandas_is_the_time_and_its_name_no_unit(planted, driven, tm
         pq.write_table(pa.table({**columns, title: stamps}), path)
         draft = ingested(path, planted, tmp_path)
         assert draft.time == f"time: {{source: {title}, unit: s}}" and draft.left == "east and north"
+    stated = pa.schema([pa.field("stamp", pa.timestamp("ns"), metadata={"unit": "ns"})])
+    pq.write_table(pa.table([pa.array([5, 10**9 + 5], pa.timestamp("ns"))], schema=stated), tmp_path / "u.parquet")
+    read = open_recording(tmp_path / "u.parquet").read(["stamp"])["stamp"]
+    assert read.unit == "s" and np.diff(read.values)[0] == 1.0
 
 
 def test_titles_with_separators_in_brackets_stay_titles(tmp_path):

@@ -11,9 +11,11 @@ from split_cli.logs.columns_of_file import ColumnsOfFile
 from split_cli.logs.drive import open_drive, read_drive, write_drive
 from split_cli.plots.accelerations import draw_accelerations
 from split_cli.scoring.report import EvaluationSettings
+from split_cli.scoring.rollouts import roll_out, rollout_starts
 from split_cli.scoring.run import EvaluationRun
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
-from split_cli.workflows.evaluate import evaluate_files
+from split_cli.vehicle.single_track import SingleTrack
+from split_cli.workflows.evaluate import _left_out, evaluate_files
 from split_cli.workflows.report.evaluation import evaluation_page
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -53,6 +55,18 @@ def test_an_evaluation_is_the_same_to_the_bit_whatever_the_pieces(effects, setti
         np.testing.assert_array_equal(one, other)
 
 
+def test_a_long_drive_without_a_stretch_for_a_rollout_has_none(monkeypatch, tmp_path):
+    drive = make_drive(3, segments=2, seconds=2.0)
+    write_drive(drive, tmp_path / "a.parquet")
+    monkeypatch.setattr("split_cli.logs.drive._LONG", 100)
+    opened = open_drive(tmp_path / "a.parquet")
+    assert opened.stays_in_file
+    none = rollout_starts(opened, np.ones(len(opened), dtype=bool), 1000, 1.0)
+    model = SingleTrack(road_car())
+    one, other = (roll_out(model, each, none, 100, 10) for each in (opened, drive))
+    assert one.shape == other.shape == (0, 100, 6 if drive.has_position else 3)
+
+
 def test_the_page_draws_a_stretch_of_a_long_drive_and_says_so(monkeypatch, tmp_path):
     drive = make_drive(3, segments=6, seconds=5.0, terms=[MissingForce({"front_lateral": 200.0})])
     write_drive(drive, tmp_path / "a.parquet")
@@ -68,6 +82,9 @@ def test_the_page_draws_a_stretch_of_a_long_drive_and_says_so(monkeypatch, tmp_p
     np.testing.assert_array_equal(trace.prediction.mean[at], part.prediction.mean)
     np.testing.assert_array_equal(part.held.drive["t"][part.tested.row], part.tested.t)
     assert f"the page draws {700 * drive.period / 60:.3g} minutes of a.parquet" in run.report.notes
+    whole = f"trust was found on at most {700 * drive.period / 60:.3g} minutes of a.parquet"
+    monkeypatch.setattr("split_cli.workflows.evaluate.MOST_ROWS", 700)
+    assert whole in _left_out(run.held[0], True) and whole not in _left_out(run.held[0], False)
     assert evaluation_page(run).endswith("</html>\n") or "</html>" in evaluation_page(run)[-20:]
 
 

@@ -77,9 +77,10 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
             name = next(f"{name}_{n}" for n in range(2, len(columns) + 3) if f"{name}_{n}" not in columns)
             note_once(notes, ReadNote("column names that occur twice, numbered", f"{path.name}, {name}"))
         columns[name] = path_of
+        unit = stated.decode() if stated else unit
         if _is_time(column.type):
-            unit = "s"  # `column_values` gives seconds, whatever the name ends with
-        infos.append(RawChannelInfo(name, str(column.type), rows, stated.decode() if stated else unit))
+            unit = "s"  # `column_values` gives seconds, whatever the name or the field says
+        infos.append(RawChannelInfo(name, str(column.type), rows, unit))
     units = {info.name: info.unit for info in infos}
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:

@@ -24,7 +24,14 @@ from split_cli.plant.cars import find_car
 from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.racing.closed_loop import World, body_width
-from split_cli.workflows.racing.entry import check_car, check_settings, check_start, check_trusted, find_path
+from split_cli.workflows.racing.entry import (
+    check_car,
+    check_predictor,
+    check_settings,
+    check_start,
+    check_trusted,
+    find_path,
+)
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.racing.settings import RaceSettings
 from split_cli.workflows.racing.study import blank_header, make_learner, studied_header
@@ -103,6 +110,7 @@ class Race:
         if settings.start_set is not None:
             self.start_set = read_set(settings.start_set)
             check_trusted(self.start_set, vehicle, settings.start_set)
+            check_predictor(settings.predictor, self.start_set.features)
         self.notes: list[str] = []
         self.laps: list[Lap] = []
         self.traces: list[np.ndarray] = []

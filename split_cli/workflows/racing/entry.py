@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.control.path import Path, read_centerline
 from split_cli.errors import SetError, SplitError, nearest_names
-from split_cli.learning.features import parse_features
+from split_cli.learning.features import FeatureSet, parse_features
 from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.training_set import TrainingSet
 from split_cli.plant.cars import CarParameters
@@ -18,7 +18,7 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.racing.closed_loop import path_of
 from split_cli.workflows.racing.settings import LEARNERS, RaceSettings
 
-__all__ = ["check_car", "check_settings", "check_start", "check_trusted", "find_path"]
+__all__ = ["check_car", "check_predictor", "check_settings", "check_start", "check_trusted", "find_path"]
 
 LARGEST_LABEL = 30.0
 """Three times gravity [m/s^2]: no tyre force, and so no model of one, is wrong by more."""
@@ -47,18 +47,28 @@ def check_settings(settings: RaceSettings) -> None:
     features = parse_features(settings.features)
     if settings.hyperparameters not in ("fit", "default"):
         read_kernel(settings.hyperparameters, features)
-    if settings.predictor not in PREDICTORS:
-        advice = nearest_names(settings.predictor, PREDICTORS)
-        raise SplitError(f"no predictor {settings.predictor!r}", where="--predictor", advice=advice)
-    if settings.learner == "split" and settings.predictor == "table" and len(features.names) != 3:
-        raise SplitError(
-            f"a table needs three features, --features names {len(features.names)}", where="--predictor",
-            advice="Use --predictor projected.",
-        )  # fmt: skip
+    check_predictor(settings.predictor, features if settings.learner == "split" else None)
     if settings.learner == "iol" and settings.start_set is not None:
         raise SplitError(
             "the dictionary of iol begins empty", where="--start-set", advice="Use --learner none or split."
         )
+
+
+def check_predictor(name: str, features: FeatureSet | None) -> None:
+    """Refuse a predictor that does not exist, or cannot evaluate a set of `features`; None where there is no set.
+
+    Raises
+    ------
+    SplitError
+        Naming what may be used.
+    """
+    if name not in PREDICTORS:
+        raise SplitError(f"no predictor {name!r}", where="--predictor", advice=nearest_names(name, PREDICTORS))
+    if name == "table" and features is not None and len(features.names) != 3:
+        raise SplitError(
+            f"a table needs three features, there are {len(features.names)}: {', '.join(features.names)}",
+            where="--predictor", advice="Use --predictor projected.",
+        )  # fmt: skip
 
 
 def _check_numbers(settings: RaceSettings) -> None:

@@ -31,7 +31,7 @@ from split_cli.plant.cars import CarParameters, find_car
 from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.racing.closed_loop import World, body_ends, body_width
-from split_cli.workflows.racing.entry import check_car, check_trusted
+from split_cli.workflows.racing.entry import check_car, check_predictor, check_trusted
 
 __all__ = ["ManeuverResult", "ManeuverRun", "ManeuverSettings", "run_maneuvers"]
 
@@ -246,6 +246,7 @@ def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Residual, s
         return NoResidual(), "nominal", np.ones(2)
     training_set = read_set(settings.start_set)
     check_trusted(training_set, vehicle, settings.start_set)
+    check_predictor(settings.predictor, training_set.features)
     residual = PredictorResidual(training_set, settings.predictor)
     grip = np.ones(2)
     if settings.guarded and tells_peaks(vehicle, training_set.features):
