@@ -257,8 +257,8 @@ def _claimed_file(target: Path) -> tuple[int, Path]:
     """Make an unfinished file beside `target`, locked, so that no other run takes it for a leftover."""
     while True:
         handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=_UNFINISHED, dir=target.parent)
-        _lock(handle)
-        if os.path.exists(name):  # a sweep may have come between the two
+        _lock(handle, wait=True)
+        if os.path.exists(name):  # a sweep may have come between the two; it was waited for
             return handle, Path(name)
         os.close(handle)
 
@@ -269,7 +269,7 @@ def _claimed_folder(target: Path) -> tuple[Path, int]:
         name = tempfile.mkdtemp(prefix=f".{target.name}.", suffix=_UNFINISHED, dir=target.parent)
         with contextlib.suppress(FileNotFoundError):
             handle = os.open(name, os.O_RDONLY)
-            _lock(handle)
+            _lock(handle, wait=True)
             if os.path.exists(name):
                 return Path(name), handle
             os.close(handle)

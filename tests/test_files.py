@@ -10,6 +10,7 @@ import stat
 import subprocess
 import sys
 import textwrap
+import threading
 from pathlib import Path
 
 import pytest
@@ -288,3 +289,35 @@ def test_digest_of_a_folder_does_not_confuse_a_file_end_with_the_next_name(tmp_p
 def test_digest_of_a_missing_file_is_an_error_for_people(tmp_path):
     with pytest.raises(SplitError, match="cannot be read"):
         sha256_of_file(tmp_path / "none")
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_a_claim_waits_for_the_sweep_that_came_first(kind, tmp_path, monkeypatch):
+    """Between making and locking, another run may take the new one for a leftover, and be about to remove it."""
+    fcntl = pytest.importorskip("fcntl")
+    make = "mkstemp" if kind == "file" else "mkdtemp"
+    plain, sweeps = getattr(files.tempfile, make), []
+
+    def swept(**how):
+        made = plain(**how)
+        if not sweeps:
+            name = made[1] if kind == "file" else made
+            handle = os.open(name, os.O_RDONLY)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+
+            def remove():
+                (os.unlink if kind == "file" else os.rmdir)(name)
+                os.close(handle)
+
+            sweeps.append(threading.Timer(0.2, remove))
+            sweeps[0].start()
+        return made
+
+    monkeypatch.setattr(files.tempfile, make, swept)
+    if kind == "file":
+        handle, path = files._claimed_file(tmp_path / "a")
+    else:
+        path, handle = files._claimed_folder(tmp_path / "a")
+    sweeps[0].join()
+    os.close(handle)
+    assert path.exists() and [path.name] == os.listdir(tmp_path)

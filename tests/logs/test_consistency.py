@@ -276,3 +276,20 @@ def test_at_a_steady_speed_neither_sideslip_nor_corners_are_faults_of_scale(side
     }
     made = Drive("steady", columns, np.zeros(len(t), dtype=np.int32), 0.01)
     assert "scale" not in {finding.check for finding in check_consistency(made, None, {}).findings}
+
+
+@pytest.mark.parametrize(("speed", "rate"), [((15.0, 8.0), 0.0), ((12.0, 0.0), 0.4)], ids=["straight", "circle"])
+def test_a_drive_that_cannot_tell_a_course_from_a_yaw_is_not_said_to_have_one(speed, rate):
+    """A simulation without noise, straight ahead or round one circle at one speed: slip and place are one."""
+    t = np.arange(0.0, 40.0, 0.02)
+    vx, yaw = speed[0] + speed[1] * np.sin(t / 5.0), rate * t
+    vy = 1.4 * rate - 0.003 * vx**2 * rate
+    X, Y = (
+        np.cumsum(v) * 0.02 for v in (vx * np.cos(yaw) - vy * np.sin(yaw), vx * np.sin(yaw) + vy * np.cos(yaw))
+    )
+    columns = {"t": t, "vx": vx, "vy": vy, "r": rate + 0.0 * t, "X": X, "Y": Y, "yaw": yaw,
+               "delta": np.full(len(t), 0.01), "T": 100.0 * np.cos(t)}  # fmt: skip
+    drive = Drive("sim", columns, np.zeros(len(t), dtype=np.int32), 0.02)
+    assert "course" not in {
+        f.check for f in check_consistency(drive, PlantedDrive().vehicle, {}, frozenset()).findings
+    }

@@ -84,6 +84,8 @@ def yaw_is_course(checks: Checks) -> list[ConsistencyFinding]:
     if np.count_nonzero(use) < 300:
         return []
     design = np.stack([r[use], -(vx[use] ** 2) * r[use], np.ones(np.count_nonzero(use))], axis=1)
+    if np.linalg.matrix_rank(design / np.maximum(np.linalg.norm(design, axis=0), 1e-300)) < design.shape[1]:
+        return []  # straight ahead, or round one circle at one speed, as a simulation can
     (_, q, _), (_, q_error, _) = block_interval(
         lambda rows: np.linalg.lstsq(design[rows], path[use][rows, 0], rcond=None)[0], np.count_nonzero(use)
     )
