@@ -143,3 +143,20 @@ def test_a_segment_that_is_no_whole_number_is_refused(bad, tmp_path):
     pq.write_table(pa.table(table), tmp_path / "drive.parquet")
     with pytest.raises(DriveError, match="1 values that are no whole numbers, the first in row 21"):
         read_drive(tmp_path / "drive.parquet")
+
+
+@pytest.mark.parametrize("shift", [0, 1, 2, 3])
+def test_a_chinese_code_page_is_found_wherever_the_sample_ends(shift, tmp_path):
+    text = "时间,车速,模式\n" + "".join(
+        f"{0.01 * n:.2f},{10 + n % 7},运动运动运动运动运动\n" for n in range(12_000)
+    )
+    (tmp_path / "lap.csv").write_bytes(("x" * shift + text).encode("gb18030"))
+    assert [info.name for info in open_recording(tmp_path / "lap.csv").channels()][1:] == ["车速", "模式"]
+
+
+@pytest.mark.parametrize("title", ["Größe", "Länge", "année créée", "Weg (süße °)"])
+def test_umlauts_that_stand_together_are_no_chinese(title, tmp_path):
+    rows = "\n".join(f"{0.01 * n:.2f};{n % 7}" for n in range(50))
+    (tmp_path / "lap.csv").write_bytes(f"Zeit;{title}\n{rows}\n".encode("latin-1"))
+    names = [info.name for info in open_recording(tmp_path / "lap.csv").channels()]
+    assert names[0] == "Zeit" and title.startswith(names[1])

@@ -100,7 +100,9 @@ def sniff(path: Path) -> Sniffed:
     with path.open("rb") as stream:
         sample = stream.read(_SAMPLE_BYTES)
         whole = len(sample) < _SAMPLE_BYTES
-    mark, encoding = next(((m, e) for m, e in _MARKS if sample.startswith(m)), (b"", _encoding(sample)))
+    # A character that the sample's end cuts in two is none of an encoding.
+    lines_of_it = sample if whole else sample[: sample.rfind(b"\n") + 1] or sample
+    mark, encoding = next(((m, e) for m, e in _MARKS if sample.startswith(m)), (b"", _encoding(lines_of_it)))
     text = sample[len(mark) :].decode(encoding, errors="replace")
     lines = io.StringIO(text, newline="").readlines()
     if not whole and len(lines) > 1:
@@ -144,10 +146,15 @@ def _is_quoted_whole(lines: list[str]) -> bool:
     return len(filled) > 2 and 10 * len(whole) >= 9 * len(filled)
 
 
+#: A pair of bytes that is one of the 3,755 common characters of GB 2312, in a run of such pairs.
+_COMMON = re.compile(rb"(?<![\x80-\xff])(?:[\x80-\xff]{2})*?[\xb0-\xd7][\xa1-\xfe]")
+
+
 def _encoding(sample: bytes) -> str:
     """Return UTF-8, the Chinese code page, or that of Western Europe.
 
-    In Chinese text the bytes beyond ASCII come in pairs (or in fours, with digits between); umlauts stand alone.
+    In Chinese text the bytes beyond ASCII come in pairs (or in fours, with digits between), some of them common
+    characters. Umlauts stand alone; where two stand together (Größe) they would be a rare character.
     """
     for encoding in ("utf-8", "gb18030"):
         try:
@@ -155,7 +162,7 @@ def _encoding(sample: bytes) -> str:
         except UnicodeDecodeError:
             continue
         runs = re.findall(rb"[\x80-\xff]+", re.sub(rb"[\x81-\xfe][0-9][\x81-\xfe][0-9]", b"", sample))
-        if encoding == "utf-8" or (runs and all(len(run) % 2 == 0 for run in runs)):
+        if encoding == "utf-8" or (all(len(run) % 2 == 0 for run in runs) and _COMMON.search(b" ".join(runs))):
             return encoding
     return "latin-1"
 
