@@ -167,6 +167,17 @@ def test_bus_logging_in_mf4_is_decoded_with_a_dbc(can_log):
         open_recording(path)
 
 
+def test_a_database_that_is_missing_or_a_pipe_is_blamed_and_not_the_mf4(tmp_path):
+    mdf = needed("asammdf")
+    with mdf.MDF() as file:
+        file.append([mdf.Signal(np.arange(9.0), 0.01 * np.arange(9), name="vx", unit="m/s")])
+        log = file.save(tmp_path / "log.mf4")
+    os.mkfifo(tmp_path / "pipe.dbc")
+    for name, says in (("none.dbc", "none.dbc: no such CAN database"), ("pipe.dbc", "pipe.dbc: is a pipe")):
+        with pytest.raises(LogError, match=says):
+            open_recording(log, message_paths=[tmp_path / name])
+
+
 @pytest.mark.parametrize("can_log", ["log"], indirect=True)
 def test_a_database_that_takes_all_memory_or_never_ends_is_refused(can_log, tmp_path):
     log, _ = can_log

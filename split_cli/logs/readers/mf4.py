@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
+from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, ReadNote, note_once
 from split_cli.logs.readers.probe import probe
 from split_cli.signals import find_unit
@@ -53,6 +54,11 @@ def open_mf4(path: Path, databases: Sequence[Path] = ()) -> RawRecording:
         raise LogError(
             "is an MDF file, which needs asammdf", where=path.name, advice="pip install 'split-cli[mf4]'"
         ) from error
+    for database in databases:
+        refuse_no_regular_file(database, LogError)
+        if not database.is_file():
+            advice = "Give the DBC file of the bus that was recorded."
+            raise LogError("no such CAN database", where=str(database), advice=advice)
     probe(path, list_samples)
     try:
         with _without_prints():
