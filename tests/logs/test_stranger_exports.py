@@ -160,3 +160,11 @@ def test_umlauts_that_stand_together_are_no_chinese(title, tmp_path):
     (tmp_path / "lap.csv").write_bytes(f"Zeit;{title}\n{rows}\n".encode("latin-1"))
     names = [info.name for info in open_recording(tmp_path / "lap.csv").channels()]
     assert names[0] == "Zeit" and title.startswith(names[1])
+
+
+@pytest.mark.parametrize("units", ["", "s,m/s,m/s,deg/s\n"])
+def test_a_row_about_the_session_is_no_header_where_a_name_occurs_twice(units, tmp_path):
+    rows = "\n".join(f"{0.01 * n:.2f},{n},{n % 3},{2 * n}" for n in range(50))
+    (tmp_path / "lap.csv").write_text(f"Driver,Anna,Car,Formula\ntime,speed,speed,yaw\n{units}{rows}\n")
+    names = [info.name for info in open_recording(tmp_path / "lap.csv").channels()]
+    assert [name.partition("_")[0] for name in names] == ["time", "speed", "speed", "yaw"]

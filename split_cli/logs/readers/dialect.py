@@ -243,9 +243,13 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     if not titles:
         most = max((len(row) for row in rows[:first] if _looks_like_titles(row)), default=0)
         return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True, most)
-    # Rows of units and of devices repeat themselves: the names are the row with the most different cells.
+    # The names stand next to the values and their units; a row of devices below the units repeats itself more.
     differ = [len({cell.strip() for cell in row} - {""}) for row in above]
-    chosen = max(titles, key=lambda n: (not _is_unit_row(above[n], width), differ[n], -n))
+    named = [n for n in titles if not _is_unit_row(above[n], width)] or titles
+    chosen = named[0]
+    for n in named[1:]:
+        if differ[n] > differ[chosen] and any(_is_unit_row(row, width) for row in above[chosen:n]):
+            chosen = n
     below = [(row + [""] * width)[:width] for row in above[:chosen]]
     units = next((row for row in below if _is_unit_row(row, width)), None)
     devices = next((row for row in below if row is not units and _is_title_row(row, width)), None)
