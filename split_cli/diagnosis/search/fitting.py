@@ -206,24 +206,22 @@ def _fit(
         start: np.ndarray,
         there: tuple[float, tuple[np.ndarray, np.ndarray]],
         linearise: Callable[..., Slopes],
-        iterations: int,
-        tries: int = 5,
+        **limits: int,
     ) -> Descent[tuple[np.ndarray, np.ndarray]]:
         return descend(
             lambda at: there if at is start else evaluate(at),
-            linearise, start, lower, upper, enough=lambda gained, _: gained < _LEAST_GAIN,
-            iterations=iterations, tries=tries,
+            linearise, start, lower, upper, enough=lambda gained, _: gained < _LEAST_GAIN, **limits,
         )  # fmt: skip
 
     there, settled = evaluate(x), False
     shared = {} if known is None else _shared_slopes(parts, known, steps)
     if shared:
-        found = descended(x, there, partial(linearise, shared=shared), 1, tries=1)
+        found = descended(x, there, partial(linearise, shared=shared), iterations=1, tries=1)
         # A step that gains nothing ends a fit only where straight lines promise nothing either.
         settled = len(shared) == len(x) and max(there[0] - found.cost, _promised(found.slopes)) < _LEAST_GAIN
         x, there = found.parameters, (found.cost, found.state)
     if not settled:
-        found = descended(x, there, linearise, iterations)
+        found = descended(x, there, linearise, iterations=iterations)
     residuals = found.state[1]
     parts = _with(parts, names, found.parameters * steps)
     return Fit(parts, float(residuals @ residuals), residuals, found.slopes.jacobian / steps)
