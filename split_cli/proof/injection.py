@@ -1,7 +1,8 @@
 """Known faults put into recorded channels, as if the car or its sensors had had them.
 
 A fault between command and car is put in backwards: the recording shows what the car did, so the command that a
-faulty actuator would have needed to do just that is written in place of the one recorded.
+faulty actuator would have needed to do just that is written in place of the one recorded. Another car is put in
+forwards, see `altered_car`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import numpy as np
 
 from split_cli.errors import DriveError, SplitError
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.effects import CATALOGUE, Recording
+from split_cli.proof.altered_car import ALTERATIONS, altered_vehicle, driven_by, moved_reference
+from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
@@ -54,15 +56,32 @@ class InjectedFault:
         """The first parameter's value."""
         return self.parameters[0][1] if self.parameters else 0.0
 
+    def built(self) -> Term:
+        """Return the term that names it, with its other parameters neutral."""
+        kind = CATALOGUE[self.term]
+        units = kind.parameter_units(self.variant)
+        neutral = {name: value for name, value in kind.neutral.items() if name in units}
+        return kind({**neutral, **dict(self.parameters)}, self.variant)
+
 
 @dataclass(frozen=True)
 class FaultKind:
-    """A kind of fault: the term, its variant and parameter that name it, and three sizes of it."""
+    """A kind of fault: the term, its variant and parameter that name it, and three sizes of it.
+
+    Attributes
+    ----------
+    term, variant : str
+    parameter : str
+    sizes : tuple of float
+    also : tuple of str
+        Other parameters of the term that get the same value.
+    """
 
     term: str
     parameter: str
     sizes: tuple[float, float, float]
     variant: str = ""
+    also: tuple[str, ...] = ()
 
 
 FAULTS: dict[str, FaultKind] = {
@@ -71,21 +90,38 @@ FAULTS: dict[str, FaultKind] = {
     "steering offset": FaultKind("steer_offset", "offset", (0.020, 0.010, 0.005)),
     "velocity rotated": FaultKind("sensor_misalignment", "angle", (0.04, 0.02, 0.01)),
     "velocity moved": FaultKind("sensor_lever_arm", "dx", (1.6, 0.8, 0.4)),
+    "reference moved": FaultKind("sensor_lever_arm", "dx", (1.6, 0.8, 0.4)),
+    "velocity biased": FaultKind("velocity_bias", "angle", (0.04, 0.02, 0.01)),
+    "velocity drifts": FaultKind("velocity_bias", "drift", (0.0008, 0.0004, 0.0002)),
+    "lateral velocity late": FaultKind("channel_delay", "vy", (0.16, 0.08, 0.04), "vy"),
     "speed scaled": FaultKind("speed_scale", "scale", (0.90, 0.95, 0.98), "vx"),
     "yaw rate late": FaultKind("channel_delay", "r", (0.16, 0.08, 0.04), "r"),
     "yaw rate scaled": FaultKind("yaw_rate_scale", "scale", (0.90, 0.95, 0.98)),
     "yaw rate biased": FaultKind("yaw_rate_bias", "r", (0.020, 0.010, 0.005)),
+    "lateral acceleration biased": FaultKind("acceleration_bias", "ay", (1.6, 0.8, 0.4), "ay"),
     "clocks shifted": FaultKind("sensor_delay", "delay", (0.16, 0.08, 0.04)),
-    "torque scaled": FaultKind("drive_gain", "drive_gain", (0.60, 0.80, 0.90)),
+    "torque scaled": FaultKind("drive_gain", "drive_gain", (0.60, 0.80, 0.90), also=("brake_gain",)),
+    "torque late": FaultKind("drive_delay", "delay", (0.16, 0.08, 0.04)),
+    "heavier": FaultKind("mass", "scale", (1.5, 1.25, 1.1)),
+    "less grip": FaultKind("friction_scale", "scale", (0.60, 0.75, 0.90)),
+    "softer tyres": FaultKind("tire_stiffness", "front_scale", (0.60, 0.75, 0.90), also=("rear_scale",)),
+    "CG moved": FaultKind("cg_shift", "dx", (0.4, 0.2, 0.1)),
 }
-"""By name; sizes in [s], [1], [rad], [rad], [m] for a wheelbase of 2.7 m, [1], [s], [1], [rad/s], [s], [1]."""
+"""By name; sizes in [s], [m] for a wheelbase of 2.7 m, [rad], [rad/s], [m/s^2] or [1], as of the parameter.
+
+"reference moved" is a unit of satellites and inertial sensors whose place was entered wrongly: every channel is
+measured dx further forward, not v_y alone as with "velocity moved".
+"""
+_NEEDS_TORQUE = ("drive_gain", "drive_delay", "sensor_delay", "mass")
+_MOVED = ("sensor_lever_arm", "cg_shift")
 
 
 def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None) -> list[InjectedFault]:
     """Return the faults to put into a drive, each in three sizes, and none as the first.
 
     A torque that was derived from acceleration is neither scaled nor shifted: it would say nothing of the car, and
-    clocks that are late for the steering alone are a steering that is late.
+    clocks that are late for the steering alone are a steering that is late. Nor is the car made heavier: without a
+    torque a heavier car is one with softer tyres and less grip. Sensors that were not recorded have no fault.
 
     Raises
     ------
@@ -96,13 +132,13 @@ def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None
     derived = drive.metadata.kinds.get("T", "").startswith("derived")
     found = [InjectedFault("none", "", ())]
     for name, kind in FAULTS.items():
-        if (only and name not in only) or (derived and kind.term in ("drive_gain", "sensor_delay")):
+        if (only and name not in only) or (derived and kind.term in _NEEDS_TORQUE):
+            continue
+        if kind.parameter not in drive.columns and kind.term == "acceleration_bias":
             continue
         for size in kind.sizes:
-            value = size * vehicle.wheelbase / 2.7 if kind.term == "sensor_lever_arm" else size
-            parameters = ((kind.parameter, value),)
-            if kind.term == "drive_gain":
-                parameters += (("brake_gain", value),)
+            value = size * vehicle.wheelbase / 2.7 if kind.term in _MOVED else size
+            parameters = tuple((one, value) for one in (kind.parameter, *kind.also))
             found.append(InjectedFault(name, kind.term, parameters, kind.variant))
     return found
 
@@ -119,7 +155,7 @@ def faults_of_sizes(
     promised : mapping of (str, str) to float
         By term and parameter; a fault whose first parameter is not there is left out.
     factors : sequence of float
-        Multiples of what the fault does to the recording: of a gain, how far one over it lies from 1.
+        Multiples of what the fault does to the recording: of a gain below 1, how far one over it lies from 1.
     """
     kinds = {fault.name: fault for fault in reversed(list(faults))}
     found = [fault for fault in kinds.values() if not fault.term]
@@ -129,8 +165,8 @@ def faults_of_sizes(
             continue
         neutral, value = CATALOGUE[fault.term].neutral[name], promised[fault.term, name]
         for factor in factors:
-            ratio = neutral == 1.0
-            size = 1.0 / (1.0 + factor * (1.0 / value - 1.0)) if ratio else neutral + factor * (value - neutral)
+            less = neutral == 1.0 and value < 1.0
+            size = 1.0 / (1.0 + factor * (1.0 / value - 1.0)) if less else neutral + factor * (value - neutral)
             found.append(replace(fault, parameters=tuple((each, size) for each, _ in fault.parameters)))
     return found
 
@@ -150,11 +186,28 @@ def require_known(names: Iterable[str], known: Collection[str]) -> None:
             )
 
 
-def inject(drive: Drive, fault: InjectedFault) -> Drive:
-    """Return a drive with a fault in its channels."""
+def inject(drive: Drive, fault: InjectedFault, vehicle: Vehicle | None = None) -> Drive:
+    """Return a drive with a fault in its channels.
+
+    Parameters
+    ----------
+    drive : Drive
+    fault : InjectedFault
+    vehicle : Vehicle, optional
+        Of the recorded car; a fault of the car itself needs it.
+
+    Raises
+    ------
+    SplitError
+        If the car with the fault could not have made the drive.
+    """
     if not fault.term:
         return drive
     value = fault.value
+    if fault.name == "reference moved":
+        return moved_reference(drive, value)
+    if fault.term in ALTERATIONS and vehicle is not None:
+        return driven_by(drive, vehicle, altered_vehicle(vehicle, fault.term, value))
     columns = dict(drive.columns)
     commands: dict[str, Callable[[], dict[str, np.ndarray]]] = {
         "steer_delay": lambda: {"delta": _earlier(drive, "delta", value)},
@@ -162,6 +215,7 @@ def inject(drive: Drive, fault: InjectedFault) -> Drive:
         "steer_offset": lambda: {"delta": columns["delta"] - value},
         "sensor_delay": lambda: {name: _earlier(drive, name, value) for name in ("T", "delta")},
         "drive_gain": lambda: {"T": columns["T"] / value},
+        "drive_delay": lambda: {"T": _earlier(drive, "T", value)},
     }
     changed = commands[fault.term]() if fault.term in commands else _misread(drive, fault)
     return replace(drive, columns={**columns, **changed}, sha256="")
@@ -169,9 +223,8 @@ def inject(drive: Drive, fault: InjectedFault) -> Drive:
 
 def _misread(drive: Drive, fault: InjectedFault) -> dict[str, np.ndarray]:
     """Return the columns that a faulty sensor recorded, and all others."""
-    term = CATALOGUE[fault.term](dict(fault.parameters), fault.variant)
     recording = Recording(drive.period, tuple((run.start, run.stop) for run in drive.segments()))
-    return term.corrupt(dict(drive.columns), recording)
+    return fault.built().corrupt(dict(drive.columns), recording)
 
 
 def _earlier(drive: Drive, channel: str, by: float) -> np.ndarray:

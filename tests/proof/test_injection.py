@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from split_cli.errors import SplitError
-from split_cli.logs.drive import Drive, DriveMetadata
+from split_cli.logs.drive import Drive, DriveMetadata, write_drive
+from split_cli.proof.altered_car import ALTERATIONS
 from split_cli.proof.injection import FAULTS, faults_for, faults_of_sizes, inject, split_in_blocks, split_in_halves
+from split_cli.proof.outcome import Statement
 from split_cli.proof.windows import window_errors
-from split_cli.vehicle.effects import CATALOGUE
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import Vehicle, write_vehicle
 from split_cli.vehicle.tire import MagicFormula
+from split_cli.workflows.proving.prove_recording import prove_recording
 
 VEHICLE = Vehicle(
     "car", 1500.0, 2500.0, 1.2, 1.5, 0.3, 0.5, 0.6, MagicFormula(9.0, 1.3, 8000.0),
@@ -25,13 +29,18 @@ def drive() -> Drive:
     steer = 0.03 * np.sin(0.7 * t) + 0.01 * np.sin(2.9 * t + 1.0)
     columns = {
         "t": t, "X": 20 * t, "Y": 0 * t, "yaw": 0.1 * np.sin(0.3 * t), "vx": 20 + 3 * np.sin(0.2 * t),
-        "vy": 0.3 * np.sin(0.7 * t), "r": 0.25 * np.sin(0.7 * t - 0.2), "T": 800 * np.sin(0.9 * t), "delta": steer,
+        "vy": 0.3 * np.sin(0.7 * t), "ay": 5 * np.sin(0.7 * t),
+        "r": 0.25 * np.sin(0.7 * t - 0.2), "T": 800 * np.sin(0.9 * t), "delta": steer,
     }  # fmt: skip
     kinds = {"T": "command", "delta": "command"}
     return Drive("real", columns, np.zeros(len(t), dtype=np.int32), 0.01, DriveMetadata(kinds=kinds))
 
 
-@pytest.mark.parametrize("name", FAULTS)
+# An accelerometer's bias leaves what the velocities tell, and another car drives elsewhere: see test_altered_car.
+ELSEWHERE = {name for name, kind in FAULTS.items() if kind.term in {*ALTERATIONS, "acceleration_bias"}}
+
+
+@pytest.mark.parametrize("name", sorted({*FAULTS} - ELSEWHERE))
 def test_the_term_that_names_a_fault_undoes_it(name, drive):
     fault = next(f for f in faults_for(drive, VEHICLE, [name]) if f.term)
     faulty = inject(drive, fault)
@@ -41,7 +50,7 @@ def test_the_term_that_names_a_fault_undoes_it(name, drive):
     def errors(one, terms):
         return window_errors({**one.columns, "s": one["t"] * 0.0}, VEHICLE, terms)
 
-    term = CATALOGUE[fault.term](dict(fault.parameters), fault.variant)
+    term = fault.built()
     clean, repaired, broken = errors(drive, ()), errors(faulty, [term]), errors(faulty, ())
     # Delays interpolate between samples; a sine of 3 rad/s is then right to (3 x 0.01)^2/8 of itself.
     inner = slice(5, -5)
@@ -54,7 +63,7 @@ def test_a_derived_torque_is_neither_scaled_nor_shifted(drive):
     metadata = DriveMetadata(kinds={"T": "derived: from acceleration"})
     derived = Drive("d", drive.columns, drive.segment, drive.period, metadata)
     assert "drive_gain" in {f.term for f in faults_for(drive, VEHICLE)}
-    assert not {"drive_gain", "sensor_delay"} & {f.term for f in faults_for(derived, VEHICLE)}
+    assert not {"drive_gain", "sensor_delay", "mass"} & {f.term for f in faults_for(derived, VEHICLE)}
 
 
 def test_blocks_share_no_sample_and_are_far_from_each_other(drive):
@@ -87,3 +96,26 @@ def test_unknown_faults_and_short_drives_are_refused(drive):
         faults_for(drive, VEHICLE, ["steering lat"])
     with pytest.raises(SplitError, match="blocks"):
         split_in_blocks(drive, 30.0)
+
+
+def test_a_sensor_that_is_not_there_has_no_fault(drive):
+    silent = Drive("d", {k: x for k, x in drive.columns.items() if k != "ay"}, drive.segment, 0.01, drive.metadata)
+    assert "acceleration_bias" in {f.term for f in faults_for(drive, VEHICLE)}
+    assert "acceleration_bias" not in {f.term for f in faults_for(silent, VEHICLE)}
+    biased = next(f for f in faults_for(drive, VEHICLE, ["lateral acceleration biased"]) if f.term)
+    assert np.allclose(inject(drive, biased)["ay"] - drive["ay"], biased.value)
+
+
+def test_a_fault_that_cannot_be_put_in_is_told_beside_the_others(drive, tmp_path, monkeypatch):
+    # Nothing is diagnosed here: every pair is said to match.
+    told = (Statement("match"), "match")
+    monkeypatch.setattr("split_cli.workflows.proving.prove_recording.diagnose_pair", lambda *_: told)
+    write_drive(drive, tmp_path / "drive.parquet")
+    # With a CG behind the middle and rear tyres this weak the car has a critical speed, and spins beyond it.
+    write_vehicle(replace(VEHICLE, rear_tire=MagicFormula(4.0, 1.3, 6500.0)), tmp_path / "car.yaml")
+    rows = prove_recording(
+        [tmp_path / "drive.parquet"], tmp_path / "car.yaml", tmp_path / "out", only=["less grip", "speed scaled"]
+    )
+    assert {row.outcome for row in rows if row.fault == "speed scaled"} == {"missed"}
+    spun = [row for row in rows if row.fault == "less grip"]
+    assert {row.outcome for row in spun} == {"not put in"} and all("spun" in row.said for row in spun)

@@ -20,7 +20,7 @@ from split_cli.proof.injection import (
 )
 from split_cli.proof.outcome import Statement, judge
 from split_cli.proof.scoring import statement_of, words_of
-from split_cli.vehicle.parameters import read_vehicle, write_vehicle
+from split_cli.vehicle.parameters import Vehicle, read_vehicle, write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
 
 __all__ = ["InjectionResult", "diagnose_pair", "injection_result", "prove_recording"]
@@ -38,7 +38,7 @@ class InjectionResult:
     value : float or None
         What was put in; None for the pair without a fault.
     outcome : str
-        Of `proof.outcome.OUTCOMES`.
+        Of `proof.outcome.OUTCOMES`, or ``not put in`` where the car with the fault could not have made the drive.
     said : str
     found : float or None
         The named parameter.
@@ -94,11 +94,11 @@ def prove_recording(
     for path in map(Path, drives):
         clean, *faults = faults_for(read_drive(path), vehicle, only)
         done = len(results)
-        results.append(_one(path, clean, done, output, length))
+        results.append(_one(path, clean, vehicle, done, output, length))
         if multiples:
             faults = faults_of_sizes(faults, _promised(output / f"{done + 1:03d}"), multiples)
         for number, fault in enumerate(faults, start=1):
-            results.append(_one(path, fault, done + number, output, length))
+            results.append(_one(path, fault, vehicle, done + number, output, length))
             if report:
                 report(number, len(faults))
     return results
@@ -116,13 +116,19 @@ def _promised(folder: Path) -> Mapping[tuple[str, str], float]:
     return {key: value for key, value in values.items() if value is not None}
 
 
-def _one(path: Path, fault: InjectedFault, number: int, output: Path, block: float | None) -> InjectionResult:
+def _one(
+    path: Path, fault: InjectedFault, vehicle: Vehicle, number: int, output: Path, block: float | None
+) -> InjectionResult:
     drive = read_drive(path)
+    try:
+        faulty = inject(drive, fault, vehicle)
+    except SplitError as error:
+        return InjectionResult(path.name, fault.name, fault.term, fault.value, "not put in", str(error), None, "")
 
     def dealt(one: Drive) -> tuple[Drive, Drive]:
         return split_in_halves(one) if block is None else split_in_blocks(one, block)
 
-    reference, faulted = dealt(drive)[0], dealt(inject(drive, fault))[1]
+    reference, faulted = dealt(drive)[0], dealt(faulty)[1]
     said, words = diagnose_pair(output / f"{number + 1:03d}", output / "vehicle.yaml", reference, faulted)
     return injection_result(path.name, fault.name, fault.term, fault.parameters, said, words)
 

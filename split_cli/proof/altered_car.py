@@ -1,0 +1,254 @@
+"""A recording as a car with another mass, grip, stiffness or centre of gravity would have made it.
+
+Nobody can drive the recorded drive again with another car. What can be computed is how its motion would have
+differed: by as much as two nominal models differ, one of the vehicle file and one of the file with the alteration.
+All that the nominal model gets wrong stays as it was at every moment of time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from split_cli.errors import SplitError
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.tire import MagicFormula
+from split_cli.vehicle.windows import substep_count
+
+__all__ = ["ALTERATIONS", "altered_vehicle", "driven_by", "moved_reference"]
+
+#: Speed over the vehicle's minimum speed below which a car moves as recorded: it hardly slips there [1].
+_CREEP = 0.2
+#: Side slip, or yaw rate times wheelbase over speed, beyond which the altered car has left the recorded drive [1].
+_SPUN = 1.0
+#: Time over which the yaw rate's change is taken [s].
+_SLOPE = 0.06
+
+
+def _tires(vehicle: Vehicle, change: Callable[[MagicFormula], MagicFormula]) -> Vehicle:
+    return replace(vehicle, front_tire=change(vehicle.front_tire), rear_tire=change(vehicle.rear_tire))
+
+
+ALTERATIONS: dict[str, Callable[[Vehicle, float], Vehicle]] = {
+    "mass": lambda car, scale: replace(car, mass=scale * car.mass),
+    "friction_scale": lambda car, scale: _tires(car, lambda one: replace(one, D=scale * one.D, B=one.B / scale)),
+    "tire_stiffness": lambda car, scale: _tires(car, lambda one: replace(one, B=scale * one.B)),
+    "cg_shift": lambda car, dx: replace(
+        car, cg_to_front_axle=car.cg_to_front_axle - dx, cg_to_rear_axle=car.cg_to_rear_axle + dx
+    ),
+}
+"""By the term that names each: a vehicle file, and how many times its mass, its tyres' peaks (with their cornering
+stiffness as it was), their stiffness (with their peaks as they were) [1], or how far ahead its CG lies [m]."""
+
+
+def altered_vehicle(vehicle: Vehicle, term: str, value: float) -> Vehicle:
+    """Return a vehicle file with one alteration and without effects.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    term : str
+        Of `ALTERATIONS`.
+    value : float
+        [1], or [m] for ``cg_shift``.
+    """
+    return ALTERATIONS[term](replace(vehicle, effects=()), value)
+
+
+def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
+    """Return a drive as an altered car would have made it with the same steering, at the same speeds.
+
+    Parameters
+    ----------
+    drive : Drive
+    vehicle : Vehicle
+        Of the car that was recorded; effects are left out.
+    altered : Vehicle
+
+    Raises
+    ------
+    SplitError
+        If the altered car would have spun, so that the recorded steering says nothing of how it is driven.
+
+    Notes
+    -----
+    With x = (v_x, v_y, r) as recorded, f and g the single tracks of both files and u the inputs, the differences
+    d of v_y and r follow d' = g(x + d, u') - f(x, u) from 0 at the begin of each segment, by RK4 with as many
+    substeps as the altered car's eigenvalues ask for. The torque in u' is the one that keeps v_x' as it was; it is
+    written into the drive unless T was derived from the motion. So the labels of the new drive against g are those
+    of the old one against f. Yaw angle, position and accelerations change by what d moves. Below a fifth of the
+    vehicle's minimum speed d is 0.
+    """
+    car, other = SingleTrack(vehicle, ()), SingleTrack(altered, ())
+    slowest = _CREEP * vehicle.minimum_speed
+    changed = np.zeros((len(drive), 2))
+    rate = np.zeros((len(drive), 2))
+    torque = np.array(drive["T"], dtype=float)
+    for run in drive.segments():
+        rows = slice(run.start, run.stop)
+        path = _Path.of(drive, rows)
+        changed[rows], rate[rows], torque[rows] = _follow(car, other, path, slowest)
+    moving = drive["vx"] > slowest
+    speed, length = np.maximum(drive["vx"], slowest), vehicle.wheelbase
+    gone = np.abs(changed) * [1.0, length] > _SPUN * speed[:, None]
+    if not np.isfinite(changed).all() or gone[moving].any():
+        first = int(np.argmax(moving & (gone | ~np.isfinite(changed)).any(axis=1)))
+        raise SplitError(
+            "the altered car would have spun with the recorded steering",
+            where=f"{drive.name}, t = {drive['t'][first]:.1f} s",
+            advice="Take a smaller alteration, or a drive further from the limit.",
+        )
+    columns = dict(drive.columns)
+    vx, vy, r = (np.asarray(drive[name], dtype=float) for name in ("vx", "vy", "r"))
+    columns |= {"vy": vy + changed[:, 0], "r": r + changed[:, 1]}
+    if not str(drive.metadata.kinds.get("T", "")).startswith("derived"):
+        columns["T"] = torque
+    if "ax" in columns:
+        columns["ax"] = columns["ax"] - (columns["vy"] * columns["r"] - vy * r)
+    if "ay" in columns:
+        columns["ay"] = columns["ay"] + rate[:, 0] + vx * changed[:, 1]
+    if "yaw" in columns:
+        columns |= _moved_path(drive, columns)
+    return replace(drive, columns=columns, sha256="")
+
+
+def moved_reference(drive: Drive, dx: float) -> Drive:
+    """Return a drive whose every channel was measured `dx` [m] further forward than its map says.
+
+    Notes
+    -----
+    Of a rigid body: v_y + dx r, a_y + dx r', a_x - dx r^2, and position moved by dx along the heading. A unit of
+    satellites and inertial sensors measures so whose place in the car was entered wrongly.
+    """
+    r = np.asarray(drive["r"], dtype=float)
+    columns = {**drive.columns, "vy": drive["vy"] + dx * r}
+    if "ax" in columns:
+        columns["ax"] = columns["ax"] - dx * r * r
+    if "ay" in columns:
+        width = max(1, round(_SLOPE / drive.period / 2.0))
+        for run in drive.segments():
+            known = np.pad(r[run.start : run.stop], width, mode="edge")
+            slope = (known[2 * width :] - known[: -2 * width]) / (2.0 * width * drive.period)
+            columns["ay"] = np.array(columns["ay"], dtype=float)
+            columns["ay"][run.start : run.stop] += dx * slope
+    if drive.has_position:
+        columns["X"] = drive["X"] + dx * np.cos(drive["yaw"])
+        columns["Y"] = drive["Y"] + dx * np.sin(drive["yaw"])
+    return replace(drive, columns=columns, sha256="")
+
+
+@dataclass(frozen=True)
+class _Path:
+    """One segment of a drive: v_x, v_y, r, shape (N, 3); T and delta, shape (N, 2); which of these are held."""
+
+    period: float
+    velocity: np.ndarray
+    inputs: np.ndarray
+    held: tuple[bool, bool]
+
+    @classmethod
+    def of(cls, drive: Drive, rows: slice) -> _Path:
+        velocity = np.stack([drive[name][rows] for name in ("vx", "vy", "r")], axis=1).astype(float)
+        inputs = np.stack([drive[name][rows] for name in ("T", "delta")], axis=1).astype(float)
+        held = tuple(drive.metadata.between.get(name) == "held" for name in ("T", "delta"))
+        return cls(drive.period, velocity, inputs, held)
+
+    def between(self, k: int, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return velocity (M, 3) and inputs (M, 2) at shares of the sample that begins at row k."""
+        grown = share[:, None]
+        inputs = self.inputs[k] + grown * (self.inputs[k + 1] - self.inputs[k]) * ~np.array(self.held)
+        return self.velocity[k] + grown * (self.velocity[k + 1] - self.velocity[k]), inputs
+
+
+def _follow(
+    car: SingleTrack, other: SingleTrack, path: _Path, slowest: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the differences of v_y and r and their rates, shape (N, 2) each, and the torque, shape (N,)."""
+    count = len(path.velocity)
+    inputs, velocity = path.inputs, path.velocity
+    changed, rate, torque = np.zeros((count, 2)), np.zeros((count, 2)), inputs[:, 0].copy()
+    fastest = np.maximum(velocity[:, 0], slowest)
+    jacobian = other.velocity_jacobian(fastest, *velocity[:, 1:].T, *inputs.T)
+    substeps = substep_count(jacobian, path.period, other.vehicle.wheelbase)
+    span = _THRUST * other.vehicle.max_torque
+    for k in range(count):
+        if velocity[k, 0] <= slowest:
+            continue
+        known = np.array(car.velocity_derivative(*velocity[k], *inputs[k]))
+        # Thrust is linear in the torque on either side of zero.
+        for _ in range(2):
+            here, there = (
+                other.velocity_derivative(velocity[k, 0], *(velocity[k, 1:] + changed[k]), one, inputs[k, 1])
+                for one in (torque[k], torque[k] + span)
+            )
+            torque[k] += span * (known[0] - here[0]) / (there[0] - here[0])
+        rate[k] = np.array(here[1:]) - known[1:]
+        if k + 1 < count and velocity[k + 1, 0] > slowest:
+            changed[k + 1] = _step(car, other, path, k, int(substeps[k]), changed[k], torque[k] - inputs[k, 0])
+            if not np.abs(changed[k + 1, 0]) < 10.0 * _SPUN * fastest[k]:
+                changed[k + 1 :] = np.nan
+                break
+    return changed, rate, torque
+
+
+_THRUST = 1e-3  # step of the torque over the largest [1]
+
+
+def _step(
+    car: SingleTrack, other: SingleTrack, path: _Path, k: int, parts: int, begin: np.ndarray, more_torque: float
+) -> np.ndarray:
+    """Return the differences of v_y and r one sample later, by classical RK4."""
+    share = np.linspace(0.0, 1.0, 2 * parts + 1)
+    velocity, inputs = path.between(k, share)
+    known = np.stack(car.velocity_derivative(*velocity.T, *inputs.T), axis=1)[:, 1:]
+    h = path.period / parts
+
+    def slope(at: int, d: np.ndarray) -> np.ndarray:
+        vx, vy, r = velocity[at]
+        T, delta = inputs[at]
+        told = other.velocity_derivative(vx, vy + d[0], r + d[1], T + more_torque, delta)
+        return np.array(told[1:]) - known[at]
+
+    d = begin
+    for part in range(parts):
+        a = slope(2 * part, d)
+        b = slope(2 * part + 1, d + 0.5 * h * a)
+        c = slope(2 * part + 1, d + 0.5 * h * b)
+        d = d + h / 6.0 * (a + 2.0 * b + 2.0 * c + slope(2 * part + 2, d + h * c))
+    return d
+
+
+def _moved_path(drive: Drive, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return yaw angle and position, where they are recorded, with what v_y and r have changed."""
+    found = {"yaw": np.array(drive["yaw"], dtype=float)}
+    if drive.has_position:
+        found |= {name: np.array(drive[name], dtype=float) for name in ("X", "Y")}
+    turned = np.zeros(2)
+    begin = np.zeros(3)
+    for run in drive.segments():
+        rows = slice(run.start, run.stop)
+
+        def grown(rates: np.ndarray) -> np.ndarray:
+            return cumulative_trapezoid(rates, dx=drive.period, axis=0, initial=0.0)
+
+        yaw = np.asarray(drive["yaw"][rows], dtype=float)
+        turned = begin[2] + grown(columns["r"][rows] - drive["r"][rows])
+        found["yaw"][rows] = yaw + turned
+        if drive.has_position:
+            vx = drive["vx"][rows]
+            before = _over_ground(vx, drive["vy"][rows], yaw)
+            moved = begin[:2] + grown(_over_ground(vx, columns["vy"][rows], yaw + turned) - before)
+            found["X"][rows] += moved[:, 0]
+            found["Y"][rows] += moved[:, 1]
+            begin[:2] = moved[-1]
+        begin[2] = turned[-1]
+    return found
+
+
+def _over_ground(vx: np.ndarray, vy: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    return np.stack([vx * np.cos(yaw) - vy * np.sin(yaw), vx * np.sin(yaw) + vy * np.cos(yaw)], axis=1)

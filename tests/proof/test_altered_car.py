@@ -1,0 +1,131 @@
+"""Recordings as another car would have made them: the altered car's own equations hold in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from split_cli.errors import SplitError
+from split_cli.logs.drive import Drive, DriveMetadata
+from split_cli.proof.altered_car import ALTERATIONS, altered_vehicle, driven_by, moved_reference
+from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.tire import MagicFormula
+
+VEHICLE = Vehicle(
+    "car", 1500.0, 2500.0, 1.2, 1.5, 0.3, 0.5, 0.6, MagicFormula(9.0, 1.3, 8000.0),
+    MagicFormula(10.0, 1.3, 6500.0), 2000.0, 5000.0, 100.0, 80.0, drag_coefficient=0.4,
+)  # fmt: skip
+SIZES = {"mass": 1.25, "friction_scale": 0.75, "tire_stiffness": 0.7, "cg_shift": 0.2}
+_AT = np.arange(1501) * 0.01
+
+
+def _steer(t):
+    return 0.05 * np.sin(1.1 * t) + 0.02 * np.sin(2.9 * t + 1.0)
+
+
+def _speed(t):
+    return 20.0 + 2.0 * np.sin(0.4 * t)
+
+
+def _thrust(car: SingleTrack, t, vy, r) -> float:
+    """Return the torque that keeps the speed, by two evaluations: thrust is linear in it for one sign."""
+    wanted = 2.0 * 0.4 * np.cos(0.4 * t)
+    torque = 300.0
+    for _ in range(4):
+        here, there = (
+            car.velocity_derivative(_speed(t), vy, r, one, _steer(t))[0] for one in (torque, torque + 1)
+        )
+        torque += (wanted - here) / (there - here)
+    return torque
+
+
+def _driven(vehicle: Vehicle):
+    """Return the yaw angle, position, v_y, r (5, N) and the torque of a car steered so at that speed."""
+    car = SingleTrack(vehicle, ())
+
+    def rates(t, y):
+        yaw, _, _, vy, r = y
+        vx = _speed(t)
+        across = car.velocity_derivative(vx, vy, r, _thrust(car, t, vy, r), _steer(t))[1:]
+        return [r, vx * np.cos(yaw) - vy * np.sin(yaw), vx * np.sin(yaw) + vy * np.cos(yaw), *across]
+
+    path = solve_ivp(rates, (0.0, _AT[-1]), np.zeros(5), t_eval=_AT, rtol=1e-9, atol=1e-10).y
+    return path, np.array([_thrust(car, *x) for x in zip(_AT, *path[3:], strict=True)])
+
+
+def _drive(vehicle: Vehicle) -> Drive:
+    path, torque = _driven(vehicle)
+    yaw, x, y, vy, r = path
+    vx = _speed(_AT)
+    dvx, dvy, _ = SingleTrack(vehicle, ()).velocity_derivative(vx, vy, r, torque, _steer(_AT))
+    columns = {
+        "t": _AT, "X": x, "Y": y, "yaw": yaw, "vx": vx, "vy": vy, "r": r, "T": torque, "delta": _steer(_AT),
+        "ax": dvx - vy * r, "ay": dvy + vx * r,
+    }  # fmt: skip
+    return Drive("car", columns, np.zeros(len(_AT), dtype=np.int32), 0.01, DriveMetadata())
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return _drive(VEHICLE)
+
+
+@pytest.mark.parametrize("term", ALTERATIONS)
+def test_of_a_car_without_model_error_the_altered_drive_is_the_altered_car_s(term, drive):
+    altered = altered_vehicle(VEHICLE, term, SIZES[term])
+    found, true = driven_by(drive, VEHICLE, altered), _drive(altered)
+    for name in ("vy", "r", "yaw", "X", "Y", "T", "ax", "ay"):
+        scale = np.abs(drive[name] - true[name]).max()
+        # Between samples channels run in straight lines: 1e-5 of a sine of 3 rad/s at 100 Hz, gathered by yaw.
+        assert np.abs(found[name] - true[name]).max() < 2e-3 * scale, name
+    assert np.array_equal(found["vx"], drive["vx"]) and np.array_equal(found["delta"], drive["delta"])
+
+
+@pytest.mark.parametrize("term", ALTERATIONS)
+def test_the_term_s_own_equations_are_the_altered_car_s(term):
+    parameters = {name: SIZES[term] for name in CATALOGUE[term].units}
+    named = SingleTrack(VEHICLE, [CATALOGUE[term](parameters)])
+    other = SingleTrack(altered_vehicle(VEHICLE, term, SIZES[term]), ())
+    at = np.random.default_rng(5).uniform([10, -1, -0.6, -900, -0.1], [30, 1, 0.6, 900, 0.1], (50, 5)).T
+    np.testing.assert_allclose(named.velocity_derivative(*at), other.velocity_derivative(*at), rtol=1e-12)
+
+
+def test_what_the_nominal_model_gets_wrong_stays_as_it_was(drive):
+    # Of a softer car, told by a file that does not know: the labels against the file, at every moment.
+    softer = _drive(altered_vehicle(VEHICLE, "tire_stiffness", 0.9))
+    heavier = altered_vehicle(VEHICLE, "mass", 1.2)
+    found = driven_by(softer, VEHICLE, heavier)
+
+    def labels(one: Drive, vehicle: Vehicle) -> np.ndarray:
+        rates = SingleTrack(vehicle, ()).velocity_derivative(*(one[n] for n in ("vx", "vy", "r", "T", "delta")))
+        change = np.stack([np.gradient(one[name], _AT) for name in ("vx", "vy", "r")])
+        return (change - np.stack(rates))[:, 2:-2]
+
+    before, after = labels(softer, VEHICLE), labels(found, heavier)
+    assert np.abs(labels(found, VEHICLE) - before).max(axis=1)[1] > 0.5
+    # Central differences of 10 ms are right to (3 x 0.01)^2/6 of v_y' and r'.
+    np.testing.assert_allclose(after, before, atol=2e-3)
+
+
+def test_a_car_that_would_spin_is_refused(drive):
+    # Rear tyres at a tenth of their grip.
+    loose = altered_vehicle(VEHICLE, "friction_scale", 1.0)
+    loose = Vehicle(**{**vars(loose), "rear_tire": MagicFormula(100.0, 1.3, 650.0)})
+    with pytest.raises(SplitError, match="spun"):
+        driven_by(drive, VEHICLE, loose)
+
+
+def test_every_channel_of_a_moved_unit_is_a_rigid_body_s(drive):
+    moved = moved_reference(drive, 0.8)
+    # Velocity of the moved point from its own position, and its acceleration from its own velocity.
+    inner = slice(5, -5)
+    ground = np.gradient(np.stack([moved["X"], moved["Y"]]), _AT, axis=1)
+    across = -np.sin(moved["yaw"]) * ground[0] + np.cos(moved["yaw"]) * ground[1]
+    np.testing.assert_allclose(across[inner], moved["vy"][inner], atol=2e-3)
+    felt = np.gradient(moved["vy"], _AT) + moved["vx"] * moved["r"]
+    np.testing.assert_allclose(moved["ay"][inner], felt[inner], atol=5e-3)
+    along = np.gradient(moved["vx"], _AT) - moved["vy"] * moved["r"]
+    np.testing.assert_allclose(moved["ax"][inner], along[inner], atol=5e-3)
