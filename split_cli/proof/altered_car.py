@@ -24,7 +24,7 @@ __all__ = ["ALTERATIONS", "altered_vehicle", "driven_by", "moved_reference"]
 
 #: Speed over the vehicle's minimum speed below which a car moves as recorded: it hardly slips there [1].
 _CREEP = 0.2
-#: Side slip, or yaw rate times wheelbase over speed, beyond which the altered car has left the recorded drive [1].
+#: More side slip, or yaw rate times wheelbase over speed, than recorded from which on the altered car has spun [1].
 _SPUN = 1.0
 #: Time over which the yaw rate's change is taken [s].
 _SLOPE = 0.06
@@ -95,7 +95,9 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
         changed[rows], rate[rows], torque[rows] = _follow(car, other, path, slowest)
     moving = drive["vx"] > slowest
     speed, length = np.maximum(drive["vx"], slowest), vehicle.wheelbase
-    gone = np.abs(changed) * [1.0, length] > _SPUN * speed[:, None]
+    recorded = np.stack([drive["vy"], drive["r"]], axis=1)
+    # The recorded car may itself have spun where the altered one does not.
+    gone = (np.abs(recorded + changed) - np.abs(recorded)) * [1.0, length] > _SPUN * speed[:, None]
     if not np.isfinite(changed).all() or gone[moving].any():
         first = int(np.argmax(moving & (gone | ~np.isfinite(changed)).any(axis=1)))
         raise SplitError(
@@ -118,12 +120,12 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
 
 
 def moved_reference(drive: Drive, dx: float) -> Drive:
-    """Return a drive whose every channel was measured `dx` [m] further forward than its map says.
+    """Return a drive whose velocity and accelerations were measured `dx` [m] further forward than its map says.
 
     Notes
     -----
-    Of a rigid body: v_y + dx r, a_y + dx r', a_x - dx r^2, and position moved by dx along the heading. A unit of
-    satellites and inertial sensors measures so whose place in the car was entered wrongly.
+    Of a rigid body: v_y + dx r, a_y + dx r', a_x - dx r^2. So measures an inertial unit with its own velocity
+    whose place in the car was entered wrongly, beside a position of another sensor.
     """
     r = np.asarray(drive["r"], dtype=float)
     columns = {**drive.columns, "vy": drive["vy"] + dx * r}
@@ -136,9 +138,6 @@ def moved_reference(drive: Drive, dx: float) -> Drive:
             slope = (known[2 * width :] - known[: -2 * width]) / (2.0 * width * drive.period)
             columns["ay"] = np.array(columns["ay"], dtype=float)
             columns["ay"][run.start : run.stop] += dx * slope
-    if drive.has_position:
-        columns["X"] = drive["X"] + dx * np.cos(drive["yaw"])
-        columns["Y"] = drive["Y"] + dx * np.sin(drive["yaw"])
     return replace(drive, columns=columns, sha256="")
 
 

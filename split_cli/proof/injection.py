@@ -109,17 +109,18 @@ FAULTS: dict[str, FaultKind] = {
 }
 """By name; sizes in [s], [m] for a wheelbase of 2.7 m, [rad], [rad/s], [m/s^2] or [1], as of the parameter.
 
-"reference moved" is a unit of satellites and inertial sensors whose place was entered wrongly: every channel is
-measured dx further forward, not v_y alone as with "velocity moved".
+"reference moved" is an inertial unit whose place was entered wrongly: v_y and the accelerations are measured dx
+further forward, not v_y alone as with "velocity moved".
 """
 _NEEDS_TORQUE = ("drive_gain", "drive_delay", "sensor_delay", "mass")
 _MOVED = ("sensor_lever_arm", "cg_shift")
+_OF_MOTION = ("nominal model", "acceleration")  # words of a torque that follows the motion, and not pedals or a motor
 
 
 def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None) -> list[InjectedFault]:
     """Return the faults to put into a drive, each in three sizes, and none as the first.
 
-    A torque that was derived from acceleration is neither scaled nor shifted: it would say nothing of the car, and
+    A torque that was derived from the motion is neither scaled nor shifted: it would say nothing of the car, and
     clocks that are late for the steering alone are a steering that is late. Nor is the car made heavier: without a
     torque a heavier car is one with softer tyres and less grip. Sensors that were not recorded have no fault.
 
@@ -129,7 +130,8 @@ def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None
         If a name in `only` is no fault.
     """
     require_known(only or (), FAULTS)
-    derived = drive.metadata.kinds.get("T", "").startswith("derived")
+    how = str(drive.metadata.kinds.get("T", ""))
+    derived = how.startswith("derived") and any(word in how for word in _OF_MOTION)
     found = [InjectedFault("none", "", ())]
     for name, kind in FAULTS.items():
         if (only and name not in only) or (derived and kind.term in _NEEDS_TORQUE):
