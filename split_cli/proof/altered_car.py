@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
+from scipy.ndimage import uniform_filter1d
 
 from split_cli.errors import SplitError
 from split_cli.logs.drive import Drive
@@ -24,10 +25,12 @@ __all__ = ["ALTERATIONS", "altered_vehicle", "driven_by", "moved_reference"]
 
 #: Speed over the vehicle's minimum speed below which a car moves as recorded: it hardly slips there [1].
 _CREEP = 0.2
-#: More side slip, or yaw rate times wheelbase over speed, than recorded from which on the altered car has spun [1].
+#: Side slip, or yaw rate times wheelbase over speed, beyond what was recorded from which on a car has spun [1].
 _SPUN = 1.0
 #: Time over which the yaw rate's change is taken [s].
 _SLOPE = 0.06
+#: Share of the lateral acceleration that the nominal model has to explain [1], and the mean it is judged by [s].
+_EXPLAINED, _GENTLE = 0.75, 0.3
 
 
 def _tires(vehicle: Vehicle, change: Callable[[MagicFormula], MagicFormula]) -> Vehicle:
@@ -73,7 +76,9 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     Raises
     ------
     SplitError
-        If the altered car would have spun, so that the recorded steering says nothing of how it is driven.
+        If the altered car would have spun, so that the recorded steering says nothing of how it is driven. If the
+        file explains less than three quarters of the lateral acceleration: what it gets wrong would not stay as it
+        was where the car goes elsewhere.
 
     Notes
     -----
@@ -86,13 +91,19 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     """
     car, other = SingleTrack(vehicle, ()), SingleTrack(altered, ())
     slowest = _CREEP * vehicle.minimum_speed
+    explained = _explained(drive, car)
+    if not explained >= _EXPLAINED:
+        raise SplitError(
+            f"the vehicle file explains {max(explained, 0.0):.0%} of the lateral acceleration's variation, "
+            f"{_EXPLAINED:.0%} are needed to say how another car would have moved",
+            where=drive.name,
+            advice="Calibrate it first (split calibrate).",
+        )
     changed = np.zeros((len(drive), 2))
     rate = np.zeros((len(drive), 2))
     torque = np.array(drive["T"], dtype=float)
-    for run in drive.segments():
-        rows = slice(run.start, run.stop)
-        path = _Path.of(drive, rows)
-        changed[rows], rate[rows], torque[rows] = _follow(car, other, path, slowest)
+    for rows in drive.segments():
+        changed[rows], rate[rows], torque[rows] = _follow(car, other, _Path.of(drive, rows), slowest)
     moving = drive["vx"] > slowest
     speed, length = np.maximum(drive["vx"], slowest), vehicle.wheelbase
     recorded = np.stack([drive["vy"], drive["r"]], axis=1)
@@ -133,12 +144,30 @@ def moved_reference(drive: Drive, dx: float) -> Drive:
         columns["ax"] = columns["ax"] - dx * r * r
     if "ay" in columns:
         width = max(1, round(_SLOPE / drive.period / 2.0))
-        for run in drive.segments():
-            known = np.pad(r[run.start : run.stop], width, mode="edge")
-            slope = (known[2 * width :] - known[: -2 * width]) / (2.0 * width * drive.period)
-            columns["ay"] = np.array(columns["ay"], dtype=float)
-            columns["ay"][run.start : run.stop] += dx * slope
+        columns["ay"] = np.array(columns["ay"], dtype=float)
+        for rows in drive.segments():
+            known = np.pad(r[rows], width, mode="edge")
+            columns["ay"][rows] += dx * (known[2 * width :] - known[: -2 * width]) / (2.0 * width * drive.period)
     return replace(drive, columns=columns, sha256="")
+
+
+def _explained(drive: Drive, car: SingleTrack) -> float:
+    """Return the share [1] of the variance of v_y' + v_x r that a model explains, over means of 0.3 s."""
+    measured, left = [], []
+    for run in drive.segments():
+        path = _Path.of(drive, run)
+        width = max(1, round(_GENTLE / drive.period))
+        if len(path.velocity) < 3 * width:
+            continue
+        vx, vy, r = uniform_filter1d(path.velocity, width, axis=0).T
+        torque, steer = uniform_filter1d(path.inputs, width, axis=0).T
+        fast = vx > car.vehicle.minimum_speed
+        across = np.gradient(vy, drive.period)
+        measured.append((across + vx * r)[fast])
+        left.append((across - car.velocity_derivative(vx, vy, r, torque, steer)[1])[fast])
+    if not sum(map(len, measured)):
+        return 0.0
+    return 1.0 - float(np.var(np.concatenate(left)) / np.var(np.concatenate(measured)))
 
 
 @dataclass(frozen=True)
@@ -229,8 +258,7 @@ def _moved_path(drive: Drive, columns: dict[str, np.ndarray]) -> dict[str, np.nd
         found |= {name: np.array(drive[name], dtype=float) for name in ("X", "Y")}
     turned = np.zeros(2)
     begin = np.zeros(3)
-    for run in drive.segments():
-        rows = slice(run.start, run.stop)
+    for rows in drive.segments():
 
         def grown(rates: np.ndarray) -> np.ndarray:
             return cumulative_trapezoid(rates, dx=drive.period, axis=0, initial=0.0)

@@ -114,7 +114,10 @@ further forward, not v_y alone as with "velocity moved".
 """
 _NEEDS_TORQUE = ("drive_gain", "drive_delay", "sensor_delay", "mass")
 _MOVED = ("sensor_lever_arm", "cg_shift")
-_OF_MOTION = ("nominal model", "acceleration")  # words of a torque that follows the motion, and not pedals or a motor
+_OF_MOTION = (
+    "nominal model",
+    "acceleration",
+)  # words of a torque that follows the motion, and not pedals or a motor
 
 
 def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None) -> list[InjectedFault]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -112,10 +114,16 @@ def test_what_the_nominal_model_gets_wrong_stays_as_it_was(drive):
 
 def test_a_car_that_would_spin_is_refused(drive):
     # Rear tyres at a tenth of their grip.
-    loose = altered_vehicle(VEHICLE, "friction_scale", 1.0)
-    loose = Vehicle(**{**vars(loose), "rear_tire": MagicFormula(100.0, 1.3, 650.0)})
+    loose = replace(VEHICLE, rear_tire=MagicFormula(100.0, 1.3, 650.0))
     with pytest.raises(SplitError, match="spun"):
         driven_by(drive, VEHICLE, loose)
+
+
+def test_a_file_that_does_not_explain_the_drive_says_nothing_of_another_car(drive):
+    # Wheels that steer to the other side: hardly any lateral acceleration is explained.
+    mirrored = replace(drive, columns={**drive.columns, "delta": -drive["delta"]})
+    with pytest.raises(SplitError, match="explains 18%"):
+        driven_by(mirrored, VEHICLE, altered_vehicle(VEHICLE, "mass", 1.1))
 
 
 def test_every_channel_of_a_moved_unit_is_a_rigid_body_s(drive):
