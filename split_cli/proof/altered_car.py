@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import uniform_filter1d
 
 from split_cli.errors import SplitError
 from split_cli.logs.drive import Drive
@@ -29,8 +28,8 @@ _CREEP = 0.2
 _SPUN = 1.0
 #: Time over which the yaw rate's change is taken [s].
 _SLOPE = 0.06
-#: Share of the lateral acceleration that the nominal model has to explain [1], and the mean it is judged by [s].
-_EXPLAINED, _GENTLE = 0.75, 0.3
+#: Share of the yaw rate's variance that the nominal model has to explain, running free at the recorded speed [1].
+_EXPLAINED = 0.75
 
 
 def _tires(vehicle: Vehicle, change: Callable[[MagicFormula], MagicFormula]) -> Vehicle:
@@ -77,8 +76,8 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     ------
     SplitError
         If the altered car would have spun, so that the recorded steering says nothing of how it is driven. If the
-        file explains less than three quarters of the lateral acceleration: what it gets wrong would not stay as it
-        was where the car goes elsewhere.
+        file, told speed and steering alone, explains less than three quarters of the yaw rate: then its response
+        to any change is not the car's.
 
     Notes
     -----
@@ -91,11 +90,11 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     """
     car, other = SingleTrack(vehicle, ()), SingleTrack(altered, ())
     slowest = _CREEP * vehicle.minimum_speed
-    explained = _explained(drive, car)
+    explained = _explained(drive, car, slowest)
     if not explained >= _EXPLAINED:
         raise SplitError(
-            f"the vehicle file explains {max(explained, 0.0):.0%} of the lateral acceleration's variation, "
-            f"{_EXPLAINED:.0%} are needed to say how another car would have moved",
+            f"told speed and steering alone, the file explains {max(explained, 0.0):.0%} of the yaw rate's "
+            f"variation; {_EXPLAINED:.0%} are needed to say how another car would have moved",
             where=drive.name,
             advice="Calibrate it first (split calibrate).",
         )
@@ -151,23 +150,10 @@ def moved_reference(drive: Drive, dx: float) -> Drive:
     return replace(drive, columns=columns, sha256="")
 
 
-def _explained(drive: Drive, car: SingleTrack) -> float:
-    """Return the share [1] of the variance of v_y' + v_x r that a model explains, over means of 0.3 s."""
-    measured, left = [], []
-    for run in drive.segments():
-        path = _Path.of(drive, run)
-        width = max(1, round(_GENTLE / drive.period))
-        if len(path.velocity) < 3 * width:
-            continue
-        vx, vy, r = uniform_filter1d(path.velocity, width, axis=0).T
-        torque, steer = uniform_filter1d(path.inputs, width, axis=0).T
-        fast = vx > car.vehicle.minimum_speed
-        across = np.gradient(vy, drive.period)
-        measured.append((across + vx * r)[fast])
-        left.append((across - car.velocity_derivative(vx, vy, r, torque, steer)[1])[fast])
-    if not sum(map(len, measured)):
-        return 0.0
-    return 1.0 - float(np.var(np.concatenate(left)) / np.var(np.concatenate(measured)))
+def _explained(drive: Drive, car: SingleTrack, slowest: float) -> float:
+    """Return the share [1] of the variance of r that a model explains which runs free at the recorded speed."""
+    left = [drive["r"][rows] - _running_free(car, _Path.of(drive, rows), slowest) for rows in drive.segments()]
+    return 1.0 - float(np.var(np.concatenate(left)) / np.var(drive["r"]))
 
 
 @dataclass(frozen=True)
@@ -200,9 +186,7 @@ def _follow(
     count = len(path.velocity)
     inputs, velocity = path.inputs, path.velocity
     changed, rate, torque = np.zeros((count, 2)), np.zeros((count, 2)), inputs[:, 0].copy()
-    fastest = np.maximum(velocity[:, 0], slowest)
-    jacobian = other.velocity_jacobian(fastest, *velocity[:, 1:].T, *inputs.T)
-    substeps = substep_count(jacobian, path.period, other.vehicle.wheelbase)
+    substeps = _substeps(other, path, slowest)
     span = _THRUST * other.vehicle.max_torque
     for k in range(count):
         if velocity[k, 0] <= slowest:
@@ -218,7 +202,7 @@ def _follow(
         rate[k] = np.array(here[1:]) - known[1:]
         if k + 1 < count and velocity[k + 1, 0] > slowest:
             changed[k + 1] = _step(car, other, path, k, int(substeps[k]), changed[k], torque[k] - inputs[k, 0])
-            if not np.abs(changed[k + 1, 0]) < 10.0 * _SPUN * fastest[k]:
+            if not np.abs(changed[k + 1, 0]) < 10.0 * _SPUN * velocity[k, 0]:
                 changed[k + 1 :] = np.nan
                 break
     return changed, rate, torque
@@ -227,13 +211,39 @@ def _follow(
 _THRUST = 1e-3  # step of the torque over the largest [1]
 
 
+def _running_free(car: SingleTrack, path: _Path, slowest: float) -> np.ndarray:
+    """Return the yaw rate [rad/s] of a model that is told speed, torque and steer angle alone, shape (N,)."""
+    nothing = replace(path, velocity=path.velocity * [1.0, 0.0, 0.0])
+    state = path.velocity[:, 1:].copy()
+    substeps = _substeps(car, path, slowest)
+    for k in np.flatnonzero((path.velocity[:-1, 0] > slowest) & (path.velocity[1:, 0] > slowest)):
+        state[k + 1] = _step(None, car, nothing, k, int(substeps[k]), state[k], 0.0)
+        if not np.abs(state[k + 1, 0]) < 10.0 * path.velocity[k, 0]:
+            return np.full(len(state), np.inf)
+    return state[:, 1]
+
+
+def _substeps(model: SingleTrack, path: _Path, slowest: float) -> np.ndarray:
+    fastest = np.maximum(path.velocity[:, 0], slowest)
+    jacobian = model.velocity_jacobian(fastest, *path.velocity[:, 1:].T, *path.inputs.T)
+    return substep_count(jacobian, path.period, model.vehicle.wheelbase)
+
+
 def _step(
-    car: SingleTrack, other: SingleTrack, path: _Path, k: int, parts: int, begin: np.ndarray, more_torque: float
+    car: SingleTrack | None,
+    other: SingleTrack,
+    path: _Path,
+    k: int,
+    parts: int,
+    begin: np.ndarray,
+    more_torque: float,
 ) -> np.ndarray:
-    """Return the differences of v_y and r one sample later, by classical RK4."""
+    """Return the differences of v_y and r one sample later, by classical RK4; `car` may be one that stays."""
     share = np.linspace(0.0, 1.0, 2 * parts + 1)
     velocity, inputs = path.between(k, share)
-    known = np.stack(car.velocity_derivative(*velocity.T, *inputs.T), axis=1)[:, 1:]
+    known = np.zeros((len(share), 2))
+    if car is not None:
+        known = np.stack(car.velocity_derivative(*velocity.T, *inputs.T), axis=1)[:, 1:]
     h = path.period / parts
 
     def slope(at: int, d: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -108,12 +110,13 @@ def test_a_fault_that_cannot_be_put_in_is_told_beside_the_others(drive, tmp_path
     # Nothing is diagnosed here: every pair is said to match.
     told = (Statement("match"), "match")
     monkeypatch.setattr("split_cli.workflows.proving.prove_recording.diagnose_pair", lambda *_: told)
-    write_drive(drive, tmp_path / "drive.parquet")
+    # Wheels that steer to the other side: no model of the car explains the drive.
+    mirrored = replace(drive, columns={**drive.columns, "delta": -drive["delta"]})
+    write_drive(mirrored, tmp_path / "drive.parquet")
     write_vehicle(VEHICLE, tmp_path / "car.yaml")
     rows = prove_recording(
         [tmp_path / "drive.parquet"], tmp_path / "car.yaml", tmp_path / "out", only=["less grip", "speed scaled"]
     )
     assert {row.outcome for row in rows if row.fault == "speed scaled"} == {"missed"}
-    # The channels were made up one by one: no model explains them.
     refused = [row for row in rows if row.fault == "less grip"]
     assert {row.outcome for row in refused} == {"not put in"} and all("explains" in row.said for row in refused)
