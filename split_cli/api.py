@@ -14,6 +14,7 @@ from split_cli.diagnosis.engine import diagnose as diagnose_drives
 from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.errors import SplitError
 from split_cli.learning.features import parse_features
+from split_cli.learning.in_memory import train_in_memory
 from split_cli.learning.label_file import label_columns
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.training_set import TrainingSet, read_set
@@ -30,7 +31,6 @@ from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.compare import ComparedModel, ModelComparison, compare_models
 from split_cli.workflows.diagnose import corrected_vehicle
 from split_cli.workflows.evaluate import evaluate as evaluate_drives
-from split_cli.workflows.evaluate import train_in_memory
 from split_cli.workflows.pictures import diagnosis_charts, recording_charts
 from split_cli.workflows.recordings import RecordingCorrection
 from split_cli.workflows.report.comparison import comparison_charts, comparison_page

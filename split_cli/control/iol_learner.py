@@ -150,11 +150,7 @@ class IolLearner(LabellingLearner):
     def end_lap(self, duration: float) -> TrainingSet:
         """Return the dictionary as a set, the lap as its last source."""
         if self._offered:
-            parts = self._offered
-            joined = {
-                name: np.concatenate([getattr(part, name) for part in parts])
-                for name in ("t", "row", "segment", "z", "y", "reason")
-            }
-            labels = replace(parts[0], drive=self._name, start_time=self._start_time, duration=duration, **joined)
+            labels = Labels.joined(self._offered)
+            labels = replace(labels, drive=self._name, start_time=self._start_time, duration=duration)
             self.set = extend_dictionary(self.set, [labels])
         return self.set

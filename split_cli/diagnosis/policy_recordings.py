@@ -55,6 +55,27 @@ class Screening:
     least_torque: float = number(
         0.05, "1", "range of torque over the car's largest below which it is constant", CHOSEN
     )
+    least_acceleration: float = number(
+        0.5,
+        "m/s^2",
+        "lateral acceleration, or gain and loss of speed, without which nothing was excited",
+        JUDGEMENT + "drag and rolling resistance change the speed of a coasting car by less",
+    )
+    still_share: float = number(
+        0.1, "1", "motion of a channel over its usual size below which it counts as none", CHOSEN
+    )
+    gentle_from: float = number(
+        0.02, "1", "lateral acceleration over grip from which on steering is compared with the file", CHOSEN
+    )
+    gentle_to: float = number(
+        0.4,
+        "1",
+        "the same up to which it is compared",
+        JUDGEMENT + "a tyre is nearly linear up to there",
+    )
+    fewest_rows: int = number(
+        100, "samples", "rows below which steering and torque are not compared with the file", CHOSEN
+    )
     another_steering: float = number(
         5.0 / 3.0,
         "1",
@@ -82,6 +103,11 @@ class Screening:
     sure_scale_error: float = number(
         6.0, "standard errors", "size of that error from which on it is reported", CHOSEN
     )
+
+    @property
+    def least_surge(self) -> float:
+        """Range of a car's acceleration from losing to gaining speed, `least_acceleration` each [m/s^2]."""
+        return 2.0 * self.least_acceleration
 
 
 @dataclass(frozen=True)

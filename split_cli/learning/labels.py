@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +32,7 @@ __all__ = [
 DEFAULT_HORIZON = 0.05
 _CHUNK = 4096  # temporaries of that length stay in the cache
 _VELOCITIES = ("vx", "vy", "r")
+_ARRAYS = ("t", "row", "segment", "z", "y", "reason")
 
 
 class Reason(IntEnum):
@@ -113,8 +116,13 @@ class Labels:
 
     def take(self, index: np.ndarray | slice) -> Labels:
         """Return the labels at `index` (mask, indices or slice), in that order."""
-        names = ("t", "row", "segment", "z", "y", "reason")
-        return replace(self, **{name: getattr(self, name)[index] for name in names})
+        return replace(self, **{name: getattr(self, name)[index] for name in _ARRAYS})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Labels]) -> Labels:
+        """Return the labels of several parts, one after the other; all that is no array is the first's."""
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _ARRAYS}
+        return replace(parts[0], **arrays)
 
     def within(self, rows: np.ndarray) -> Labels:
         """Return the labels whose whole window, start to end, lies on rows where the mask is true.
@@ -137,7 +145,7 @@ class Labels:
     @property
     def nbytes(self) -> int:
         """Memory of the arrays [bytes]."""
-        return sum(getattr(self, name).nbytes for name in ("t", "row", "segment", "z", "y", "reason"))
+        return sum(getattr(self, name).nbytes for name in _ARRAYS)
 
     def without_grid(self) -> Labels:
         """Return the labels with those that lay outside another grid accepted again."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +12,16 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from split_cli.errors import DriveError, nearest_names
-from split_cli.files import atomic_path, parse_json, refuse_no_regular_file, sha256_of_file
+from split_cli.files import atomic_path, refuse_no_regular_file, sha256_of_file
 from split_cli.logs.columns_of_file import ColumnsOfFile, column_in_si, columns_of_csv
+from split_cli.logs.drive_metadata import (
+    DriveMetadata,
+    NoiseEstimate,
+    Source,
+    metadata_from_schema,
+    metadata_of_drive,
+    schema_of,
+)
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, split_name_and_unit
 
 __all__ = [
@@ -30,81 +37,9 @@ __all__ = [
     "write_drive",
 ]
 
-DRIVE_FORMAT = "split-drive/1"
 INPUT_CHANNELS = ("T", "delta")
 #: Rows from which on `open_drive` leaves columns in the file [1]: 11 of them take 46 MB.
 _LONG = 2**19
-
-
-@dataclass(frozen=True)
-class Source:
-    """A file a drive was made of: its name (no folder) and the SHA-256 of its content."""
-
-    name: str
-    sha256: str
-
-
-@dataclass(frozen=True)
-class NoiseEstimate:
-    """Sensor noise of one channel.
-
-    Attributes
-    ----------
-    channel : str
-    sigma : float or None
-        Standard deviation of a sample of the drive, after its filter [SI unit of the channel]; None if unknown.
-    sigma_raw : float or None
-        The same at the recording's full rate, before any filter.
-    autocorrelation : tuple of float
-        Autocorrelation of the noise on the drive's clock at lags 0, 1, 2, ... samples, from the filter's
-        impulse response; ``(1.0,)`` for white noise.
-    reason : str
-        Why sigma is None, else empty.
-    """
-
-    channel: str
-    sigma: float | None
-    sigma_raw: float | None
-    autocorrelation: tuple[float, ...] = (1.0,)
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class DriveMetadata:
-    """What is known of a drive beside its samples.
-
-    Attributes
-    ----------
-    sources : tuple of Source
-        The recordings it was made of.
-    vehicle : str
-        Name of the vehicle file it was made with; empty if none.
-    kinds : mapping of str to str
-        For a channel, ``command``, ``measured`` or ``derived: how``; ``T_is`` and ``delta_is`` of the contract.
-    signal_map : mapping
-        The map as applied, channel by channel, with what was assumed.
-    conversions : tuple of str
-        Frame, sign, unit and time conversions that were made, in words.
-    noise : tuple of NoiseEstimate
-    quality : mapping
-        The quality report: rates, gaps, drops by reason, spikes, ranges, findings of the consistency checks.
-    between : mapping of str to str
-        What a channel does between its samples: ``held`` keeps its value until the next sample, ``continuous``
-        runs there in a straight line. A channel that is not named is taken as continuous.
-    """
-
-    sources: tuple[Source, ...] = ()
-    vehicle: str = ""
-    kinds: Mapping[str, str] = field(default_factory=dict)
-    signal_map: Mapping[str, object] = field(default_factory=dict)
-    conversions: tuple[str, ...] = ()
-    noise: tuple[NoiseEstimate, ...] = ()
-    quality: Mapping[str, object] = field(default_factory=dict)
-    between: Mapping[str, str] = field(default_factory=dict)
-
-    def noise_of(self, channel: str) -> NoiseEstimate | None:
-        """Return the noise estimate of a channel, None when ingest made none."""
-        return next((estimate for estimate in self.noise if estimate.channel == channel), None)
 
 
 @dataclass(frozen=True)
@@ -283,7 +218,7 @@ def open_drive(path: str | Path, held: Sequence[str] = (), beside: int = 1) -> D
         columns = None
     if columns is None or columns.length * beside <= _LONG or not columns.is_plain or "t" not in columns:
         return read_drive(path, held)  # which says what is wrong
-    metadata, period = _metadata_from_schema(columns.schema.metadata or {}, path)
+    metadata, period = metadata_from_schema(columns.schema.metadata or {}, path)
     segment = _whole(columns["segment"], path) if "segment" in columns else None
     drive = _checked_drive(columns.without("segment"), segment, period, metadata, path)
     return drive.with_held(held) if held else drive
@@ -317,7 +252,7 @@ def _read_table(path: Path) -> pa.Table:
 
 
 def _drive_from_table(table: pa.Table, path: Path) -> Drive:
-    metadata, period = _metadata_from_schema(table.schema.metadata or {}, path)
+    metadata, period = metadata_from_schema(table.schema.metadata or {}, path)
     columns: dict[str, np.ndarray] = {}
     segment: np.ndarray | None = None
     while table.num_columns:
@@ -425,58 +360,6 @@ def _period_from_time(time: np.ndarray, segment: np.ndarray, path: Path) -> floa
     return float(np.round(np.median(step), 9))
 
 
-def _metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[DriveMetadata, float | None]:
-    if b"split" not in raw:
-        return DriveMetadata(), None
-    try:
-        stored = parse_json(raw[b"split"])
-        if stored["format"] != DRIVE_FORMAT:
-            raise DriveError(
-                f"is of format {stored['format']!r}, this version reads {DRIVE_FORMAT!r}",
-                where=str(path),
-                advice="Ingest the recording again.",
-            )
-        noise = tuple(
-            NoiseEstimate(**{**entry, "autocorrelation": tuple(entry["autocorrelation"])})
-            for entry in stored["noise"]
-        )
-        metadata = DriveMetadata(
-            sources=tuple(Source(**entry) for entry in stored["sources"]),
-            vehicle=stored["vehicle"],
-            kinds=stored["kinds"],
-            signal_map=stored["signal_map"],
-            conversions=tuple(stored["conversions"]),
-            noise=noise,
-            quality=stored["quality"],
-            between=_between(stored.get("between", {})),
-        )
-        period = float(stored["period"])
-        if not 0.0 < period < float("inf"):
-            raise ValueError(f"a period of {period:g} s")
-        return metadata, period
-    except (KeyError, TypeError, ValueError) as error:
-        advice = "Ingest the recording again."
-        raise DriveError(f"its metadata is damaged ({error})", where=str(path), advice=advice) from error
-
-
-def metadata_of_drive(path: Path) -> DriveMetadata | None:
-    """Return what a drive's file says of itself; None where the file is no drive of ours."""
-    if path.suffix.lower() not in (".parquet", ".pq") or not path.is_file():
-        return None
-    try:
-        raw = pa.parquet.read_schema(path).metadata or {}
-    except (pa.ArrowException, OSError):
-        return None
-    return _metadata_from_schema(raw, path)[0] if b"split" in raw else None
-
-
-def _between(stored: Mapping[str, str]) -> dict[str, str]:
-    unknown = sorted(set(stored.values()) - {"held", "continuous"})
-    if unknown:
-        raise ValueError(f"a channel is {unknown[0]!r} between samples")
-    return dict(stored)
-
-
 def untold_inputs(drives: Sequence[Drive]) -> tuple[str, ...]:
     """Return what to say of inputs whose course between samples no drive's metadata tells; empty if all do."""
     untold = {name: None for drive in drives for name in INPUT_CHANNELS if name not in drive.metadata.between}
@@ -493,9 +376,7 @@ def write_drive(drive: Drive, path: str | Path) -> None:
     """Write a drive as Parquet, whole or not at all. No time of writing is stored: equal drives, equal bytes."""
     fields = {name: pa.array(values) for name, values in drive.columns.items()}
     fields["segment"] = pa.array(drive.segment.astype(np.int32))
-    stored = {"format": DRIVE_FORMAT, "period": drive.period, **asdict(drive.metadata)}
-    text = json.dumps(stored, sort_keys=True, allow_nan=False)
-    table = pa.table(fields).replace_schema_metadata({b"split": text.encode()})
+    table = pa.table(fields).replace_schema_metadata(schema_of(drive.metadata, drive.period))
     with atomic_path(path) as temporary:
         # Checksums: a bit that flips on a disk must not become a velocity.
         pa.parquet.write_table(table, temporary, compression="zstd", write_page_checksum=True)

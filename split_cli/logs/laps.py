@@ -8,7 +8,16 @@ from split_cli.errors import DriveError
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import AWAY, CLOSE_ANGLE, closing_distance
 
-__all__ = ["lap_numbers"]
+__all__ = ["first_lap", "lap_numbers"]
+
+
+def first_lap(drive: Drive, wheelbase: float) -> slice:
+    """Return the rows of the first lap, or all of a drive that has no laps; see `lap_numbers`."""
+    try:
+        lap = lap_numbers(drive, wheelbase)
+    except DriveError:
+        return slice(0, len(drive))
+    return slice(0, int(np.argmax(lap != lap[0])))
 
 
 def lap_numbers(drive: Drive, wheelbase: float) -> np.ndarray:

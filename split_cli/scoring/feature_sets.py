@@ -12,11 +12,10 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid
 from split_cli.learning.training_set import TrainingSet
-from split_cli.logs.drive import Drive
 from split_cli.prediction.factorization import most_informative
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["ALL", "DEFAULT_SIZES", "MOST_SAMPLES", "PAPER_SIZE", "first_lap", "informative_sets", "point_set"]
+__all__ = ["ALL", "DEFAULT_SIZES", "MOST_SAMPLES", "PAPER_SIZE", "informative_sets", "point_set"]
 
 #: Size 0 stands for all training samples, thinned evenly to `MOST_SAMPLES` (the dense process is cubic).
 ALL = 0
@@ -78,25 +77,3 @@ def informative_sets(
         (size, point_set(vehicle, labels, kernel, accepted[index]))
         for size, index in zip(sizes, chosen, strict=True)
     ]
-
-
-def first_lap(drive: Drive, length: float) -> slice:
-    """Return the rows of the first lap of a drive whose path closes, else all rows.
-
-    Parameters
-    ----------
-    drive : Drive
-    length : float
-        Wheelbase [m]; the path closes when it comes back to its first point within 5 m and 0.35 rad, the 5 m
-        scaled by wheelbase/2.7 m, after having been four times as far away.
-    """
-    if not drive.has_position:
-        return slice(0, len(drive))
-    radius = 5.0 * length / 2.7
-    distance = np.hypot(drive["X"] - drive["X"][0], drive["Y"] - drive["Y"][0])
-    turned = np.angle(np.exp(1j * (drive["yaw"] - drive["yaw"][0])))
-    away = np.flatnonzero(distance > 4.0 * radius)
-    if not len(away):
-        return slice(0, len(drive))
-    back = np.flatnonzero((distance < radius) & (np.abs(turned) < 0.35) & (np.arange(len(drive)) > away[0]))
-    return slice(0, int(back[0]) + 1) if len(back) else slice(0, len(drive))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from split_cli.scoring.persistence import phi_at
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import Windows
 
-__all__ = ["NoiseFloor", "fast_motion", "noise_floor"]
+__all__ = ["NoiseFloor", "covariance_in_labels", "covariance_of_ends", "fast_motion", "noise_floor", "white_noise"]
 
 Direction = np.ndarray | float
 _VELOCITIES = ("vx", "vy", "r")
@@ -72,21 +73,53 @@ def noise_floor(model: SingleTrack, drive: Drive, labels: Labels) -> NoiseFloor:
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, _MOST_WINDOWS).astype(int))]
     rows, window = labels.row[chosen], labels.window
     by_state, by_torque, by_steer = _flow_derivatives(model, drive, rows, window)
-    covariance = np.zeros((len(rows), 3, 3))
-    for i, name in enumerate(_VELOCITIES):
-        # How the noise at the window's two ends enters x(t + h) - f_h; the inputs' sign does not matter.
-        gains = np.stack([-by_state[:, :, i], np.tile(np.eye(3)[i], (len(rows), 1))], axis=2)
-        covariance += _propagate(gains, estimates[name], np.array([0, window]))
+    covariance = covariance_of_ends(by_state, [estimates[name] for name in _VELOCITIES], window)
     for name, gains in (("T", by_torque), ("delta", by_steer)):
         if estimates[name].sigma:
             covariance += _propagate(gains, estimates[name], np.arange(window + 1))
-    scale = np.broadcast_to(np.eye(3), covariance.shape)
+    phi = np.broadcast_to(np.eye(3), covariance.shape)
     if not labels.plain:
-        scale = np.linalg.inv(phi_at(model, drive, rows, labels.horizon))
-    covariance = scale @ covariance @ scale.transpose(0, 2, 1) / labels.horizon**2
+        phi = phi_at(model, drive, rows, labels.horizon)
+    covariance = covariance_in_labels(covariance, phi, labels.horizon)
     rms = np.sqrt(np.mean(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
     left_out = [f"{name} ({estimates[name].reason})" for name in _INPUTS if estimates[name].sigma is None]
     return NoiseFloor(rms, f"a lower bound: without the noise of {' and '.join(left_out)}" if left_out else "")
+
+
+def covariance_of_ends(carried: np.ndarray, noise: Sequence[NoiseEstimate], window: int) -> np.ndarray:
+    """Return the covariance that noise of the velocities makes of x(t + h) less its prediction from x(t).
+
+    Parameters
+    ----------
+    carried : ndarray, shape (N, 3, 3)
+        F_x, the derivative of the prediction by x(t).
+    noise : sequence of three NoiseEstimate
+        Of v_x, v_y and r.
+    window : int
+        Samples from t to t + h.
+
+    Returns
+    -------
+    ndarray, shape (N, 3, 3)
+        F_x S F_x^T + S for white noise of covariance S; autocorrelation ties the two ends.
+    """
+    covariance = np.zeros(carried.shape)
+    for i, estimate in enumerate(noise):
+        gains = np.stack([-carried[:, :, i], np.tile(np.eye(3)[i], (len(carried), 1))], axis=2)
+        covariance += _propagate(gains, estimate, np.array([0, window]))
+    return covariance
+
+
+def covariance_in_labels(covariance: np.ndarray, phi: np.ndarray, horizon: float) -> np.ndarray:
+    """Return the covariance (N, 3, 3) of labels from that of the velocities after a horizon [s]: Phi^-1 over h."""
+    scale = np.linalg.inv(phi)
+    labels: np.ndarray = scale @ covariance @ scale.transpose(0, 2, 1) / horizon**2
+    return labels
+
+
+def white_noise(sigma: np.ndarray) -> tuple[NoiseEstimate, ...]:
+    """Return white noise of v_x, v_y and r with these standard deviations, shape (3,)."""
+    return tuple(NoiseEstimate(name, float(size), None) for name, size in zip(_VELOCITIES, sigma, strict=True))
 
 
 def fast_motion(labels: Labels, floor: NoiseFloor) -> str:

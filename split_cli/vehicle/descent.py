@@ -34,6 +34,20 @@ class Slopes:
     gradient: np.ndarray
     curvature: np.ndarray
 
+    def step(self, damping: float, free: np.ndarray) -> np.ndarray:
+        """Return Marquardt's step, shape (P,): (H + lambda diag H) d = -g, no parameter moved that is not free."""
+        count = len(self.gradient)
+        scaled = self.curvature + damping * np.diag(np.diag(self.curvature)) + _RIDGE * np.eye(count)
+        move = np.zeros(count)
+        if free.any():
+            move[free] = -np.linalg.solve(scaled[np.ix_(free, free)], self.gradient[free])
+        return move
+
+    @property
+    def promised(self) -> float:
+        """What a step to where straight lines have their least would gain, in units of the cost."""
+        return -float(self.gradient @ self.step(_RIDGE, np.ones(len(self.gradient), dtype=bool)))
+
 
 @dataclass(frozen=True)
 class Descent(Generic[State]):
@@ -86,23 +100,18 @@ def descend(
 
     Notes
     -----
-    Marquardt (1963): (H + lambda diag H) d = -g. A parameter at its bound whose gradient points outward rests for
-    the step; steps end at bounds.
+    Marquardt (1963), see `Slopes.step`. A parameter at its bound whose gradient points outward rests for the step;
+    steps end at bounds.
     """
     x, damping = start, _FIRST_DAMPING
     cost, state = evaluate(x)
     for _ in range(iterations):
         slopes, gained = linearise(x, state), 0.0
-        slope, curvature = slopes.gradient, slopes.curvature
-        free = ~(((x <= lower) & (slope > 0)) | ((x >= upper) & (slope < 0)))
+        free = ~(((x <= lower) & (slopes.gradient > 0)) | ((x >= upper) & (slopes.gradient < 0)))
         if movable is not None:
             free &= movable
         for _ in range(tries):
-            scaled = curvature + damping * np.diag(np.diag(curvature)) + _RIDGE * np.eye(len(x))
-            move = np.zeros_like(x)
-            if free.any():
-                move[free] = -np.linalg.solve(scaled[np.ix_(free, free)], slope[free])
-            trial = np.clip(x + move, lower, upper)
+            trial = np.clip(x + slopes.step(damping, free), lower, upper)
             there, trial_state = evaluate(trial)
             if there < cost:
                 gained = cost - there

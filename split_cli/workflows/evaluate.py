@@ -9,21 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import DriveError, SetError, SplitError
-from split_cli.learning.cells import learn, without_points
+from split_cli.learning.cells import without_points
 from split_cli.learning.features import Z1, Z2, FeatureSet, parse_features
-from split_cli.learning.hyperparameters import (
-    FEWEST_TO_FIT,
-    default_kernel,
-    fit_kernel,
-    longest_scale,
-    scatter_variance,
-)
+from split_cli.learning.in_memory import train_in_memory
 from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.pieces import features_along
-from split_cli.learning.region import Region, build_grid
+from split_cli.learning.region import Region
 from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, open_drive, untold_inputs
+from split_cli.logs.laps import first_lap
 from split_cli.prediction import PREDICTORS, Predictor, make_predictor
 from split_cli.scoring.application import time_per_query
 from split_cli.scoring.evaluation import (
@@ -37,7 +32,7 @@ from split_cli.scoring.evaluation import (
     score,
 )
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
-from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, first_lap, informative_sets
+from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, informative_sets
 from split_cli.scoring.late_inputs import late_inputs
 from split_cli.scoring.noise import fast_motion
 from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
@@ -60,7 +55,7 @@ from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import drive_notes
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
-__all__ = ["PLAIN", "evaluate", "evaluate_files", "train_in_memory"]
+__all__ = ["PLAIN", "evaluate", "evaluate_files"]
 
 #: Marks a predictor that believes all it has learned, beside one that is trusted in part.
 PLAIN = ", all believed"
@@ -211,26 +206,6 @@ def _variance_of(nominal: Sequence[HeldOutSamples], trained: TrainingSet) -> np.
         return np.mean(np.square(trained.y), axis=0)
     labels = [_training(h) for h in nominal]
     return np.mean(np.square(np.concatenate([part.y[part.accepted] for part in labels])), axis=0)
-
-
-def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
-    """Learn a set from training labels, with hyperparameters fitted to them.
-
-    With fewer than 60 valid labels the defaults stay (the set's kernel then says so).
-    """
-    accepted = np.concatenate([part.z[part.accepted] for part in labels])
-    if not len(accepted):
-        raise DriveError(
-            "no training sample lies inside the valid region",
-            where=labels[0].drive,
-            advice="`split label` counts why; look at units and signs with `split info`.",
-        )
-    y = np.concatenate([part.y[part.accepted] for part in labels])
-    grid = build_grid(labels[0].features, vehicle, labels[0].region, accepted)
-    kernel = default_kernel(grid, y, scatter_variance(labels[0]))
-    if len(accepted) >= FEWEST_TO_FIT:
-        kernel = fit_kernel(accepted, y, grid, kernel, longest=longest_scale(grid)).kernel
-    return learn(labels, vehicle=vehicle, grid=grid, kernel=kernel)
 
 
 def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
@@ -433,7 +408,7 @@ def _sizes(
     pooled = {name: _sum([b[name] for b in baselines]) for name in baselines[0]}
     scores = []
     for features, held, training_set in contestants if asked else ():
-        candidates = _concatenate([_training(h) for h in held])
+        candidates = Labels.joined([_training(h) for h in held])
         for size, chosen in informative_sets(training_set.vehicle, candidates, training_set.kernel, asked):
             say(f"{features}: full on the {chosen.size} most informative samples")
             predictor = make_predictor("full", chosen)
@@ -441,11 +416,6 @@ def _sizes(
             known = {"features": features, "points": chosen.size}
             scores.append(SizeScore(size, score("full", tally, pooled, **known)))
     return scores
-
-
-def _concatenate(parts: Sequence[Labels]) -> Labels:
-    names = ("t", "row", "segment", "z", "y", "reason")
-    return replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
 def _facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet | None) -> DriveFacts:

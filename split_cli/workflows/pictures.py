@@ -10,6 +10,7 @@ from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.errors import SplitError
 from split_cli.learning.features import Z2
 from split_cli.learning.hyperparameters import FEWEST_TO_FIT
+from split_cli.learning.in_memory import train_in_memory
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart, thinned
@@ -24,7 +25,6 @@ from split_cli.plots.pictures import (
 from split_cli.plots.pictures.tires import LearnedForces
 from split_cli.prediction import make_predictor
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
-from split_cli.workflows.evaluate import train_in_memory
 from split_cli.workflows.recordings import RecordingCorrection
 
 __all__ = ["diagnosis_charts", "gathered", "recording_charts"]

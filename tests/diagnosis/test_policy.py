@@ -41,8 +41,9 @@ def test_a_diagnosis_lists_every_number_once():
     assert described["selection_price"] == STANDARD.selection.price
 
 
-#: Numbers of each kind at most. They only fall: who adds one takes one out, or says here why not.
-MOST = {DECIDES: 37, "guards": 25, "effort": 7, "telling": 10}
+#: Numbers of each kind at most. They only fall: who adds one takes one out, or says here why not. Five guards more
+#: are no new ones: `least_acceleration` to `fewest_rows` stood bare in the functions of `recording.screening`.
+MOST = {DECIDES: 37, "guards": 30, "effort": 7, "telling": 10}
 
 
 def test_numbers_of_every_kind_only_fall():
@@ -81,6 +82,7 @@ BESIDE_THEIR_ALGORITHM = {
     "recording/kinematics.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS"},
     "recording/witnesses.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS", "_LEAST_SPREAD"},
     "recording/scales.py": {"_BLOCKS"},
+    "recording/screening.py": {"_SMOOTHED_SECONDS", "_STEP_SECONDS", "_OUTER_SHARE"},
     "recording/series.py": {"_SLACK", "_WORTHLESS"},
     "remainder/flexible.py": {"_HARMONICS", "_KNOTS"},
     "remainder/formula.py": {"_ROWS_APART", "_SUBSAMPLES", "_BLOCK_SECONDS"},

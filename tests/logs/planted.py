@@ -9,8 +9,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from split_cli.logs.assembling.derive import torque_from_acceleration
+from split_cli.logs.map_entries import SignalMap
 from split_cli.logs.raw import RawSignal, TableRecording
-from split_cli.logs.signal_map import SignalMap, map_from_mapping
+from split_cli.logs.signal_map import map_from_mapping
 from split_cli.vehicle.parameters import Vehicle
 from tests.factories import road_car
 

@@ -9,7 +9,7 @@ import pytest
 
 from split_cli.errors import DriveError
 from split_cli.logs.drive import Drive
-from split_cli.logs.laps import lap_numbers
+from split_cli.logs.laps import first_lap, lap_numbers
 
 
 def circle(laps: float, noise: float = 0.0, radius: float = 40.0, speed: float = 10.0) -> Drive:
@@ -42,6 +42,16 @@ def test_a_circle_ends_its_laps_after_its_circumference(noise):
 def test_an_open_path_has_no_laps():
     with pytest.raises(DriveError, match="never comes back"):
         lap_numbers(circle(0.9), 2.7)
+
+
+def test_the_first_lap_is_all_of_a_drive_without_laps():
+    drive, never_back = circle(2.5), circle(0.9)
+    lap = first_lap(drive, 2.7)
+    # One sample of 0.02 s.
+    assert drive["t"][lap.stop] == pytest.approx(2.0 * np.pi * 40.0 / 10.0, abs=0.03)
+    assert first_lap(never_back, 2.7) == slice(0, len(never_back))
+    blind = {name: values for name, values in drive.columns.items() if name not in ("X", "Y")}
+    assert first_lap(replace(drive, columns=blind), 2.7) == slice(0, len(drive))
 
 
 def test_the_way_back_is_no_lap():

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from split_cli.learning.kernel import Kernel, correlation
-from split_cli.logs.drive import Drive
 from split_cli.prediction.full import FullPredictor
-from split_cli.scoring.feature_sets import ALL, first_lap, informative_sets
+from split_cli.scoring.feature_sets import ALL, informative_sets
 from tests.factories import make_labels, road_car, smooth_residual, valid_features
 
 CAR = road_car()
@@ -61,23 +59,3 @@ def test_the_process_on_a_set_is_the_dense_one_on_its_samples():
         )
         left = prior - np.einsum("nk,kn->n", cross, np.linalg.solve(matrix, cross.T))
         np.testing.assert_allclose(found.variance[:, output], left, atol=1e-9)
-
-
-@pytest.mark.parametrize(("radius", "laps"), [(40.0, 2.5), (40.0, 0.9)])
-def test_the_first_lap_of_a_circle(radius, laps):
-    speed, period = 12.0, 0.05
-    lap_time = 2 * np.pi * radius / speed
-    t = np.arange(0.0, laps * lap_time, period)
-    yaw = t * speed / radius
-    zero = np.zeros_like(t)
-    columns = {"t": t, "X": radius * np.sin(yaw), "Y": radius * (1 - np.cos(yaw)), "yaw": yaw}
-    columns |= {"vx": zero + speed, "vy": zero, "r": zero + speed / radius, "T": zero, "delta": zero}
-    drive = Drive("circle", columns, zero.astype(np.int32), period)
-    rows = first_lap(drive, 2.7)
-    if laps < 1:
-        assert rows == slice(0, len(drive))
-    else:
-        # It closes on coming within 5 m of the start: 5 m of the lap early.
-        assert t[rows.stop - 1] == pytest.approx(lap_time - 5.0 / speed, abs=2 * period)
-    without = Drive("blind", {k: v for k, v in columns.items() if k not in ("X", "Y")}, drive.segment, period)
-    assert first_lap(without, 2.7) == slice(0, len(drive))

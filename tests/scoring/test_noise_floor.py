@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from split_cli.diagnosis.verdict.label_errors import label_errors
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate
@@ -14,6 +15,7 @@ from split_cli.scoring.evaluation import HeldOutSamples, pooled_noise_floor
 from split_cli.scoring.noise import NoiseFloor, fast_motion, noise_floor
 from split_cli.scoring.splits import whole_drive
 from split_cli.vehicle.single_track import SingleTrack
+from tests.diagnosis.recordings import recorded
 from tests.factories import make_drive, make_labels, road_car
 
 CAR = road_car()
@@ -137,3 +139,13 @@ def test_motion_between_labels_is_told_from_noise():
     assert fast_motion(make_labels(np.zeros((len(t), 3)), shaken), NoiseFloor(None, "unknown")) == ""
     # Without any noise, what little a slow swing jumps is no finding either.
     assert fast_motion(make_labels(np.zeros((len(t), 3)), slow), NoiseFloor(np.full(3, 1e-9))) == ""
+
+
+def test_the_floor_of_a_diagnosis_is_this_one_for_white_noise_of_the_velocities_alone():
+    """A diagnosis carries noise by the linear model around smoothed states, an evaluation by its integrator."""
+    evidence = recorded(4)
+    drive = replace(evidence.series.drive, metadata=DriveMetadata(kinds={"T": "command", "delta": "command"}))
+    told = label_errors(evidence, (), None, None, np.ones(len(drive), dtype=bool))
+    floor = noise_floor(SingleTrack(CAR), drive, told.labels)
+    # 400 of the windows stand for all, and over 50 ms the second order of the flow adds some permille.
+    np.testing.assert_allclose(np.sqrt(told.floor.mean(axis=0)), floor.rms, rtol=0.01)

@@ -15,6 +15,7 @@ from split_cli.learning.features import Z2, FeatureSet
 from split_cli.learning.region import Grid
 from split_cli.logs.drive import INPUT_CHANNELS, Drive, DriveMetadata
 from split_cli.prediction import Predictor
+from split_cli.scoring.noise import covariance_of_ends, white_noise
 from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, rollout_starts
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import phi_matrix
@@ -291,11 +292,12 @@ def _noise_alone(evidence: Evidence, starts: np.ndarray, window: int, at: np.nda
     """
     horizon = window * evidence.series.period
     carried = np.tile(np.eye(3), (len(starts), 1, 1))
-    variance = evidence.series.noise**2
+    noise = white_noise(evidence.series.noise)
     out = []
     for step in range(int(at[-1]) + 1):
         A = evidence.jacobian[starts + step * window]
         carried = carried + horizon * A @ phi_matrix(A, horizon) @ carried
         if step in at:
-            out.append(carried**2 @ variance + variance)
+            ends = covariance_of_ends(carried, noise, (step + 1) * window)
+            out.append(np.diagonal(ends, axis1=1, axis2=2))
     return np.stack(out, axis=1)

@@ -27,8 +27,11 @@ __all__ = [
     "velocity_is_from_position",
 ]
 
-# A velocity that stands still contradicts what it always moves with.
 _PEDALS = ("throttle", "pedal", "brake", "current", "N m/A")  # words of a derivation from what was asked for
+_SMOOTHED_SECONDS = 0.2  # over which samples are averaged before they are compared
+_STEP_SECONDS = 0.5  # over which a change of speed is taken
+_OUTER_SHARE = 0.02  # of samples at each end that a range leaves out
+# A velocity that stands still contradicts what it always moves with.
 _MOVES_WITH = {"vx": ("vy", "r"), "vy": ("r",), "r": ("vy",), "delta": ("r",)}
 
 
@@ -109,9 +112,14 @@ def unfit(
         return [f"{drive.name} has {drive.rate:.3g} samples a second; {1 / rules.longest_period:.0f} are needed."]
     frozen = [name for name in ("vx", "vy", "r") if np.ptp(drive[name]) == 0.0]
     whole = slice(0, len(drive))
-    if np.ptp(drive["delta"]) == 0.0 and "r" not in frozen and _turns(drive) and not _is_held(drive, whole, rules):
+    if (
+        np.ptp(drive["delta"]) == 0.0
+        and "r" not in frozen
+        and _turns(drive, rules)
+        and not _is_held(drive, whole, rules)
+    ):
         frozen.append("delta")
-    if np.ptp(drive["T"]) == 0.0 and "vx" not in frozen and _changes_speed(drive):
+    if np.ptp(drive["T"]) == 0.0 and "vx" not in frozen and _changes_speed(drive, rules):
         frozen.append("T")
     if frozen:
         return [
@@ -147,11 +155,9 @@ def moving(drive: Drive, vehicle: Vehicle, rules: Screening = STANDARD.screening
 def idle(real: Sequence[Drive], vehicle: Vehicle, rules: Screening = STANDARD.screening) -> list[str]:
     """Return why nothing was excited in the real drives; empty when something was."""
     for drive in real:
-        torque = np.ptp(np.quantile(drive["T"], [0.02, 0.98]))
-        speed = np.ptp(np.quantile(drive["vx"], [0.02, 0.98]))
-        across = np.quantile(np.abs(drive["vx"] * drive["r"]), 0.99)
-        still = torque < rules.least_torque * vehicle.max_torque and speed < 0.1 * np.mean(drive["vx"])
-        if across > 0.5 or not still:
+        steady = _range(drive["vx"]) < rules.still_share * np.mean(drive["vx"])
+        across = np.quantile(np.abs(drive["vx"] * drive["r"]), 1.0 - 0.5 * _OUTER_SHARE)
+        if across > rules.least_acceleration or not (steady and torque_is_constant(drive["T"], vehicle, rules)):
             return []
     return [
         "The real drive is straight at constant speed and torque. A slalom would show the steering and the tyres, "
@@ -186,17 +192,23 @@ def velocity_is_from_position(drive: Drive) -> bool:
 
 def torque_is_constant(torque: np.ndarray, vehicle: Vehicle, rules: Screening = STANDARD.screening) -> bool:
     """Return whether the torque varies by less than a twentieth of what the car has."""
-    return bool(np.ptp(np.quantile(torque, [0.02, 0.98])) < rules.least_torque * vehicle.max_torque)
+    return _range(torque) < rules.least_torque * vehicle.max_torque
 
 
-def _turns(drive: Drive) -> bool:
-    return bool(np.ptp(np.quantile(drive["vx"] * drive["r"], [0.02, 0.98])) > 0.5)
+def _range(values: np.ndarray, left_out: float = _OUTER_SHARE) -> float:
+    """Return the range of samples without a share at each end."""
+    return float(np.ptp(np.quantile(values, [left_out, 1.0 - left_out])))
 
 
-def _changes_speed(drive: Drive) -> bool:
+def _turns(drive: Drive, rules: Screening) -> bool:
+    return _range(drive["vx"] * drive["r"]) > rules.least_acceleration
+
+
+def _changes_speed(drive: Drive, rules: Screening) -> bool:
     """Return whether the car gains and loses speed as no coasting car does."""
-    steps = [np.diff(drive["vx"][run][:: max(1, round(0.5 / drive.period))]) / 0.5 for run in drive.segments()]
-    return bool(np.ptp(np.quantile(np.concatenate(steps), [0.05, 0.95])) > 1.0)
+    every = max(1, round(_STEP_SECONDS / drive.period))
+    steps = [np.diff(drive["vx"][run][::every]) / _STEP_SECONDS for run in drive.segments()]
+    return _range(np.concatenate(steps), 0.05) > rules.least_surge
 
 
 def _stuck(drive: Drive, name: str, rules: Screening) -> np.ndarray:
@@ -215,7 +227,10 @@ def _stuck(drive: Drive, name: str, rules: Screening) -> np.ndarray:
             later = slice(rows.start + answer, rows.stop)
             if name == "delta" and _is_held(drive, later, rules):
                 continue
-            if any(np.std(drive[other][later]) > 0.1 * np.std(drive[other]) > 0.0 for other in _MOVES_WITH[name]):
+            if any(
+                np.std(drive[other][later]) > rules.still_share * np.std(drive[other]) > 0.0
+                for other in _MOVES_WITH[name]
+            ):
                 found[rows] = True
     return found
 
@@ -321,14 +336,14 @@ def _ratios(drive: Drive, vehicle: Vehicle, rules: Screening) -> tuple[float | N
     """
     v = {name: _quiet(drive, drive[name]) for name in ("vx", "vy", "r", "delta", "T")}
     sound = _inner(drive) & (v["vx"] > vehicle.minimum_speed)
-    if sound.sum() < 100:
+    if sound.sum() < rules.fewest_rows:
         return None, None
     front, rear = (tire.B * tire.C * tire.D for tire in (vehicle.front_tire, vehicle.rear_tire))
     l_f, l_r = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle
     understeer = vehicle.mass / vehicle.wheelbase * (l_r / front - l_f / rear)
     grip = (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
     across = np.abs(v["vx"] * v["r"])
-    gentle = sound & (across < 0.4 * grip) & (across > 0.02 * grip)
+    gentle = sound & (across < rules.gentle_to * grip) & (across > rules.gentle_from * grip)
     expected = v["r"] / np.maximum(v["vx"], 1e-3) * (vehicle.wheelbase + understeer * v["vx"] ** 2)
     steering = _ratio(expected[gentle], v["delta"][gentle], rules)
     torque = None
@@ -351,7 +366,7 @@ def _changes(drive: Drive, values: np.ndarray, rules: Screening) -> np.ndarray:
 
 def _ratio(expected: np.ndarray, found: np.ndarray, rules: Screening) -> float | None:
     """Return the slope of `found` over `expected`; None where too few rows or too loose a relation tell none."""
-    if len(expected) < 100 or np.std(expected) == 0.0 or np.std(found) == 0.0:
+    if len(expected) < rules.fewest_rows or np.std(expected) == 0.0 or np.std(found) == 0.0:
         return None
     if abs(np.corrcoef(expected, found)[0, 1]) < rules.least_correlation:
         return None
@@ -360,7 +375,7 @@ def _ratio(expected: np.ndarray, found: np.ndarray, rules: Screening) -> float |
 
 
 def _width(drive: Drive) -> int:
-    return max(3, int(round(0.2 / drive.period)))
+    return max(3, int(round(_SMOOTHED_SECONDS / drive.period)))
 
 
 def _quiet(drive: Drive, values: np.ndarray) -> np.ndarray:

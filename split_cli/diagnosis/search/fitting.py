@@ -218,19 +218,13 @@ def _fit(
     if shared:
         found = descended(x, there, partial(linearise, shared=shared), iterations=1, tries=1)
         # A step that gains nothing ends a fit only where straight lines promise nothing either.
-        settled = len(shared) == len(x) and max(there[0] - found.cost, _promised(found.slopes)) < _LEAST_GAIN
+        settled = len(shared) == len(x) and max(there[0] - found.cost, found.slopes.promised) < _LEAST_GAIN
         x, there = found.parameters, (found.cost, found.state)
     if not settled:
         found = descended(x, there, linearise, iterations=iterations)
     residuals = found.state[1]
     parts = _with(parts, names, found.parameters * steps)
     return Fit(parts, float(residuals @ residuals), residuals, found.slopes.jacobian / steps)
-
-
-def _promised(slopes: Slopes) -> float:
-    """Return what a step to where straight lines have their least would gain [chi squared]."""
-    curvature = slopes.curvature + np.diag(1e-9 * np.diag(slopes.curvature) + 1e-9)
-    return float(slopes.gradient @ np.linalg.solve(curvature, slopes.gradient))
 
 
 def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarray:

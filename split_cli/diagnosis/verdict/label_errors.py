@@ -12,6 +12,7 @@ from split_cli.diagnosis.innovations.rollouts import SharedRates
 from split_cli.diagnosis.recording.series import extended_model
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import Labels, compute_labels
+from split_cli.scoring.noise import covariance_in_labels, covariance_of_ends, white_noise
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.windows import recorded_inputs
@@ -88,9 +89,8 @@ def label_errors(
     # Which part of the simulation is believed is chosen for each stage apart.
     if shared_named is not None:
         physics = physics - shared_named.base[span[:, :-1]].mean(axis=1)
-    inverse = np.linalg.inv(phi) / labels.horizon
-    onward = inverse @ (np.eye(3) + labels.horizon * A @ phi)
-    floor = (inverse**2 + onward**2) @ series.noise**2
+    ends = covariance_of_ends(np.eye(3) + labels.horizon * A @ phi, white_noise(series.noise), window)
+    floor = np.diagonal(covariance_in_labels(ends, phi, labels.horizon), axis1=1, axis2=2)
     return LabelErrors(labels, before, physics, persistence, held, floor)
 
 

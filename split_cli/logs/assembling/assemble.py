@@ -32,8 +32,8 @@ from split_cli.logs.assembling.trim import trim
 from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
+from split_cli.logs.map_entries import SignalMap, TimeBase
 from split_cli.logs.raw import Clock, RawRecording
-from split_cli.logs.signal_map import SignalMap, TimeBase
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from split_cli.errors import LogError, MapError
 from split_cli.logs.assembling import transform
+from split_cli.logs.map_entries import EXTRA_UNITS, SignalMap, SignalSource
 from split_cli.logs.raw import RawSignal
-from split_cli.logs.signal_map import EXTRA_UNITS, SignalMap, SignalSource
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
 __all__ = ["ConversionNotes", "Converter", "RawSeries", "expected_unit"]

@@ -11,8 +11,8 @@ import numpy as np
 
 from split_cli.errors import LogError, MapError, nearest_names
 from split_cli.logs.assembling.conversion import ConversionNotes, Converter, RawSeries, expected_unit
+from split_cli.logs.map_entries import ChannelMap, SignalMap, SignalSource
 from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column
-from split_cli.logs.signal_map import ChannelMap, SignalMap, SignalSource
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
 __all__ = ["Gathered", "gather", "row_rate_from_yaw", "topic_of"]

@@ -12,7 +12,7 @@ from split_cli.logs.assembling import transform
 from split_cli.logs.assembling.derive import derivative
 from split_cli.logs.assembling.noise import sum_of_noise
 from split_cli.logs.drive import NoiseEstimate
-from split_cli.logs.signal_map import ChannelMap, Position
+from split_cli.logs.map_entries import ChannelMap, Position
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["move_to_cg"]

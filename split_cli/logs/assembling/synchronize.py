@@ -23,7 +23,7 @@ from split_cli.logs.assembling.resample import (
     runs_of,
 )
 from split_cli.logs.drive import NoiseEstimate
-from split_cli.logs.signal_map import ChannelMap
+from split_cli.logs.map_entries import ChannelMap
 from split_cli.signals import CHANNELS
 
 __all__ = [

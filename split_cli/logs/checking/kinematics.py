@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Kinematics", "Slope", "block_interval", "fit_slope"]
+__all__ = ["Kinematics", "Slope", "around_mean", "block_interval", "fit_slope"]
 
 _BLOCKS = 10
 _MOST_SAMPLES = 50_000
@@ -103,12 +103,13 @@ class Kinematics:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.moving, self.signal("vy") / self.signal("vx"), np.nan)
 
+    def travel_from_yaw(self) -> np.ndarray:
+        """Return the angle from yaw to the travel of X, Y [rad], not wrapped, shape (N,); NaN nearly at rest."""
+        return np.where(self.moving, np.arctan2(self.rate("Y"), self.rate("X")) - self.signal("yaw"), np.nan)
+
     def path_across(self) -> np.ndarray:
-        """Return the angle from yaw to the travel of X, Y, its mean taken off [rad], shape (N,); NaN at rest."""
-        across = np.arctan2(self.rate("Y"), self.rate("X")) - self.signal("yaw")
-        moving = across[self.moving & np.isfinite(across)]
-        centre = np.angle(np.mean(np.exp(1j * moving))) if len(moving) else 0.0
-        return np.where(self.moving, np.angle(np.exp(1j * (across - centre))), np.nan)
+        """Return the same, its mean taken off and wrapped [rad], shape (N,)."""
+        return around_mean(self.travel_from_yaw())[1]
 
     def _filtered(self, name: str, values: np.ndarray, order: int) -> np.ndarray:
         key = (name, order)
@@ -136,6 +137,13 @@ class Kinematics:
                 result[run] = smooth
             self._known[key] = result
         return self._known[key]
+
+
+def around_mean(angle: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the mean direction of angles [rad], 0 where none is finite, and each angle from there, wrapped."""
+    known = angle[np.isfinite(angle)]
+    centre = float(np.angle(np.mean(np.exp(1j * known)))) if len(known) else 0.0
+    return centre, np.angle(np.exp(1j * (angle - centre)))
 
 
 def fit_slope(y: np.ndarray, x: np.ndarray, mask: np.ndarray) -> Slope | None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION, Checks, Unjudged
 from split_cli.logs.checking.explanations import ConsistencyFinding
-from split_cli.logs.checking.kinematics import block_interval, fit_slope
+from split_cli.logs.checking.kinematics import around_mean, block_interval, fit_slope
 
 __all__ = ["direction_of_travel", "velocity_across", "yaw_is_course"]
 
@@ -22,16 +22,13 @@ def direction_of_travel(checks: Checks) -> list[ConsistencyFinding]:
     if not checks.usable("X", "Y", "yaw") or not checks.known("vx"):
         return []
     k = checks.k
-    course = np.arctan2(k.rate("Y"), k.rate("X"))
     # Without v_y: the sideslip of left and right bends has no mean.
     sideslip = np.arctan2(k.signal("vy"), k.signal("vx")) if checks.usable("vy") else 0.0
-    expected = k.signal("yaw") + sideslip
-    off = np.angle(np.exp(1j * (course - expected)))[k.moving]
+    centre, off = around_mean(k.travel_from_yaw() - sideslip)
     off = off[np.isfinite(off)]
     if len(off) < 50:
         return []
-    centre = float(np.angle(np.mean(np.exp(1j * off))))
-    spread = 1.4826 * float(np.median(np.abs(np.angle(np.exp(1j * (off - centre))))))
+    spread = 1.4826 * float(np.median(np.abs(off)))
     if abs(centre) < _LEAST_DIRECTION or abs(centre) < 2.0 * spread:
         if spread > 0.3:
             checks.unjudged.append(

@@ -14,11 +14,12 @@ from split_cli.logs.assembling.assemble import Assembled, IngestSettings, assemb
 from split_cli.logs.assembling.gather import topic_of
 from split_cli.logs.assembling.quality import QualityReport, render_quality
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
+from split_cli.logs.map_entries import SignalMap
 from split_cli.logs.presets import preset_abouts
 from split_cli.logs.raw import RawChannelInfo, RawRecording
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
-from split_cli.logs.signal_map import SignalMap, read_map
+from split_cli.logs.signal_map import read_map
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import Engine

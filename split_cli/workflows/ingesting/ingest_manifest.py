@@ -14,7 +14,7 @@ from split_cli import __version__
 from split_cli.errors import SplitError
 from split_cli.files import atomic_write_text, sha256_of_file
 from split_cli.logs.assembling.assemble import IngestSettings
-from split_cli.logs.signal_map import SignalMap
+from split_cli.logs.map_entries import SignalMap
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["MANIFEST_NAME", "IngestManifest", "settings_digest"]

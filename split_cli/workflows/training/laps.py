@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def lap_rows(drive: Drive, labels: Labels, begin: TrainingSet) -> tuple[LapRow, 
     lap_of_label = numbers[labels.row]
     for lap in range(1, int(numbers.max()) + 1):
         here = numbers == lap
-        trained = extend(trained, [_only(labels, lap_of_label == lap)])
+        trained = extend(trained, [labels.take(lap_of_label == lap)])
         learned = trained.sources[-1]
         speed = np.hypot(drive["vx"], drive["vy"])[here]
         rows.append(
@@ -85,8 +85,3 @@ def lap_rows(drive: Drive, labels: Labels, begin: TrainingSet) -> tuple[LapRow, 
             )
         )
     return tuple(rows)
-
-
-def _only(labels: Labels, chosen: np.ndarray) -> Labels:
-    arrays = ("t", "row", "segment", "z", "y", "reason")
-    return replace(labels, **{name: getattr(labels, name)[chosen] for name in arrays})

@@ -1,0 +1,43 @@
+"""A set from labels in memory, with hyperparameters fitted to them: for evaluation, notebooks and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from split_cli.errors import DriveError
+from split_cli.learning.cells import learn
+from split_cli.learning.hyperparameters import (
+    FEWEST_TO_FIT,
+    default_kernel,
+    fit_kernel,
+    longest_scale,
+    scatter_variance,
+)
+from split_cli.learning.labels import Labels
+from split_cli.learning.region import build_grid
+from split_cli.learning.training_set import TrainingSet
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["train_in_memory"]
+
+
+def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
+    """Learn a set from training labels, with hyperparameters fitted to them.
+
+    With fewer than 60 valid labels the defaults stay (the set's kernel then says so).
+    """
+    accepted = np.concatenate([part.z[part.accepted] for part in labels])
+    if not len(accepted):
+        raise DriveError(
+            "no training sample lies inside the valid region",
+            where=labels[0].drive,
+            advice="`split label` counts why; look at units and signs with `split info`.",
+        )
+    y = np.concatenate([part.y[part.accepted] for part in labels])
+    grid = build_grid(labels[0].features, vehicle, labels[0].region, accepted)
+    kernel = default_kernel(grid, y, scatter_variance(labels[0]))
+    if len(accepted) >= FEWEST_TO_FIT:
+        kernel = fit_kernel(accepted, y, grid, kernel, longest=longest_scale(grid)).kernel
+    return learn(labels, vehicle=vehicle, grid=grid, kernel=kernel)

@@ -1,0 +1,154 @@
+"""What a drive's file says beside its samples: sources, noise, kinds of channels, how it was made."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet
+
+from split_cli.errors import DriveError
+from split_cli.files import parse_json
+
+__all__ = ["DriveMetadata", "NoiseEstimate", "Source", "metadata_from_schema", "metadata_of_drive", "schema_of"]
+
+_FORMAT = "split-drive/1"
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file a drive was made of: its name (no folder) and the SHA-256 of its content."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """Sensor noise of one channel.
+
+    Attributes
+    ----------
+    channel : str
+    sigma : float or None
+        Standard deviation of a sample of the drive, after its filter [SI unit of the channel]; None if unknown.
+    sigma_raw : float or None
+        The same at the recording's full rate, before any filter.
+    autocorrelation : tuple of float
+        Autocorrelation of the noise on the drive's clock at lags 0, 1, 2, ... samples, from the filter's
+        impulse response; ``(1.0,)`` for white noise.
+    reason : str
+        Why sigma is None, else empty.
+    """
+
+    channel: str
+    sigma: float | None
+    sigma_raw: float | None
+    autocorrelation: tuple[float, ...] = (1.0,)
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class DriveMetadata:
+    """What is known of a drive beside its samples.
+
+    Attributes
+    ----------
+    sources : tuple of Source
+        The recordings it was made of.
+    vehicle : str
+        Name of the vehicle file it was made with; empty if none.
+    kinds : mapping of str to str
+        For a channel, ``command``, ``measured`` or ``derived: how``; ``T_is`` and ``delta_is`` of the contract.
+    signal_map : mapping
+        The map as applied, channel by channel, with what was assumed.
+    conversions : tuple of str
+        Frame, sign, unit and time conversions that were made, in words.
+    noise : tuple of NoiseEstimate
+    quality : mapping
+        The quality report: rates, gaps, drops by reason, spikes, ranges, findings of the consistency checks.
+    between : mapping of str to str
+        What a channel does between its samples: ``held`` keeps its value until the next sample, ``continuous``
+        runs there in a straight line. A channel that is not named is taken as continuous.
+    """
+
+    sources: tuple[Source, ...] = ()
+    vehicle: str = ""
+    kinds: Mapping[str, str] = field(default_factory=dict)
+    signal_map: Mapping[str, object] = field(default_factory=dict)
+    conversions: tuple[str, ...] = ()
+    noise: tuple[NoiseEstimate, ...] = ()
+    quality: Mapping[str, object] = field(default_factory=dict)
+    between: Mapping[str, str] = field(default_factory=dict)
+
+    def noise_of(self, channel: str) -> NoiseEstimate | None:
+        """Return the noise estimate of a channel, None when ingest made none."""
+        return next((estimate for estimate in self.noise if estimate.channel == channel), None)
+
+
+def schema_of(metadata: DriveMetadata, period: float) -> dict[bytes, bytes]:
+    """Return what a drive's file holds of metadata and period [s]; `metadata_from_schema` reads it."""
+    stored = {"format": _FORMAT, "period": period, **asdict(metadata)}
+    return {b"split": json.dumps(stored, sort_keys=True, allow_nan=False).encode()}
+
+
+def metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[DriveMetadata, float | None]:
+    """Return metadata and period [s] of a drive's file; nothing and None where another program wrote it.
+
+    Raises
+    ------
+    DriveError
+        If they are damaged, or of another version.
+    """
+    if b"split" not in raw:
+        return DriveMetadata(), None
+    try:
+        stored = parse_json(raw[b"split"])
+        if stored["format"] != _FORMAT:
+            raise DriveError(
+                f"is of format {stored['format']!r}, this version reads {_FORMAT!r}",
+                where=str(path),
+                advice="Ingest the recording again.",
+            )
+        noise = tuple(
+            NoiseEstimate(**{**entry, "autocorrelation": tuple(entry["autocorrelation"])})
+            for entry in stored["noise"]
+        )
+        metadata = DriveMetadata(
+            sources=tuple(Source(**entry) for entry in stored["sources"]),
+            vehicle=stored["vehicle"],
+            kinds=stored["kinds"],
+            signal_map=stored["signal_map"],
+            conversions=tuple(stored["conversions"]),
+            noise=noise,
+            quality=stored["quality"],
+            between=_between(stored.get("between", {})),
+        )
+        period = float(stored["period"])
+        if not 0.0 < period < float("inf"):
+            raise ValueError(f"a period of {period:g} s")
+        return metadata, period
+    except (KeyError, TypeError, ValueError) as error:
+        advice = "Ingest the recording again."
+        raise DriveError(f"its metadata is damaged ({error})", where=str(path), advice=advice) from error
+
+
+def metadata_of_drive(path: Path) -> DriveMetadata | None:
+    """Return what a drive's file says of itself; None where the file is no drive of ours."""
+    if path.suffix.lower() not in (".parquet", ".pq") or not path.is_file():
+        return None
+    try:
+        raw = pa.parquet.read_schema(path).metadata or {}
+    except (pa.ArrowException, OSError):
+        return None
+    return metadata_from_schema(raw, path)[0] if b"split" in raw else None
+
+
+def _between(stored: Mapping[str, str]) -> dict[str, str]:
+    unknown = sorted(set(stored.values()) - {"held", "continuous"})
+    if unknown:
+        raise ValueError(f"a channel is {unknown[0]!r} between samples")
+    return dict(stored)

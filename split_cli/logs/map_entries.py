@@ -1,0 +1,182 @@
+"""What a signal map says, entry by entry; `signal_map` reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+__all__ = [
+    "CONVERSIONS",
+    "EXTRA_UNITS",
+    "ChannelMap",
+    "Position",
+    "SignalMap",
+    "SignalSource",
+    "TimeBase",
+]
+
+CONVERSIONS = ("yaw_from_quaternion", "local_x", "local_y", "norm", "pair_sum", "pair_mean", "signed")
+"""What may be computed from several fields of one message, before scale, offset and unit."""
+
+EXTRA_UNITS: dict[str, str] = {
+    "wheel_speed": "m/s",
+    "wheel_speed_fl": "m/s",
+    "wheel_speed_fr": "m/s",
+    "wheel_speed_rl": "m/s",
+    "wheel_speed_rr": "m/s",
+    "throttle": "1",
+    "brake": "1",
+    "brake_pressure": "Pa",
+    "motor_current": "A",
+    "steering_wheel_angle": "rad",
+    "sideslip": "rad",
+    "delta_command": "rad",
+    "T_command": "N m",
+    "vx_command": "m/s",
+}
+"""Channels beside the canonical ones that derivations, delays and checks know by name, with their SI unit."""
+
+
+@dataclass(frozen=True)
+class Position:
+    """Where a sensor sits, from the CG, in the vehicle frame.
+
+    Attributes
+    ----------
+    x, y : float
+        Forward and left of the CG [m].
+    axle : str
+        ``front_axle`` or ``rear_axle`` where the place is named; x and y are then offsets from it.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    axle: str = "cg"
+
+
+@dataclass(frozen=True)
+class SignalSource:
+    """One recorded signal and its way to SI: value = convert(curve(scale * raw + offset), unit).
+
+    Attributes
+    ----------
+    names : tuple of str
+        ``/topic/field.path``, ``package/Type:field.path`` (the only topic of that type), or a column; several
+        where `convert` needs several.
+    convert : str
+        One of `CONVERSIONS`, or empty.
+    scale, offset : float
+    curve : tuple of (float, float)
+        Points of a piecewise linear curve, with ascending first members: a steering command to an angle, throttle
+        to torque. Empty is the identity. A sample outside its ends is missing, not extrapolated.
+    unit : str or None
+        Unit after scale, offset and curve; None takes what the file says.
+    delay : float or None
+        Positive when the channel is late [s]; its times are moved earlier.
+    frame, world : str or None
+        ``flu``/``frd`` and ``enu``/``ned``; None takes the map's.
+    """
+
+    names: tuple[str, ...]
+    convert: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+    curve: tuple[tuple[float, float], ...] = ()
+    unit: str | None = None
+    delay: float | None = None
+    frame: str | None = None
+    world: str | None = None
+
+
+@dataclass(frozen=True)
+class ChannelMap:
+    """How one channel of the drive is made: the sum of its sources.
+
+    Attributes
+    ----------
+    channel : str
+    sources : tuple of SignalSource
+    position : Position or None
+        Of the sensor, where it is off the CG.
+    kind : str or None
+        ``command``, ``measured`` or ``derived``; None when the map does not say.
+    resample : str or None
+        ``continuous``, ``held`` or ``angle``; None lets the channel and its samples decide.
+    optional : bool
+        A missing source drops the channel with a note instead of an error.
+    """
+
+    channel: str
+    sources: tuple[SignalSource, ...]
+    position: Position | None = None
+    kind: str | None = None
+    resample: str | None = None
+    optional: bool = False
+
+
+@dataclass(frozen=True)
+class TimeBase:
+    """Where time comes from: a column, a fixed period (tables without time), or a clock of the messages.
+
+    Attributes
+    ----------
+    source : str or None
+        Column.
+    unit : str or None
+        Of that column.
+    nanoseconds : str or None
+        A second column, added to the first, which then holds whole seconds.
+    period : float or None
+        [s].
+    clock : str or None
+        ``header``, ``publish`` or ``log``.
+    """
+
+    source: str | None = None
+    unit: str | None = None
+    period: float | None = None
+    clock: str | None = None
+    nanoseconds: str | None = None
+
+
+@dataclass(frozen=True)
+class SignalMap:
+    """A whole map, presets merged in.
+
+    Attributes
+    ----------
+    name : str
+    channels : tuple of ChannelMap
+    time : TimeBase
+    frame, world : str
+        ``flu`` or ``frd``; ``enu`` or ``ned``.
+    topics : mapping of str to str
+        Replaces a topic or a message type named in a source by a topic of the recording.
+    extras : tuple of str or None
+        Unmapped columns to keep; None keeps all of a table and none of a log with topics.
+    datum : tuple of float or None
+        Latitude and longitude [deg] of the local plane's origin; None takes the first fix.
+    derivations : mapping
+        Settings of derivations, used only when one is asked for.
+    despike : bool
+        Whether isolated spikes are dropped (they are always counted).
+    content : mapping
+        What was written, for the record.
+    """
+
+    name: str
+    channels: tuple[ChannelMap, ...]
+    time: TimeBase = TimeBase()
+    frame: str = "flu"
+    world: str = "enu"
+    topics: Mapping[str, str] = field(default_factory=dict)
+    extras: tuple[str, ...] | None = None
+    datum: tuple[float, float] | None = None
+    derivations: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    despike: bool = True
+    content: Mapping[str, Any] = field(default_factory=dict)
+
+    def channel(self, name: str) -> ChannelMap | None:
+        """Return the entry of a channel, None when the map has none."""
+        return next((entry for entry in self.channels if entry.channel == name), None)
