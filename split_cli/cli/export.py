@@ -24,8 +24,9 @@ __all__ = ["command"]
     "--predictor",
     default="rbcm",
     show_default=True,
-    type=click.Choice(["bcm", "rbcm", "table"]),
-    help="bcm: committee of cells. rbcm: robust committee. table: spline table of the dense Gaussian process.",
+    type=click.Choice(["bcm", "rbcm", "table", "projected"]),
+    help="bcm: committee of cells. rbcm: robust committee. table: spline table of the dense Gaussian process. "
+    "projected: the same of the process on at most 600 points.",
 )
 @click.option("--name", metavar="NAME", help="Prefix of files and functions [default: the set's file name].")
 @click.option(

@@ -168,7 +168,7 @@ def read_json(path: Path) -> Document:
 
 
 def _names(metadata: dict[str, Any]) -> tuple[str, ...]:
-    return (*ARRAYS, *(TABLE_ARRAYS if metadata["predictor"] == "table" else ()))
+    return (*ARRAYS, *(TABLE_ARRAYS if "table" in metadata else ()))
 
 
 def _checked(document: Document, path: Path) -> Document:
@@ -205,7 +205,7 @@ def require_equal(written: Document, found: Document, what: str) -> None:
 def document_answer(document: Document) -> ExportAnswer:
     """Return predictions from the numbers of a document alone: the reader that docs/export.md prints."""
     a = document.arrays
-    if document.metadata["predictor"] == "table":
+    if "table" in document.metadata:
         return ExportAnswer(lambda z: _table_answer(a, z))
     robust = document.metadata["predictor"] == "rbcm"
     ratio = a["noise_variance"] / a["signal_variance"]

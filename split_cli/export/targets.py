@@ -62,7 +62,9 @@ __all__ = [
 ]
 
 TARGETS = ("c", "casadi", "npz", "json", "ggv")
-PREDICTORS = ("bcm", "rbcm", "table")
+PREDICTORS = ("bcm", "rbcm", "table", "projected")
+#: Predictors that are exported as a spline table, and the process it is of.
+TABLES = {"table": "dense", "projected": "projected"}
 MANIFEST = "manifest.json"
 MANIFEST_FORMAT = "split-export-manifest/1"
 CHECK_POINTS = 64
@@ -188,9 +190,9 @@ def write_export(
         provenance = replace(provenance, memory=graph.memory.told())
     require_usable(training_set)
     table = None
-    if plan.predictor == "table":
+    if plan.predictor in TABLES:
         say("filling the table")
-        table = TablePredictor(training_set)
+        table = TablePredictor(training_set, of=TABLES[plan.predictor])
     tables = predictor_tables(training_set, plan.predictor, table)
     say(f"answering {plan.queries} queries in Python")
     oracle = make_oracle(training_set, plan.queries, predictor=plan.predictor, table=table)

@@ -218,14 +218,19 @@ def _correlation(a: ndarray, b: ndarray, inverse_scales: ndarray) -> float:
 
 
 @compiled(cache=True)
-def _refresh(z: ndarray, n: int, inverse_scales: ndarray, low: ndarray, inverse: ndarray, gamma: ndarray) -> int:
+def _refresh(
+    z: ndarray, n: int, first: int, inverse_scales: ndarray, low: ndarray, inverse: ndarray, gamma: ndarray,
+) -> int:  # fmt: skip
     """Recompute a cell from its points: L^-1 of K = L L^T, and gamma_i = 1/[K^-1]_ii.
 
-    Returns the index of the jitter that was needed, -1 when the largest does not suffice.
+    Points before `first` are as they were when `low` and `inverse` were made without jitter: their rows stay, to
+    the bit. Returns the index of the jitter that was needed, -1 when the largest does not suffice.
     """
     for step in range(len(_JITTERS)):
         good = True
-        for i in range(n):
+        if step > 0:
+            first = 0
+        for i in range(first, n):
             for j in range(i + 1):
                 value = 1.0 + _JITTERS[step] if i == j else _correlation(z[i], z[j], inverse_scales)
                 for k in range(j):
@@ -245,8 +250,9 @@ def _refresh(z: ndarray, n: int, inverse_scales: ndarray, low: ndarray, inverse:
     if not good:
         return -1
     for j in range(n):
-        inverse[j, j] = 1.0 / low[j, j]
-        for i in range(j + 1, n):
+        if j >= first:
+            inverse[j, j] = 1.0 / low[j, j]
+        for i in range(max(first, j + 1), n):
             value = 0.0
             for k in range(j, i):
                 value -= low[i, k] * inverse[k, j]
@@ -322,12 +328,13 @@ def update_cells(
     """
     capacity = z.shape[1]
     outcome = np.zeros(len(z_new), dtype=np.int8)
-    low, inverse = np.zeros((capacity, capacity)), np.zeros((capacity, capacity))
-    k = np.zeros(capacity)
+    # Only triangles that were written are read; filling the rest costs more than a small cell's update.
+    low, inverse = np.empty((capacity, capacity)), np.empty((capacity, capacity))
+    k = np.empty(capacity)
     repairs = 0
     for group in range(len(cell_of_group)):
         c = cell_of_group[group]
-        _refresh(z[c], count[c], inverse_scales, low, inverse, gamma[c])
+        jitter = _refresh(z[c], count[c], 0, inverse_scales, low, inverse, gamma[c])
         slot, least = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
         for position in range(groups[group], groups[group + 1]):
             sample = order[position]
@@ -351,7 +358,8 @@ def update_cells(
             z[c, slot] = z_new[sample]
             clock[c, slot] = clock_new[sample]
             origin[c, slot] = sample
-            jitter = _refresh(z[c], count[c], inverse_scales, low, inverse, gamma[c])
+            same = slot if jitter == 0 else 0
+            jitter = _refresh(z[c], count[c], same, inverse_scales, low, inverse, gamma[c])
             if jitter < 0:
                 return outcome, repairs, c
             if jitter > 0:
@@ -364,10 +372,10 @@ def update_cells(
 def refresh_cells(offsets: ndarray, z: ndarray, inverse_scales: ndarray, capacity: int) -> ndarray:
     """Return gamma of every point of a set, shape (P,); NaN where a cell's kernel matrix cannot be factored."""
     gamma = np.empty(len(z))
-    low, inverse = np.zeros((capacity, capacity)), np.zeros((capacity, capacity))
+    low, inverse = np.empty((capacity, capacity)), np.empty((capacity, capacity))
     for c in range(len(offsets) - 1):
         first, last = offsets[c], offsets[c + 1]
-        if _refresh(z[first:last], last - first, inverse_scales, low, inverse, gamma[first:last]) < 0:
+        if _refresh(z[first:last], last - first, 0, inverse_scales, low, inverse, gamma[first:last]) < 0:
             gamma[first:last] = np.nan
     return gamma
 

@@ -47,12 +47,13 @@ def _correlate(z: ndarray, points: ndarray, count: int, correlations: ndarray) -
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def absorb(
-    z: ndarray, y: ndarray, count: int, ratio: ndarray, threshold: float, points: ndarray, inverse: ndarray,
-    weights: ndarray, told: ndarray,
+    z: ndarray, y: ndarray, count: int, signal: ndarray, ratio: ndarray, threshold: float, points: ndarray,
+    inverse: ndarray, weights: ndarray, told: ndarray, unspanned: ndarray,
 ) -> int:  # fmt: skip
     """Absorb one label `y` (3,) at the scaled features `z` (D,) in place; return how many points span now.
 
-    Parameters as `OnlineProcess` has them; `told` (3, U, U) is what data have added to the prior's covariance.
+    Parameters as `OnlineProcess` has them; `told` (3, U, U) is what data have added to the prior's covariance, and
+    `unspanned` (2, 3) the sums that tell how much of the gains is in the labels.
     """
     room = len(points)
     c, e, s = np.zeros(room), np.zeros(room), np.zeros(room)
@@ -83,7 +84,10 @@ def absorb(
             error -= c[i] * weights[o, i]
             s[i] += e[i]
         # What the points do not span is noise of this label: its variance is the gain.
-        total = ratio[o] + gain + max(spanned + known, 0.0)
+        certain = ratio[o] + max(spanned + known, 0.0)
+        total = certain + gain
+        unspanned[0, o] += gain * (error * error / signal[o] - certain) / (total * total)
+        unspanned[1, o] += gain * gain / (total * total)
         for i in range(n):
             weights[o, i] += error / total * s[i]
         _add_square(told[o], s, -1.0 / total, n)
@@ -92,10 +96,12 @@ def absorb(
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def answer(
-    z: ndarray, count: int, points: ndarray, weights: ndarray, told: ndarray, certainty: bool
-) -> tuple[ndarray, ndarray, ndarray]:
+    z: ndarray, count: int, points: ndarray, inverse: ndarray, weights: ndarray, told: ndarray, threshold: float,
+    absent: ndarray, certainty: bool,
+) -> tuple[ndarray, ndarray, ndarray]:  # fmt: skip
     """Return mean (N, 3), variance over signal variance (N, 3) and Jacobian by scaled features (N, 3, D).
 
+    The share `absent` (3,) of a gain up to `threshold` is left out of the variance, fading as points span less.
     Without `certainty` the variance, which costs the square of the points, stays the prior's.
     """
     N, D = z.shape
@@ -103,6 +109,14 @@ def answer(
     c, s = np.zeros(len(points)), np.zeros(len(points))
     for i in range(N):
         _correlate(z[i], points, count, c)
+        gain = 1.0
+        if certainty:
+            s[:count] = 0.0
+            _times(inverse, c, count, s)
+            for j in range(count):
+                gain -= s[j] * c[j]
+        gain = min(max(gain, 0.0), 1.0)
+        shown = min(gain, threshold) * (1.0 - gain)
         for o in range(3):
             for j in range(count):
                 share = weights[o, j] * c[j]
@@ -114,4 +128,6 @@ def answer(
                 _times(told[o], c, count, s)
                 for j in range(count):
                     spread[i, o] += s[j] * c[j]
+                # What is spanned stays: rounding may not make it negative.
+                spread[i, o] = max(spread[i, o], gain) - absent[o] * shown
     return mean, np.maximum(spread, 0.0), slope

@@ -46,6 +46,12 @@ class OnlineProcess:
     to the weights and takes its square from T; any other becomes a point first. Where every label becomes a point,
     the answer is the dense process'. Time and memory are O(U^2), however many labels came. Labels that came before
     a point are not projected on it.
+
+    The prior's variance holds the gain of a query. The dense process would learn that rest from many labels; this
+    one cannot, and would count it whole at every query. How much of it there is the labels tell: of one that is no point, the squared error before it is absorbed has the mean
+    s^2 + S0 c.(Q + T)c + kappa S0 gain. Found by least squares weighted by these errors' variances, from a prior
+    of mean and deviation 1, and at most 1, kappa takes S0 (1 - kappa) min(gain, threshold) (1 - gain) from the
+    variance: nothing far from points, and nothing where each label became one.
     """
 
     def __init__(self, kernel: Kernel, most: int = MOST_SPANNING, threshold: float | None = None) -> None:
@@ -56,12 +62,21 @@ class OnlineProcess:
         self.count = 0
         self._points = np.zeros((most, len(self._scales)))
         self._inverse, self._told = np.zeros((most, most)), np.zeros((3, most, most))
-        self._weights = np.zeros((3, most))
+        self._weights, self._unspanned = np.zeros((3, most)), np.zeros((2, 3))
+        self._signal = np.ascontiguousarray(kernel.signal_variance, dtype=float)
 
     @property
     def nbytes(self) -> int:
         """Memory [bytes], whatever it has learned."""
         return self._points.nbytes + self._inverse.nbytes + self._told.nbytes + self._weights.nbytes
+
+    @property
+    def unspanned_share(self) -> np.ndarray:
+        """kappa, the share of the variance that points do not span of which labels show a trace, shape (3,)."""
+        # Of a squared error the variance is twice its mean squared; so a prior of deviation 1 counts 2.
+        seen, possible = self._unspanned
+        share: np.ndarray = np.clip((seen + 2.0) / (possible + 2.0), 0.0, 1.0)
+        return share
 
     @property
     def points(self) -> np.ndarray:
@@ -73,8 +88,8 @@ class OnlineProcess:
         """Absorb labels `y`, shape (N, 3), at features `z`, shape (N, D), one after the other."""
         for at, label in zip(z / self._scales, np.asarray(y, dtype=float), strict=True):
             self.count = absorb(
-                at, label, self.count, self._ratio, self._threshold, self._points, self._inverse, self._weights,
-                self._told,
+                at, label, self.count, self._signal, self._ratio, self._threshold, self._points, self._inverse,
+                self._weights, self._told, self._unspanned,
             )  # fmt: skip
 
     def along(self, z: np.ndarray, certainty: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -83,9 +98,15 @@ class OnlineProcess:
         Without `certainty` the variance is not computed, and is the prior's.
         """
         mean, spread, slope = answer(
-            np.ascontiguousarray(z / self._scales), self.count, self._points, self._weights, self._told, certainty
-        )
+            np.ascontiguousarray(z / self._scales), self.count, self._points, self._inverse, self._weights,
+            self._told, self._threshold, 1.0 - self.unspanned_share, certainty,
+        )  # fmt: skip
         return mean, spread * self.kernel.signal_variance, slope / self._scales
+
+    def mean_and_known(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean (N, 3) and the share of the signal variance that is known (N, 3), 0 at the prior."""
+        mean, variance, _ = self.along(z)
+        return mean, 1.0 - variance / self.kernel.signal_variance
 
 
 class OnlineProjection:

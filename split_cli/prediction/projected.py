@@ -9,7 +9,17 @@ from split_cli.prediction.factorization import queries
 from split_cli.prediction.online_process import MOST_SPANNING, OnlineProcess
 from split_cli.prediction.predictor import Prediction, Predictor
 
-__all__ = ["ProjectedPredictor"]
+__all__ = ["ProjectedPredictor", "process_of"]
+
+
+def process_of(
+    training_set: TrainingSet, most: int = MOST_SPANNING, threshold: float | None = None
+) -> OnlineProcess:
+    """Return the online process after the points of a set, in order of time; parameters as of `OnlineProcess`."""
+    process = OnlineProcess(training_set.kernel, most, threshold)
+    order = np.lexsort((training_set.row, training_set.source))
+    process.learn(training_set.z[order], training_set.y[order])
+    return process
 
 
 class ProjectedPredictor(Predictor):
@@ -30,9 +40,7 @@ class ProjectedPredictor(Predictor):
         self, training_set: TrainingSet, most: int = MOST_SPANNING, threshold: float | None = None
     ) -> None:
         super().__init__(training_set)
-        self.process = OnlineProcess(training_set.kernel, most, threshold)
-        order = np.lexsort((training_set.row, training_set.source))
-        self.process.learn(training_set.z[order], training_set.y[order])
+        self.process = process_of(training_set, most, threshold)
 
     def predict(self, z: np.ndarray) -> Prediction:
         """Return mean and latent variance at queries `z`, shape (N, D)."""

@@ -94,7 +94,7 @@ def own_updates(z, repeat, inverse_scales, gamma):
     low, inverse = np.zeros(size), np.zeros(size)
     for c in range(len(z)):
         for _ in range(repeat):
-            _refresh(z[c], z.shape[1], inverse_scales, low, inverse, gamma[c])
+            _refresh(z[c], z.shape[1], 0, inverse_scales, low, inverse, gamma[c])
 
 
 @njit(cache=True)

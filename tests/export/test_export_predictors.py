@@ -25,7 +25,7 @@ from split_cli.export.provenance import provenance_of
 from split_cli.export.reference import SplineReference
 from split_cli.export.step_check import make_step_oracle
 from split_cli.export.symbolic import build_nominal
-from split_cli.export.targets import casadi_functions, predictor_tables
+from split_cli.export.targets import casadi_functions, plan_export, predictor_tables, write_export
 from split_cli.export.validity import is_valid, valid_function
 from split_cli.learning.trust import Trust
 from split_cli.prediction import make_predictor
@@ -106,6 +106,23 @@ def test_a_table_takes_the_same_time_everywhere_and_has_no_branch_on_a_query(dou
     lines = [line.strip() for line in body.splitlines()]
     conditions = [line for line in lines if line.startswith(("if", "} else if", "while"))]
     assert conditions == ["if (jacobian != NULL) {", "if (variance != NULL) {"]
+
+
+def test_the_projected_process_is_exported_as_its_table(doubtful_set, compiler, tmp_path):
+    """All targets agree with the table to rounding, the table with the process to its stated bound."""
+    plan = plan_export(("c", "npz"), "car", "double", 400, "projected")
+    found = write_export(doubtful_set, plan, provenance_of(doubtful_set, "projected", "car.split", "a" * 64), tmp_path)
+    assert all(target.check.mean_error < 1e-12 and target.check.variance_error < 1e-12 for target in found)
+    z = doubtful_set.z + 0.1 * doubtful_set.kernel.length_scales
+    mean, variance = document_answer(read_npz(tmp_path / "car.npz")).predict(z)
+    expected = make_predictor("projected", doubtful_set).predict(z)
+    signal, told = doubtful_set.kernel.signal_variance, json.loads((tmp_path / "manifest.json").read_text())
+    assert told["predictor"] == "projected" and told["table"]["mean"] <= told["table"]["bound"]
+    assert np.abs(mean - expected.mean).max() < told["table"]["bound"] * np.sqrt(signal).max()
+    # The dense process on the same points differs by more than the bound: it is another process that was exported.
+    dense = make_predictor("full", doubtful_set).predict(z)
+    assert np.abs(mean - dense.mean).max() > told["table"]["bound"] * np.sqrt(signal).max()
+    assert np.abs(variance - expected.variance).max() < 0.02 * signal.max()
 
 
 def test_the_valid_region_is_that_of_training(doubtful_set, compiler, tmp_path):

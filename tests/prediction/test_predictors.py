@@ -387,6 +387,32 @@ def test_projected_on_every_point_is_the_dense_process(make_set):
     assert np.abs(make_predictor("projected", stored, most=32, threshold=0.0).mean(z) - full.mean).max() > 0.1
 
 
+@pytest.mark.parametrize(("drawn", "least", "most"), [(True, 0.2, 1.0), (False, 0.0, 0.15)])
+def test_projected_finds_how_much_of_the_unspanned_variance_is_in_the_labels(drawn, least, most):
+    """A draw of the kernel's own prior holds what points leave open, a plane holds nothing of it.
+
+    The truth is known, so 50 and 95 % intervals must hold these shares of it: 400 queries times three outputs, of
+    which neighbours agree, make chance 3 points at 50 % and 2 at 95 %; three times that is allowed. With the whole
+    unspanned variance the intervals of the plane hold 79 and 99.9 %.
+    """
+    random = np.random.default_rng(34)
+    kernel = Kernel(np.full(3, 1.0), np.ones(3), np.full(3, 0.1))
+    waves, phase = random.normal(size=(3000, 3)), random.uniform(0.0, 2.0 * np.pi, 3000)
+    heights = random.normal(size=(3000, 3)) * np.sqrt(2.0 / 3000)
+
+    def truth(z):
+        return np.cos(z @ waves.T + phase) @ heights if drawn else 0.3 * z
+
+    z, asked = random.uniform(0.0, 4.0, (2500, 3)), random.uniform(0.0, 4.0, (400, 3))
+    process = OnlineProcess(kernel)
+    process.learn(z, truth(z) + np.sqrt(0.1) * random.normal(size=z.shape))
+    share = process.unspanned_share
+    assert (share >= least).all() and (share <= most).all()
+    mean, variance, _ = process.along(asked)
+    inside = [np.mean(np.abs(truth(asked) - mean) <= k * np.sqrt(variance)) for k in (0.6745, 1.96)]
+    assert abs(inside[0] - 0.5) < 0.09 and abs(inside[1] - 0.95) < 0.06
+
+
 def test_projected_absorbs_labels_as_fitc_on_its_points(make_set):
     """Points far apart come first; all labels after them are told by C_uu, C_uf and the gains, solved at once."""
     random = np.random.default_rng(33)
