@@ -111,7 +111,9 @@ def test_a_table_takes_the_same_time_everywhere_and_has_no_branch_on_a_query(dou
 def test_the_projected_process_is_exported_as_its_table(doubtful_set, compiler, tmp_path):
     """All targets agree with the table to rounding, the table with the process to its stated bound."""
     plan = plan_export(("c", "npz"), "car", "double", 400, "projected")
-    found = write_export(doubtful_set, plan, provenance_of(doubtful_set, "projected", "car.split", "a" * 64), tmp_path)
+    found = write_export(
+        doubtful_set, plan, provenance_of(doubtful_set, "projected", "car.split", "a" * 64), tmp_path
+    )
     assert all(target.check.mean_error < 1e-12 and target.check.variance_error < 1e-12 for target in found)
     z = doubtful_set.z + 0.1 * doubtful_set.kernel.length_scales
     mean, variance = document_answer(read_npz(tmp_path / "car.npz")).predict(z)
