@@ -48,10 +48,11 @@ class OnlineProcess:
     a point are not projected on it.
 
     The prior's variance holds the gain of a query. The dense process would learn that rest from many labels; this
-    one cannot, and would count it whole at every query. How much of it there is the labels tell: of one that is no point, the squared error before it is absorbed has the mean
-    s^2 + S0 c.(Q + T)c + kappa S0 gain. Found by least squares weighted by these errors' variances, from a prior
-    of mean and deviation 1, and at most 1, kappa takes S0 (1 - kappa) min(gain, threshold) (1 - gain) from the
-    variance: nothing far from points, and nothing where each label became one.
+    one cannot, and would count it whole at every query. How much of it there is the labels tell: of one that is no
+    point, the squared error before it is absorbed has the mean s^2 + S0 c.(Q + T)c + kappa S0 gain. Found by least
+    squares weighted by these errors' variances, from a prior of mean and deviation 1, and at most 1, kappa takes
+    S0 (1 - kappa) min(gain, threshold) (1 - gain) from the variance: nothing far from points, and nothing where
+    each label became one.
     """
 
     def __init__(self, kernel: Kernel, most: int = MOST_SPANNING, threshold: float | None = None) -> None:

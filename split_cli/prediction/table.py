@@ -148,8 +148,8 @@ class TablePredictor(Predictor):
         Notes
         -----
         Nodes within four length scales of a cell whose points or labels changed are filled anew, from the points
-        within four length scales of those nodes. At that distance a correlation is e^-8 = 3e-4. A projected process
-        depends on the order of its labels, so its table is filled anew.
+        within four length scales of those nodes. At that distance a correlation is e^-8 = 3e-4. A projected
+        process depends on the order of its labels, so its table is filled anew.
         """
         old, kernel = self.training_set, training_set.kernel
         if not all(

@@ -5,8 +5,8 @@
 
 Every set is trained by `split train` on one part of what was recorded and judged by `split evaluate --set` on
 another: another drive of the same car, or the other half of the same one. Nothing is chosen on what is judged.
-*Fresh* drives are simulated for this study. With ``--work``, drives, sets and judgements stay in that folder, and a
-run that was ended goes on where it was. docs/results.md holds the table.
+*Fresh* drives are simulated for this study. With ``--work``, drives, sets and judgements stay in that folder, and
+a run that was ended goes on where it was. docs/results.md holds the table.
 """
 
 from __future__ import annotations
