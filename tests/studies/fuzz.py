@@ -26,17 +26,8 @@ from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-import numpy as np
-
 from split_cli.errors import SplitError
-from split_cli.learning.training_set import read_set, write_set
-from split_cli.logs.drive import read_drive, write_drive
-from split_cli.logs.presets import preset_path
-from split_cli.logs.readers import open_recording
-from split_cli.logs.signal_map import read_map
-from split_cli.vehicle.parameters import read_vehicle, write_vehicle
-from tests.factories import make_drive, make_training_set, road_car
-from tests.logs import readers_support as support
+from tests.studies.fuzz_seeds import SLOW, seeds
 
 LONGEST_SECONDS = 10.0
 """Of one input, of processor time [s]: the bound the project promises. A starved process is not slow."""
@@ -66,67 +57,6 @@ class Tally:
 
 class TooLong(BaseException):
     """Raised by the alarm; no reader may catch it."""
-
-
-def read_recording(path: Path) -> bool:
-    """Open a recording and read every channel; tell whether anything was dropped."""
-    recording = open_recording(path)
-    recording.read([info.name for info in recording.channels()][:200])
-    return bool(recording.notes)
-
-
-def seeds(folder: Path) -> dict[str, tuple[Path, Callable[[Path], object]]]:
-    """Write one small valid file of every kind; return each with the function that reads it."""
-    planted = support.plant(40)
-    out: dict[str, tuple[Path, Callable[[Path], object]]] = {}
-
-    def add(name: str, path: Path, read: Callable[[Path], object] = read_recording) -> None:
-        out[name] = (path, read)
-
-    add("mcap ros2", support.write_ros2_mcap(folder / "ros2.mcap", planted))
-    add("mcap ros1", support.write_ros1_mcap(folder / "ros1.mcap", planted))
-    add("mcap json", support.write_json_mcap(folder / "json.mcap", planted, lambda t: t))
-    add("mcap protobuf", support.write_protobuf_mcap(folder / "proto.mcap", planted))
-    none = support.CompressionType.NONE
-    add("mcap plain", support.write_ros2_mcap(folder / "plain.mcap", planted, compression=none))
-    add("bag", support.write_bag1(folder / "plain.bag", planted))
-    add("bag bz2", support.write_bag1(folder / "packed.bag", planted, "BZ2"))
-    bag = support.write_rosbag2(folder / "rosbag2", planted, "SQLITE3")
-    add("db3", next(bag.glob("*.db3")))
-    rows = ["t [s],vx [m/s],vy [m/s],r [rad/s]"]
-    rows += [f"{0.01 * i},{planted.vx[i]},{planted.vy[i]},{planted.r[i]}" for i in range(40)]
-    (folder / "lap.csv").write_text("\n".join(rows) + "\n")
-    add("csv", folder / "lap.csv")
-    car = road_car()
-    write_drive(make_drive(0, segments=2, seconds=2.0, vehicle=car), folder / "lap.parquet")
-    add("parquet", folder / "lap.parquet")
-    add("drive", folder / "lap.parquet", lambda path: read_drive(path) and False)
-    from scipy.io import savemat
-
-    savemat(folder / "lap.mat", {"t": np.arange(40.0), "vx": planted.vx}, do_compression=True)
-    add("mat 5", folder / "lap.mat")
-    import h5py
-
-    with h5py.File(folder / "lap73.mat", "w") as file:
-        file.create_dataset("vx", data=planted.vx, compression="gzip")
-        file.create_dataset("t", data=np.arange(40.0))
-    add("mat 7.3", folder / "lap73.mat")
-    try:
-        from asammdf import MDF, Signal
-    except ImportError:
-        pass
-    else:
-        with MDF(version="4.10") as mdf:
-            mdf.append([Signal(planted.vx, np.arange(40) * 0.01, name="vx", unit="m/s")])
-            mdf.save(folder / "lap.mf4", overwrite=True)
-        add("mf4", folder / "lap.mf4")
-    write_vehicle(car, folder / "car.yaml")
-    add("vehicle", folder / "car.yaml", lambda path: read_vehicle(path) and False)
-    (folder / "map.yaml").write_text(preset_path("genesis_slow").read_text())
-    add("map", folder / "map.yaml", lambda path: read_map([path]) and False)
-    write_set(make_training_set(points=60), folder / "a.split")
-    add("trained set", folder / "a.split", lambda path: read_set(path) and False)
-    return out
 
 
 _EXTREMES = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**64 - 1)
@@ -197,31 +127,25 @@ def judge(path: Path, read: Callable[[Path], object], tally: Tally) -> str | Non
     return None
 
 
-SHARES = {"mf4": 0.01}
-"""Inputs of a kind against those of the others [1]: an MF4 file is read in a process of its own, 1 to 2 s each."""
-
-
 def fuzz(
     inputs: int,
     seed: int,
     keep: Path | None = None,
     only: str = "",
     tell: Callable[[str, Tally], None] = lambda kind, tally: None,
-    shares: Mapping[str, float] = SHARES,
+    shares: Mapping[str, float] = SLOW,
 ) -> dict[str, Tally]:
     """Try `inputs` mutated files, spread over all kinds; inputs that break a rule are kept in `keep`."""
     tallies: dict[str, Tally] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         kinds = {kind: what for kind, what in seeds(folder).items() if only in kind}
+        others = [path.read_bytes() for path, _ in kinds.values()]
         for kind, (path, read) in kinds.items():
             tally = tallies[kind] = Tally()
             content = path.read_bytes()
-            others = [p.read_bytes() for p, _ in kinds.values()]
-            target = folder / f"mutant{path.suffix}"
-
             scratch = folder / "scratch"
-            work = partial(_try_inputs, f"{seed} {kind}", content, others, target, read, scratch)
+            work = partial(_try_inputs, f"{seed} {kind}", content, others, path, read, scratch)
             number = 0
             count = max(round(inputs * shares.get(kind, 1.0) / sum(shares.get(k, 1.0) for k in kinds)), 1)
             while number < count:
@@ -233,11 +157,13 @@ def fuzz(
                     tally.broken.append(f"{kind} {seed}/{at}: {broken}")
                     if keep:
                         keep.mkdir(parents=True, exist_ok=True)
-                        name = f"{kind.replace(' ', '_')}-{seed}-{at}{path.suffix}.gz"
+                        name = f"{kind.replace(', ', '_').replace(' ', '_')}-{seed}-{at}{path.suffix}.gz"
                         rng = random.Random(f"{seed} {kind} {at}")
                         (keep / name).write_bytes(gzip.compress(mutate(content, rng.choice(others), rng)))
                 # What a reader that was killed left in the folder for temporary files.
                 shutil.rmtree(scratch, ignore_errors=True)
+            # Mutants stand in the file's own place: some are read with what lies beside them.
+            path.write_bytes(content)
             tell(kind, tally)
     return tallies
 
@@ -291,7 +217,7 @@ def _in_a_process(work: Callable, first: int, last: int) -> Iterator[tuple[int, 
 
 def _print_row(kind: str, tally: Tally) -> None:
     count = tally.read + tally.dropped + tally.refused
-    row = f"{kind:14} {count:8} {tally.read:8} {tally.dropped:8} {tally.refused:8}"
+    row = f"{kind:18} {count:8} {tally.read:8} {tally.dropped:8} {tally.refused:8}"
     print(f"{row} {len(tally.broken):7} {tally.slowest:9.2f}", flush=True)
 
 
@@ -306,7 +232,7 @@ def main() -> int:
     given = parser.parse_args()
     begin = time.perf_counter()
     if not given.json:
-        print(f"{'kind':14} {'inputs':>8} {'read':>8} {'drops':>8} {'refused':>8} {'broken':>7} {'slowest s':>9}")
+        print(f"{'kind':18} {'inputs':>8} {'read':>8} {'drops':>8} {'refused':>8} {'broken':>7} {'slowest s':>9}")
     tell = (lambda *_: None) if given.json else _print_row
     tallies = fuzz(given.inputs, given.seed, given.keep, given.only, tell)
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024

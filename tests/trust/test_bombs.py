@@ -20,6 +20,7 @@ import zstandard
 
 from split_cli.errors import LogError, SplitError, VehicleError
 from split_cli.logs.readers import open_recording
+from split_cli.logs.readers.blf import is_cut_blf
 from split_cli.logs.readers.budget import most_bytes_out
 from split_cli.logs.readers.definitions import Definitions, leaf_paths
 from split_cli.vehicle.parameters import read_vehicle
@@ -102,6 +103,16 @@ def test_a_matlab_variable_is_measured_before_it_is_unpacked(tmp_path):
     path.write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
     said = opened_within_memory(path)
     assert "refused" in said and "more than" in said
+
+
+def test_a_block_of_can_frames_is_measured_before_it_is_unpacked(tmp_path):
+    engine = zlib.compressobj(9)
+    packed = b"".join(engine.compress(bytes(1 << 20)) for _ in range(100)) + engine.flush()
+    container = struct.pack("<H6xL4x", 2, 1000) + packed
+    block = struct.pack("<4sHHLL", b"LOBJ", 16, 1, 16 + len(container), 10) + container
+    (tmp_path / "bomb.blf").write_bytes(b"LOGG" + struct.pack("<L", 144) + bytes(136) + block)
+    with pytest.raises(LogError, match="a block claims 6[0-9] MB"):
+        is_cut_blf(tmp_path / "bomb.blf")
 
 
 def test_a_fill_value_is_no_data(tmp_path):

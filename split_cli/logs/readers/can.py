@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import re
+from array import array
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, nearest_column
+from split_cli.logs.readers.blf import is_cut_blf
 from split_cli.logs.readers.probe import probe
 
 __all__ = ["DATABASE_SUFFIXES", "is_can_log", "open_can", "read_databases"]
@@ -113,12 +117,14 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
         raise LogError("is a CAN log", where=path.name, advice="pip install 'split-cli[can]'") from error
     database = read_databases(databases)
     by_id = {message.frame_id: message for message in database.messages}
-    times: dict[str, list[float]] = {}
-    decoded: dict[str, list[float]] = {}
+    # Arrays of doubles: a list of numbers takes four times their memory.
+    times: dict[str, array[float]] = {}
+    decoded: dict[str, array[float]] = {}
     unknown: Counter[int] = Counter()
     unfit: Counter[str] = Counter()
+    cut = is_cut_blf(path)
     try:
-        with can.LogReader(str(path)) as reader:
+        with _unread_lines() as unread, can.LogReader(str(path)) as reader:
             for frame in reader:
                 if frame.is_error_frame or frame.is_remote_frame:
                     continue
@@ -134,8 +140,8 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
                 for signal, value in values.items():
                     if isinstance(value, int | float):
                         name = f"/{message.name}/{signal}"
-                        times.setdefault(name, []).append(frame.timestamp)
-                        decoded.setdefault(name, []).append(float(value))
+                        times.setdefault(name, array("d")).append(frame.timestamp)
+                        decoded.setdefault(name, array("d")).append(float(value))
     except LogError:
         raise
     except Exception as error:  # python-can passes on what damaged blocks lead to
@@ -148,6 +154,9 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
         ReadNote("frames that do not fit their definition", f"{path.name}, {name}", count)
         for name, count in unfit.items()
     ]
+    if unread.count or cut:
+        what = "lines or blocks that are cut off or damaged"
+        notes.append(ReadNote(what, path.name, unread.count + cut))
     if unknown:
         notes.append(ReadNote("frames of ids that no database defines", path.name, sum(unknown.values())))
     if not decoded:
@@ -160,11 +169,36 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
     return _recording(path, database, times, decoded, notes)
 
 
+class _Unread(logging.Handler):
+    """What python-can says of lines that it passes over; it would print them as they stand in the file."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.count = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Count one."""
+        self.count += 1
+
+
+@contextmanager
+def _unread_lines() -> Iterator[_Unread]:
+    logger, unread = logging.getLogger("can"), _Unread()
+    propagates = logger.propagate
+    logger.addHandler(unread)
+    logger.propagate = False
+    try:
+        yield unread
+    finally:
+        logger.propagate = propagates
+        logger.removeHandler(unread)
+
+
 def _recording(
     path: Path,
     database: Any,
-    times: dict[str, list[float]],
-    decoded: dict[str, list[float]],
+    times: dict[str, array[float]],
+    decoded: dict[str, array[float]],
     notes: list[ReadNote],
 ) -> RawRecording:
     units = {f"/{m.name}/{s.name}": s.unit for m in database.messages for s in m.signals}

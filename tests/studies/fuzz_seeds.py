@@ -1,0 +1,220 @@
+"""One small valid file of every kind that is read from others, and the function that reads it: what the fuzz mutates.
+
+Used by `tests.studies.fuzz`.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+
+from split_cli.control.path import read_centerline
+from split_cli.learning.features import parse_features
+from split_cli.learning.kernel_file import read_kernel
+from split_cli.learning.label_file import read_labels
+from split_cli.learning.training_set import read_set, write_set
+from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.drive import read_drive, write_drive
+from split_cli.logs.presets import preset_path
+from split_cli.logs.readers import can as can_reader
+from split_cli.logs.readers import open_recording
+from split_cli.logs.signal_map import read_map
+from split_cli.vehicle.parameters import read_vehicle, write_vehicle
+from tests.factories import make_drive, make_training_set, road_car
+from tests.logs import readers_support as support
+from tests.logs.test_readers_stranger import DBC, VBO
+
+__all__ = ["SLOW", "seeds"]
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "files"
+SLOW = {"mf4": 0.01, "mf4 bus": 0.005, "dbc": 0.01, "draft": 0.1}
+"""Inputs of a kind against those of the others [1]: an MF4 file or a DBC is read in a process of its own, 1 to 2 s
+each, and a draft looks at every column in many ways."""
+
+Kind = tuple[str, Path, Callable[[Path], object]]
+
+
+def seeds(folder: Path) -> dict[str, tuple[Path, Callable[[Path], object]]]:
+    """Write one small valid file of every kind; return each with the function that reads it."""
+    planted = support.plant(40)
+    makers = (_messages, _text, _columns, _matlab_and_mdf, _can, _ours)
+    return {name: (path, read) for make in makers for name, path, read in make(folder, planted)}
+
+
+def read_recording(path: Path) -> bool:
+    """Open a recording and read every channel; tell whether anything was dropped."""
+    recording = open_recording(path)
+    recording.read([info.name for info in recording.channels()][:200])
+    return bool(recording.notes)
+
+
+def _drafted(path: Path) -> bool:
+    draft_map(open_recording(path))
+    return False
+
+
+def _silently(read: Callable[[Path], object]) -> Callable[[Path], object]:
+    return lambda path: read(path) and False
+
+
+def _messages(folder: Path, planted: support.Planted) -> Iterator[Kind]:
+    none = support.CompressionType.NONE
+    yield "mcap ros2", support.write_ros2_mcap(folder / "ros2.mcap", planted), read_recording
+    yield "mcap ros1", support.write_ros1_mcap(folder / "ros1.mcap", planted), read_recording
+    yield "mcap json", support.write_json_mcap(folder / "json.mcap", planted, lambda t: t), read_recording
+    yield "mcap protobuf", support.write_protobuf_mcap(folder / "proto.mcap", planted), read_recording
+    plain = support.write_ros2_mcap(folder / "plain.mcap", planted, compression=none)
+    yield "mcap plain", plain, read_recording
+    yield "bag", support.write_bag1(folder / "plain.bag", planted), read_recording
+    yield "bag bz2", support.write_bag1(folder / "packed.bag", planted, "BZ2"), read_recording
+    bag = support.write_rosbag2(folder / "rosbag2", planted, "SQLITE3")
+    yield "db3", next(bag.glob("*.db3")), read_recording
+    # The description of the folder, with the database beside it.
+    yield "bag metadata", bag / "metadata.yaml", read_recording
+
+
+def _text(folder: Path, planted: support.Planted) -> Iterator[Kind]:
+    columns = (planted.vx, planted.vy, planted.r)
+    rows = ["t [s],vx [m/s],vy [m/s],r [rad/s]"]
+    rows += [f"{0.01 * i}," + ",".join(str(c[i]) for c in columns) for i in range(40)]
+    plain = folder / "lap.csv"
+    plain.write_text("\n".join(rows) + "\n")
+    yield "csv", plain, read_recording
+    yield "draft", plain, _drafted
+    german = folder / "german.csv"
+    comma = [f"{0.01 * i:.2f};{9 + i};{i}".replace(".", ",") for i in range(40)]
+    german.write_text("Zeit [s];v [km/h];Radlenkwinkel [°]\n" + "\n".join(comma) + "\n", encoding="latin-1")
+    yield "csv decimal comma", german, read_recording
+    chinese = folder / "chinese.csv"
+    rows = [f"{0.01 * i:.2f},{30 + i},{i % 7},{-i}" for i in range(40)]
+    titles = "时间(s),车速(km/h),横摆角速度(deg/s),方向盘转角(deg)\n"
+    chinese.write_text(titles + "\n".join(rows) + "\n", encoding="gb18030")
+    yield "csv gb18030", chinese, read_recording
+    chrono = folder / "racechrono.csv"
+    preamble = 'This file is created using RaceChrono Pro\nFormat,3\nSession title,"Lake"\nNote,\n\n'
+    header = "timestamp,lap_number,speed,latitude,speed\nunix time,,m/s,deg,m/s\n,,100: gps,100: gps,calc\n"
+    rows = [f"{1767150797 + 0.04 * k:.2f},8,{30 + k},31.07,{31 + k}" for k in range(40)]
+    chrono.write_text(preamble + header + "\n".join(rows) + "\n")
+    yield "csv racechrono", chrono, read_recording
+    aim = folder / "aim.csv"
+    names = "Time,GPS_Speed,Gear,RPM"
+    head = ["Format,AIM CSV File,,", "Sample Rate,20,,", ",,,", names, names, "sec,mph,#,rpm", ",1,2,3", ",,,"]
+    aim.write_text("\n".join([*head, *(f"{0.05 * i:.2f},{100 + i},4,5000" for i in range(40))]) + "\n")
+    yield "csv aim", aim, read_recording
+    dated = folder / "dated.csv"
+    rows = [f'"14-Mar-2026 10:15:{0.5 * i:04.1f},{i},{-i}"' for i in range(40)]
+    dated.write_text('"time,vx,r"\n' + "\n".join(rows) + "\n")
+    yield "csv dates, quoted", dated, read_recording
+    blanks = folder / "blanks.txt"
+    blanks.write_text("# t vx r\n" + "".join(f"  {0.01 * i:.2f}  {i}   {-i}\n" for i in range(40)))
+    yield "csv blanks", blanks, read_recording
+    racelogic = folder / "lap.vbo"
+    rows = [f"053 104758.{i:02d} +3608.25 -1087.02 072.00 195.27 +0.10 +1.5E-01 {i % 7}" for i in range(40)]
+    racelogic.write_bytes((VBO + "\n".join(rows) + "\n").encode("latin-1"))
+    yield "vbo", racelogic, read_recording
+
+
+def _columns(folder: Path, planted: support.Planted) -> Iterator[Kind]:
+    import pyarrow as pa
+    import pyarrow.feather
+    import pyarrow.parquet
+
+    write_drive(make_drive(0, segments=2, seconds=2.0, vehicle=road_car()), folder / "lap.parquet")
+    yield "parquet", folder / "lap.parquet", read_recording
+    yield "drive", folder / "lap.parquet", _silently(read_drive)
+    stamps = pa.array(planted.header, pa.timestamp("ns", "UTC"))
+    # As pandas stores a table whose index is the clock, with a structure beside the numbers.
+    described = b'{"index_columns": ["__index_level_0__"], "columns": [], "pandas_version": "2.2"}'
+    columns = {
+        "vx": pa.array(planted.vx),
+        "pose": pa.StructArray.from_arrays([pa.array(planted.vy), pa.array(planted.r)], ["vy", "r"]),
+        "__index_level_0__": stamps,
+    }
+    table = pa.table(columns).replace_schema_metadata({b"pandas": described})
+    pa.parquet.write_table(table, folder / "pandas.parquet")
+    yield "parquet pandas", folder / "pandas.parquet", read_recording
+    pa.feather.write_feather(table, str(folder / "lap.feather"), compression="lz4")
+    yield "feather", folder / "lap.feather", read_recording
+
+
+def _matlab_and_mdf(folder: Path, planted: support.Planted) -> Iterator[Kind]:
+    from scipy.io import savemat
+
+    logged = {"t": np.arange(40.0), "log": {"vx": planted.vx, "signals": {"values": planted.vy}}}
+    savemat(folder / "lap.mat", {"t": np.arange(40.0), "vx": planted.vx}, do_compression=True)
+    yield "mat 5", folder / "lap.mat", read_recording
+    savemat(folder / "struct.mat", logged)
+    yield "mat 5 structure", folder / "struct.mat", read_recording
+    savemat(folder / "lap4.mat", {"t": np.arange(40.0), "vx": planted.vx}, format="4")
+    yield "mat 4", folder / "lap4.mat", read_recording
+    import h5py
+
+    with h5py.File(folder / "lap73.mat", "w") as file:
+        file.create_dataset("vx", data=planted.vx, compression="gzip")
+        file.create_dataset("t", data=np.arange(40.0))
+    yield "mat 7.3", folder / "lap73.mat", read_recording
+    if find_spec("asammdf"):
+        from asammdf import MDF, Signal
+
+        with MDF(version="4.10") as mdf:
+            mdf.append([Signal(planted.vx, np.arange(40) * 0.01, name="vx", unit="m/s")])
+            mdf.save(folder / "lap.mf4", overwrite=True)
+        yield "mf4", folder / "lap.mf4", read_recording
+
+
+def _can(folder: Path, planted: support.Planted) -> Iterator[Kind]:
+    if not (find_spec("can") and find_spec("cantools")):
+        return
+    import can
+    import cantools
+
+    known = folder / "car.dbc"
+    known.write_text(DBC)
+    database = cantools.database.load_file(str(known))
+
+    def read(path: Path) -> bool:
+        # The database is a sound one: it is not read again in a process of its own for each log.
+        with patch.object(can_reader, "read_databases", lambda paths: database):
+            recording = open_recording(path, message_paths=[known])
+        recording.read([info.name for info in recording.channels()][:200])
+        return bool(recording.notes)
+
+    kinds = ("blf", "asc", "log", "trc", *(("mf4",) if find_spec("asammdf") else ()))
+    for suffix in kinds:
+        path = folder / f"frames.{suffix}"
+        writer = can.Logger(str(path))
+        for row in range(40):
+            data = database.encode_message("Motion", {"YawRate": 0.02 * row, "LatAcc": 1.0})
+            sent = {"timestamp": 1.7e9 + 0.01 * row, "arbitration_id": 257, "is_extended_id": False}
+            writer.on_message_received(can.Message(data=data, **sent))
+        writer.stop()
+        if suffix == "mf4":
+            yield "mf4 bus", path, lambda path: bool(open_recording(path, message_paths=[known]).notes)
+        else:
+            yield f"can {suffix}", path, read
+
+    log = folder / "frames.log"
+    yield "dbc", known, lambda path: bool(open_recording(log, message_paths=[path]).notes)
+
+
+def _ours(folder: Path, planted: support.Planted) -> Iterator[Kind]:
+    car = road_car()
+    write_vehicle(car, folder / "car.yaml")
+    yield "vehicle", folder / "car.yaml", _silently(read_vehicle)
+    (folder / "map.yaml").write_text(preset_path("genesis_slow").read_text())
+    yield "map", folder / "map.yaml", _silently(lambda path: read_map([path]))
+    features = parse_features("z2")
+    kernel = shutil.copy(GOLDEN / "hyperparameters-1.yaml", folder)
+    yield "hyperparameters", Path(kernel), _silently(lambda path: read_kernel(path, features))
+    yield "labels", Path(shutil.copy(GOLDEN / "labels-1.parquet", folder)), _silently(read_labels)
+    write_set(make_training_set(points=60), folder / "a.split")
+    yield "trained set", folder / "a.split", _silently(read_set)
+    angle = np.arange(0.0, 2.0 * np.pi, 0.2)
+    rows = "".join(f"{40 * np.cos(a):.3f},{40 * np.sin(a):.3f},4.0,4.0\n" for a in angle)
+    (folder / "track.csv").write_text("# x_m,y_m,w_tr_right_m,w_tr_left_m\n" + rows)
+    yield "centre line", folder / "track.csv", _silently(read_centerline)
