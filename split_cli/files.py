@@ -20,6 +20,7 @@ from typing import Any
 from split_cli.errors import SplitError
 
 __all__ = [
+    "DIGESTS",
     "ScratchFolder",
     "atomic_directory",
     "atomic_path",
@@ -34,7 +35,11 @@ __all__ = [
     "refuse_place_without_access",
     "refuse_what_cannot_be_written",
     "sha256_of_file",
+    "write_digests",
 ]
+
+DIGESTS = "SHA256SUMS"
+"""File of a folder that lists the digests of the others, as `sha256sum --check` reads it."""
 
 
 @contextlib.contextmanager
@@ -438,6 +443,13 @@ def atomic_write_bytes(target: str | os.PathLike[str], content: bytes) -> None:
 def atomic_write_text(target: str | os.PathLike[str], content: str) -> None:
     """Write `content` as UTF-8 with line feeds to `target`, whole or not at all."""
     atomic_write_bytes(target, content.encode("utf-8"))
+
+
+def write_digests(folder: Path) -> None:
+    """Write the digest of every file of a folder beside them, so that a mixture of two runs can be seen."""
+    files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    lines = [f"{sha256_of_file(folder / name)}  {name}\n" for name in files if name != DIGESTS]
+    (folder / DIGESTS).write_text("".join(lines), encoding="utf-8")
 
 
 def sha256_of_file(path: str | os.PathLike[str]) -> str:

@@ -19,12 +19,14 @@ def command(path, as_json) -> None:
     \b
     What is checked:
     - drive, labels: page checksums, ranges, clock, source files beside it, consistency of the channels
-    - vehicle, map, hyperparameters: every key and value
+    - vehicle, map, hyperparameters: every key and value, and whether a vehicle was changed since it was written
     - trained set: digest, order, capacity, the cell of every point, and every marginal gain against the
       inverse of its cell's kernel matrix
+    - labels and points of a set are computed again, if their drive (and vehicle file) lies beside them
     - export folder: the hash of every file, the set beside it, the self-test in C, and the stored queries
       of every other target
-    - diagnosis folder: its JSON document, the report against it, its vehicle files
+    - diagnosis folder: the digest of every file, its JSON document, the report and the vehicle file against it
+    - folder of an evaluation or a comparison: the digest of every file, its page, the table against the page
     - folder of drives: each drive, and all of them against the manifest
 
     The exit code is 1 if a check fails.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from split_cli.files import atomic_directory
+from split_cli.files import atomic_directory, write_digests
 from split_cli.learning.kernel import OUTPUTS
 from split_cli.plots.accelerations import draw_accelerations
 from split_cli.plots.feature_space import draw_coverage, draw_labels
@@ -58,6 +58,7 @@ def write_figures(run: EvaluationRun, folder: str | Path, also: Mapping[str, str
             (temporary / name).write_text(text, encoding="utf-8")
         for name, figure in figures.items():
             save(figure, temporary / name)
+        write_digests(temporary)
     return FigureFiles(tuple(figures), left_out)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from split_cli.yaml_file import read_yaml_mapping
 __all__ = [
     "EffectSpec",
     "Vehicle",
+    "physics_as_written",
     "read_vehicle",
     "vehicle_file",
     "vehicle_from_mapping",
@@ -360,8 +362,21 @@ def vehicle_to_mapping(vehicle: Vehicle) -> dict[str, Any]:
     return mapping
 
 
+_PHYSICS = "Physics as written:"
+
+
+def physics_as_written(text: str) -> str | None:
+    """Return the digest of the physics that `write_vehicle` wrote into the head of a file; None without one."""
+    found = re.search(rf"^# {_PHYSICS} ([0-9a-f]{{64}})$", text, flags=re.MULTILINE)
+    return found[1] if found else None
+
+
 def write_vehicle(vehicle: Vehicle, path: str | Path, *, comment: str = "") -> None:
-    """Write a vehicle YAML, whole or not at all, with `comment` as leading ``#`` lines."""
-    head = "".join(f"# {line}\n" for line in comment.splitlines())
+    """Write a vehicle YAML, whole or not at all, with `comment` as leading ``#`` lines.
+
+    A comment tells what made the file; the digest of its physics follows it, which tells later changes by hand.
+    """
+    told = f"{comment.rstrip()}\n{_PHYSICS} {vehicle.digest()}" if comment else ""
+    head = "".join(f"# {line}\n" for line in told.splitlines())
     body = yaml.safe_dump(vehicle_to_mapping(vehicle), sort_keys=False, default_flow_style=None, width=100)
     atomic_write_text(path, head + body)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
 from split_cli.errors import spreadsheet_text
-from split_cli.files import atomic_directory
+from split_cli.files import atomic_directory, write_digests
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart
@@ -33,20 +34,27 @@ _COLUMNS = (
 def write_comparison(
     compared: ModelComparison, models: Sequence[ComparedModel], drives: Sequence[Drive], output: str | Path
 ) -> None:
-    """Write ``report.html`` and ``compare.csv`` into a folder."""
-    page = comparison_page(compared, _pictures(models, max(drives, key=len)))
+    """Write ``report.html``, ``compare.csv`` and their digests into a folder."""
+    table = _table(compared)
+    page = comparison_page(compared, _pictures(models, max(drives, key=len)), table)
     with atomic_directory(output) as folder:
         (folder / "report.html").write_text(page, encoding="utf-8")
-        with (folder / "compare.csv").open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(_COLUMNS)
-            for name, scores in (("all", compared.scores), *compared.by_drive):
-                for score in scores:
-                    for one in score.states:
-                        names = spreadsheet_text(name), spreadsheet_text(score.name)
-                        what = *names, score.horizon, one.state, one.unit
-                        numbers = one.rmse, *one.interval, one.fit, one.skill, *one.to_best
-                        writer.writerow((*what, *numbers, int(one.is_best)))
+        (folder / "compare.csv").write_text(table, encoding="utf-8", newline="")
+        write_digests(folder)
+
+
+def _table(compared: ModelComparison) -> str:
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for name, scores in (("all", compared.scores), *compared.by_drive):
+        for score in scores:
+            for one in score.states:
+                names = spreadsheet_text(name), spreadsheet_text(score.name)
+                what = *names, score.horizon, one.state, one.unit
+                numbers = one.rmse, *one.interval, one.fit, one.skill, *one.to_best
+                writer.writerow((*what, *numbers, int(one.is_best)))
+    return text.getvalue()
 
 
 def _pictures(models: Sequence[ComparedModel], drive: Drive) -> tuple[Chart, ...]:

@@ -14,7 +14,7 @@ from split_cli.diagnosis.remainder.location import FORCES
 from split_cli.diagnosis.statement.document import VEHICLES, diagnosis_to_text, vehicle_name
 from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, Improvement, InputFile
 from split_cli.diagnosis.statement.sentences import not_accepted
-from split_cli.files import atomic_directory, refuse_what_cannot_be_written, sha256_of_file
+from split_cli.files import atomic_directory, refuse_what_cannot_be_written, sha256_of_file, write_digests
 from split_cli.learning.features import Z2
 from split_cli.learning.label_file import label_columns
 from split_cli.learning.labels import compute_labels
@@ -137,6 +137,7 @@ def write_diagnosis(
             _write_help(diagnosis.improvement, folder / "figures" / "help.csv")
         with contextlib.suppress(OSError):
             (folder / "figures").rmdir()  # where nothing was drawn
+        write_digests(folder)
 
 
 def _judged(diagnosis: Diagnosis) -> str:
@@ -182,7 +183,7 @@ def _write_gap(diagnosis: Diagnosis, drives: Sequence[Drive], vehicle: Vehicle, 
         names = ("t", "s", *(f"{kind}_{force}" for kind in ("gap", "remainder") for force in FORCES))
         columns = {name: pa.array([], pa.float64()) for name in names}
         tables = [pa.table({"drive": pa.array([], pa.string()), **columns})]
-    pyarrow.parquet.write_table(pa.concat_tables(tables), path, compression="zstd")
+    pyarrow.parquet.write_table(pa.concat_tables(tables), path, compression="zstd", write_page_checksum=True)
 
 
 def _gap_table(gap: GapSeries, drive: Drive, vehicle: Vehicle):

@@ -163,7 +163,9 @@ def test_frames_that_are_lost_are_counted_and_not_printed(can_log, capfd):
     assert "cut off" not in str(open_recording(path, message_paths=[database]).notes)
     # The last block of a BLF is cut; one line of a TRC has no data.
     lines = whole.split(b"\n")
-    path.write_bytes(whole[:-90] if path.suffix == ".blf" else b"\n".join([*lines[:-40], lines[-40][:30], *lines[-39:]]))
+    path.write_bytes(
+        whole[:-90] if path.suffix == ".blf" else b"\n".join([*lines[:-40], lines[-40][:30], *lines[-39:]])
+    )
     recording = open_recording(path, message_paths=[database])
     assert [note.count for note in recording.notes if "cut off or damaged" in note.what] == [1]
     assert capfd.readouterr().err == ""

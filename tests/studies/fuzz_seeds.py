@@ -1,4 +1,4 @@
-"""One small valid file of every kind that is read from others, and the function that reads it: what the fuzz mutates.
+"""One small valid file of every kind that is read from others, and its reader: what the fuzz mutates.
 
 Used by `tests.studies.fuzz`.
 """

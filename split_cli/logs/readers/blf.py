@@ -1,4 +1,4 @@
-"""A look at the blocks of a BLF file before python-can unfolds them: it takes whatever they become, cut off or not."""
+"""The blocks of a BLF file, looked at before python-can unfolds them, whatever they become."""
 
 from __future__ import annotations
 

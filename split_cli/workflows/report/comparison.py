@@ -10,6 +10,7 @@ from split_cli.plots.chart import Chart, ChartLine
 from split_cli.scoring.comparison import STATES, UNITS, ModelScore
 from split_cli.workflows.compare import ModelComparison
 from split_cli.workflows.report.markup import charts_block, plain_table, section
+from split_cli.workflows.report.payload import shows
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape, number
@@ -19,8 +20,16 @@ __all__ = ["comparison_charts", "comparison_page", "headline"]
 _NAMES = {"v_x": "longitudinal velocity", "v_y": "lateral velocity", "r": "yaw rate"}
 
 
-def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = ()) -> str:
-    """Return the report of a comparison as one HTML document that loads nothing."""
+def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), table: str = "") -> str:
+    """Return the report of a comparison as one HTML document that loads nothing.
+
+    Parameters
+    ----------
+    compared : ModelComparison
+    pictures : sequence of Chart
+    table : str
+        Content of the file that has the same numbers; the page names its digest.
+    """
     charts = (*comparison_charts(compared), *pictures)
     last = _at(compared.scores, _longest(compared))
     drives = "drive" if len(compared.drives) == 1 else "drives"
@@ -49,7 +58,9 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = ()) -
         + "".join(picture_sections(pictures))
         + _notes(compared.notes)
     )
-    return page("compare", ", ".join(compared.drives), f"{said} {', '.join(compared.models)}", body, charts)
+    return page(
+        "compare", ", ".join(compared.drives), f"{said} {', '.join(compared.models)}", body, charts, shows(table)
+    )
 
 
 def headline(compared: ModelComparison) -> str:

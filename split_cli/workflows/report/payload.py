@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
+import re
 from typing import Any
 
 import numpy as np
 
+from split_cli.diagnosis.statement.document import diagnosis_to_text
 from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, HorizonErrors, Improvement, Location
 from split_cli.workflows.report.words import CHANNELS, FORCE_IDS, FORCES, readable
 
-__all__ = ["chart_numbers", "embedded_json", "packed"]
+__all__ = ["chart_numbers", "embedded_json", "packed", "shown_digest", "shows"]
 
 _MOST_ROWS = 12_000
 _LEVELS = 5_000
@@ -24,11 +27,23 @@ def embedded_json(content: object) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
+def shows(content: str) -> dict[str, Any]:
+    """Return what a page says of the file whose numbers it shows: the digest of its content."""
+    return {"shows": hashlib.sha256(content.encode("utf-8")).hexdigest()}
+
+
+def shown_digest(page: str) -> str | None:
+    """Return the digest of the file whose numbers a page shows; None where the page names none."""
+    found = re.search(r'"shows":"([0-9a-f]{64})"', page)
+    return found[1] if found else None
+
+
 def chart_numbers(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return what the page's script reads."""
     rows = sum(len(gap.t) for gap in diagnosis.gaps)
     every = max(1, math.ceil(rows / _MOST_ROWS))
     return {
+        **shows(diagnosis_to_text(diagnosis)),
         "verdict": diagnosis.verdict,
         "forces": [FORCES[name] for name in FORCE_IDS],
         "named": bool(diagnosis.findings),

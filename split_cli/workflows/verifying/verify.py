@@ -10,14 +10,15 @@ from split_cli.errors import SplitError
 from split_cli.files import sha256_of_file
 from split_cli.learning.kernel import correlation
 from split_cli.learning.training_set import TrainingSet, read_set
+from split_cli.workflows.verifying.relabelled import points_against_drives
 from split_cli.workflows.verifying.verification import Verification, VerifiedItem
 from split_cli.workflows.verifying.verification import item as _item
-from split_cli.workflows.verifying.verify_files import (
+from split_cli.workflows.verifying.verify_files import verify_page, verify_parquet, verify_yaml
+from split_cli.workflows.verifying.verify_folders import (
     is_diagnosis,
     verify_diagnosis,
     verify_drives_folder,
-    verify_parquet,
-    verify_yaml,
+    verify_pages_folder,
 )
 
 __all__ = ["Verification", "VerifiedItem", "verify", "verify_set"]
@@ -27,7 +28,7 @@ GAIN_TOLERANCE = 1e-9
 
 
 def verify(path: str | Path) -> Verification:
-    """Check any file of ours, or the folder of an export, of a diagnosis or of drives.
+    """Check any file of ours, or the folder of an export, diagnosis, evaluation, comparison or of drives.
 
     Raises
     ------
@@ -42,11 +43,16 @@ def verify(path: str | Path) -> Verification:
     if not path.exists():
         raise SplitError("no such file or folder", where=str(path))
     if path.suffix.lower() == ".split" or _is_arrow(path):
-        return Verification(str(path), "trained set", verify_set(read_set(path)))
+        trained = read_set(path)
+        return Verification(
+            str(path), "trained set", (*verify_set(trained), *points_against_drives(trained, path))
+        )
     if path.suffix.lower() in (".parquet", ".pq"):
         return Verification(str(path), *verify_parquet(path))
     if path.suffix.lower() in (".yaml", ".yml"):
         return Verification(str(path), *verify_yaml(path))
+    if path.suffix.lower() in (".html", ".htm"):
+        return Verification(str(path), "page", verify_page(path))
     raise SplitError(
         "is no file that this program writes",
         where=str(path),
@@ -58,6 +64,8 @@ def _folder(path: Path) -> Verification:
     if is_diagnosis(path):
         return Verification(str(path), "diagnosis", verify_diagnosis(path))
     if not (path / "manifest.json").is_file():
+        if (path / "report.html").is_file():
+            return Verification(str(path), *verify_pages_folder(path))
         return Verification(str(path), "drives", verify_drives_folder(path))
     # An export's checks need CasADi, which takes a second to import and is not needed for sets.
     from split_cli.export.verify import verify_folder

@@ -1,10 +1,10 @@
-"""Checks of drives, labels, vehicles, maps, hyperparameters, diagnoses and folders of drives."""
+"""Checks of drives, labels, vehicles, maps, hyperparameters and pages."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,21 +18,12 @@ from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.logs.signal_map import read_map
 from split_cli.signals import CHANNELS
-from split_cli.vehicle.parameters import read_vehicle
-from split_cli.workflows.ingesting.ingest_manifest import IngestManifest
+from split_cli.vehicle.parameters import physics_as_written, read_vehicle
+from split_cli.workflows.verifying.relabelled import labels_against_drive
 from split_cli.workflows.verifying.verification import VerifiedItem, item
 from split_cli.yaml_file import read_yaml_mapping
 
-__all__ = [
-    "is_diagnosis",
-    "verify_diagnosis",
-    "verify_drive",
-    "verify_drives_folder",
-    "verify_parquet",
-    "verify_yaml",
-]
-
-_VERDICTS = ("match", "mismatch", "undecided")
+__all__ = ["compare_sources", "verify_drive", "verify_page", "verify_parquet", "verify_yaml"]
 
 
 def verify_parquet(path: Path) -> tuple[str, tuple[VerifiedItem, ...]]:
@@ -75,7 +66,7 @@ def verify_drive(drive: Drive, path: Path) -> tuple[VerifiedItem, ...]:
     items.append(item("clock", uneven == 0, good, f"{uneven} steps in segments differ from {drive.period:g} s"))
     spoiled = [n.channel for n in drive.metadata.noise if n.sigma is not None and not 0.0 <= n.sigma < np.inf]
     items.append(item("noise", not spoiled, "stored deviations are numbers of 0 and above", ", ".join(spoiled)))
-    items += _sources(path, ((s.name, s.sha256) for s in drive.metadata.sources))
+    items += compare_sources([path.parent], ((s.name, s.sha256) for s in drive.metadata.sources), path)
     findings = check_consistency(drive, None, drive.metadata.kinds).findings
     wrong = [f.text for f in findings if f.check in ("scale", "sign", "swapped", "range")]
     items.append(item("physical consistency", not wrong, "the channels fit together", "; ".join(wrong)[:400]))
@@ -87,27 +78,40 @@ def _labels(path: Path) -> tuple[VerifiedItem, ...]:
     accepted = labels.y[labels.accepted]
     finite = bool(np.isfinite(accepted).all() and np.isfinite(labels.z[labels.accepted]).all())
     rows_rise = bool((np.diff(labels.row) > 0).all())
-    found = _sources(path, [(labels.drive, labels.sha256)])
+    found = compare_sources([path.parent], [(labels.drive, labels.sha256)], path)
     return (
         VerifiedItem("pages", True, "every page with a checksum has it right"),
         item("accepted labels", finite, f"{len(accepted)} of {len(labels)}, all finite", "some are not finite"),
         item("rows", rows_rise, "rows of the drive ascend", "rows of the drive do not ascend"),
         *found,
+        *labels_against_drive(labels, path),
     )
 
 
-def _sources(path: Path, sources: Iterable[tuple[str, str]]) -> list[VerifiedItem]:
-    """Compare sources that lie beside a file with the digests it holds; others cannot be checked here."""
-    items = []
+def compare_sources(
+    folders: Iterable[Path], sources: Iterable[tuple[str, str]], but: Path | None = None
+) -> list[VerifiedItem]:
+    """Compare sources that lie in a folder with the digests that are stored; others cannot be checked here.
+
+    Parameters
+    ----------
+    folders : iterable of Path
+    sources : iterable of (str, str)
+        Name and SHA-256.
+    but : Path, optional
+        The file that names them, which may have the name of its own source.
+    """
+    items, folders = [], list(folders)
     for name, digest in sources:
-        beside = path.parent / Path(name).name
+        beside = [folder / Path(name).name for folder in folders]
+        beside = [path for path in beside if path.is_file() and path != but]
         check = f"source {name}"
         if not digest:
             items.append(VerifiedItem(check, None, "its digest was not stored"))
-        elif not beside.is_file() or beside == path:
+        elif not beside:
             items.append(VerifiedItem(check, None, f"not here; its SHA-256 was {digest[:12]}"))
         else:
-            same = sha256_of_file(beside) == digest
+            same = any(sha256_of_file(path) == digest for path in beside)
             items.append(item(check, same, "the file beside it is the one", "the file beside it is another one"))
     return items or [VerifiedItem("sources", None, "none is named")]
 
@@ -124,110 +128,35 @@ def verify_yaml(path: Path) -> tuple[str, tuple[VerifiedItem, ...]]:
     if "channels" in content or "preset" in content:
         found = read_map(path)
         return "signal map", (VerifiedItem("entries", True, f"{len(found.channels)} channels, every key known"),)
+    return "vehicle", _vehicle(path)
+
+
+def _vehicle(path: Path) -> tuple[VerifiedItem, ...]:
     car = read_vehicle(path)
     told = f"{car.name}: every value within what vehicles have, physics {car.digest()[:12]}"
-    return "vehicle", (VerifiedItem("values", True, told),)
+    written = physics_as_written(path.read_text(encoding="utf-8"))
+    items = [VerifiedItem("values", True, told)]
+    if written is not None:
+        same = written == car.digest()
+        items.append(item("as written", same, "no value was changed since", "values were changed since, by hand"))
+    return tuple(items)
 
 
-def is_diagnosis(folder: Path) -> bool:
-    """Tell the folder of a diagnosis by its main file."""
-    return (folder / "diagnosis.json").is_file()
-
-
-def verify_diagnosis(folder: Path) -> tuple[VerifiedItem, ...]:
-    """Check a diagnosis: its document, the report against it, the vehicles and the gap beside it.
+def verify_page(path: Path) -> tuple[VerifiedItem, ...]:
+    """Check that a page is whole and that the numbers its charts are drawn from can be read.
 
     Raises
     ------
     SplitError
-        If the document is no JSON of this version.
+        If it is none of ours.
     """
-    path = folder / "diagnosis.json"
+    text = path.read_text(encoding="utf-8", errors="replace")
+    numbers = re.search(r'id="numbers">(.*?)</script>', text, flags=re.DOTALL)
+    if numbers is None:
+        raise SplitError("is no page that this program writes", where=str(path))
     try:
-        told = parse_json(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise SplitError(f"is no JSON ({error})", where=str(path)) from error
-    if not isinstance(told, dict) or told.get("schema") != "split-diagnosis/1":
-        raise SplitError("is no diagnosis of this version", where=str(path))
-    items = [_checked("document", lambda: _document(told))]
-    items += _sources(path, [(i["name"], i["sha256"]) for i in told.get("inputs", ()) if isinstance(i, dict)])
-    report = folder / "report.html"
-    if report.is_file():
-        items.append(_checked("report against document", lambda: _report(report.read_text("utf-8"), told)))
-    else:
-        items.append(VerifiedItem("report against document", False, "report.html is missing"))
-    for name in ("vehicle_corrected.yaml", "vehicle_rejected.yaml"):
-        if (folder / name).is_file():
-            items.append(_checked(name, lambda name=name: f"reads as {read_vehicle(folder / name).name}"))
-    if (folder / "gap.parquet").is_file():
-        items.append(_checked("gap.parquet", lambda: _gap(folder / "gap.parquet")))
-    return tuple(items)
-
-
-def _document(told: dict[str, Any]) -> str:
-    if told.get("verdict") not in _VERDICTS:
-        raise SplitError(f"its verdict is {told.get('verdict')!r}")
-    findings = told["findings"]
-    if findings and told["verdict"] != "mismatch":
-        raise SplitError(f"{len(findings)} findings beside the verdict {told['verdict']}")
-    for finding in findings:
-        for name, estimate in finding["parameters"].items():
-            low, high = estimate["interval_95"]
-            if not low <= estimate["value"] <= high:
-                raise SplitError(f"{finding['term']}.{name} lies outside its own interval")
-    return f"{told['verdict']}, {len(findings)} findings, every value within its interval"
-
-
-def _report(page: str, told: dict[str, Any]) -> str:
-    """Return what of the document the page shows."""
-    wanted = [*(f["term"] for f in told["findings"]), *(i["sha256"] for i in told["inputs"])]
-    absent = [text for text in wanted if text not in page]
-    if absent:
-        raise SplitError(f"the page does not show {', '.join(absent[:3])}: it is of another diagnosis")
-    return f"shows all {len(told['findings'])} findings and the digests of {len(told['inputs'])} inputs"
-
-
-def _gap(path: Path) -> str:
-    import pyarrow as pa
-    import pyarrow.parquet
-
-    try:
-        table = pa.parquet.read_table(path, page_checksum_verification=True)
-    except (pa.ArrowException, OSError) as error:
-        raise SplitError(str(error).splitlines()[0]) from error
-    return f"{table.num_rows} rows, every page with a checksum has it right"
-
-
-def _checked(check: str, run: Callable[[], str]) -> VerifiedItem:
-    try:
-        return VerifiedItem(check, True, run())
-    except (SplitError, KeyError, TypeError, ValueError, OSError) as error:
-        return VerifiedItem(check, False, str(error) or type(error).__name__)
-
-
-def verify_drives_folder(folder: Path) -> tuple[VerifiedItem, ...]:
-    """Check a folder of drives: each against its manifest, where there is one, and against itself."""
-    items = []
-    manifest = IngestManifest.of(folder)
-    for place, entry in sorted(manifest.entries.items()):
-        drive = folder / entry["drive"]
-        is_same = drive.is_file() and sha256_of_file(drive) == entry["sha256"]
-        bad = "is missing" if not drive.is_file() else "is not the drive that was written"
-        items.append(item(f"{entry['drive']} of {place}", is_same, "as written", bad))
-    drives = sorted(p for p in folder.rglob("*.parquet") if p.is_file())
-    if not drives and not items:
-        raise SplitError(
-            "holds neither an export, nor a diagnosis, nor drives",
-            where=str(folder),
-            advice="Name a file, or the folder that `split export`, `diagnose` or `ingest` wrote.",
-        )
-    for drive in drives:
-        name = str(drive.relative_to(folder))
-        try:
-            failed = [i for i in verify_parquet(drive)[1] if i.passed is False]
-        except SplitError as error:
-            items.append(VerifiedItem(name, False, str(error)))
-            continue
-        bad = "; ".join(f"{i.check}: {i.detail}" for i in failed)
-        items.append(item(name, not failed, "pages, ranges, clock and physics", bad))
-    return tuple(items)
+        readable = isinstance(parse_json(numbers[1]), dict)
+    except ValueError:
+        readable = False
+    whole = readable and text.rstrip().endswith("</html>")
+    return (item("page", whole, "whole, and its numbers can be read", "it is cut off or damaged"),)

@@ -1,0 +1,108 @@
+"""Labels and points computed again from their drives, where these lie beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import SplitError
+from split_cli.files import sha256_of_file
+from split_cli.learning.features import FeatureSet
+from split_cli.learning.labels import Labels, compute_labels
+from split_cli.learning.region import Region
+from split_cli.learning.training_set import TrainingSet
+from split_cli.logs.drive import open_drive
+from split_cli.vehicle.parameters import Vehicle, read_vehicle
+from split_cli.workflows.recordings import RecordingCorrection
+from split_cli.workflows.verifying.verification import VerifiedItem, item
+
+__all__ = ["labels_against_drive", "points_against_drives"]
+
+TOLERANCE = 1e-6
+"""Of features and labels against those computed again, of 1 + their value [1]: other libraries round otherwise."""
+_HELD = ((), ("T",), ("delta",), ("T", "delta"))
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What a file says of some rows of one drive: features z, shape (N, D), and labels y, shape (N, 3)."""
+
+    row: np.ndarray
+    z: np.ndarray
+    y: np.ndarray
+    features: FeatureSet
+    region: Region
+    horizon: float
+    plain: bool
+
+
+def points_against_drives(trained: TrainingSet, path: Path) -> tuple[VerifiedItem, ...]:
+    """Compute the points of a set again from every drive that lies beside it."""
+    items = []
+    correct = RecordingCorrection(trained.nominal_vehicle)
+    for number, source in enumerate(trained.sources):
+        mine = trained.source == number
+        drive = path.parent / Path(source.name).name
+        # Where s begins depends on the drives that were given before.
+        if not source.sha256 or not mine.any() or correct.counts_places or not _is_the(drive, source.sha256):
+            continue
+        how = trained.features, trained.region, source.horizon or trained.horizon, trained.plain
+        told = _Told(trained.row[mine], trained.z[mine], trained.y[mine], *how)
+        items.append(_compared(f"points of {source.name}", drive, told, trained.vehicle, correct))
+    return tuple(items)
+
+
+def labels_against_drive(labels: Labels, path: Path) -> tuple[VerifiedItem, ...]:
+    """Compute labels again, where their drive and their vehicle file lie beside them."""
+    drive = path.parent / Path(labels.drive).name
+    vehicle = next((v for v in _vehicles(path.parent) if v.digest() == labels.vehicle_digest), None)
+    if vehicle is None or drive == path or not _is_the(drive, labels.sha256):
+        return ()
+    correct = RecordingCorrection(vehicle)
+    used = labels.accepted
+    how = labels.features, labels.region, labels.horizon, labels.plain
+    told = _Told(labels.row[used], labels.z[used], labels.y[used], *how)
+    return (_compared(f"labels of {labels.drive}", drive, told, vehicle, correct),) if used.any() else ()
+
+
+def _is_the(path: Path, digest: str) -> bool:
+    return path.is_file() and sha256_of_file(path) == digest
+
+
+def _vehicles(folder: Path) -> Iterable[Vehicle]:
+    for path in sorted(folder.glob("*.yaml")):
+        try:
+            yield read_vehicle(path)
+        except SplitError:
+            continue
+
+
+def _compared(check: str, path: Path, told: _Told, vehicle: Vehicle, correct: RecordingCorrection) -> VerifiedItem:
+    # Whether inputs were taken as held is not stored: some reading must give what the file says.
+    worst = min(_largest_error(path, told, vehicle, correct, held) for held in _HELD)
+    text = f"{len(told.row)} differ by at most {worst:.2g} from those computed again, {TOLERANCE:g} is allowed"
+    return item(check, worst <= TOLERANCE, text, text)
+
+
+def _largest_error(
+    path: Path, told: _Told, vehicle: Vehicle, correct: RecordingCorrection, held: tuple[str, ...]
+) -> float:
+    try:
+        drive = correct(open_drive(path, held))
+        again = compute_labels(
+            drive, vehicle, told.features, told.region, horizon=told.horizon, stride=1, plain=told.plain
+        )
+    except SplitError:
+        return np.inf
+    at = np.searchsorted(again.row, told.row)
+    if (at >= len(again)).any() or (again.row[at] != told.row).any():
+        return np.inf
+    errors = [
+        np.abs(ours[at] - theirs) / (1.0 + np.abs(theirs))
+        for ours, theirs in ((again.z, told.z), (again.y, told.y))
+    ]
+    worst = max(float(error.max()) for error in errors)
+    return worst if np.isfinite(worst) else np.inf

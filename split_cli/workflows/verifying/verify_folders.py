@@ -1,0 +1,207 @@
+"""Checks of folders of ours: a diagnosis, an evaluation, a comparison, drives."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from split_cli.errors import SplitError
+from split_cli.files import DIGESTS, parse_json, sha256_of_file
+from split_cli.logs.drive import metadata_of_drive
+from split_cli.vehicle.parameters import physics_as_written, read_vehicle
+from split_cli.workflows.ingesting.ingest_manifest import IngestManifest
+from split_cli.workflows.report.payload import shown_digest
+from split_cli.workflows.verifying.verification import VerifiedItem, item
+from split_cli.workflows.verifying.verify_files import compare_sources, verify_page, verify_parquet
+
+__all__ = ["is_diagnosis", "verify_diagnosis", "verify_drives_folder", "verify_pages_folder"]
+
+_VERDICTS = ("match", "mismatch", "undecided")
+_TABLE = "compare.csv"
+
+
+def is_diagnosis(folder: Path) -> bool:
+    """Tell the folder of a diagnosis by its main file."""
+    return (folder / "diagnosis.json").is_file()
+
+
+def verify_diagnosis(folder: Path) -> tuple[VerifiedItem, ...]:
+    """Check a diagnosis: its document, the report against it, the vehicles and the gap beside it.
+
+    Raises
+    ------
+    SplitError
+        If the document is no JSON of this version.
+    """
+    path = folder / "diagnosis.json"
+    try:
+        told = parse_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SplitError(f"is no JSON ({error})", where=str(path)) from error
+    if not isinstance(told, dict) or told.get("schema") != "split-diagnosis/1":
+        raise SplitError("is no diagnosis of this version", where=str(path))
+    items = [*_digests(folder), _checked("document", lambda: _document(told))]
+    inputs = [i for i in told.get("inputs", ()) if isinstance(i, dict)]
+    named = [(str(i.get("name")), str(i.get("sha256"))) for i in inputs]
+    items += compare_sources((folder, folder.absolute().parent), named)
+    report = folder / "report.html"
+    if report.is_file():
+        items.append(_checked("report against document", lambda: _report(folder, told)))
+    else:
+        items.append(VerifiedItem("report against document", False, "report.html is missing"))
+    for name in ("vehicle_corrected.yaml", "vehicle_rejected.yaml"):
+        if (folder / name).is_file():
+            items.append(_checked(name, lambda name=name: _effects(folder / name, told)))
+    if (folder / "gap.parquet").is_file():
+        items.append(_checked("gap.parquet", lambda: _gap(folder / "gap.parquet", told)))
+    return tuple(items)
+
+
+def _document(told: dict[str, Any]) -> str:
+    if told.get("verdict") not in _VERDICTS:
+        raise SplitError(f"its verdict is {told.get('verdict')!r}")
+    findings = told["findings"]
+    if findings and told["verdict"] != "mismatch":
+        raise SplitError(f"{len(findings)} findings beside the verdict {told['verdict']}")
+    for finding in findings:
+        for name, estimate in finding["parameters"].items():
+            low, high = estimate["interval_95"]
+            if not low <= estimate["value"] <= high:
+                raise SplitError(f"{finding['term']}.{name} lies outside its own interval")
+    return f"{told['verdict']}, {len(findings)} findings, every value within its interval"
+
+
+def _report(folder: Path, told: dict[str, Any]) -> str:
+    """Return what of the document the page shows."""
+    page = (folder / "report.html").read_text("utf-8")
+    wanted = [*(f["term"] for f in told["findings"]), *(i["sha256"] for i in told["inputs"])]
+    absent = [text for text in wanted if text not in page]
+    if absent:
+        raise SplitError(f"the page does not show {', '.join(absent[:3])}: it is of another diagnosis")
+    _require_shown(folder, "diagnosis.json")
+    return f"shows all {len(told['findings'])} findings and the digests of {len(told['inputs'])} inputs"
+
+
+def _require_shown(folder: Path, name: str) -> None:
+    """Refuse a page that shows the numbers of another file; one of an earlier version does not say of which."""
+    shown = shown_digest((folder / "report.html").read_text("utf-8"))
+    if shown is not None and shown != sha256_of_file(folder / name):
+        raise SplitError(f"the page shows the numbers of another {name}")
+
+
+def _effects(path: Path, told: dict[str, Any]) -> str:
+    """Return what the vehicle of a diagnosis has of its findings; faults of sensors are none of the car's."""
+    car = read_vehicle(path)
+    written = physics_as_written(path.read_text(encoding="utf-8"))
+    if written is not None and written != car.digest():
+        raise SplitError("its values were changed since it was written")
+    named = 0
+    for finding in told["findings"]:
+        values = {name: p["value"] for name, p in finding["parameters"].items()}
+        same_term = [dict(effect.parameters) for effect in car.effects if effect.term == finding["term"]]
+        if same_term and values not in same_term:
+            raise SplitError(f"its {finding['term']} has other values than the document")
+        named += bool(same_term)
+    return f"reads as {car.name}, with the values of {named} findings"
+
+
+def _gap(path: Path, told: dict[str, Any]) -> str:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    try:
+        table = pa.parquet.read_table(path, page_checksum_verification=True)
+        drives = set(table["drive"].unique().to_pylist())
+    except (pa.ArrowException, OSError) as error:
+        raise SplitError(str(error).splitlines()[0]) from error
+    strange = drives - {one["name"] for one in told["inputs"]}
+    if strange:
+        raise SplitError(f"is of {', '.join(sorted(strange))}, which the document does not name")
+    return f"{table.num_rows} rows, every page with a checksum has it right"
+
+
+def _checked(check: str, run: Callable[[], str]) -> VerifiedItem:
+    try:
+        return VerifiedItem(check, True, run())
+    except (SplitError, KeyError, TypeError, ValueError, OSError) as error:
+        return VerifiedItem(check, False, str(error) or type(error).__name__)
+
+
+def _digests(folder: Path) -> list[VerifiedItem]:
+    """Compare the files of a folder with the digests that were written beside them."""
+    listed = folder / DIGESTS
+    if not listed.is_file():
+        return [VerifiedItem("digests", None, f"{DIGESTS} is missing, as in folders of earlier versions")]
+    items = []
+    for line in listed.read_text(encoding="utf-8", errors="replace").splitlines():
+        digest, _, name = line.partition("  ")
+        path = folder / name
+        if len(digest) != 64 or not name or not path.absolute().is_relative_to(folder.absolute()) or ".." in name:
+            items.append(VerifiedItem("digests", False, f"{DIGESTS} is damaged"))
+        elif not path.is_file():
+            items.append(VerifiedItem(name, False, "is missing"))
+        else:
+            items.append(
+                item(name, sha256_of_file(path) == digest, "as written", "is not the file that was written")
+            )
+    return items
+
+
+def verify_pages_folder(folder: Path) -> tuple[str, tuple[VerifiedItem, ...]]:
+    """Check the folder of an evaluation or of a comparison; return what it is, and what was checked."""
+    items = [*_digests(folder), *verify_page(folder / "report.html")]
+    if (folder / _TABLE).is_file():
+        items.append(_checked(f"report against {_TABLE}", lambda: _compared(folder)))
+        return "comparison", tuple(items)
+    return "evaluation", tuple(items)
+
+
+def _compared(folder: Path) -> str:
+    with (folder / _TABLE).open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        low, value, high = float(row["low_95"]), float(row["rmse"]), float(row["high_95"])
+        if not 0.0 <= low <= value <= high:
+            raise SplitError(f"{row['model']}, {row['state']}: {value} lies outside its interval")
+    _require_shown(folder, _TABLE)
+    return f"{len(rows)} errors, each within its interval; the page shows them"
+
+
+def verify_drives_folder(folder: Path) -> tuple[VerifiedItem, ...]:
+    """Check a folder of drives: each against its manifest, where there is one, and against itself."""
+    items = []
+    manifest = IngestManifest.of(folder)
+    for place, entry in sorted(manifest.entries.items()):
+        drive = folder / entry["drive"]
+        bad = "is not the drive that was written"
+        if not drive.is_file():
+            bad = "is missing"
+        elif sha256_of_file(drive) == entry["sha256"]:
+            bad = "" if _is_made_of(drive, entry["source"]) else "was made of another source than is entered"
+        items.append(item(f"{entry['drive']} of {place}", not bad, "as written", bad))
+    drives = sorted(p for p in folder.rglob("*.parquet") if p.is_file())
+    if not drives and not items:
+        raise SplitError(
+            "holds neither an export, nor a diagnosis, nor drives",
+            where=str(folder),
+            advice="Name a file, or the folder that `split export`, `diagnose` or `ingest` wrote.",
+        )
+    for drive in drives:
+        name = str(drive.relative_to(folder))
+        try:
+            failed = [i for i in verify_parquet(drive)[1] if i.passed is False]
+        except SplitError as error:
+            items.append(VerifiedItem(name, False, str(error)))
+            continue
+        bad = "; ".join(f"{i.check}: {i.detail}" for i in failed)
+        items.append(item(name, not failed, "pages, ranges, clock and physics", bad))
+    return tuple(items)
+
+
+def _is_made_of(drive: Path, source: str) -> bool:
+    """Tell whether a drive names the source that a manifest has for it; that of a remote one is no digest."""
+    told = metadata_of_drive(drive)
+    digests = [s.sha256 for s in told.sources if s.sha256] if told is not None else []
+    return len(digests) != 1 or len(source) != 64 or digests == [source]

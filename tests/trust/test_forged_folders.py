@@ -1,0 +1,196 @@
+"""Something changed by hand in each file of ours, with its digest made right again: `split verify` finds it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from split_cli.cli.main import group
+from split_cli.files import DIGESTS, sha256_of_file, write_digests
+from split_cli.learning.label_file import read_labels, write_labels
+from split_cli.learning.training_set import read_set, write_set
+from split_cli.logs.drive import Source, read_drive, write_drive
+from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows.diagnose import write_diagnosis
+from split_cli.workflows.verifying.verify import verify
+from tests.diagnosis.test_report import mismatch
+from tests.factories import MissingForce, make_drive, road_car
+
+CAR = road_car()
+
+
+def failed(path) -> set[str]:
+    return {i.check for i in verify(path).items if i.passed is False}
+
+
+def checked(path) -> set[str]:
+    return {i.check for i in verify(path).items if i.passed}
+
+
+def split(*arguments) -> None:
+    done = CliRunner().invoke(group, list(map(str, arguments)), catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """Two drives, a set, an export of it, labels, a comparison, a diagnosis."""
+    folder = tmp_path_factory.mktemp("made")
+    write_vehicle(CAR, folder / "car.yaml")
+    for seed in range(2):
+        terms = [MissingForce({"front_lateral": 150.0})]
+        drive = make_drive(seed, segments=8, seconds=3.0, vehicle=CAR, terms=terms, name=f"d{seed}.parquet")
+        write_drive(drive, folder / drive.name)
+    car = ("--vehicle", folder / "car.yaml")
+    split("train", folder / "d0.parquet", *car, "-o", folder / "a.split")
+    split("train", folder / "d1.parquet", *car, "-o", folder / "a.split", "--append")
+    split("label", folder / "d0.parquet", *car, "-o", folder / "l.parquet")
+    split("export", folder / "a.split", "--target", "json", "-o", folder / "export", "--insist")
+    on = ("--on", folder / "d1.parquet", "--horizon", "0.5")
+    split("compare", folder / "car.yaml", folder / "a.split", *on, "-o", folder / "compared")
+    write_diagnosis(mismatch("d0.parquet"), CAR, folder / "diagnosis", [read_drive(folder / "d0.parquet")])
+    return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path) -> Path:
+    shutil.copytree(made, tmp_path / "f")
+    return tmp_path / "f"
+
+
+def test_what_was_written_passes_and_was_looked_at(made):
+    for name in ("a.split", "l.parquet", "export", "compared", "compared/report.html", "diagnosis/gap.parquet"):
+        if name != "diagnosis/gap.parquet":
+            assert failed(made / name) == set(), name
+    assert {"points of d0.parquet", "points of d1.parquet"} <= checked(made / "a.split")
+    assert "labels of d0.parquet" in checked(made / "l.parquet")
+    # The inputs that the diagnosis names are invented ones.
+    assert failed(made / "diagnosis") == {"source d0.parquet", "source car.yaml"}
+    assert {"report.html", "report against document", "gap.parquet"} <= checked(made / "diagnosis")
+
+
+@pytest.mark.parametrize("field", ["y", "z"])
+def test_a_point_of_a_set_that_its_drive_does_not_have(folder, field):
+    trained = read_set(folder / "a.split")
+    values = getattr(trained, field).copy()
+    values[7] += 1e-5
+    write_set(replace(trained, **{field: values}), folder / "a.split")
+    drive = f"points of {trained.sources[trained.source[7]].name}"
+    assert failed(folder / "a.split") == ({drive} if field == "y" else {drive, "gains"})
+
+
+def test_a_label_that_its_drive_does_not_have(folder):
+    labels = read_labels(folder / "l.parquet")
+    y = labels.y.copy()
+    y[np.flatnonzero(labels.accepted)[3], 1] *= 1.001
+    write_labels(replace(labels, y=y), folder / "l.parquet")
+    assert failed(folder / "l.parquet") == {"labels of d0.parquet"}
+
+
+def test_a_set_or_a_drive_of_another_run(folder):
+    shutil.copy(folder / "d1.parquet", folder / "d0.parquet")
+    assert failed(folder / "l.parquet") == {"source d0.parquet"}
+    split("train", folder / "d1.parquet", "--vehicle", folder / "car.yaml", "-o", folder / "a.split")
+    assert failed(folder / "export") == {"trained set"}
+
+
+def test_a_vehicle_changed_since_it_was_written(folder):
+    write_vehicle(CAR, folder / "calibrated.yaml", comment="Calibrated from a lap.")
+    assert checked(folder / "calibrated.yaml") == {"values", "as written"}
+    text = (folder / "calibrated.yaml").read_text()
+    (folder / "calibrated.yaml").write_text(text.replace(f"mass: {CAR.mass}", f"mass: {CAR.mass + 1.0}"))
+    assert failed(folder / "calibrated.yaml") == {"as written"}
+    # Names and notes are free.
+    (folder / "calibrated.yaml").write_text(text.replace(f"name: {CAR.name}", "name: mine"))
+    assert failed(folder / "calibrated.yaml") == set()
+
+
+def test_an_export_whose_numbers_changed(folder):
+    path, manifest = folder / "export" / "a.json", folder / "export" / "manifest.json"
+    path = next(
+        p for p in (folder / "export").glob("*.json") if p.name not in (manifest.name,) and "check" not in p.name
+    )
+    text = path.read_text()
+    told = json.loads(text)
+    told["y"] = [[value * 1.01 for value in row] for row in told["y"]] if "y" in told else told
+    path.write_text(json.dumps(told))
+    assert any("SHA-256" in check for check in failed(folder / "export"))
+    entered = json.loads(manifest.read_text())
+    entered["files"][path.name] = sha256_of_file(path)
+    manifest.write_text(json.dumps(entered))
+    assert failed(folder / "export") == {"json: answers"}
+
+
+def changed_value(diagnosis: Path) -> None:
+    told = json.loads((diagnosis / "diagnosis.json").read_text())
+    told["findings"][0]["parameters"]["gain"]["value"] += 0.001
+    (diagnosis / "diagnosis.json").write_text(json.dumps(told, indent=2) + "\n")
+
+
+def test_a_value_in_a_diagnosis(folder):
+    diagnosis, invented = folder / "diagnosis", {"source d0.parquet", "source car.yaml"}
+    changed_value(diagnosis)
+    found = {"report against document", "vehicle_corrected.yaml"}
+    assert failed(diagnosis) - invented == {*found, "diagnosis.json"}
+    write_digests(diagnosis)
+    assert failed(diagnosis) - invented == found
+
+
+def test_a_gap_and_a_figure_of_another_diagnosis(folder):
+    diagnosis, other = folder / "diagnosis", folder / "other"
+    write_diagnosis(
+        mismatch("d1.parquet"), CAR, other, [replace(read_drive(folder / "d1.parquet"), name="d1.parquet")]
+    )
+    shutil.copy(other / "gap.parquet", diagnosis)
+    assert "gap.parquet" in failed(diagnosis)
+    write_digests(diagnosis)
+    assert "gap.parquet" in failed(diagnosis)
+    (diagnosis / "figures" / "where.png").write_bytes((diagnosis / "figures" / "what.png").read_bytes())
+    assert "figures/where.png" in failed(diagnosis)
+
+
+def test_a_number_of_a_comparison(folder):
+    table = folder / "compared" / "compare.csv"
+    rows = table.read_text().splitlines()
+    cells = rows[1].split(",")
+    cells[5] = str(0.5 * (float(cells[6]) + float(cells[7])))  # within its interval
+    table.write_text("\n".join([rows[0], ",".join(cells), *rows[2:]]) + "\n")
+    assert failed(folder / "compared") == {"compare.csv", "report against compare.csv"}
+    write_digests(folder / "compared")
+    assert failed(folder / "compared") == {"report against compare.csv"}
+    (folder / "compared" / DIGESTS).write_text("../../../etc/passwd\n")
+    assert "digests" in failed(folder / "compared")
+
+
+def test_a_page_that_was_cut(folder):
+    page = folder / "compared" / "report.html"
+    page.write_text(page.read_text()[:-20])
+    assert failed(page) == {"page"}
+
+
+def test_a_drive_of_another_source_entered_in_a_manifest(folder):
+    drives = folder / "drives"
+    drives.mkdir()
+    drive = read_drive(folder / "d0.parquet")
+    told = replace(drive.metadata, sources=(Source("lap.csv", "ab" * 32),))
+    write_drive(replace(drive, metadata=told), drives / "lap.parquet")
+    entry = {"source": "ab" * 32, "settings": "", "drive": "lap.parquet"}
+    manifest = {"format": "split-ingest/1", "drives": {"lap.csv": entry}}
+
+    def enter() -> None:
+        entry["sha256"] = sha256_of_file(drives / "lap.parquet")
+        (drives / "ingest-manifest.json").write_text(json.dumps(manifest))
+
+    enter()
+    assert failed(drives) == set()
+    other = read_drive(folder / "d1.parquet")
+    told = replace(other.metadata, sources=(Source("lap.csv", "cd" * 32),))
+    write_drive(replace(other, metadata=told), drives / "lap.parquet")
+    enter()
+    assert failed(drives) == {"lap.parquet of lap.csv"}
