@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -67,7 +68,7 @@ class Path:
         """Of a lap, or from end to end [m]."""
         return self.spacing * (len(self.x) if self.closed else len(self.x) - 1)
 
-    @property
+    @cached_property
     def turn(self) -> float:
         """Angle by which the tangent turns in a lap [rad]."""
         return float(2.0 * np.pi * np.round(np.sum(self.curvature) * self.spacing / (2.0 * np.pi)))

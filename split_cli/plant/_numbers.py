@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections import namedtuple
 from dataclasses import fields, is_dataclass
+from functools import lru_cache
 
 __all__ = ["as_numbers"]
 
 _CLASSES: dict[type, type] = {}
 
 
+@lru_cache(maxsize=64)
 def as_numbers(parameters):
-    """Return the numeric fields of a (nested) parameter dataclass as a namedtuple; ``name`` is left out."""
+    """Return the numeric fields of a (nested) parameter dataclass as a namedtuple; ``name`` is left out.
+
+    A closed loop asks for the same car every 10 ms, and taking a car apart costs as much as moving it.
+    """
     cls = _number_class(type(parameters))
     values = [getattr(parameters, name) for name in cls._fields]
     return cls(*(as_numbers(value) if is_dataclass(value) else float(value) for value in values))

@@ -189,7 +189,8 @@ def test_a_set_of_another_vehicle_is_refused(tmp_path):
     assert done.exit_code == 0, done.output
     for command in (["race"], ["maneuver", "iso3888-1"]):
         refused = invoke(*command, "--vehicle", CAR, "--start-set", str(trained))
-        with pytest.raises(SplitError, match="another vehicle"):
+        says = r"another vehicle of the same name, road_car: rolling_resistance_front is 91 in the set and 101"
+        with pytest.raises(SplitError, match=says):
             raise refused.exception
 
 

@@ -413,8 +413,22 @@ def test_projected_finds_how_much_of_the_unspanned_variance_is_in_the_labels(dra
     assert abs(inside[0] - 0.5) < 0.09 and abs(inside[1] - 0.95) < 0.06
 
 
+def fitc_at_once(kernel: Kernel, points: np.ndarray, z: np.ndarray, y: np.ndarray, asked: np.ndarray):
+    """Return mean and variance from C_uu, C_uf and the gains, solved at once (Snelson and Ghahramani 2006)."""
+    cuu, cuf, cua = (kernel.correlation(points, other) for other in (points, z, asked))
+    gain = np.maximum(1.0 - np.einsum("uf,uf->f", cuf, np.linalg.solve(cuu, cuf)), 0.0)
+    mean, variance = np.empty((2, len(asked), 3))
+    for o, ratio in enumerate(kernel.noise_variance / kernel.signal_variance):
+        # Woodbury: weights of the points given all labels, each with noise ratio + gain.
+        precision = cuu + cuf / (ratio + gain) @ cuf.T
+        mean[:, o] = cua.T @ np.linalg.solve(precision, cuf @ (y[:, o] / (ratio + gain)))
+        left = 1.0 - np.einsum("ua,ua->a", cua, np.linalg.solve(cuu, cua) - np.linalg.solve(precision, cua))
+        variance[:, o] = kernel.signal_variance[o] * left
+    return mean, variance
+
+
 def test_projected_absorbs_labels_as_fitc_on_its_points(make_set):
-    """Points far apart come first; all labels after them are told by C_uu, C_uf and the gains, solved at once."""
+    """Points far apart come first; all labels after them are told as if at once."""
     random = np.random.default_rng(33)
     lattice = 2.0 * np.stack(np.meshgrid(*[np.arange(3.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
     kernel = Kernel(np.full(3, 1.5), np.array([0.5, 1.0, 2.0]), np.array([0.05, 0.4, 0.1]))
@@ -424,20 +438,35 @@ def test_projected_absorbs_labels_as_fitc_on_its_points(make_set):
     process.learn(z, y)
     np.testing.assert_allclose(process.points, lattice, rtol=1e-14)
     asked = random.uniform(-1.0, 5.0, (80, 3))
-    cuu, cuf, cua = (kernel.correlation(lattice, other) for other in (lattice, z, asked))
-    solved = np.linalg.solve(cuu, cuf)
-    gain = np.maximum(1.0 - np.einsum("uf,uf->f", cuf, solved), 0.0)
     mean, variance, slope = process.along(asked)
-    for o, ratio in enumerate(kernel.noise_variance / kernel.signal_variance):
-        # Woodbury: weights of the points given all labels, each with noise ratio + gain.
-        precision = cuu + cuf / (ratio + gain) @ cuf.T
-        np.testing.assert_allclose(
-            mean[:, o], cua.T @ np.linalg.solve(precision, cuf @ (y[:, o] / (ratio + gain))), atol=1e-9
-        )
-        left = 1.0 - np.einsum("ua,ua->a", cua, np.linalg.solve(cuu, cua) - np.linalg.solve(precision, cua))
-        np.testing.assert_allclose(variance[:, o], kernel.signal_variance[o] * left, atol=1e-9)
+    at_once = fitc_at_once(kernel, lattice, z, y, asked)
+    np.testing.assert_allclose((mean, variance), at_once, atol=1e-9)
+    # Points chosen first, labels afterwards: no label precedes a point, so the order of labels is all the same.
+    for order in (slice(None), slice(None, None, -1)):
+        chosen = OnlineProcess(kernel, threshold=0.05)
+        chosen.span(z)
+        first = chosen.points
+        chosen.learn(z[order], y[order])
+        assert np.array_equal(chosen.points, first) and 27 < len(first) < 100
+        at_once = fitc_at_once(kernel, first, z, y, asked)
+        np.testing.assert_allclose(chosen.along(asked)[:2], at_once, atol=1e-9)
     # More labels leave memory as it is, and what they say is kept: the second lot weighs in.
     before = process.count
     process.learn(z[27:], y[27:])
     assert process.count == before and np.abs(process.along(asked)[0] - mean).max() > 0.01
     assert (process.along(asked)[1] <= variance + 1e-12).all() and slope.shape == (80, 3, 3)
+
+
+def test_points_chosen_at_once_leave_room_for_places_that_tell_more():
+    random = np.random.default_rng(34)
+    kernel = Kernel(np.ones(3), np.ones(3), np.full(3, 0.1))
+    dense, far = random.uniform(0.0, 3.0, (300, 3)), np.array([[20.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
+    process = OnlineProcess(kernel, most=16, threshold=1e-3)
+    process.span(dense)
+    assert process.count == 12
+    # What was left out tells less than what was chosen, and takes no room; a place never seen does.
+    process.learn(dense, random.normal(size=(300, 3)))
+    assert process.count == 12
+    process.learn(far, np.ones((2, 3)))
+    assert process.count == 14
+    np.testing.assert_allclose(process.along(far)[0], 1.0 / 1.1, rtol=1e-6)

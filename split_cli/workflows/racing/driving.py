@@ -117,6 +117,7 @@ class Race:
         self.spans: dict[int, tuple[int, int]] = {}
         self.grips: list[tuple[float, ...]] = []
         self.ended = ""
+        self.kept: str | None = None
         self.lines, self.crossing, self.until = 0, 0.0, 0.0
 
     def begin(self) -> None:
@@ -161,7 +162,8 @@ class Race:
         if self._drive(record=None) is None:
             raise SplitError(
                 f"the run-up to the line was not finished: {self.ended}", where=self.path.name,
-                advice="Lower --p-ellipse or --max-speed: the nominal model asks for more than the road gives.",
+                advice="The nominal model asks for more than the road gives: lower --p-ellipse or --max-speed, or tell "
+                "the controller the road's grip (--told-grip).",
             )  # fmt: skip
         if self.start_set is None:
             self.say("lap 0, nominal")
@@ -185,8 +187,7 @@ class Race:
         self.laps[-1] = replace(
             self.laps[-1], updates=updates, size=self.learner.size, cells=self.learner.cells
         )  # fmt: skip
-        if trained is not None and trained.size and self.set_output is not None:
-            write_set(trained, self.set_output)
+        self._keep(trained)
         self._learn_grip(labels.z[labels.accepted], labels.y[labels.accepted])
         self.model = ControlModel(self.header.vehicle, self.learner.residual, self.mpcc.step)
         self.controller.model, self.controller.limits = self.model, self.mpcc.limits
@@ -230,8 +231,13 @@ class Race:
         self.model.residual = self.learner.residual
         if trained is not None and trained.size:
             self._learn_grip(trained.z, trained.y)
-        if trained is not None and self.set_output is not None:
+        self._keep(trained)
+
+    def _keep(self, trained: TrainingSet | None) -> None:
+        """Write what was learned, if anything was."""
+        if trained is not None and trained.size and self.set_output is not None:
             write_set(trained, self.set_output)
+            self.kept = str(self.set_output)
 
     def _drive(self, record: Tally | None) -> float | None:
         """Drive until the progress reaches `until`; return the time of crossing [s], None when the lap ended."""
@@ -243,7 +249,7 @@ class Race:
             try:
                 info = self._interval(record)
             except ControllerLost as error:
-                self.ended = str(error)
+                self.ended = f"{error} at {s % self.path.length:.0f} m"
                 return None
             s = self.path.project(*world.exact[:2], before + world.exact[3] * h, reach=8.0)
             contour, beyond = self._beyond(s)
@@ -312,6 +318,6 @@ class Race:
         return RaceResult(
             track=self.path.name, car=self.car.name, vehicle=self.vehicle.name, learner=self.settings.learner,
             length=self.path.length, laps=tuple(self.laps), output=None if output is None else str(output),
-            set_path=None if self.set_output is None else str(self.set_output), notes=tuple(self.notes),
+            set_path=self.kept, notes=tuple(self.notes),
             traces=tuple(self.traces), path=self.path, grips=tuple(self.grips),
         )  # fmt: skip

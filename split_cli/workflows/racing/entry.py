@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -14,7 +15,7 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.tracks import TRACK_NAMES, find_track
 from split_cli.prediction import PREDICTORS
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import Vehicle, vehicle_to_mapping
 from split_cli.workflows.racing.closed_loop import path_of
 from split_cli.workflows.racing.settings import LEARNERS, RaceSettings
 
@@ -167,10 +168,13 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
         If it is of another vehicle, holds plain differences, or labels beyond what any model gets wrong.
     """
     if training_set.nominal_vehicle.digest() != vehicle.digest():
+        name = training_set.vehicle.name
+        other = f"({name}) than {vehicle.name}" if name != vehicle.name else f"of the same name, {name}"
         raise SetError(
-            f"was trained for another vehicle ({training_set.vehicle.name}) than {vehicle.name}", where=str(where),
+            f"was trained for another vehicle {other}: {_differences(training_set.nominal_vehicle, vehicle)}",
+            where=str(where),
             advice="Train a set for this vehicle, or name the vehicle file the set was trained with.",
-        )  # fmt: skip
+        )
     if training_set.plain:
         raise SetError(
             "holds plain differences, which depend on the label interval", where=str(where),
@@ -182,3 +186,27 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
             f"holds labels up to {huge:.3g} m/s^2: no car's model is wrong by more than three times gravity",
             where=str(where), advice="Check the recordings it was trained on with `split evaluate`.",
         )  # fmt: skip
+
+
+def _differences(trained: Vehicle, given: Vehicle) -> str:
+    """Return where two vehicles differ first, in words, and in how many other places."""
+    one, other = _physics(trained), _physics(given)
+    names = [name for name in {**one, **other} if one.get(name) != other.get(name)]
+    more = f", and {len(names) - 1} more" if len(names) > 1 else ""
+    was, now = one.get(names[0], "absent"), other.get(names[0], "absent")
+    return f"{names[0]} is {was} in the set and {now} in the file{more}"
+
+
+def _physics(vehicle: Vehicle) -> dict[str, str]:
+    """Return every value of a vehicle in words, by its name in the file."""
+    found = {}
+    for key, value in vehicle_to_mapping(replace(vehicle, name="", origins={}, notes={})).items():
+        if key == "effects":
+            for effect in value:
+                numbers = ", ".join(f"{name} {number:g}" for name, number in effect["parameters"].items())
+                found[effect["term"]] = " ".join(part for part in (effect.get("variant"), numbers) if part)
+        elif isinstance(value, dict):
+            found |= {f"{key}.{name}": f"{number:.6g}" for name, number in value.items()}
+        elif key != "name":
+            found[key] = f"{value:.6g}"
+    return found
