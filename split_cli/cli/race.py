@@ -58,8 +58,8 @@ __all__ = ["command"]
     "--predictor",
     default="bcm",
     show_default=True,
-    help="Predictor that evaluates the set. bcm and projected follow every update; others are rebuilt after "
-    "each lap.",
+    help="Predictor that evaluates the set. bcm and projected follow every update, others are rebuilt after "
+    "each lap. Only bcm kept a wet road.",
 )
 @click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Largest speed.")
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")

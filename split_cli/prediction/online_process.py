@@ -21,8 +21,8 @@ MOST_SPANNING = 600
 _REDUNDANT = 1e-4
 #: Share of the points that may be chosen at once [1]; the others stay for places that are driven later.
 _AT_ONCE = 0.75
-#: Gain of a point where slopes are asked [1]. A mean may be wrong by a share of the noise, a slope is a difference of
-#: means: after a race it is then wrong by 1 to 4 %, and by 34 to 67 % at the noise (docs/decisions/0034).
+#: Gain of a point where slopes are asked [1]. A mean may be wrong by a share of the noise; a slope is a difference
+#: of means. After a race it is then wrong by 1 to 5 %, and by 34 to 67 % with points at the noise (decision 0034).
 _SLOPE_GAIN = 1e-3
 #: Points that span the variances at most [1]. Their cost goes with the square, and they need no slope.
 _MOST_OF_VARIANCES = 300
@@ -98,11 +98,12 @@ class OnlineProcess:
 
         The most informative come first. Where not all find room, later points must tell more than those left out.
         """
-        rows, gains = most_informative(z, self.kernel.length_scales, int(_AT_ONCE * len(self._points)), self._threshold)
+        room = int(_AT_ONCE * len(self._points))
+        rows, gains = most_informative(z, self.kernel.length_scales, room, self._threshold)
         self.count = n = len(rows)
         self._points[:n] = z[rows] / self._scales
         self._inverse[:n, :n] = np.tril(np.linalg.inv(self.kernel.correlation(z[rows], z[rows])))
-        if n == int(_AT_ONCE * len(self._points)):
+        if n == room:
             self._threshold = float(gains[-1])
 
     def learn(self, z: np.ndarray, y: np.ndarray) -> None:

@@ -162,8 +162,8 @@ class Race:
         if self._drive(record=None) is None:
             raise SplitError(
                 f"the run-up to the line was not finished: {self.ended}", where=self.path.name,
-                advice="The nominal model asks for more than the road gives: lower --p-ellipse or --max-speed, or tell "
-                "the controller the road's grip (--told-grip).",
+                advice="The nominal model asks for more than the road gives: lower --p-ellipse-lap0 or "
+                "--max-speed, or tell the grip by --told-grip.",
             )  # fmt: skip
         if self.start_set is None:
             self.say("lap 0, nominal")

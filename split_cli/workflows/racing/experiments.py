@@ -110,8 +110,10 @@ def _rivals_and_roads() -> list[Experiment]:
         found.append(_race("limit", learner, 0, "limit", laps=laps, **_SMALL))
         for group, road in (("worn", _WORN), ("wet", _WET)):
             found.append(_race(group, learner, 0, laps=laps, **road))
-        car = {"car": "formula_car", "model": "nominal" if learner == "none" else learner}
-        found.append(_race("formula", learner, 0, "formula", laps=laps, **car, **_SMALL))
+    for seed in _SEEDS:
+        for learner, laps in (("none", 1), ("split", 2)):
+            car = {"car": "formula_car", "model": "nominal" if learner == "none" else learner}
+            found.append(_race("formula", learner, seed, "formula", laps=laps, **car, **_SMALL))
     # The same set, asked as a table of its dense process after each lap instead of as a committee at once.
     found.append(_race("table", "split", 0, model="split table", laps=3, predictor="table", **_SMALL))
     # What the named terms remember, as further features.
