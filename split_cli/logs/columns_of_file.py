@@ -46,6 +46,10 @@ class ColumnsOfFile(Mapping[str, np.ndarray]):
         titles = [(*split_name_and_unit(title), title) for title in self.schema.names]
         self._titles = {name: (title, unit) for name, unit, title in titles}
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Travel by name: another process opens the file for itself."""
+        return _reopened, (self.path, tuple(self._titles))
+
     @property
     def is_plain(self) -> bool:
         """Whether all columns are numbers, each of a name of its own."""
@@ -103,6 +107,12 @@ class ColumnsOfFile(Mapping[str, np.ndarray]):
         except (pa.ArrowException, OSError) as error:
             raise DriveError(f"is damaged ({str(error).splitlines()[0][:160]})", where=str(self.path)) from error
         return out
+
+
+def _reopened(path: Path, names: Sequence[str]) -> ColumnsOfFile:
+    columns = ColumnsOfFile(path)
+    columns._titles = {name: columns._titles[name] for name in names}
+    return columns
 
 
 def columns_of_csv(path: Path) -> ColumnsOfFile | None:

@@ -22,6 +22,7 @@ from split_cli.logs.drive_metadata import (
     metadata_of_drive,
     schema_of,
 )
+from split_cli.logs.scratch import let_go
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, split_name_and_unit
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
 ]
 
 INPUT_CHANNELS = ("T", "delta")
+_GROUP_ROWS = 2**20
 #: Rows from which on `open_drive` leaves columns in the file [1]: 11 of them take 46 MB.
 _LONG = 2**19
 
@@ -374,9 +376,17 @@ def untold_inputs(drives: Sequence[Drive]) -> tuple[str, ...]:
 
 def write_drive(drive: Drive, path: str | Path) -> None:
     """Write a drive as Parquet, whole or not at all. No time of writing is stored: equal drives, equal bytes."""
-    fields = {name: pa.array(values) for name, values in drive.columns.items()}
-    fields["segment"] = pa.array(drive.segment.astype(np.int32))
-    table = pa.table(fields).replace_schema_metadata(schema_of(drive.metadata, drive.period))
-    with atomic_path(path) as temporary:
-        # Checksums: a bit that flips on a disk must not become a velocity.
-        pa.parquet.write_table(table, temporary, compression="zstd", write_page_checksum=True)
+    described = schema_of(drive.metadata, drive.period)
+    # Checksums: a bit that flips on a disk must not become a velocity.
+    options = {"compression": "zstd", "write_page_checksum": True}
+    schema = _table_of(drive.stretch(0, 0)).schema.with_metadata(described)
+    with atomic_path(path) as temporary, pa.parquet.ParquetWriter(temporary, schema, **options) as writer:
+        for first in range(0, len(drive), _GROUP_ROWS):  # a long drive has no room for its table
+            part = drive.stretch(first, min(first + _GROUP_ROWS, len(drive)))
+            writer.write_table(_table_of(part).replace_schema_metadata(described), row_group_size=_GROUP_ROWS)
+            let_go()
+
+
+def _table_of(drive: Drive) -> pa.Table:
+    columns = {name: pa.array(values) for name, values in drive.columns.items()}
+    return pa.table({**columns, "segment": pa.array(drive.segment.astype(np.int32))})

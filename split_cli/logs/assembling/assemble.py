@@ -34,6 +34,7 @@ from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
 from split_cli.logs.map_entries import SignalMap, TimeBase
 from split_cli.logs.raw import Clock, RawRecording
+from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
@@ -303,7 +304,7 @@ def _place_and_derive(
         settings = signal_map.derivations.get(name.replace("-", "_"), {})
         time = (grid.index - grid.index[0]) * grid.period
         derived = DERIVATIONS[name].run(DerivationInputs(columns, grid.period, slices, vehicle, settings, time))
-        columns.update(derived.columns)
+        columns.update({channel: set_aside(values) for channel, values in derived.columns.items()})
         for channel in derived.columns:
             if not derived.keeps_noise:
                 noise[channel] = NoiseEstimate(channel, None, None, reason=f"derived ({name})")
@@ -364,7 +365,7 @@ def _between(
 
 
 def _drive(recording: RawRecording, grid: SampleClock, columns: Mapping[str, np.ndarray]) -> Drive:
-    ordered = {"t": (grid.index - grid.index[0]) * grid.period}
+    ordered = {"t": set_aside((grid.index - grid.index[0]) * grid.period)}
     for name in (*CHANNELS, *columns):
         if name in columns and name != "t":
             ordered[name] = columns[name]

@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.assembling.conversion import RawSeries
+from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS
 
 __all__ = ["CleanSeries", "Drop", "clean_series", "join_clock_resets", "longest_repeat"]
@@ -71,8 +72,10 @@ def join_clock_resets(
     LogError
         If channels do not agree on how often the clock jumped.
     """
+    clocks = {id(part.time): part.time for parts in series.values() for part in parts}
+    found_in = {key: _resets(time, largest_step_back) for key, time in clocks.items()}
     boundaries = {
-        (channel, index): _resets(part.time, largest_step_back)
+        (channel, index): found_in[id(part.time)]
         for channel, parts in series.items()
         for index, part in enumerate(parts)
     }
@@ -189,8 +192,8 @@ def clean_series(
     return CleanSeries(
         channel=series.channel,
         source=series.source,
-        time=time,
-        values=values,
+        time=set_aside(time),
+        values=set_aside(values),
         period=float(np.median(np.diff(time))),
         repeats=repeats,
         spikes=int(np.count_nonzero(spikes)),

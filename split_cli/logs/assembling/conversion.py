@@ -10,6 +10,7 @@ from split_cli.errors import LogError, MapError
 from split_cli.logs.assembling import transform
 from split_cli.logs.map_entries import EXTRA_UNITS, SignalMap, SignalSource
 from split_cli.logs.raw import RawSignal
+from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
 __all__ = ["ConversionNotes", "Converter", "RawSeries", "expected_unit"]
@@ -101,7 +102,7 @@ class Converter:
         recorded = signals[0].name
         if source.convert == "yaw_from_quaternion":
             recorded = recorded.rsplit(".", 1)[0]
-        return RawSeries(channel, recorded, time, values, source.delay or 0.0)
+        return RawSeries(channel, recorded, time, set_aside(values), source.delay or 0.0)
 
     def _combine(
         self, channel: str, source: SignalSource, signals: list[RawSignal]

@@ -13,6 +13,7 @@ from split_cli.errors import LogError, MapError, nearest_names
 from split_cli.logs.assembling.conversion import ConversionNotes, Converter, RawSeries, expected_unit
 from split_cli.logs.map_entries import ChannelMap, SignalMap, SignalSource
 from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column
+from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
 __all__ = ["Gathered", "gather", "row_rate_from_yaw", "topic_of"]
@@ -111,6 +112,7 @@ def gather(
     found, absent = resolver.without_absent_elements(found, signals, needed)
     skipped += absent
     common, origin, words = _common_time(signals, time_column, signal_map, recording, notes)
+    common = None if common is None else set_aside(common)
     converter = Converter(recording.name, signal_map, wheel_radius, notes)
     # A signal goes with its last use, so that a long recording is not held twice.
     uses = Counter(name for groups in found.values() for names in groups for name in names)

@@ -11,6 +11,7 @@ from split_cli.logs.drive import NoiseEstimate
 __all__ = ["difference_noise", "estimate_noise", "sum_of_noise"]
 
 _ORDERS = (3, 4, 5, 6)
+_PIECE = 2**18  # steps
 
 
 def difference_noise(values: np.ndarray, runs: list[tuple[int, int]], order: int = 3) -> float:
@@ -125,6 +126,10 @@ def _resolution(values: np.ndarray) -> float | None:
     if len(steps) < 20:
         return None
     smallest = float(np.quantile(steps, 0.02))
-    ratio = steps / smallest
-    near = np.abs(ratio - np.round(ratio)) < 0.02 * np.maximum(1.0, 0.2 * ratio)
-    return smallest if np.mean(near & (ratio < 20)) > 0.9 * np.mean(ratio < 20) else None
+    small = multiples = 0
+    for first in range(0, len(steps), _PIECE):  # a long recording has no room for all ratios at once
+        ratio = steps[first : first + _PIECE] / smallest
+        ratio = ratio[ratio < 20]
+        small += len(ratio)
+        multiples += np.count_nonzero(np.abs(ratio - np.round(ratio)) < 0.02 * np.maximum(1.0, 0.2 * ratio))
+    return smallest if multiples > 0.9 * small else None

@@ -13,6 +13,7 @@ from split_cli.logs.assembling.derive import derivative
 from split_cli.logs.assembling.noise import sum_of_noise
 from split_cli.logs.drive import NoiseEstimate
 from split_cli.logs.map_entries import ChannelMap, Position
+from split_cli.logs.scratch import set_aside
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["move_to_cg"]
@@ -53,7 +54,7 @@ def move_to_cg(
                     advice=f"Map {support}, or leave out `position` if the sensor is near the CG.",
                 )
             shift = _shift(pair, axis, columns, period, slices, x, y)
-            columns[channel] = columns[channel] + shift
+            columns[channel] = set_aside(columns[channel] + shift)
             conversions.append(f"{channel}: moved from the sensor at x {x:g} m, y {y:g} m to the CG")
             lever = (y, x)[axis]
             if pair[0] == "vx" and {channel, "r"} <= set(noise):

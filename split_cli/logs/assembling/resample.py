@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.logs.scratch import let_go, room, set_aside
+
 __all__ = [
     "Resampled",
     "SampleClock",
@@ -28,6 +30,7 @@ _HALF_WIDTH = 2.5
 the drive's rate; 0.5 % off at a tenth of it."""
 
 _CHUNK = 20000
+_CHUNKS_HELD = 20  # of columns outside memory
 _FEWEST = 4  # samples that a stretch needs
 _LONGEST_LAG = 12
 _ENOUGH_ROWS = 20000
@@ -55,7 +58,11 @@ class SampleClock:
     @property
     def time(self) -> np.ndarray:
         """Shape (N,) [s]."""
-        return self.origin + self.index * self.period
+        return self.time_of(slice(None))
+
+    def time_of(self, rows: slice) -> np.ndarray:
+        """Return the times of some rows [s]."""
+        return self.origin + self.index[rows] * self.period
 
 
 @dataclass(frozen=True)
@@ -122,7 +129,7 @@ def make_grid(spans: Sequence[Sequence[tuple[float, float]]], period: float) -> 
         index.append(np.arange(first, last + 1, dtype=np.int64))
     if not index:
         return SampleClock(origin, period, np.empty(0, np.int64), np.empty(0, np.int32)), left_out
-    return SampleClock(origin, period, np.concatenate(index), np.concatenate(segment)), left_out
+    return SampleClock(origin, period, set_aside(np.concatenate(index)), np.concatenate(segment)), left_out
 
 
 def _intersect(one: list[tuple[float, float]], other: list[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -159,8 +166,8 @@ def resample_together(
     Others: the cubic through the four nearest samples, the sample itself where the clocks agree. Both are linear
     in the samples, so the noise on the drive's clock follows from the weights.
     """
-    outputs = [np.full(len(grid.index), np.nan) for _ in signals]
-    rows_time = grid.time
+    outputs = [room(len(grid.index)) for _ in signals]
+    rows_time = set_aside(grid.time)
     slack = 1e-6 * grid.period
     noise = _NoiseOfWeights()
     low_passed = False
@@ -183,6 +190,8 @@ def resample_together(
             for output, values in zip(outputs, found.T, strict=True):
                 output[low : low + len(at)] = values
             noise.add(first, weights)
+            if (low - a) // _CHUNK % _CHUNKS_HELD == 0:
+                let_go()
     gain, autocorrelation = noise.result()
     return [Resampled(output, gain, autocorrelation, low_passed) for output in outputs]
 
@@ -191,11 +200,16 @@ def resample_held(time: np.ndarray, values: np.ndarray, grid: SampleClock, *, lo
     """Return the last value at or before each row, shape (N,); NaN before the first and after `longest` [s]."""
     # Rows and samples of equal clocks differ by rounding: without the slack half of the rows would read the
     # sample before theirs.
-    row = np.searchsorted(time, grid.time + 1e-6 * grid.period, side="right") - 1
-    known = row >= 0
-    held = values[np.maximum(row, 0)]
-    age = grid.time - time[np.maximum(row, 0)]
-    return np.where(known & (age <= longest), held, np.nan)
+    result = room(len(grid.index))
+    for first in range(0, len(result), _CHUNKS_HELD * _CHUNK):
+        piece = slice(first, first + _CHUNKS_HELD * _CHUNK)
+        at = grid.time_of(piece)
+        row = np.searchsorted(time, at + 1e-6 * grid.period, side="right") - 1
+        known = row >= 0
+        row = np.maximum(row, 0)
+        result[piece] = np.where(known & (at - time[row] <= longest), values[row], np.nan)
+        let_go()
+    return result
 
 
 def is_sampled_and_held(values: np.ndarray) -> bool:

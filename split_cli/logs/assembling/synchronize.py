@@ -24,6 +24,7 @@ from split_cli.logs.assembling.resample import (
 )
 from split_cli.logs.drive import NoiseEstimate
 from split_cli.logs.map_entries import ChannelMap
+from split_cli.logs.scratch import let_go, set_aside
 from split_cli.signals import CHANNELS
 
 __all__ = [
@@ -44,11 +45,6 @@ __all__ = [
 SLOWEST_PERIOD = 0.125
 """Of a needed channel that is bridged over two and a half samples unasked [s]: 10 Hz, the rate of satellite
 receivers and of many loggers, with a quarter for jitter. What is slower misses the car's own motion."""
-
-
-_LONG = 2**20
-"""Rows of a drive beyond which `bring_to_clock` takes `_CHANNELS_AT_ONCE`; weights are then found once a batch."""
-_CHANNELS_AT_ONCE = 3
 
 
 @dataclass(frozen=True)
@@ -76,10 +72,6 @@ class Channels:
     needed: tuple[str, ...]
     gap: float
     widened: bool = False
-
-    def only(self, names: Sequence[str]) -> Channels:
-        """Return some channels alone."""
-        return replace(self, clean={name: self.clean[name] for name in names})
 
     def gap_of(self, channel: str, index: int) -> float:
         """Return the longest step of a source that is bridged [s]; more for commands and slow optional ones."""
@@ -126,7 +118,7 @@ def clean_channels(
         held = entry.resample == "held" or entry.kind == "command" or _may_hold(channel)
         if channel == "yaw" or entry.resample == "angle":
             # Before spikes are looked for: a car that drives along the cut of the angle is no faulty sensor.
-            parts = [replace(part, values=_unwrapped(part.values)) for part in parts]
+            parts = [replace(part, values=set_aside(_unwrapped(part.values))) for part in parts]
         try:
             # No car steers out and back within two samples: a measured steer angle has spikes like any sensor.
             steps = held and (channel != "delta" or entry.kind == "command")
@@ -280,6 +272,7 @@ def sum_sources(channels: Channels, resampled: Mapping[tuple[str, int], Resample
         sums[channel] += 0.0  # -0 becomes 0
         for index in range(1, len(parts)):
             sums[channel] += resampled[channel, index].values
+        let_go()
     return sums
 
 
@@ -288,24 +281,13 @@ def bring_to_clock(
 ) -> tuple[dict[str, np.ndarray], dict[str, NoiseEstimate], list[ChannelQuality]]:
     """Return the channels on the drive's clock, their noise and the quality of their sources.
 
-    The values of `channels` are given up on the way. Of a long recording a few channels are done at a time: there
-    is no room for all of them on both clocks.
+    The values of `channels` are given up.
     """
-    names = list(channels.clean)
-    count = _CHANNELS_AT_ONCE if len(grid.index) > _LONG else len(names)
-    columns: dict[str, np.ndarray] = {}
-    noise: dict[str, NoiseEstimate] = {}
-    qualities: list[ChannelQuality] = []
-    for first in range(0, len(names), count):
-        some = channels.only(names[first : first + count])
-        resampled = resample_channels(some, grid)
-        some_noise, some_qualities = judge_sources(some, resampled)
-        noise |= some_noise
-        qualities += some_qualities
-        columns |= sum_sources(some, resampled)
-        for name, parts in some.clean.items():
-            channels.clean[name] = [replace(part, values=np.empty(0)) for part in parts]
-    return columns, noise, qualities
+    resampled = resample_channels(channels, grid)
+    noise, qualities = judge_sources(channels, resampled)
+    for name, parts in channels.clean.items():
+        channels.clean[name] = [replace(part, values=np.empty(0)) for part in parts]
+    return sum_sources(channels, resampled), noise, qualities
 
 
 def judge_sources(
@@ -330,6 +312,7 @@ def judge_sources(
             runs = runs_of(part.time, gap)
             filtered = {"gain": result.gain, "autocorrelation": result.autocorrelation}
             estimates.append(estimate_noise(channel, part.values, runs, **filtered))
+            let_go()
         if estimates:
             noise[channel] = sum_of_noise(channel, estimates)
     return noise, qualities
@@ -340,6 +323,7 @@ def without_missing(
 ) -> tuple[SampleClock, dict[str, np.ndarray], int]:
     """Leave out rows where a required channel is missing, of `columns` itself too, and number segments anew."""
     present = np.all([np.isfinite(columns[channel]) for channel in needed], axis=0)
+    let_go()
     if present.all():
         return grid, columns, 0
     starts = np.flatnonzero(np.diff(present.astype(int), prepend=0) == 1)
@@ -355,7 +339,7 @@ def without_missing(
     segment = np.cumsum(broken | changed).astype(np.int32)
     kept = SampleClock(grid.origin, grid.period, grid.index[rows], segment)
     for name in columns:  # one by one: a long recording has no room for both
-        columns[name] = columns[name][rows]
+        columns[name] = set_aside(columns[name][rows])
     return kept, columns, len(present) - len(rows)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.errors import MapError
 from split_cli.logs.assembling.conversion import RawSeries
+from split_cli.logs.scratch import set_aside
 
 __all__ = ["trim"]
 
@@ -68,7 +69,7 @@ def trim(
             if not keep.any():
                 what = f"nothing of {channel} is left after trimming"
                 raise MapError(what, advice="See --start, --end and --cut.")
-            kept.append(replace(part, time=part.time[keep], values=part.values[keep]))
+            kept.append(replace(part, time=set_aside(part.time[keep]), values=set_aside(part.values[keep])))
         made[channel] = tuple(kept)
     told = [f"before {last:g} s" if np.isinf(first) else f"after {first:g} s" if np.isinf(last)
             else f"from {first:g} to {last:g} s" for first, last in spans]  # fmt: skip

@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from split_cli.logs.raw import (
     note_once,
 )
 from split_cli.logs.readers.dialect import Dialect, Sniffed, sniff, unwrapped
-from split_cli.logs.readers.parquet import numbers_of
+from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
 __all__ = ["open_delimited"]
@@ -164,39 +164,31 @@ def _read_columns(
     import pyarrow as pa
 
     try:
-        table, ragged = _read_table(path, dialect, width, list(titles), pa.float64())
+        values, bad, ragged = _read_blocks(path, dialect, width, list(titles), pa.float64())
     except pa.ArrowInvalid:
         # Some cell is no number: read as text, then cell by cell where the quick conversion fails.
         try:
-            table, ragged = _read_table(path, dialect, width, list(titles), pa.string())
+            values, bad, ragged = _read_blocks(path, dialect, width, list(titles), pa.string())
         except pa.ArrowException as error:
             raise _unreadable(path, error) from error
     except pa.ArrowException as error:
         raise _unreadable(path, error) from error
     if ragged:
         note_once(notes, ReadNote("rows with too few or too many cells, left out", path.name, ragged))
-    if not table.num_rows:
+    if not len(next(iter(values.values()))):
         raise LogError("holds no rows", where=path.name, advice="Export it again.")
-    values = {}
     for index, title in titles.items():
-        # A column goes as soon as it is read, so that a long recording is not held twice.
-        at = table.column_names.index(str(index))
-        column, table = table.column(at), table.remove_column(at)
-        if pa.types.is_string(column.type):
-            values[index], bad = _numbers(column, dialect.decimal)
-            if bad:
-                note_once(
-                    notes,
-                    ReadNote("cells that are no numbers, read as missing", f"{path.name}, column {title}", bad),
-                )
-        else:
-            values[index] = numbers_of(column.fill_null(float("nan")))
-        del column
-        pa.default_memory_pool().release_unused()
+        if bad[index]:
+            what = "cells that are no numbers, read as missing"
+            note_once(notes, ReadNote(what, f"{path.name}, column {title}", bad[index]))
     return values
 
 
-def _read_table(path: Path, dialect: Dialect, width: int, indices: list[int], kind: Any) -> tuple[Any, int]:
+def _read_blocks(
+    path: Path, dialect: Dialect, width: int, indices: list[int], kind: Any
+) -> tuple[dict[int, np.ndarray], Counter[int], int]:
+    """Return columns as numbers, cells of each that are none, and rows that were left out; block by block."""
+    import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
     ragged: Counter[str] = Counter()
@@ -207,9 +199,10 @@ def _read_table(path: Path, dialect: Dialect, width: int, indices: list[int], ki
         return "skip"
 
     names = [str(index) for index in range(width)]
-    with path.open("rb") as stream:
+    # Arrow's own file: what Python reads for another thread to parse stays in memory until the end.
+    with pa.OSFile(str(path)) as stream:
         stream.seek(dialect.offset)
-        table = arrow_csv.read_csv(
+        blocks = arrow_csv.open_csv(
             _rewritten(stream, dialect),
             read_options=arrow_csv.ReadOptions(
                 column_names=names, encoding=dialect.encoding, block_size=_BLOCK_BYTES
@@ -228,10 +221,22 @@ def _read_table(path: Path, dialect: Dialect, width: int, indices: list[int], ki
                 check_utf8=False,
             ),
         )
-    return table, ragged["rows"]
+        columns = {index: GrowingColumn() for index in indices}
+        bad: Counter[int] = Counter()
+        for block in blocks:
+            for index in indices:
+                cells = block.column(str(index))
+                if pa.types.is_string(cells.type):
+                    numbers, none = _numbers(cells, dialect.decimal)
+                    bad[index] += none
+                else:
+                    numbers = cells.fill_null(float("nan")).to_numpy(zero_copy_only=False)
+                columns[index].append(numbers)
+        pa.default_memory_pool().release_unused()
+    return {index: column.finished() for index, column in columns.items()}, bad, ragged["rows"]
 
 
-def _rewritten(stream: BinaryIO, dialect: Dialect) -> BinaryIO:
+def _rewritten(stream: Any, dialect: Dialect) -> Any:
     """Return the rest of a file without quotes around whole lines, and with one tab for each run of blanks."""
     if not dialect.quoted_whole and dialect.separator != " ":
         return stream
@@ -244,26 +249,20 @@ def _rewritten(stream: BinaryIO, dialect: Dialect) -> BinaryIO:
     return io.BytesIO(text.encode(dialect.encoding))
 
 
-def _numbers(column: Any, decimal: str) -> tuple[np.ndarray, int]:
-    """Return a column of text as numbers, and how many cells are none."""
+def _numbers(texts: Any, decimal: str) -> tuple[np.ndarray, int]:
+    """Return texts as numbers, and how many are none."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    parts: list[np.ndarray] = []
-    bad = 0
-    for chunk in column.chunks:
-        text = pc.utf8_trim_whitespace(chunk)
-        try:
-            plain = text if decimal == "." else pc.replace_substring(text, decimal, ".")
-            numbers = pc.fill_null(pc.cast(plain, pa.float64()), float("nan"))
-            parts.append(numbers.to_numpy(zero_copy_only=False))
-        except pa.ArrowInvalid:
-            cells = text.to_pylist()
-            values = np.array([np.nan if cell is None else _number(cell, decimal) for cell in cells])
-            missing = np.flatnonzero(np.isnan(values))
-            bad += sum(cells[row] is not None and cells[row] not in _EMPTY for row in missing)
-            parts.append(values)
-    return np.concatenate(parts), bad
+    text = pc.utf8_trim_whitespace(texts)
+    try:
+        plain = text if decimal == "." else pc.replace_substring(text, decimal, ".")
+        return pc.fill_null(pc.cast(plain, pa.float64()), float("nan")).to_numpy(zero_copy_only=False), 0
+    except pa.ArrowInvalid:
+        cells = text.to_pylist()
+        values = np.array([np.nan if cell is None else _number(cell, decimal) for cell in cells])
+        missing = np.flatnonzero(np.isnan(values))
+        return values, sum(cells[row] is not None and cells[row] not in _EMPTY for row in missing)
 
 
 def _unreadable(path: Path, error: Exception) -> LogError:

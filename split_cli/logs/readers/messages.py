@@ -14,8 +14,9 @@ from split_cli.errors import LogError, nearest_names
 from split_cli.logs.raw import Clock, RawChannelInfo, RawSignal, ReadNote, note_once
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.objects import JsonDecoder, ProtobufDecoder
-from split_cli.logs.readers.payloads import PayloadDecoder
+from split_cli.logs.readers.payloads import Columns, PayloadDecoder
 from split_cli.logs.readers.serialized import SerializedDecoder
+from split_cli.logs.scratch import GrowingColumn, set_aside
 
 __all__ = ["Container", "MessageBatch", "MessageRecording", "Stream"]
 
@@ -136,13 +137,13 @@ class MessageRecording:
         for name in dict.fromkeys(names):
             topic, path = self._split(name)
             wanted[topic].append(path)
-        parts = self._decode({topic: tuple(paths) for topic, paths in wanted.items()})
+        samples = self._decode({topic: tuple(paths) for topic, paths in wanted.items()})
         signals: dict[str, RawSignal] = {}
         for topic, paths in wanted.items():
-            time, values = self._assemble(topic, parts[topic], len(paths), clock)
-            for column, path in enumerate(paths):
+            time, columns = self._assemble(topic, samples.pop(topic), clock)
+            for path, values in zip(paths, columns, strict=True):
                 name = f"{topic}/{path}"
-                signals[name] = RawSignal(name, time, np.ascontiguousarray(values[:, column]))
+                signals[name] = RawSignal(name, time, values)
         return {name: signals[name] for name in names}
 
     def _split(self, name: str) -> tuple[str, str]:
@@ -171,26 +172,26 @@ class MessageRecording:
             )
         return topic, path
 
-    def _decode(self, wanted: dict[str, tuple[str, ...]]) -> dict[str, list[_Part]]:
+    def _decode(self, wanted: dict[str, tuple[str, ...]]) -> dict[str, _Samples]:
         by_key = {stream.key: stream for topic in wanted for stream in self._topics[topic]}
-        parts: dict[str, list[_Part]] = {topic: [] for topic in wanted}
+        samples = {topic: _Samples(len(paths)) for topic, paths in wanted.items()}
         pending: dict[int, list[MessageBatch]] = defaultdict(list)
         waiting = 0
         for batch in self._container.batches(frozenset(by_key)):
             pending[batch.key].append(batch)
             waiting += sum(map(len, batch.payloads))
             if waiting > _FLUSH_BYTES:
-                self._flush(pending, by_key, wanted, parts)
+                self._flush(pending, by_key, wanted, samples)
                 waiting = 0
-        self._flush(pending, by_key, wanted, parts)
-        return parts
+        self._flush(pending, by_key, wanted, samples)
+        return samples
 
     def _flush(
         self,
         pending: dict[int, list[MessageBatch]],
         by_key: dict[int, Stream],
         wanted: dict[str, tuple[str, ...]],
-        parts: dict[str, list[_Part]],
+        samples: dict[str, _Samples],
     ) -> None:
         for key, batches in pending.items():
             stream = by_key[key]
@@ -202,45 +203,43 @@ class MessageRecording:
             except LogError as error:
                 note_once(self.notes, ReadNote(f"not readable: {error}", stream.topic, len(payloads)))
                 continue
-            parts[stream.topic].append(_Part(log, publish, columns.stamps, columns.values, columns.readable))
+            samples[stream.topic].add(log, publish, columns)
         pending.clear()
 
-    def _assemble(self, topic: str, parts: list[_Part], width: int, clock: Clock) -> tuple[np.ndarray, np.ndarray]:
-        """Return time (N,) and values (N, P) of a topic, without the messages that could not be decoded."""
-        if not parts:
-            return np.empty(0), np.empty((0, width))
-        readable = np.concatenate([part.readable for part in parts])
-        lost = int(len(readable) - readable.sum())
-        if lost:
-            note_once(self.notes, ReadNote("messages that do not fit their definition, left out", topic, lost))
-        if lost == len(readable):
+    def _assemble(self, topic: str, samples: _Samples, clock: Clock) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return time and the columns of a topic, shapes (N,), without the messages that could not be decoded."""
+        if samples.lost:
+            what = "messages that do not fit their definition, left out"
+            note_once(self.notes, ReadNote(what, topic, samples.lost))
+        if samples.lost and not samples.kept:
             raise LogError(
-                f"none of the {lost} messages of topic {topic} fits the definition of "
+                f"none of the {samples.lost} messages of topic {topic} fits the definition of "
                 f"{self._topics[topic][0].type_name}",
                 where=self.name,
                 advice="The definition is of another version, or the payloads are damaged. Give the right .msg "
                 "files with --msg-path.",
             )
-        log = np.concatenate([part.log for part in parts])[readable]
-        values = np.concatenate([part.values for part in parts])[readable]
-        times = log
+        log = times = samples.log.finished()
         if clock == "publish" and self._container.has_publish_times:
-            times = np.concatenate([part.publish for part in parts])[readable]
+            times = samples.publish.finished()
         if clock == "header":
-            times = self._header_times(topic, parts, readable, log)
-        order = np.argsort(log, kind="stable")
+            times = self._header_times(topic, samples, log)
         # Wrapping subtraction of unsigned nanoseconds, read as signed, is exact over 292 years.
         since = (times.astype(np.uint64) - np.uint64(self._container.origin)).view(np.int64)
-        return since[order] * 1e-9, values[order]
+        columns = [column.finished() for column in samples.columns]
+        if np.all(log[1:] >= log[:-1]):
+            return set_aside(since * 1e-9), columns
+        order = np.argsort(log, kind="stable")
+        return set_aside(since[order] * 1e-9), [set_aside(values[order]) for values in columns]
 
-    def _header_times(self, topic: str, parts: list[_Part], readable: np.ndarray, log: np.ndarray) -> np.ndarray:
-        if any(part.stamps is None for part in parts):
+    def _header_times(self, topic: str, samples: _Samples, log: np.ndarray) -> np.ndarray:
+        if not samples.all_stamped:
             note_once(
                 self.notes,
                 ReadNote("messages without a time stamp of their own: log time used", topic, len(log)),
             )
             return log
-        stamps = np.concatenate([part.stamps for part in parts if part.stamps is not None])[readable]
+        stamps = samples.stamps.finished()
         if not stamps.any():
             note_once(
                 self.notes, ReadNote("time stamps that were never set (zero): log time used", topic, len(log))
@@ -287,15 +286,28 @@ class MessageRecording:
                     continue
 
 
-@dataclass(frozen=True)
-class _Part:
-    """A decoded run of messages of a topic; times in ns."""
+class _Samples:
+    """The messages of a topic that could be decoded, times in ns, and how many could not."""
 
-    log: np.ndarray
-    publish: np.ndarray
-    stamps: np.ndarray | None
-    values: np.ndarray
-    readable: np.ndarray
+    def __init__(self, width: int) -> None:
+        self.log, self.publish = GrowingColumn(np.uint64), GrowingColumn(np.uint64)
+        self.stamps = GrowingColumn(np.int64)
+        self.columns = [GrowingColumn() for _ in range(width)]
+        self.all_stamped = True
+        self.kept = self.lost = 0
+
+    def add(self, log: np.ndarray, publish: np.ndarray, decoded: Columns) -> None:
+        readable = decoded.readable
+        kept = int(np.count_nonzero(readable))
+        self.kept, self.lost = self.kept + kept, self.lost + len(readable) - kept
+        self.log.append(log[readable])
+        self.publish.append(publish[readable])
+        if decoded.stamps is None:
+            self.all_stamped = False
+        else:
+            self.stamps.append(decoded.stamps[readable])
+        for column, values in zip(self.columns, decoded.values.T, strict=True):
+            column.append(values[readable])
 
 
 def _nearest_topics(name: str, topics: Sequence[str]) -> str:

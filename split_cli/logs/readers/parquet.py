@@ -18,6 +18,7 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
+from split_cli.logs.scratch import set_aside
 
 __all__ = ["column_values", "numbers_of", "open_arrow", "open_parquet"]
 
@@ -95,7 +96,9 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
             except (pa.ArrowException, OSError) as error:
                 raise _damaged(path, kind, error) from error
             for name in below:
-                values[name] = column_values(_leaf(column, columns[name]), f"{path.name}, column {name}")
+                values[name] = set_aside(
+                    column_values(_leaf(column, columns[name]), f"{path.name}, column {name}")
+                )
             del column
             pa.default_memory_pool().release_unused()
         return {name: RawSignal(name, None, values[name], units[name]) for name in names}

@@ -1,0 +1,135 @@
+"""Long columns kept outside memory: in nameless temporary files, mapped, and let go of when others are looked at.
+
+A recording of hours has columns of a hundred megabytes each. Whoever goes through them one by one sets each aside
+and works on with the array that it gets: pages come back when they are read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import tempfile
+import weakref
+from collections.abc import Iterator
+from typing import BinaryIO
+
+import numpy as np
+
+from split_cli.errors import LogError
+
+__all__ = ["LONG", "GrowingColumn", "let_go", "room", "set_aside"]
+
+LONG = 2**19
+"""Values from which on a column is set aside [1]: 4 MB; shorter ones cost less in memory than in files."""
+_PIECE = 2**18
+_maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+
+
+def set_aside(values: np.ndarray) -> np.ndarray:
+    """Return equal values outside memory where they are many, for reading only; and let go of all others.
+
+    Where there is no room for them on the disk they stay where they are.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+    """
+    if values.size < LONG:
+        return values
+    let_go()
+    if _is_aside(values):
+        return values
+    try:
+        with tempfile.TemporaryFile() as file:
+            for first in range(0, len(values), _PIECE):
+                file.write(np.ascontiguousarray(values[first : first + _PIECE]).data)
+            return _mapped(file, values.dtype)
+    except OSError:
+        return values
+
+
+def room(count: int) -> np.ndarray:
+    """Return `count` numbers to be written, all NaN, shape (N,); many of them lie outside memory."""
+    if count < LONG:
+        return np.full(count, np.nan)
+    try:
+        with tempfile.TemporaryFile() as file:
+            # Written, not left as a hole: a disk that is full later would kill whoever writes into the map.
+            for first in range(0, count, _PIECE):
+                file.write(np.full(min(_PIECE, count - first), np.nan).data)
+            return _mapped(file, np.dtype(float), writable=True)
+    except OSError:
+        return np.full(count, np.nan)
+
+
+def let_go() -> None:
+    """Release the memory of every column that was set aside; its values come back when they are read."""
+    for mapped in list(_maps):
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # no such call on every system
+            mapped.madvise(mmap.MADV_DONTNEED)
+
+
+class GrowingColumn:
+    """A column that is read piece by piece; a long one grows in a file.
+
+    Parameters
+    ----------
+    dtype : numpy dtype
+    """
+
+    def __init__(self, dtype: type = float) -> None:
+        self._dtype = np.dtype(dtype)
+        self._parts: list[np.ndarray] = []
+        self._held = 0
+        self._file: BinaryIO | None = None
+
+    def append(self, values: np.ndarray) -> None:
+        """Add values at the end, shape (M,).
+
+        Raises
+        ------
+        LogError
+            If there is no room for it on the disk.
+        """
+        self._parts.append(np.array(values, dtype=self._dtype))
+        self._held += len(values)
+        if self._held >= LONG or self._file is not None:
+            with _told_of_a_full_disk():
+                self._file = self._file or tempfile.TemporaryFile()  # noqa: SIM115 (grows from call to call)
+                for part in self._parts:
+                    self._file.write(part.data)
+            self._parts, self._held = [], 0
+
+    def finished(self) -> np.ndarray:
+        """Return all values, shape (N,); the column ends here."""
+        rest = np.concatenate(self._parts) if self._parts else np.empty(0, self._dtype)
+        if self._file is None:
+            return rest
+        with _told_of_a_full_disk(), self._file as file:
+            file.write(rest.data)
+            return _mapped(file, self._dtype)
+
+
+@contextlib.contextmanager
+def _told_of_a_full_disk() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise LogError(
+            f"a long recording does not fit into the folder for temporary files ({error.strerror})",
+            where=tempfile.gettempdir(),
+            advice="Make room there, or name another folder by the variable TMPDIR.",
+        ) from error
+
+
+def _is_aside(values: np.ndarray) -> bool:
+    return isinstance(values.base, mmap.mmap) or (
+        isinstance(values.base, memoryview) and isinstance(values.base.obj, mmap.mmap)
+    )
+
+
+def _mapped(file: BinaryIO, dtype: np.dtype, *, writable: bool = False) -> np.ndarray:
+    file.flush()
+    mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ)
+    _maps.add(mapped)
+    return np.frombuffer(mapped, dtype=dtype)

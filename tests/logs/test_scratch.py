@@ -1,0 +1,114 @@
+"""Columns outside memory hold the same numbers, give their memory back, and make the same drives to the byte."""
+
+from __future__ import annotations
+
+import errno
+import re
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from split_cli.errors import LogError
+from split_cli.logs import scratch
+from split_cli.logs.scratch import GrowingColumn, let_go, room, set_aside
+from split_cli.workflows.ingesting.ingest import IngestSettings, ingest_logs
+
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
+
+
+@pytest.fixture
+def everything_is_long(monkeypatch):
+    monkeypatch.setattr(scratch, "LONG", 100)
+    monkeypatch.setattr(scratch, "_PIECE", 64)
+
+
+def test_columns_come_back_as_they_went(everything_is_long):
+    values = np.random.default_rng(0).normal(size=1000)
+    values[::7] = np.nan
+    aside, space, growing = set_aside(values), room(1000), GrowingColumn()
+    assert aside is not values and not aside.flags.writeable and set_aside(aside) is aside
+    assert np.isnan(space).all()
+    space[:] = values
+    for first in range(0, 1000, 90):
+        growing.append(values[first : first + 90])
+    stamps = GrowingColumn(np.uint64)
+    stamps.append(np.array([2**63 + 1] * 150, dtype=np.uint64))
+    let_go()
+    for found in (aside, space, growing.finished()):
+        np.testing.assert_array_equal(found, values)
+    assert set(stamps.finished().tolist()) == {2**63 + 1}
+    short = values[:99]
+    assert set_aside(short) is short
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the memory in use from /proc")
+def test_memory_is_given_back():
+    def in_use() -> int:
+        return int(re.search(r"VmRSS:\s+(\d+)", Path("/proc/self/status").read_text())[1]) * 1024
+
+    aside = set_aside(np.arange(5e6))
+    before = in_use()
+    assert aside.sum() == 12499997500000.0
+    read = in_use()
+    let_go()
+    assert read - before > 30e6 and read - in_use() > 30e6
+    assert aside.sum() == 12499997500000.0
+
+
+def test_without_room_on_the_disk_columns_stay_in_memory_or_it_is_said(everything_is_long, monkeypatch):
+    def full(*given, **named):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", full)
+    values = np.arange(200.0)
+    assert set_aside(values) is values
+    assert np.isnan(room(200)).all()
+    with pytest.raises(LogError, match="does not fit into the folder for temporary files.*TMPDIR"):
+        GrowingColumn().append(values)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "parquet", "csv", "csv with text in it", "csv out of order"])
+def test_a_long_recording_makes_the_same_drive(tmp_path, monkeypatch, kind):
+    """Also with spikes, missing values, a delay, a cut, a sensor off the CG and a derived channel."""
+    given = {"vehicle_path": SAMPLES / "road_car.yaml"}
+    if kind == "mcap":
+        log = SAMPLES / "road_handling_moderate.mcap"
+        given |= {"maps": ["split_sim"]}
+        derive = ("acceleration-from-velocity",)
+        settings = IngestSettings(delays={"vy": 0.013}, cuts=((20.0, 25.0),), derive=derive)
+    else:
+        rng = np.random.default_rng(3)
+        t = np.arange(0.0, 40.0, 0.01) + rng.uniform(-2e-4, 2e-4, 4000)
+        table = pd.DataFrame({"t": t, "vx": 10 + np.sin(t), "vy": 0.1 * np.cos(t), "r": 0.1 * np.sin(2 * t),
+                              "T": np.round(t) * 10.0, "delta": 0.05 * np.sin(2 * t)})  # fmt: skip
+        table["vx"] += rng.normal(0, 0.01, 4000)
+        table.loc[1000:1010, "r"] = np.nan
+        table.loc[2000, "vx"] = 90.0
+        if kind == "csv out of order":
+            table = pd.concat([table[:500], table[501:502], table[500:501], table[502:]])
+        log = tmp_path / f"log.{kind.partition(' ')[0]}"
+        if kind == "parquet":
+            table.to_parquet(log)
+        else:
+            table.to_csv(log, index=False)
+        if kind == "csv with text in it":
+            log.write_text(re.sub(r"(?m)^(20\.\d+),[^,]+", r"\1,broken", log.read_text()))
+        (tmp_path / "map.yaml").write_text(
+            "time: {source: t, unit: s}\nchannels:\n"
+            + "".join(f"  {name}: {{source: {name}}}\n" for name in ("vx", "r", "T", "delta"))
+            + "  vy: {source: vy, position: {x: 0.3, y: 0.1}}\n"
+        )
+        given |= {"maps": [tmp_path / "map.yaml"]}
+        settings = IngestSettings(delays={"vx": 0.004})
+    drives = []
+    for name in ("short", "long"):
+        if name == "long":
+            monkeypatch.setattr(scratch, "LONG", 100)
+            monkeypatch.setattr(scratch, "_PIECE", 64)
+        (result,) = ingest_logs([log], tmp_path / f"{name}.parquet", settings=settings, **given).results
+        drives.append((tmp_path / f"{name}.parquet").read_bytes())
+        assert result.rows > 1000
+    assert drives[0] == drives[1]
