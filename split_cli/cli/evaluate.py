@@ -8,6 +8,7 @@ import click
 
 from split_cli.cli.digits import three_digits
 from split_cli.cli.options import (
+    engine_options,
     existing_file,
     held_option,
     json_option,
@@ -150,10 +151,11 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     metavar="LIST",
     help="Cell edges for --select, as multiples of the standard edge.",
 )
+@engine_options(1)
 @output_option("Folder for figures and report.html.", required=False)
 @held_option
 @json_option
-def command(drives, vehicle_path, set_path, output, as_json, select, **settings) -> None:
+def command(drives, vehicle_path, set_path, output, as_json, select, engine, scheduler, jobs, **settings) -> None:
     """Measure the error of predictors, beside the nominal model, persistence and the noise floor.
 
     Without --set, a set is trained on the training blocks of the drives and scored on the held-out blocks. Its
@@ -170,15 +172,19 @@ def command(drives, vehicle_path, set_path, output, as_json, select, **settings)
     if output is not None and not output.parent.is_dir():
         raise click.UsageError(f"the folder {output.parent} does not exist")
     if select:
+        if engine != "process" or jobs > 1:
+            raise click.UsageError("--select works in this process: leave out --engine and --jobs")
         _select(drives, vehicle_path, set_path, output, as_json, tried, settings)
         return
     from split_cli.scoring.report import EvaluationSettings
+    from split_cli.workflows.engine import open_engine
     from split_cli.workflows.evaluate import evaluate_files
 
     asked = EvaluationSettings(**settings)
     # Labels, each predictor trusted and believed in full, rollouts and noise: no more steps than this.
     progress = StepBar(len(asked.features) * (1 + 2 * len(asked.predictors)) + 2)
-    run = evaluate_files(drives, vehicle_path, asked, set_path, say=progress)
+    with open_engine(engine, jobs=jobs, scheduler=scheduler) as where:
+        run = evaluate_files(drives, vehicle_path, asked, set_path, say=progress, engine=where)
     progress.close()
     if output is not None:
         from split_cli.workflows.recording_report import write_evaluation

@@ -125,7 +125,7 @@ def _spans(
 @click.option("--list", "list_only", is_flag=True, help="List the channels of the logs and exit.")
 @click.option("--list-maps", is_flag=True, help="List the preset signal maps and exit.")
 @click.option("--suggest-map", is_flag=True, help="Print a draft signal map for the log and exit.")
-@engine_options
+@engine_options(None)
 @json_option
 def command(logs, maps, vehicle_path, output, topics, message_paths, databases, as_json, **options) -> int:
     """Read recordings into drives: one uniform clock, SI units, ISO 8855 axes at the CG.

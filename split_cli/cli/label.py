@@ -33,7 +33,7 @@ __all__ = ["command"]
 @click.option("--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h.")
 @label_options
 @held_option
-@engine_options
+@engine_options(None)
 @json_option
 def command(
     drives, vehicle_path, output, features, horizon, stride, plain, held, engine, scheduler, jobs, as_json

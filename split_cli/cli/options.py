@@ -58,18 +58,26 @@ def json_option(function: Callable) -> Callable:
     return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")(function)
 
 
-def engine_options(function: Callable) -> Callable:
-    """``--engine``, ``--scheduler``, ``--jobs``: where the work is done; results do not depend on it."""
-    for option in (
-        click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Number of processes."),
-        click.option("--scheduler", metavar="ADDRESS", help="Address of a running Dask scheduler, tcp://HOST:PORT."),
-        click.option(
-            "--engine", type=click.Choice(["process", "dask"]), default="process", show_default=True,
-            help="Work on this machine or on a Dask cluster; the result is the same.",
-        ),
-    ):  # fmt: skip
-        function = option(function)
-    return function
+def engine_options(processes: int | None) -> Callable:
+    """``--engine``, ``--scheduler``, ``--jobs``: where the work is done; results do not depend on it.
+
+    Without ``--jobs`` there are so many `processes`; None stands for one a core.
+    """
+    usual = "one a core, at most 4" if processes is None else str(processes)
+
+    def decorate(function: Callable) -> Callable:
+        for option in (
+            click.option("--jobs", type=click.IntRange(1), default=processes, metavar="N",
+                         help=f"Number of processes; default: {usual}."),
+            click.option("--scheduler", metavar="ADDRESS",
+                         help="Address of a running Dask scheduler, tcp://HOST:PORT."),
+            click.option("--engine", type=click.Choice(["process", "dask"]), default="process", show_default=True,
+                         help="Work on this machine or on a Dask cluster; the result is the same."),
+        ):  # fmt: skip
+            function = option(function)
+        return function
+
+    return decorate
 
 
 def log_options(function: Callable) -> Callable:

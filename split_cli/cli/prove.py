@@ -19,7 +19,6 @@ from split_cli.cli.options import (
 __all__ = ["command"]
 
 _folder = click.Path(path_type=Path, file_okay=False)
-_jobs = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Number of processes.")
 
 
 @click.group("prove", context_settings={"help_option_names": ["-h", "--help"]})
@@ -51,21 +50,23 @@ def command() -> None:
     help="Kinds of cases; also hard-pair, set, nominal-set and whole-car.",
 )
 @click.option("--sets", is_flag=True, help="Short for --kinds set,nominal-set: sets of three to five effects.")
-@_jobs
+@engine_options(1)
 @json_option
-def generate(folder, seed, cases, kinds, sets, jobs, as_json) -> None:
+def generate(folder, seed, cases, kinds, sets, engine, scheduler, jobs, as_json) -> None:
     """Write cases and their hidden answers, and print the hash of the answers (the seal)."""
+    from split_cli.workflows.engine import open_engine
     from split_cli.workflows.proving.prove import generate_cases
 
-    kinds = "set,nominal-set" if sets else kinds
-    seal = generate_cases(folder, seed, cases, jobs=jobs, kinds=tuple(kinds.split(",")), report=_progress("cases"))
+    kinds = tuple(("set,nominal-set" if sets else kinds).split(","))
+    with open_engine(engine, jobs=jobs, scheduler=scheduler) as where:
+        seal = generate_cases(folder, seed, cases, apply=where.map, kinds=kinds, report=_progress("cases"))
     _tell_seal(seal, as_json)
 
 
 @command.command("identify")
 @click.argument("folder", type=_folder)
 @click.option("--limit", type=click.IntRange(1), help="Diagnose only this many cases, from the first.")
-@engine_options
+@engine_options(1)
 @json_option
 def identify(folder, limit, engine, scheduler, jobs, as_json) -> None:
     """Diagnose the cases that have no result yet, without their answers; print the seal first."""

@@ -6,6 +6,7 @@ import click
 
 from split_cli.cli.digits import three_digits
 from split_cli.cli.options import (
+    engine_options,
     existing_file,
     held_option,
     json_option,
@@ -102,9 +103,10 @@ class TimeSpan(click.ParamType):
     help="Leave this stretch of time out of training [s]; repeatable.",
 )
 @held_option
+@engine_options(1)
 @click.option("--per-lap", is_flag=True, help="Also print what each lap added, as in the paper's table.")
 @json_option
-def command(drives, vehicle_path, output, append, per_lap, as_json, **settings) -> None:
+def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jobs, as_json, **settings) -> None:
     """Learn the error of the nominal model from drives into a trained set.
 
     Each drive is labelled once. Drives that `split label` has labelled for this vehicle are not labelled again.
@@ -120,10 +122,10 @@ def command(drives, vehicle_path, output, append, per_lap, as_json, **settings) 
       split train lap1.parquet lap2.parquet --vehicle car.yaml -o car.split
       split train lap3.parquet --vehicle car.yaml -o car.split --append
     """
+    from split_cli.workflows.engine import open_engine
     from split_cli.workflows.training.train import TrainSettings, train_set
 
-    progress = StepBar()
-    try:
+    with open_engine(engine, jobs=jobs, scheduler=scheduler) as where, StepBar() as progress:
         result = train_set(
             drives,
             vehicle_path,
@@ -131,10 +133,9 @@ def command(drives, vehicle_path, output, append, per_lap, as_json, **settings) 
             TrainSettings(**settings),
             append=append,
             per_lap=per_lap,
+            engine=where,
             progress=progress,
         )
-    finally:
-        progress.close()
     for note in result.notes:
         click.echo(f"note: {note}", err=True)
     if as_json:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from split_cli.errors import SplitError
 from split_cli.proof.cases import build_case
@@ -22,7 +21,7 @@ def generate_cases(
     seed: int,
     cases: int,
     *,
-    jobs: int = 1,
+    apply: Callable[[Callable[[Any], None], Sequence[Any]], Iterable[None]] = map,
     kinds: tuple[str, ...] = MIXED,
     report: Callable[[int, int], None] | None = None,
 ) -> Seal:
@@ -33,8 +32,8 @@ def generate_cases(
     root : Path
         Folder; made if missing. One that holds cases of another seed is refused.
     seed, cases : int
-    jobs : int
-        Processes.
+    apply : callable
+        ``apply(function, items)`` does the work, as `map` does here; other processes must see the same folder.
     kinds : tuple of str
         Of `plan.KINDS`.
     report : callable, optional
@@ -49,26 +48,15 @@ def generate_cases(
     _claim(root, seed, kinds)
     plan_case(seed, 0, kinds)
     open_ = [n for n in range(cases) if not (root / "cases" / case_name(n)).is_dir()]
-    done = cases - len(open_)
-    if jobs <= 1:
-        for number in open_:
-            _make(root, seed, number, kinds)
-            done += 1
-            if report:
-                report(done, cases)
-    else:
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-            futures = [pool.submit(_make, root, seed, number, kinds) for number in open_]
-            for future in as_completed(futures):
-                future.result()
-                done += 1
-                if report:
-                    report(done, cases)
+    tasks = [(root.resolve(), seed, number, kinds) for number in open_]
+    for done, _ in enumerate(apply(_make, tasks), cases - len(open_) + 1):
+        if report:
+            report(done, cases)
     return write_seal(root, seed)
 
 
-def _make(root: Path, seed: int, number: int, kinds: tuple[str, ...]) -> None:
+def _make(task: tuple[Path, int, int, tuple[str, ...]]) -> None:
+    root, seed, number, kinds = task
     plan = plan_case(seed, number, kinds)
     build = {"nominal-set": build_nominal_set, "whole-car": build_whole_car}.get(plan.kind, build_case)
     write_case(build(plan), root)

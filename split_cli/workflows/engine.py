@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from split_cli.errors import SplitError
 
-__all__ = ["Engine", "open_engine"]
+__all__ = ["HERE", "Engine", "open_engine"]
 
 _T = TypeVar("_T")
 _R = TypeVar("_R")
 _AHEAD = 2
 """Items handed out beyond those being worked on, per worker [1]; judgement: enough that no worker waits."""
+_MOST_UNASKED = 4
+"""Processes that are started where nobody says how many [1]; judgement: each holds a recording in memory."""
 
 
 @dataclass(frozen=True)
@@ -43,16 +48,19 @@ class Engine:
         yield from self.apply(function, list(items))
 
 
+HERE = Engine("this process", 1, map)
+
+
 @contextlib.contextmanager
-def open_engine(name: str = "process", *, jobs: int = 1, scheduler: str | None = None) -> Iterator[Engine]:
+def open_engine(name: str = "process", *, jobs: int | None = 1, scheduler: str | None = None) -> Iterator[Engine]:
     """Give an engine, and close what it opened.
 
     Parameters
     ----------
     name : {"process", "dask"}
-    jobs : int
-        Processes on this machine; 1 works in this process. With ``dask`` and no scheduler, workers of a cluster of
-        its own on this machine.
+    jobs : int or None
+        Processes on this machine, one for each core and at most four if None; 1 works in this process, as a single
+        item does. With ``dask`` and no scheduler, workers of a cluster of its own on this machine.
     scheduler : str, optional
         Address of a running Dask scheduler, ``tcp://HOST:PORT``. Its workers must see the same files.
 
@@ -61,23 +69,58 @@ def open_engine(name: str = "process", *, jobs: int = 1, scheduler: str | None =
     SplitError
         If the package is missing or the scheduler does not answer.
     """
+    jobs = min(_cores(), _MOST_UNASKED) if jobs is None else jobs
     if name == "dask":
         with _dask(jobs, scheduler) as engine:
             yield engine
     elif scheduler is not None:
         raise SplitError("needs `--engine dask`", where="--scheduler", advice="Add it, or leave --scheduler out.")
     elif jobs <= 1:
-        yield Engine("this process", 1, lambda function, items: map(function, items))
+        yield HERE
     else:
-        context = multiprocessing.get_context("spawn")
-        # multiprocessing's own pool: concurrent.futures can hang when it replaces workers (Python 3.11).
-        with context.Pool(jobs, _start_worker) as pool:
-            yield Engine(f"{jobs} processes", jobs, lambda function, items: pool.imap(function, items))
+        with contextlib.closing(_Processes(jobs)) as processes:
+            yield Engine(f"{jobs} processes", jobs, processes.apply)
+
+
+class _Processes:
+    """Worker processes that start when there is more than one item to work on."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._pool: ProcessPoolExecutor | None = None
+
+    def apply(self, function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
+        if len(items) < 2:
+            return map(function, items)
+        if self._pool is None:
+            context = multiprocessing.get_context("spawn")
+            count = min(self._count, len(items))
+            self._pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker)
+        return self._results(self._pool, function, items)
+
+    def _results(
+        self, pool: ProcessPoolExecutor, function: Callable[[Any], Any], items: Sequence[Any]
+    ) -> Iterator[Any]:
+        try:
+            yield from pool.map(function, items)
+        except BrokenProcessPool as error:
+            raise SplitError(
+                "a worker process was ended from outside, or for lack of memory",
+                where="--jobs",
+                advice="Use fewer processes; --jobs 1 works in this one.",
+            ) from error
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _start_worker() -> None:
     """Let the parent decide about interrupts; one thread each, since there is a process a core."""
-    import os
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -19,7 +19,7 @@ from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, open_drive, untold_inputs
 from split_cli.logs.laps import first_lap
-from split_cli.prediction import PREDICTORS, Predictor, make_predictor
+from split_cli.prediction import PREDICTORS, Prediction, Predictor, make_predictor
 from split_cli.scoring.application import time_per_query
 from split_cli.scoring.evaluation import (
     HeldOutSamples,
@@ -52,6 +52,7 @@ from split_cli.scoring.verdict import (
 )  # fmt: skip
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.label import drive_notes
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
@@ -69,6 +70,7 @@ def evaluate_files(
     settings: EvaluationSettings,
     set_path: str | Path | None = None,
     say: Callable[[str], None] = lambda text: None,
+    engine: Engine = HERE,
 ) -> EvaluationRun:
     """Read drives, vehicle and set, and evaluate; see `evaluate`.
 
@@ -88,7 +90,7 @@ def evaluate_files(
             advice="Leave --vehicle out, the set carries its own.",
         )
     opened = [open_drive(path, settings.held, beside=len(drives)) for path in drives]
-    return evaluate(opened, car, settings, trained, say)
+    return evaluate(opened, car, settings, trained, say, engine)
 
 
 def evaluate(
@@ -97,6 +99,7 @@ def evaluate(
     settings: EvaluationSettings,
     trained: TrainingSet | None = None,
     say: Callable[[str], None] = lambda text: None,
+    engine: Engine = HERE,
 ) -> EvaluationRun:
     """Score predictors on drives.
 
@@ -111,6 +114,8 @@ def evaluate(
         hyperparameters fitted there, and scored on the held-out blocks.
     say : callable
         Gets a line about what is being done.
+    engine : Engine
+        Where each drive is labelled, predicted and rolled out; the numbers do not depend on it.
 
     Raises
     ------
@@ -127,17 +132,17 @@ def evaluate(
     contestants, nominal = [], []
     for features in settings.features:
         say(f"{features}: labels and training")
-        held = _hold_out(drives, vehicle, parse_features(features), settings, trained)
+        held = _hold_out(drives, vehicle, parse_features(features), settings, trained, engine)
         nominal = nominal or held
         own = trained or _train(held, vehicle, settings)
         if own.found_effects:
-            held = _hold_out(drives, own.vehicle, parse_features(features), settings, trained)
+            held = _hold_out(drives, own.vehicle, parse_features(features), settings, trained, engine)
         contestants.append((features, held, own))
     _require_samples(nominal)
     baselines = [baseline_tallies(h, model, _variance_of(nominal, contestants[0][2])) for h in nominal]
-    scores, traces, tallies, predictors = _score_predictors(contestants, baselines, settings, say)
+    scores, traces, tallies, predictors = _score_predictors(contestants, baselines, settings, say, engine)
     say("rollouts")
-    rollouts, rollout_scores, rolled = _rollouts(nominal, model, predictors, settings)
+    rollouts, rollout_scores, rolled = _rollouts(nominal, model, predictors, settings, engine)
     comparisons, verdicts = _comparisons(model, nominal, traces, rolled, settings)
     sizes = _sizes(contestants, baselines, settings, say)
     say("noise floor")
@@ -239,23 +244,28 @@ def _hold_out(
     features: FeatureSet,
     settings: EvaluationSettings,
     trained: TrainingSet | None,
+    engine: Engine,
 ) -> list[HeldOutSamples]:
-    model = SingleTrack(vehicle)
     region = trained.region if trained else Region.of(vehicle)
-    held = []
-    for drive in drives:
-        if settings.protocol == "paper":
-            drive = drive.select(first_lap(drive, vehicle.wheelbase))
-        whole = trained is not None or settings.protocol == "paper"
-        split = (
-            whole_drive(drive)
-            if whole
-            else hold_out_blocks(drive, settings.blocks, settings.holdout, settings.guard)
-        )
-        plain = trained.plain if trained else False
-        labels = compute_labels(drive, vehicle, features, region, horizon=settings.horizon, plain=plain)
-        held.append(HeldOutSamples(drive, split, labels, features_along(model, drive, features)))
-    return held
+    plain = trained.plain if trained else False
+    if settings.protocol == "paper":
+        drives = [drive.select(first_lap(drive, vehicle.wheelbase)) for drive in drives]
+    whole = trained is not None or settings.protocol == "paper"
+    splits = [
+        whole_drive(drive) if whole else hold_out_blocks(drive, settings.blocks, settings.holdout, settings.guard)
+        for drive in drives
+    ]
+    jobs = [(drive, vehicle, features, region, settings.horizon, plain) for drive in drives]
+    made = engine.map(_labels_and_features, jobs)
+    return [HeldOutSamples(*known, *found) for *known, found in zip(drives, splits, made, strict=True)]
+
+
+def _labels_and_features(
+    job: tuple[Drive, Vehicle, FeatureSet, Region, float, bool],
+) -> tuple[Labels, np.ndarray]:
+    drive, vehicle, features, region, horizon, plain = job
+    labels = compute_labels(drive, vehicle, features, region, horizon=horizon, plain=plain)
+    return labels, features_along(SingleTrack(vehicle), drive, features)
 
 
 def _training(held: HeldOutSamples) -> Labels:
@@ -277,6 +287,7 @@ def _score_predictors(
     baselines: list[dict[str, ScoreTally]],
     settings: EvaluationSettings,
     say: Callable[[str], None],
+    engine: Engine,
 ) -> tuple[list[Score], list[Trace], dict, dict]:
     pooled = {name: _sum([b[name] for b in baselines]) for name in baselines[0]}
     scores = [score(name, tally, pooled) for name, tally in pooled.items()]
@@ -293,7 +304,7 @@ def _score_predictors(
             believed = replace(training_set, trust=Trust.full()) if plain else training_set
             say(f"{features}: {name} on {training_set.size} points")
             predictor = make_predictor(name, believed)
-            parts = [predictor_tally(h, predictor) for h in held]
+            parts = list(engine.map(_tally, [(h, predictor) for h in held]))
             label = f"{name}{PLAIN}" if plain else name
             known = {"features": features, "points": training_set.size}
             known["uses_recorded_future"] = predictor.needs_context
@@ -309,6 +320,10 @@ def _score_predictors(
                 traces.append(Trace(label, features, h, known_of, prediction, noise))
     traces.sort(key=lambda trace: trace.name.endswith(PLAIN))  # figures show what is believed
     return scores + (by_drive if len(baselines) > 1 else []), traces, tallies, predictors
+
+
+def _tally(job: tuple[HeldOutSamples, Predictor]) -> tuple[ScoreTally, Prediction]:
+    return predictor_tally(*job)
 
 
 def _named(settings: EvaluationSettings, training_set: TrainingSet) -> list[tuple[str, bool]]:
@@ -331,19 +346,21 @@ def _rollouts(
     model: SingleTrack,
     predictors: dict[tuple[str, str], tuple[list[HeldOutSamples], Predictor]],
     settings: EvaluationSettings,
+    engine: Engine,
 ) -> tuple[dict[tuple[str, str], RolloutSums], list[RolloutScore], list[Rolled]]:
     if not settings.rollout or settings.protocol == "paper":
         return {}, [], []
     steps = max(1, round(max(settings.rollout) / drives[0].labels.horizon))
     pooled: dict[tuple[str, str], RolloutSums] = {}
     rolled: list[Rolled] = []
-    for position, held in enumerate(drives):
-        if not _same_interval(held, drives[0]):
-            continue
-        own = {key: (parts[position], predictor) for key, (parts, predictor) in predictors.items()}
-        starts, trajectories = rollout_trajectories(held, model, own, steps)
+    jobs = [
+        (held, model, {key: (parts[at], predictor) for key, (parts, predictor) in predictors.items()}, steps)
+        for at, held in enumerate(drives)
+        if _same_interval(held, drives[0])
+    ]
+    for (held, *_), (starts, trajectories, scored) in zip(jobs, engine.map(_rolled_out, jobs), strict=True):
         rolled.append((held, starts, trajectories))
-        for key, sums in score_rollouts(held.drive, starts, held.labels.window, trajectories).items():
+        for key, sums in scored.items():
             pooled[key] = pooled[key] + sums if key in pooled else sums
     scores = []
     for seconds in settings.rollout:
@@ -353,6 +370,14 @@ def _rollouts(
                 at = (sums.count, sums.diverged, sums.rmse[step], float(sums.distance[step]))
                 scores.append(RolloutScore(name, features, seconds, *at))
     return pooled, scores, rolled
+
+
+def _rolled_out(
+    job: tuple[HeldOutSamples, SingleTrack, dict[tuple[str, str], tuple[HeldOutSamples, Predictor]], int],
+) -> tuple[np.ndarray, dict[tuple[str, str], np.ndarray], dict[tuple[str, str], RolloutSums]]:
+    held = job[0]
+    starts, trajectories = rollout_trajectories(*job)
+    return starts, trajectories, score_rollouts(held.drive, starts, held.labels.window, trajectories)
 
 
 def _comparisons(

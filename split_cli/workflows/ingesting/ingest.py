@@ -22,7 +22,7 @@ from split_cli.logs.readers.together import open_together
 from split_cli.logs.signal_map import read_map
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
-from split_cli.workflows.engine import Engine
+from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.ingesting.ingest_manifest import IngestManifest, settings_digest
 from split_cli.workflows.sources import SourceFile, find_sources, is_remote
 
@@ -169,7 +169,7 @@ def ingest_logs(
     SplitError
         If a recording, the map or the vehicle is at fault; nothing is written then, unless `keep_going`.
     """
-    engine = engine or Engine("this process", 1, map)
+    engine = engine or HERE
     vehicle = read_vehicle(vehicle_path) if vehicle_path is not None else None
     sources = find_sources(logs)
     output = Path(output)

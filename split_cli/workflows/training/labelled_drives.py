@@ -19,6 +19,7 @@ from split_cli.learning.region import Region
 from split_cli.logs.drive import Drive, open_drive, untold_inputs
 from split_cli.scoring.late_inputs import late_inputs
 from split_cli.vehicle.parameters import Vehicle
+from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.label import drive_notes
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
@@ -89,6 +90,8 @@ class LabelledDrives:
         Name of each drive that was learned before, by SHA-256.
     say : callable
         Told what is being done.
+    engine : Engine
+        Where drives are labelled, several at a time; its workers must see the same files.
 
     Raises
     ------
@@ -103,8 +106,9 @@ class LabelledDrives:
         rows: Sequence[np.ndarray] | None,
         seen: Mapping[str, str],
         say: Callable[[str], None],
+        engine: Engine = HERE,
     ) -> None:
-        self.labelling, self.say = labelling, say
+        self.labelling, self.say, self._engine = labelling, say, engine
         self._rows, self._seen = rows, dict(seen)
         self._sources = _paired(paths)
         self._correct = RecordingCorrection(labelling.vehicle)
@@ -127,7 +131,29 @@ class LabelledDrives:
         other.labelling = replace(self.labelling, vehicle=vehicle)
         other._sources = [replace(source, labels=None) for source in self._sources]
         other._kept, other._seconds, other._bytes, other._scratch = {}, {}, 0, None
+        other.label_together()
         return other
+
+    def label_together(self) -> None:
+        """Label all drives ahead where there are several workers; one process labels each when it is asked for."""
+        numbers = [n for n, source in enumerate(self._sources) if source.labels is None and n not in self._kept]
+        # Places count along the first drive: one after the other.
+        if self._engine.workers < 2 or len(numbers) < 2 or self._correct.counts_places:
+            return
+        self.say(f"labelling {len(numbers)} drives on {self._engine.name}")
+        jobs = [
+            (self._sources[n].drive, self.labelling, self._rows_of(n), n not in self._checked) for n in numbers
+        ]
+        for n, (labels, doubts, seconds) in zip(numbers, self._engine.map(_label_apart, jobs), strict=True):
+            self._checked.add(n)
+            self._notes += doubts
+            self._seconds[n] = seconds
+            self._keep(n, labels)
+
+    def _rows_of(self, number: int) -> np.ndarray | None:
+        if self._rows is None:
+            return None
+        return np.asarray(self._rows[self._sources[number].position], dtype=bool)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -195,21 +221,36 @@ class LabelledDrives:
         if source.labels is None:
             drive = self.drive(number) if drive is None else drive
             start = time.perf_counter()
-            labels = compute_labels(
-                drive, how.vehicle, how.features, how.region,
-                horizon=how.horizon, stride=how.stride, plain=how.plain,
-            )  # fmt: skip
-            if how.exclude:
-                spans = [(drive["t"] >= begin) & (drive["t"] < end) for begin, end in how.exclude]
-                labels = labels.within(~np.any(spans, axis=0))
+            labels = _labelled(drive, how)
         else:
             start = time.perf_counter()
             labels = _fitting(read_labels(source.labels), how, self._correct.counts_places, str(source.labels))
             labels = _outside(labels, how.exclude)
-        if self._rows is not None:
-            labels = labels.within(np.asarray(self._rows[source.position], dtype=bool))
+        rows = self._rows_of(number)
+        labels = labels if rows is None else labels.within(rows)
         self._seconds[number] = time.perf_counter() - start
         return labels
+
+
+def _labelled(drive: Drive, how: Labelling) -> Labels:
+    labels = compute_labels(
+        drive, how.vehicle, how.features, how.region, horizon=how.horizon, stride=how.stride, plain=how.plain
+    )
+    if how.exclude:
+        spans = [(drive["t"] >= begin) & (drive["t"] < end) for begin, end in how.exclude]
+        labels = labels.within(~np.any(spans, axis=0))
+    return labels
+
+
+def _label_apart(job: tuple[Path, Labelling, np.ndarray | None, bool]) -> tuple[Labels, tuple[str, ...], float]:
+    """Return the labels of a drive, what is doubtful of it, and the time that labelling took [s]."""
+    path, how, rows, check = job
+    drive = RecordingCorrection(how.vehicle)(open_drive(path, how.held))
+    doubts = vehicle_doubts([drive], how.vehicle, how.any_vehicle) if check else ()
+    start = time.perf_counter()
+    labels = _labelled(drive, how)
+    labels = labels if rows is None else labels.within(rows)
+    return labels, doubts, time.perf_counter() - start
 
 
 def drive_digest(path: Path) -> str:

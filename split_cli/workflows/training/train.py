@@ -23,6 +23,7 @@ from split_cli.learning.training_set import SetSource, TrainingSet, read_set, wr
 from split_cli.learning.trust import Trust
 from split_cli.logs.assembling.quality import stored_faults
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
+from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.sources import DRIVE_SUFFIXES, find_sources
 from split_cli.workflows.training.labelled_drives import LabelledDrives, Labelling, drive_digest
 from split_cli.workflows.training.laps import LapRow, lap_rows
@@ -166,6 +167,7 @@ def train_set(
     rows: Sequence[np.ndarray] | None = None,
     batch: int | None = None,
     per_lap: bool = False,
+    engine: Engine = HERE,
     progress: Callable[[str], None] | None = None,
 ) -> TrainResult:
     """Train a set from drives in the order given, and write it.
@@ -187,6 +189,8 @@ def train_set(
         Samples offered at once; the result does not depend on it.
     per_lap : bool
         Also tell what each lap of the drives added; not for the dictionary of `iol`.
+    engine : Engine
+        Where drives are labelled; the set does not depend on it.
     progress : callable, optional
         Told what is being done.
 
@@ -207,7 +211,7 @@ def train_set(
         paths = [stack.enter_context(source.local()) for source in sources]
         if append and expanded:
             paths = _not_learned(paths, read_set(output))
-        return _train_set(paths, vehicle_path, output, settings, append, rows, batch, per_lap, say)
+        return _train_set(paths, vehicle_path, output, settings, append, rows, batch, per_lap, engine, say)
 
 
 def _not_learned(paths: Sequence[Path], known: TrainingSet) -> list[Path]:
@@ -237,6 +241,7 @@ def _train_set(
     rows: Sequence[np.ndarray] | None,
     batch: int | None,
     per_lap: bool,
+    engine: Engine,
     say: Callable[[str], None],
 ) -> TrainResult:
     vehicle = read_vehicle(vehicle_path)
@@ -249,6 +254,7 @@ def _train_set(
         rows,
         {source.sha256: source.name for source in known.sources} if known else {},
         say,
+        engine,
     )
     if per_lap and drives.without_recording():
         raise SetError(
@@ -256,6 +262,7 @@ def _train_set(
             advice="Give the drive itself, or leave out --per-lap.",
         )
     warm_up()
+    drives.label_together()
     trained, fit = known, None
     if trained is None:
         trained, fit, drives = _create(drives, settings)

@@ -1,0 +1,90 @@
+"""Commands on a real cluster: a scheduler and two worker processes give what one process gives, bit for bit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from split_cli.cli.main import group
+from split_cli.logs.drive import write_drive
+from split_cli.vehicle.parameters import write_vehicle
+from tests.factories import MissingForce, make_drive, road_car
+
+distributed = pytest.importorskip("distributed")
+
+
+@pytest.fixture(scope="module")
+def address():
+    """Address of a scheduler with two worker processes."""
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A car and three drives of it."""
+    root = tmp_path_factory.mktemp("drives")
+    (root / "in").mkdir()
+    car = road_car()
+    write_vehicle(car, root / "car.yaml")
+    for seed in range(3):
+        terms = [MissingForce({"front_lateral": 150.0})]
+        drive = make_drive(seed, segments=8, seconds=3.0, vehicle=car, terms=terms, name=f"{seed}.parquet")
+        write_drive(drive, root / "in" / f"{seed}.parquet")
+    return root
+
+
+def run(*words: object) -> str:
+    told = CliRunner().invoke(group, [str(word) for word in words])
+    assert told.exit_code == 0, (told.output, told.exception)
+    return told.stdout
+
+
+def ways(address: str) -> dict[str, tuple[object, ...]]:
+    return {"one": (), "two": ("--jobs", 2), "cluster": ("--engine", "dask", "--scheduler", address)}
+
+
+@pytest.mark.slow
+def test_a_set_is_the_same(folder, tmp_path, address):
+    for name, way in ways(address).items():
+        run("train", folder / "in", "--vehicle", folder / "car.yaml", "-o", tmp_path / f"{name}.split", *way)
+    sets = {(tmp_path / f"{name}.split").read_bytes() for name in ways(address)}
+    assert len(sets) == 1
+
+
+@pytest.mark.slow
+def test_an_evaluation_is_the_same(folder, address, monkeypatch):
+    # A drive that stays in its file travels by its name.
+    monkeypatch.setattr("split_cli.logs.drive._LONG", 100)
+    drives = sorted((folder / "in").iterdir())
+    reports = []
+    for way in ways(address).values():
+        told = run(
+            "evaluate", *drives, "--vehicle", folder / "car.yaml", "--predictor", "bcm,fitc", "--json", *way
+        )
+        report = json.loads(told)
+        for one in report["scores"]:
+            del one["time_per_query"]
+        reports.append(report)
+    assert reports[0]["rollouts"]
+    assert reports[1] == reports[0] and reports[2] == reports[0]
+
+
+@pytest.mark.slow
+def test_cases_of_a_proof_are_the_same(tmp_path, address):
+    ways_of_two = {name: way for name, way in ways(address).items() if name != "two"}
+    for name, way in ways_of_two.items():
+        told = run(
+            "prove", "generate", tmp_path / name, "--seed", 4, "--cases", 2, "--kinds", "null", "--json", *way
+        )
+        assert json.loads(told)["cases"] == 2
+    files = [
+        sorted(p.relative_to(tmp_path / name) for p in (tmp_path / name).rglob("*.parquet"))
+        for name in ways_of_two
+    ]
+    assert files[0] == files[1] and files[0]
+    for file in files[0]:
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "cluster" / file).read_bytes()
