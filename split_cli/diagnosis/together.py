@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-__all__ = ["together", "use_threads"]
+__all__ = ["cores", "together", "use_threads"]
 
 _Item = TypeVar("_Item")
 _Out = TypeVar("_Out")
@@ -25,12 +25,13 @@ def use_threads(count: int) -> None:
 def together(function: Callable[[_Item], _Out], items: Iterable[_Item]) -> list[_Out]:
     """Return the function of each item, in order; the first error is raised as if they were done in turn."""
     items = list(items)
-    count = min(len(items), _threads or min(_cores(), _MOST))
+    count = min(len(items), _threads or min(cores(), _MOST))
     if count < 2:
         return [function(item) for item in items]
     with ThreadPoolExecutor(count) as pool:
         return list(pool.map(function, items))
 
 
-def _cores() -> int:
+def cores() -> int:
+    """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from split_cli.diagnosis.together import cores
 from split_cli.errors import SplitError
 
 __all__ = ["HERE", "Engine", "open_engine"]
@@ -69,7 +69,7 @@ def open_engine(name: str = "process", *, jobs: int | None = 1, scheduler: str |
     SplitError
         If the package is missing or the scheduler does not answer.
     """
-    jobs = min(_cores(), _MOST_UNASKED) if jobs is None else jobs
+    jobs = min(cores(), _MOST_UNASKED) if jobs is None else jobs
     if name == "dask":
         with _dask(jobs, scheduler) as engine:
             yield engine
@@ -115,12 +115,9 @@ class _Processes:
             self._pool.shutdown(cancel_futures=True)
 
 
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _start_worker() -> None:
     """Let the parent decide about interrupts; one thread each, since there is a process a core."""
+    import os
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
