@@ -1,16 +1,18 @@
-"""Whether a drive can be of a vehicle: its geometry, its grip and its mass against what the recording shows."""
+"""Whether a drive can be of a vehicle, by geometry, grip and mass, and whether it lies where a set has points."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["Belonging", "belonging"]
+__all__ = ["Belonging", "belonging", "share_beyond"]
 
 #: Ratios beyond which no wrong value of one car explains it: a car of another size. A steering ratio left out or a
 #: mass off by half stay inside; a 1:10 car against a road car is off by 8.
@@ -113,3 +115,18 @@ def _ratio(recorded: np.ndarray, expected: np.ndarray) -> float | None:
     if min(sizes) <= 0.0 or product / np.sqrt(sizes[0] * sizes[1]) < 0.7:
         return None
     return product / sizes[1]
+
+
+def share_beyond(training_set: TrainingSet, z: np.ndarray) -> float:
+    """Return the share of features `z`, shape (N, D), farther than a length scale from every point of the set.
+
+    Notes
+    -----
+    There the nearest point's correlation is below e^-1/2, and its square, the largest share of the variance that
+    one point can tell, below 0.37: the correction fades and the nominal model remains.
+    """
+    z = z[np.isfinite(z).all(axis=1)] / training_set.kernel.length_scales
+    if not len(z) or not training_set.size:
+        return float(len(z) > 0)
+    tree = cKDTree(training_set.z / training_set.kernel.length_scales)
+    return float(np.mean(np.isinf(tree.query(z, distance_upper_bound=1.0)[0])))

@@ -22,7 +22,9 @@ from split_cli.scoring.persistence import velocity_persistence_errors
 from split_cli.scoring.rollouts import Correction, roll_out, rollout_starts
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["FEWEST_BLOCKS", "HORIZONS", "MOST_ROWS", "TrainingDrive", "TrustEvidence", "held_out_evidence"]
+__all__ = [
+    "FEWEST_BLOCKS", "HORIZONS", "MOST_ROWS", "WHOLE_DRIVES", "TrainingDrive", "TrustEvidence", "held_out_evidence",
+]  # fmt: skip
 
 #: Horizons beyond one step at which trust is judged [s].
 HORIZONS = (0.5, 1.0, 2.0)
@@ -35,6 +37,8 @@ _MOST_BLOCKS = 24
 #: Fewer blocks tell nothing of other driving.
 FEWEST_BLOCKS = 5
 _FOLDS = 5
+#: From this many drives on each is held out whole: two would leave a fold one drive to learn from.
+WHOLE_DRIVES = 3
 _GUARD = 1.0
 _STARTS_A_BLOCK = 10
 #: Rows of recordings that trust is found on at most; of more, drives are taken evenly.
@@ -140,7 +144,14 @@ def held_out_evidence(
     predictor: str = "rbcm",
     say: Callable[[str], None] = lambda text: None,
 ) -> tuple[tuple[TrustEvidence, ...], int]:
-    """Return errors of held-out predictions by state and horizon, and the number of blocks they are from."""
+    """Return errors of held-out predictions by state and horizon, and the number of blocks they are from.
+
+    Notes
+    -----
+    Of three drives or more each is held out whole, in at most five groups: what differs from drive to drive (load,
+    road, driver, sensor offsets) is then in the errors. Of fewer, every fifth block is held out in turn, and the
+    errors are those of the same drive at another time.
+    """
     drives = _spread(drives)
     numbered = _number_blocks(drives)
     total = 1 + max((int(block.max(initial=-1)) for block in numbered), default=-1)
@@ -153,7 +164,12 @@ def held_out_evidence(
     parts: list[TrustEvidence] = []
     for fold in range(_FOLDS):
         say(f"judging the correction on held-out blocks, fold {fold + 1} of {_FOLDS}")
-        tests = [(block >= 0) & (block % _FOLDS == fold) for block in numbered]
+        whole = len(drives) >= WHOLE_DRIVES
+        tests = [
+            (block >= 0) & ((number if whole else block) % _FOLDS == fold) for number, block in enumerate(numbered)
+        ]
+        if not any(test.any() for test in tests):
+            continue
         kept = [p.labels.within(~_widen(test, p.drive)) for p, test in zip(drives, tests, strict=True)]
         if not sum(int(labels.accepted.sum()) for labels in kept):
             continue

@@ -21,6 +21,7 @@ from split_cli.logs.drive import Drive, open_drive, untold_inputs
 from split_cli.logs.laps import first_lap
 from split_cli.prediction import PREDICTORS, Prediction, Predictor, make_predictor
 from split_cli.scoring.application import time_per_query
+from split_cli.scoring.belonging import share_beyond
 from split_cli.scoring.evaluation import (
     HeldOutSamples,
     Score,
@@ -451,6 +452,7 @@ def _facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet | None
     fast = fast_motion(tested, floor)
     notes += [f"{drive.name}: {fast}"] if fast else []
     notes += late_inputs(drive, tested, model.vehicle)
+    notes += [] if trained is None else _outside(drive.name, share_beyond(trained, tested.z))
     return DriveFacts(
         name=drive.name,
         sha256=drive.sha256,
@@ -463,6 +465,17 @@ def _facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet | None
         noise_floor=floor,
         notes=tuple(notes),
     )
+
+
+def _outside(name: str, share: float) -> list[str]:
+    """Return what the reader must know of a drive that leaves the data of the set; most of it outside is a warning."""
+    if round(100.0 * share) == 0:
+        return []
+    warning = "WARNING: outside the data of the set: " if share > 0.5 else ""
+    return [
+        f"{warning}{100.0 * share:.0f} % of the test samples of {name} lie farther than a length scale from every "
+        "point of the set; there the correction fades, and the nominal model remains"
+    ]
 
 
 def _notes(

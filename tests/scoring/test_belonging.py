@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from split_cli.errors import DriveError
-from split_cli.scoring.belonging import belonging
+from split_cli.scoring.belonging import belonging, share_beyond
 from split_cli.vehicle.tire import MagicFormula
 from split_cli.workflows.recordings import vehicle_doubts
-from tests.factories import make_drive, road_car
+from tests.factories import make_drive, make_training_set, road_car
 
 
 @pytest.fixture(scope="module")
@@ -53,3 +53,15 @@ def test_another_grip_is_told_by_its_size():
 def test_a_drive_that_hardly_moves_shows_nothing(drive):
     still = replace(drive, columns={**drive.columns, "vx": np.zeros(len(drive))})
     assert belonging(still, road_car()).contradictions() == ()
+
+
+def test_the_share_of_features_beyond_the_points_is_that_of_what_was_moved_away():
+    """Points themselves are none away; half of them moved by a thousand length scales are all of that half."""
+    s = make_training_set(seed=8, points=200)
+    moved = s.z.copy()
+    moved[:100] += 1e3 * s.kernel.length_scales
+    assert share_beyond(s, s.z) == 0.0 and share_beyond(s, moved) == 0.5
+    # Along one feature alone, just inside and just outside one length scale of the outermost point.
+    last = int(np.argmax(s.z[:, 0]))
+    near = [s.z[last] + np.array([share, 0.0, 0.0]) * s.kernel.length_scales for share in (0.99, 1.01)]
+    assert share_beyond(s, np.array(near)) == 0.5

@@ -9,7 +9,7 @@ from split_cli.learning.features import Z2
 from split_cli.learning.hyperparameters import default_kernel, scatter_variance
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import z2_grid
-from split_cli.scoring.evidence import TrainingDrive, TrustEvidence
+from split_cli.scoring.evidence import TrainingDrive, TrustEvidence, held_out_evidence
 from split_cli.scoring.trust import best_trust, doubt_from, judge_correction, own_shares
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -67,13 +67,19 @@ def test_the_doubt_is_the_variance_that_the_process_and_the_noise_do_not_explain
     np.testing.assert_allclose(doubt_from(parts, share, noise), doubt, atol=0.05)
 
 
-def trust_of(drive):
+def asked_of(*drives):
+    """Drives with labels, and the empty set that they ask for."""
     car = road_car()
-    labels = compute_labels(drive, car, Z2)
-    grid = z2_grid(car, labels.region)
-    kernel = default_kernel(grid, labels.y[labels.accepted], scatter_variance(labels))
-    empty = empty_set(car, Z2, labels.region, grid, kernel, horizon=labels.horizon)
-    return judge_correction([TrainingDrive(drive, labels)], empty)[0]
+    labels = [compute_labels(drive, car, Z2) for drive in drives]
+    first = labels[0]
+    grid = z2_grid(car, first.region)
+    kernel = default_kernel(grid, first.y[first.accepted], scatter_variance(first))
+    empty = empty_set(car, Z2, first.region, grid, kernel, horizon=first.horizon)
+    return [TrainingDrive(drive, its) for drive, its in zip(drives, labels, strict=True)], empty
+
+
+def trust_of(drive):
+    return judge_correction(*asked_of(drive))[0]
 
 
 def test_on_a_drive_a_missing_force_is_trusted_and_noise_is_not():
@@ -88,6 +94,25 @@ def test_on_a_drive_a_missing_force_is_trusted_and_noise_is_not():
              (("vx", 0.02), ("vy", 0.02), ("r", 0.003))}  # fmt: skip
     plain = type(plain)(plain.name, {**plain.columns, **noisy}, plain.segment, plain.period)
     assert max(trust_of(plain).share) <= 0.1
+
+
+def test_of_three_drives_each_is_held_out_whole():
+    """One drive of three has an offset of its own, which no other shows: its held-out errors keep all of it.
+
+    With two drives the rest of the drive itself has told the offset, and most of it is corrected.
+    """
+    heights = {3: 0.0, 2: 0.0}
+    offset = 900.0
+    made = [make_drive(seed, segments=6, terms=[MissingForce({"front_lateral": offset})] if not seed else [])
+            for seed in range(3)]  # fmt: skip
+    for count in heights:
+        drives, empty = asked_of(*made[:count])
+        evidence, _ = held_out_evidence(drives, empty)
+        step = next(part for part in evidence if part.state == 1 and part.horizon == 0.0)
+        odd = step.conditions[:, -1] == 0.0
+        left = step.error[odd] - step.change[odd, 1]
+        heights[count] = float(np.mean(left) / np.mean(step.error[odd]))
+    assert heights[3] > 0.95 and heights[2] < 0.8
 
 
 def test_what_a_rival_explains_as_well_is_not_credited_to_the_correction():

@@ -70,9 +70,9 @@ def main() -> None:
     parser.add_argument("--parts", default="recordings", help=f"Of {', '.join(PARTS)}, separated by commas.")
     parser.add_argument("--datasets", type=Path, help="Folder with the recordings of others.")
     parser.add_argument("--work", type=Path, help="Folder that keeps drives, sets and judgements.")
-    parser.add_argument("--predictor", default="rbcm", help="The one that is judged; trust is found with rbcm.")
+    parser.add_argument("--predictors", default="rbcm", help="Rows show the first; trust is found with rbcm.")
     given = parser.parse_args()
-    parts = given.parts.split(",")
+    parts, predictors = given.parts.split(","), given.predictors.split(",")
     if unknown := set(parts) - set(PARTS):
         parser.error(f"no part {', '.join(unknown)}")
     if "natural" in parts and given.datasets is None:
@@ -83,12 +83,14 @@ def main() -> None:
         print(HEADER)
         reports = []
         for pair in pairs(parts, folder, given.datasets):
-            reports.append((pair.title, judgement(pair, given.predictor, folder)))
-            print("\n".join(lines_of(*reports[-1], given.predictor)), flush=True)
-    print("\n" + "\n".join(summary([report for _, report in reports], given.predictor)))
+            reports.append((pair.title, judgement(pair, given.predictors, folder)))
+            print("\n".join(lines_of(*reports[-1], predictors[0])), flush=True)
+    print()
+    for predictor in predictors:
+        print("\n".join(summary([report for _, report in reports], predictor)))
     print("\n| judged on another part | in 50 % | in 90 % | in 95 % |\n|---|---|---|---|")
     for title, report in reports:
-        score = next(s for s in report["scores"] if s["name"] == given.predictor and not s["drive"])
+        score = next(s for s in report["scores"] if s["name"] == predictors[0] and not s["drive"])
         shares = ("/".join(f"{100 * s:.0f}" for s in score[f"coverage_{level}"]) for level in (50, 90, 95))
         print(f"| {title} | " + " | ".join(shares) + " |")
 
@@ -97,15 +99,15 @@ HEADER = """| trained on → judged on | trust v_x, v_y, r | state | one step | 
 |---|---|---|---|---|---|---|---|---|---|"""  # noqa: E501
 
 
-def judgement(pair: Pair, predictor: str, folder: Path) -> dict:
+def judgement(pair: Pair, predictors: str, folder: Path) -> dict:
     """Train and judge one pair, or return what the folder holds of it already."""
     made = folder / f"{pair.trains.stem}.split"
     if not made.exists():
         split("train", str(pair.trains), "--vehicle", pair.vehicle, "--any-vehicle", "-o", str(made))
-    found = folder / f"{made.stem}_{pair.judges.stem}_{predictor}.json"
+    found = folder / f"{made.stem}_{pair.judges.stem}_{predictors}.json"
     if not found.exists():
         told = split(
-            "evaluate", str(pair.judges), "--set", str(made), "--predictor", predictor, "--any-vehicle", "--json"
+            "evaluate", str(pair.judges), "--set", str(made), "--predictor", predictors, "--any-vehicle", "--json"
         )
         found.write_text(told, encoding="utf-8")
     return json.loads(found.read_text(encoding="utf-8"))
@@ -250,7 +252,7 @@ def ratio_of(values: list[float | None]) -> str:
 def summary(reports: list[dict], predictor: str) -> list[str]:
     """Return a line for the correction as it is trusted, one for all of it, and one for the warnings given."""
     told = []
-    for name, what in ((f"{predictor}, all believed", "all believed"), (predictor, "with trust")):
+    for name in (f"{predictor}, all believed", predictor):
         found = []
         for report in reports:
             rows = {(c["name"], c["state"], c["horizon"]): c for c in report["comparisons"]}
@@ -262,7 +264,7 @@ def summary(reports: list[dict], predictor: str) -> list[str]:
         largest = max((row["to_nominal"][0] for row in worse), default=float("nan"))
         mean = float(np.exp(np.mean(np.log([row["to_nominal"][0] for row in found]))))
         told.append(
-            f"- {what}: of {len(found)} states and horizons {len(worse)} are worse than the nominal model beyond "
+            f"- {name}: of {len(found)} states and horizons {len(worse)} are worse than the nominal model beyond "
             f"chance (at most {largest:.3f} times its error), {better} better; geometric mean of the ratios "
             f"{mean:.3f}."
         )
@@ -274,7 +276,7 @@ def summary(reports: list[dict], predictor: str) -> list[str]:
         and is_worse(row)
         and not any(f"{row['state']} of the corrected" in text for text in report["notes"])
     ]
-    told.append(f"- states worse than nominal of which `split evaluate` did not warn: {len(unwarned)}.")
+    told.append(f"- {predictor}: worse than nominal without a warning by `split evaluate`: {len(unwarned)}.")
     return told
 
 
