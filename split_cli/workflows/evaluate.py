@@ -468,7 +468,7 @@ def _facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet | None
 
 
 def _outside(name: str, share: float) -> list[str]:
-    """Return what the reader must know of a drive that leaves the data of the set; most of it outside is a warning."""
+    """Return what to know of a drive beyond the data of the set; most of it outside is a warning."""
     if round(100.0 * share) == 0:
         return []
     warning = "WARNING: outside the data of the set: " if share > 0.5 else ""

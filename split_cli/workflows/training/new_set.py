@@ -94,8 +94,8 @@ def create_set(
         drives.note(*([lag_note(empty)] if empty.found_effects else []), *trust_notes(empty.trust))
         if len(drives) >= WHOLE_DRIVES:
             drives.note(
-                f"each of the {len(drives)} drives was held out whole: trust and intervals are for another drive like "
-                "these"
+                f"each of the {len(drives)} drives was held out whole: trust and intervals are for another "
+                "drive like these"
             )
     else:
         empty, fit = _blank(drives, **settings)
