@@ -23,7 +23,8 @@ from split_cli.scoring.rollouts import Correction, roll_out, rollout_starts
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
-    "FEWEST_BLOCKS", "HORIZONS", "MOST_ROWS", "WHOLE_DRIVES", "TrainingDrive", "TrustEvidence", "held_out_evidence",
+    "FEWEST_BLOCKS", "HORIZONS", "MOST_ROWS", "WHOLE_DRIVES", "TrainingDrive", "TrustEvidence",
+    "held_out_evidence",
 ]  # fmt: skip
 
 #: Horizons beyond one step at which trust is judged [s].
