@@ -147,7 +147,7 @@ class TablePredictor(Predictor):
 
         Notes
         -----
-        Nodes within four length scales of a cell whose points or labels changed are filled anew, from the points
+        Nodes within four length scales of a point that came, left or has another label are filled anew, from points
         within four length scales of those nodes. At that distance a correlation is e^-8 = 3e-4. A projected
         process depends on the order of its labels, so its table is filled anew.
         """
@@ -270,7 +270,7 @@ def _faded_by(table: TablePredictor, places: np.ndarray) -> np.ndarray:
 
 
 def _changed_points(old: TrainingSet, new: TrainingSet) -> np.ndarray:
-    """Return the points, old and new, of the cells whose points or labels differ, shape (N, 3)."""
+    """Return the points that only one of the sets has, or with another label, shape (N, 3)."""
 
     def cells(s: TrainingSet) -> dict[int, np.ndarray]:
         both = np.column_stack([s.z, s.y])
@@ -281,10 +281,14 @@ def _changed_points(old: TrainingSet, new: TrainingSet) -> np.ndarray:
 
     before, after = cells(old), cells(new)
     empty = np.empty((0, 6))
-    parts = [
-        part[:, :3]
-        for number in before.keys() | after.keys()
-        if not np.array_equal(before.get(number, empty), after.get(number, empty))
-        for part in (before.get(number, empty), after.get(number, empty))
-    ]
-    return np.concatenate(parts) if parts else np.empty((0, 3))
+
+    def beside(own: np.ndarray, other: np.ndarray) -> np.ndarray:
+        known = (own[:, None] == other[None]).all(axis=2).any(axis=1)
+        return own[~known, :3]
+
+    parts = [np.empty((0, 3))]
+    for number in before.keys() | after.keys():
+        one, two = before.get(number, empty), after.get(number, empty)
+        if not np.array_equal(one, two):
+            parts += [beside(one, two), beside(two, one)]
+    return np.concatenate(parts)

@@ -369,6 +369,14 @@ def measure(
     return [_median(list(same)) for same in zip(*rows, strict=True)]
 
 
+def measure_streaming(size: int, length_scale: float, log_gp: Path | None, sky_gp: Path | None) -> list[Row]:
+    """Return rows of the contestants that learn sample by sample, once each, at any size."""
+    stream = stream_of(size, length_scale)
+    rows = [our_update(stream), online_update(stream), projected(stream, None)]
+    rows += [] if log_gp is None else log_gp_rows(log_gp, stream, None)
+    return rows + ([] if sky_gp is None else sky_gp_rows(sky_gp, stream, None))
+
+
 def _median(rows: list[Row]) -> Row:
     def of(name: str) -> object:
         values = [getattr(row, name) for row in rows]
@@ -419,6 +427,7 @@ def table_text(rows: list[Row]) -> str:
 @click.option("--sizes", default="100,1000,4151", show_default=True, help="Samples of the stream.")
 @click.option("--length-scale", default=2.0, show_default=True, help="In cells.")
 @click.option("--repeats", default=3, show_default=True)
+@click.option("--streaming", is_flag=True, help="Only those that learn sample by sample, once each.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Rows and machine.")
 @click.option("--stream", "stream_path", type=click.Path(path_type=Path), help="Samples and queries, npz.")
 @click.option("--log-gp", type=click.Path(exists=True, path_type=Path), help="Folder that holds LoGGP.py.")
@@ -429,6 +438,7 @@ def main(
     sizes: str,
     length_scale: float,
     repeats: int,
+    streaming: bool,
     json_path: Path | None,
     stream_path: Path | None,
     log_gp: Path | None,
@@ -445,7 +455,10 @@ def main(
             np.savez(stream_path, z=s.z, y=s.y, queries=s.queries, truth=s.truth, kept_z=s.trained.z,
                      kept_y=s.trained.y, **{k: getattr(s.trained.kernel, k) for k in
                      ("length_scales", "signal_variance", "noise_variance")})  # fmt: skip
-        rows += measure(size, length_scale, repeats, compiler, log_gp, sky_gp)
+        if streaming:
+            rows += measure_streaming(size, length_scale, log_gp, sky_gp)
+        else:
+            rows += measure(size, length_scale, repeats, compiler, log_gp, sky_gp)
         if json_path is not None:
             json_path.write_text(json.dumps({"machine": machine(), "rows": [asdict(r) for r in rows]}, indent=1))
     click.echo(json.dumps(machine()))
