@@ -147,8 +147,8 @@ class TablePredictor(Predictor):
 
         Notes
         -----
-        Nodes within four length scales of a point that came, left or has another label are filled anew, from points
-        within four length scales of those nodes. At that distance a correlation is e^-8 = 3e-4. A projected
+        Nodes within four length scales of a point that came, left or has another label are filled anew, from the
+        points within four length scales of those nodes. At that distance a correlation is e^-8 = 3e-4. A projected
         process depends on the order of its labels, so its table is filled anew.
         """
         old, kernel = self.training_set, training_set.kernel
