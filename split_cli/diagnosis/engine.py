@@ -23,7 +23,7 @@ from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable, limits_of
 from split_cli.diagnosis.statement.result import Diagnosis, InputFile
-from split_cli.diagnosis.statement.sentences import summarise
+from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.together import together
 from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.diagnosis.verdict.detectable import smallest_named
@@ -51,7 +51,7 @@ _MUCH_FORM_ERROR = (
     "small effects: halves of the simulation differ by far more than noise, and smaller effects are not "
     "identified; calibrate the vehicle file (split calibrate), or drive both more alike"
 )
-_WAYS = 4  # to differ, see `_compare`
+_WAYS = 5  # to differ, see `_compare`
 
 
 def diagnose(
@@ -196,7 +196,9 @@ class _Comparison:
 
 
 def _compare(case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[str, ...]) -> _Comparison:
-    """Ask four ways whether there is a difference: a name, a smooth function, a line, or residual autocorrelation.
+    """Ask five ways whether there is a difference.
+
+    A name, a name in a part of the drive, a smooth function, a line, or residual autocorrelation.
 
     A sensor that contradicts position or yaw is one, however small the rest.
     """
@@ -216,6 +218,7 @@ def _compare(case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[
     ways = [
         unnamed.p_value,
         selection.first_p if any(selection.named) or ends_beyond(selection, policy) else 1.0,
+        selection.partly.p_value if selection.partly else 1.0,
         line.p_value if line else 1.0,
         autocorrelation.p_value(usual_autocorrelation, policy.self_test)
         if is_autocorrelated(autocorrelation, usual_autocorrelation, policy)
@@ -268,13 +271,21 @@ def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy) -> Diagnosis:
             unexplained,
             location,
             remainder,
-            in_sentences(found.contradictions),
+            [*in_sentences(found.contradictions), *_for_a_while(found, bool(findings), policy)],
             improvement,
             case.vehicle,
             corrected,
         ),
         corrected_vehicle=corrected,
     )
+
+
+def _for_a_while(found: _Comparison, named: bool, policy: Policy) -> list[str]:
+    """Return what a term explains of a gap without a name in a part of the drive, as sentences."""
+    one = found.outcome.selection.partly
+    if named or one is None or _WAYS * one.p_value >= policy.comparison.level:
+        return []
+    return [acting_in_a_part(one.part.term, one.begin, one.end)]
 
 
 def _held_out(case: DiagnosisCase, split: HeldOut) -> list[tuple[Evidence, np.ndarray]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import jsonschema
@@ -68,6 +69,23 @@ def test_the_same_car_matches(simulation, same_car):
     # Positions and velocities of one car agree: no scale of a speed is doubted.
     assert not any("integral of" in reason for reason in same.not_judged)
     jsonschema.validate(diagnosis_to_mapping(same), read_schema())
+
+
+def test_what_acts_for_a_while_is_no_match(simulation):
+    """Steering 5 % short in two of eight runs, from 9 to 26 s: no test of the whole drive sees it."""
+
+    def steer(angles: np.ndarray, step: float) -> np.ndarray:
+        out = angles.copy()
+        out[1:3] *= 0.95
+        return out
+
+    drive = noisy(driven(82, runs=8, seconds=8.0, spaced=9.0, steer=steer), 582, position=0.01)
+    found = diagnose([drive], road_car(), [simulation])
+    assert found.verdict == "mismatch" and found.p_value < 1e-6
+    assert not found.findings and found.unexplained
+    assert "it looks like steer gain (steer_gain) with gain = 0.9" in found.summary
+    begin, end = re.search(r"Between (\d+(?:\.\d+)?) and (\d+(?:\.\d+)?) s", found.summary).groups()
+    assert float(begin) == pytest.approx(9.0, abs=2.5) and float(end) == pytest.approx(26.0, abs=2.5)
 
 
 def test_the_result_is_valid_by_the_schema(answer):

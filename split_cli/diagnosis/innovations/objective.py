@@ -140,6 +140,8 @@ class MarginalLikelihood:
         What each term saves between halves of the simulation, at as many rows.
     witness_floors : mapping of str to float
         The same of the witnesses' cost alone.
+    part_floors : mapping of str to float
+        The same in the best part of the drive.
     form_error_inflation : float
         By how much what no dictionary holds widens what a term saves by chance.
     fixed_baseline : bool
@@ -164,6 +166,7 @@ class MarginalLikelihood:
     term_floors: Mapping[str, float] = field(default_factory=dict)
     own_savings: Mapping[str, float] = field(default_factory=dict)
     witness_floors: Mapping[str, float] = field(default_factory=dict)
+    part_floors: Mapping[str, float] = field(default_factory=dict)
     form_error_inflation: float = 1.0
     fixed_baseline: bool = False
     policy: Policy = STANDARD

@@ -29,6 +29,7 @@ from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelati
 from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
 from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.partly import most_saved
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -56,6 +57,8 @@ class SelfTest:
         How much rows vary together, see `residual_autocorrelation`.
     witnessed : mapping of str to float
         What each term saves of the witnesses' cost alone.
+    partly : mapping of str to float
+        Cost that each term saves alone in the best part of the drive, see `parts_of_drive`.
     """
 
     rows: int = 0
@@ -64,6 +67,7 @@ class SelfTest:
     terms: Mapping[str, float] = field(default_factory=dict)
     autocorrelation: float = 1.0
     witnessed: Mapping[str, float] = field(default_factory=dict)
+    partly: Mapping[str, float] = field(default_factory=dict)
 
     def allow(self, objective: MarginalLikelihood) -> MarginalLikelihood:
         """Return an objective that forgives as much, with a margin.
@@ -86,6 +90,7 @@ class SelfTest:
             },
             own_savings={term: scale * saved for term, saved in self.terms.items()},
             witness_floors={term: rules.term_margin * scale * saved for term, saved in self.witnessed.items()},
+            part_floors={term: rules.term_margin * scale * saved for term, saved in self.partly.items()},
         )
 
     def form_error_inflation_of(self, gap: FlexibleFit, policy: Policy = STANDARD) -> float:
@@ -161,6 +166,7 @@ def self_test(
         {term: max(test.terms[term] for test in tests) for term in names},
         max(test.autocorrelation for test in tests),
         {term: max(test.witnessed[term] for test in tests) for term in names},
+        {term: max(test.partly[term] for test in tests) for term in names},
     )
 
 
@@ -269,7 +275,7 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
     chosen = np.concatenate([np.repeat(np.concatenate(keep), 3), windows])
     s = objective.places()
     lap = graded[0].series.lap_length
-    terms, witnessed = ({offer.term: 0.0 for offer in offers} for _ in range(2))
+    terms, witnessed, partly = ({offer.term: 0.0 for offer in offers} for _ in range(3))
     own = objective.of_witnesses(residuals)
     for offer in offers:
         columns = objective.whiten(offer.columns[chosen])
@@ -279,6 +285,8 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
         else:
             saved = _saving(columns, residuals)
         terms[offer.term] = max(terms[offer.term], saved)
+        if not offer.located:
+            partly[offer.term] = max(partly[offer.term], most_saved(objective, columns, residuals))
     # What the simulation lacks of reality's noise would have added its share.
     quiet = max(0.0, 1.0 - (float(residuals @ residuals) - fit.saved) / max(len(residuals) - fit.freedom, 1.0))
     return SelfTest(
@@ -288,6 +296,7 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
         terms,
         residual_autocorrelation(structure, residuals).ratio,
         witnessed,
+        partly,
     )
 
 

@@ -102,6 +102,10 @@ class Explorer:
             (one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts
         ]
 
+    def lines(self) -> list[Tangent]:
+        """Return every start of every term without a place, as straight lines."""
+        return self._tangents
+
     def _promises(self, current: Fit, free: np.ndarray | None) -> list[tuple[float, Part]]:
         """Return what each start of each candidate promises to cost, price included, best first."""
         taken = {part.candidate.term for part in current.parts}

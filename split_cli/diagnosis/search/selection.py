@@ -22,6 +22,7 @@ from split_cli.diagnosis.search.forward import (
     sizes_with_form_error,
 )
 from split_cli.diagnosis.search.joint import all_at_once, cheapest_first, promised_by_all
+from split_cli.diagnosis.search.partly import ActingPart, strongest_part
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
     is_apart_from_itself,
@@ -91,6 +92,8 @@ class Selection:
         sound recording has, or that halves of the simulation differ by as much.
     first : tuple of Fit
         What each term, in each variant that promised most, explains alone, best first.
+    partly : ActingPart or None
+        Where nothing is named, the term that most surely acts in a part of the drive.
     """
 
     base: Fit
@@ -102,6 +105,7 @@ class Selection:
     history: tuple[str, ...] = ()
     first_p: float = 1.0
     first: tuple[Fit, ...] = ()
+    partly: ActingPart | None = None
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -173,7 +177,10 @@ def select_terms(
             break
         history += grown.history
         selection = _examined(explore, base, grown.chosen)
-    return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first))
+    partly = None
+    if not any(selection.named):
+        partly = strongest_part(objective, explore.lines(), base.residuals, variance_inflation)
+    return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first), partly=partly)
 
 
 def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:

@@ -15,10 +15,18 @@ from split_cli.diagnosis.statement.result import (
 )
 from split_cli.diagnosis.statement.separation import separation
 from split_cli.diagnosis.statement.wording import number, percent, term_with_id, variable_name
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["lead_sentence", "not_accepted", "sentence_for", "separations", "statement_for", "summarise"]
+__all__ = [
+    "acting_in_a_part",
+    "lead_sentence",
+    "not_accepted",
+    "sentence_for",
+    "separations",
+    "statement_for",
+    "summarise",
+]
 
 # What a flexible fit calls its groups of functions, for a reader.
 _KINDS = {
@@ -103,6 +111,19 @@ def statement_for(term: str, variant: str, parameters: Parameters, vehicle: Vehi
 def separations(term: str, variant: str, alternatives: Sequence[str]) -> tuple[str, ...]:
     """Return, for every alternative, the excitation that would tell it from the term, or that nothing can."""
     return tuple(separation(term, variant, alternative).words for alternative in alternatives)
+
+
+def acting_in_a_part(term: Term, begin: float, end: float) -> str:
+    """Return what a term would explain from `begin` to `end` [s] and not all along the drive."""
+    units, neutral = term.parameter_units(term.variant), type(term).neutral
+    own = {name: value for name, value in term.parameters.items() if value != neutral.get(name)}
+    sizes = ", ".join(
+        f"{name} = {number(value, 3)} {units[name]}".removesuffix(" 1") for name, value in own.items()
+    )
+    return (
+        f"Between {number(begin)} and {number(end)} s it looks like {term_with_id(term.id)} with {sizes}, but not "
+        "all along the drive."
+    )
 
 
 def summarise(

@@ -1,0 +1,84 @@
+"""A term that acts in a part of the drive only: found where it acts, and nowhere where nothing does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.policy import STANDARD
+from split_cli.diagnosis.search.exploration import Explorer
+from split_cli.diagnosis.search.partly import most_saved, parts_of_drive, strongest_part
+from split_cli.diagnosis.search.selection import nothing
+from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
+
+NAMES = ("steer_gain", "drive_gain", "yaw_inertia", "tire_stiffness", "aero_drag", "steer_offset")
+
+
+def bare(blocks: int, rows: int) -> MarginalLikelihood:
+    """Return an objective of so many blocks with so many rows of three channels, without anything else."""
+    block, empty = np.repeat(np.arange(blocks), 3 * rows), np.zeros(0)
+    keep = (np.ones(blocks * rows, dtype=bool),)
+    return MarginalLikelihood((), None, None, keep, empty, empty.reshape(0, 0), block, np.ones(len(block)), empty)
+
+
+def test_parts_are_regressions_of_their_own():
+    """Least squares on the rows of each part alone, and a t of the differences its blocks make."""
+    rng = np.random.default_rng(1)
+    objective, rows = bare(9, 100), 300
+    d, e = rng.standard_normal((2700, 2)), rng.standard_normal(2700)
+    e[900:1800] += 0.2 * d[900:1800, 1]
+    parts = parts_of_drive(objective, d, e)
+    least = STANDARD.comparison.least_rows
+    assert {(i, j) for i, j in zip(parts.first, parts.last, strict=True)} == {
+        (i, j) for i in range(9) for j in range(i, 9) if 100 * (j - i + 1) >= least
+    }
+    for w, (i, j) in enumerate(zip(parts.first, parts.last, strict=True)):
+        inside = slice(rows * i, rows * (j + 1))
+        for k in range(2):
+            column, left = d[inside, k], e[inside]
+            size = float(column @ left / (column @ column))
+            saved = left @ left - np.sum((left - size * column) ** 2)
+            assert parts.size[w, k] == pytest.approx(size, rel=1e-9)
+            assert parts.saved[w, k] == pytest.approx(saved, rel=1e-6)
+            blocks = np.sum((left**2 - (left - size * column) ** 2).reshape(-1, rows), axis=1)
+            error = np.sqrt(len(blocks) * np.var(blocks, ddof=1))
+            assert parts.z[w, k] == pytest.approx(saved / error, rel=1e-4)
+            scores = np.sum((column * (left - size * column)).reshape(-1, rows), axis=1)
+            wald = abs(size) * float(column @ column) / np.sqrt(scores @ scores)
+            assert parts.t[w, k] == pytest.approx(wald, rel=1e-4)
+    assert most_saved(objective, d, e) == parts.saved.max()
+
+
+def test_noise_saves_in_the_best_part_what_theory_lets_it():
+    """The largest of all parts' chi squared exceeds its Bonferroni bound at 5 % in no more than 5 % of draws."""
+    from scipy.stats import chi2
+
+    rng = np.random.default_rng(2)
+    objective, exceeded = bare(20, 60), 0
+    count = len(parts_of_drive(objective, np.ones((3600, 1)), np.zeros(3600)).first)
+    for _ in range(200):
+        exceeded += most_saved(objective, rng.standard_normal((3600, 1)), rng.standard_normal(3600)) > chi2.isf(
+            0.05 / count, 1
+        )
+    assert exceeded <= 17  # the 99.5 % quantile of a binomial of 200 with 0.05
+
+
+@pytest.mark.parametrize(("gain", "runs"), [(0.95, slice(5, 11)), (1.0, slice(5, 11))])
+def test_a_steering_that_is_wrong_for_a_while_is_found_where_it_is(gain, runs):
+    """Six of sixteen runs that start six seconds apart: from 30 to 65 s. Where nothing is planted, nothing is."""
+
+    def steer(angles: np.ndarray, step: float) -> np.ndarray:
+        out = angles.copy()
+        out[runs] *= gain
+        return out
+
+    objective = noisy_objective(driven(41, steer=steer), 9)
+    explore = Explorer(objective, tuple(candidates_of(objective, *NAMES)), 1.5)
+    found = strongest_part(objective, explore.lines(), nothing(objective).residuals, 1.5)
+    if gain == 1.0:
+        assert found.p_value > 0.05
+        return
+    assert found.part.candidate.term == "steer_gain" and found.p_value < STANDARD.comparison.level
+    assert found.part.values["gain"] == pytest.approx(gain, abs=0.01)
+    assert found.begin == pytest.approx(30.0, abs=2.5) and found.end == pytest.approx(65.0, abs=2.5)
