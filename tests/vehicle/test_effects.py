@@ -425,23 +425,19 @@ def test_a_vehicle_file_names_terms_and_their_variants_parameters():
 def test_casadi_evaluates_the_same_text(name, variant):
     import casadi as ca
 
-    class Symbolic:
-        sin, cos, atan, atan2, tanh = ca.sin, ca.cos, ca.atan, ca.atan2, ca.tanh
-        exp, sqrt, minimum, maximum, where = ca.exp, ca.sqrt, ca.fmin, ca.fmax, ca.if_else
+    from split_cli.export.symbolic import CASADI
 
     at = driving(20)
     names = list(at)
     model = SingleTrack(CAR, [CATALOGUE[name](EXAMPLES[name, variant], variant)])
     symbols = [ca.SX.sym(n) for n in names]
     states = {n: ca.SX.sym(n) for n in model.state_names}
-    flow = model.flow(**dict(zip(names, symbols, strict=True)), ops=Symbolic, states=states)
+    flow = model.flow(**dict(zip(names, symbols, strict=True)), ops=CASADI, states=states)
     outputs = [*model.balance(flow), *(flow.rates[n] for n in model.state_names)]
     function = ca.Function("f", [*symbols, *states.values()], [ca.vertcat(*outputs)])
     rng = np.random.default_rng(3)
     values = {n: rng.normal(0.0, 0.1, 20) for n in model.state_names}
     reference = model.flow(**at, states=values)
     expected = np.stack([*model.balance(reference), *(reference.rates[n] for n in model.state_names)])
-    got = np.array(
-        [np.ravel(function(*[at[n][k] for n in names], *[v[k] for v in values.values()])) for k in range(20)]
-    ).T
+    got = function.map(20)(*(row[None] for row in [*at.values(), *values.values()])).toarray()
     np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-11)
