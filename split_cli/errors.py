@@ -121,8 +121,8 @@ def spreadsheet_text(text: str) -> str:
     return f"'{text}" if text[:1] in ("=", "+", "-", "@") else text
 
 
-def nearest_names(name: str, known: Iterable[str], count: int = 3) -> str:
-    """Return ``Did you mean a, b?`` with the known names nearest to `name`, or else what there is.
+def nearest_names(name: str, known: Iterable[str]) -> str:
+    """Return ``Did you mean a, b?`` with at most three known names nearest to `name`, or else what there is.
 
     Parameters
     ----------
@@ -130,14 +130,12 @@ def nearest_names(name: str, known: Iterable[str], count: int = 3) -> str:
         What the user wrote.
     known : iterable of str
         What exists.
-    count : int
-        At most so many suggestions.
     """
     known = sorted(set(known))
-    close = get_close_matches(name, known, n=count, cutoff=0.4)
+    close = get_close_matches(name, known, cutoff=0.4)
     if not close:
         lowered = {candidate.lower(): candidate for candidate in known}
-        close = [lowered[hit] for hit in get_close_matches(name.lower(), list(lowered), n=count, cutoff=0.4)]
+        close = [lowered[hit] for hit in get_close_matches(name.lower(), list(lowered), cutoff=0.4)]
     if close:
         return f"Did you mean {', '.join(close)}?"
     if not known:

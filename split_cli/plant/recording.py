@@ -20,6 +20,7 @@ from split_cli.signals import find_unit
 
 __all__ = ["EPOCH", "TABLE_CHANNELS", "write_csv", "write_mcap", "write_parquet"]
 
+#: Seconds since 1970 of a run's time 0 [s].
 EPOCH = 1_700_000_000
 """When every simulated drive begins, seconds since 1970: fixed, so that equal seeds give equal files [s]."""
 
@@ -35,7 +36,7 @@ WORKSHOP_UNITS = {
 """What a data logger of a workshop would use."""
 
 
-def write_mcap(readings: tuple[Reading, ...], path: str | Path, start: float = EPOCH) -> None:
+def write_mcap(readings: tuple[Reading, ...], path: str | Path) -> None:
     """Write an MCAP with ROS 2 messages in cdr, their definitions inside, zstd chunks.
 
     A message's header time is the device's stamp, its publish time a little later, its log time the arrival; the
@@ -45,8 +46,6 @@ def write_mcap(readings: tuple[Reading, ...], path: str | Path, start: float = E
     ----------
     readings : tuple of Reading
         Of `sensors.measure`.
-    start : float
-        Seconds since 1970 of the run's time 0 [s].
     """
     by_name = {reading.sensor.name: reading for reading in readings}
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
@@ -54,7 +53,7 @@ def write_mcap(readings: tuple[Reading, ...], path: str | Path, start: float = E
         topics = [topic for topic in TOPICS if topic.sensor in by_name]
         schemas = {name: writer.register_msgdef(name, definition(name)) for name in _types(topics)}
         merged = heapq.merge(
-            *(_messages(topic, index, by_name[topic.sensor], start) for index, topic in enumerate(topics)),
+            *(_messages(topic, index, by_name[topic.sensor], EPOCH) for index, topic in enumerate(topics)),
             key=lambda message: message[:2],
         )
         for log_time, index, sequence, publish_time, message in merged:

@@ -126,7 +126,7 @@ def find_track(name: str) -> Track:
     )
 
 
-def circle(radius: float, spacing: float | None = None, half_width: float = 4.0) -> Track:
+def circle(radius: float) -> Track:
     """Return a circle to the left (or, with a negative radius, to the right) that starts at the origin.
 
     Parameters
@@ -135,7 +135,7 @@ def circle(radius: float, spacing: float | None = None, half_width: float = 4.0)
         [m]
     """
     size = abs(radius)
-    count = max(360, int(np.ceil(2.0 * np.pi * size / (spacing or size * 0.005))))
+    count = int(np.ceil(2.0 * np.pi / 0.005))
     angle = np.arange(count) * 2.0 * np.pi / count
     sign = np.sign(radius)
     return Track(
@@ -145,7 +145,7 @@ def circle(radius: float, spacing: float | None = None, half_width: float = 4.0)
         y=sign * size * (1.0 - np.cos(angle)),
         direction=sign * angle,
         curvature=np.full(count, 1.0 / radius),
-        half_width=half_width,
+        half_width=4.0,
     )
 
 

@@ -32,7 +32,6 @@ _GRID = np.linspace(0.0, 1.0, 21)
 def judge_correction(
     drives: Sequence[TrainingDrive],
     empty: TrainingSet,
-    predictor: str = "rbcm",
     say: Callable[[str], None] = lambda text: None,
     most: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> tuple[Trust, float]:
@@ -43,7 +42,6 @@ def judge_correction(
     drives : sequence of TrainingDrive
     empty : TrainingSet
         Without points: its settings and kernel are those of the set that is trained on everything.
-    predictor : str
     say : callable
         Told what is being done.
     most : sequence of float, shape (3,)
@@ -57,7 +55,7 @@ def judge_correction(
     gain : float
         Minus infinity then.
     """
-    evidence, blocks = held_out_evidence(drives, empty, predictor, say)
+    evidence, blocks = held_out_evidence(drives, empty, "rbcm", say)
     if blocks < FEWEST_BLOCKS:
         return Trust((0.0, 0.0, 0.0), "unjudged", blocks), -np.inf
     share, gain = best_trust(evidence, most)

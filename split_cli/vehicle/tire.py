@@ -51,7 +51,7 @@ def lateral_force(B: Any, C: Any, D: Any, slip_angle: Any, ops: Operations = NUM
     return D * ops.sin(C * ops.atan(B * slip_angle))
 
 
-def lateral_force_slope(B: Any, C: Any, D: Any, slip_angle: Any, ops: Operations = NUMPY) -> Any:
+def lateral_force_slope(B: Any, C: Any, D: Any, slip_angle: Any) -> Any:
     """Return dF_y/dalpha [N/rad] of `lateral_force`."""
     reduced = B * slip_angle
-    return D * C * B * ops.cos(C * ops.atan(reduced)) / (1.0 + reduced * reduced)
+    return D * C * B * NUMPY.cos(C * NUMPY.atan(reduced)) / (1.0 + reduced * reduced)

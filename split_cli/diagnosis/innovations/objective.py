@@ -305,11 +305,6 @@ class MarginalLikelihood:
         plain = self.stack([evidence.plain for evidence in self.evidence])
         return max(float(plain @ plain - np.sum((plain - self.offset) ** 2)), 0.0)
 
-    def channel_sums(self, residuals: np.ndarray) -> np.ndarray:
-        """Return sums over the rows of v_x, v_y and r, and over kinematic rows, shape (4,)."""
-        rows = len(residuals) - sum(len(one.begin) for one in self.kinematics)
-        return np.append(residuals[:rows].reshape(-1, 3).sum(axis=0), residuals[rows:].sum())
-
     def block_sums(self, residuals: np.ndarray) -> np.ndarray:
         """Return sums over blocks of time, shape (B, ...)."""
         total = np.zeros((int(self.block.max()) + 1, *residuals.shape[1:]))

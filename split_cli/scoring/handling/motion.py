@@ -77,9 +77,10 @@ def free_run(
     *,
     correction: Correction | None = None,
     recorded_speed: bool = False,
-    step: float = STEP,
 ) -> Drive | None:
     """Return the model's own motion over the recorded inputs, set back to the recording every `seconds`.
+
+    Its steps take `STEP`, rounded to whole samples.
 
     Parameters
     ----------
@@ -91,8 +92,6 @@ def free_run(
         A learned residual that the model applies.
     recorded_speed : bool
         Take v_x from the recording after every step, as is usual where only the lateral motion is compared.
-    step : float
-        [s], rounded to whole samples.
 
     Returns
     -------
@@ -100,7 +99,7 @@ def free_run(
         With ``t, vx, vy, r, T, delta, ax, ay, s``, one segment a run. None where no run fits. Runs in which the
         recording is slower than the model is meant for, or that leave the finite numbers, are left out.
     """
-    window = max(1, round(step / drive.period))
+    window = max(1, round(STEP / drive.period))
     steps = max(1, round(seconds / (window * drive.period)))
     length = steps * window
     slow = np.concatenate([[0], np.cumsum(drive["vx"] < model.vehicle.minimum_speed)])

@@ -14,6 +14,9 @@ from split_cli.vehicle.single_track import slip_angles
 __all__ = ["MotionRun", "MotionSamples", "axle_lateral_forces", "front_longitudinal_force", "motion_samples"]
 
 
+_BLOCK_SECONDS = 5.0  # of a block of time
+
+
 @dataclass(frozen=True)
 class MotionRun:
     """A stretch of a drive without a gap.
@@ -87,7 +90,7 @@ class MotionSamples:
 
 
 def motion_samples(
-    runs: Sequence[MotionRun], vehicle: Vehicle, *, smoothing: float | None = None, block_seconds: float = 5.0
+    runs: Sequence[MotionRun], vehicle: Vehicle, *, smoothing: float | None = None
 ) -> MotionSamples:
     """Smooth and differentiate recorded motion.
 
@@ -99,8 +102,6 @@ def motion_samples(
     smoothing : float, optional
         Standard deviation of the Gaussian kernel [s]; by default 0.05 sqrt(wheelbase/2.7), since small cars
         respond faster, and at least 1.5 sample periods.
-    block_seconds : float
-        Length of a block of time [s].
 
     Raises
     ------
@@ -121,7 +122,7 @@ def motion_samples(
             continue
         columns, step = part
         count = len(columns["vx"])
-        blocks.append(next_block + (np.arange(count) * step / block_seconds).astype(int))
+        blocks.append(next_block + (np.arange(count) * step / _BLOCK_SECONDS).astype(int))
         next_block = int(blocks[-1][-1]) + 1
         parts.append(columns)
     if not parts:

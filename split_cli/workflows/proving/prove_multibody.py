@@ -26,12 +26,12 @@ FOREIGN_MODELS = {"multibody": load_car, "drift": load_drift_car}
 
 _TRIES = 12
 _CALMER = (1.0, 0.85, 0.7)  # of the lateral acceleration that is asked for: a tall car tips
+_HARD_SECONDS = 120.0  # of a hard drive; another half as long on another track is held out
+_FAULT_SECONDS = 80.0  # of each drive with and without a fault
 _TRACKS_APART = 20  # more than the tracks that may be tried for one drive
 
 
-def prove_multibody(
-    output: Path, *, seed: int = 1, car: int = 2, model: str = "multibody", seconds: float = 120.0
-):
+def prove_multibody(output: Path, *, seed: int = 1, car: int = 2, model: str = "multibody"):
     """Calibrate, drive hard, diagnose; everything is written to a folder.
 
     Parameters
@@ -44,8 +44,6 @@ def prove_multibody(
         Of the package: 1 Ford Escort, 2 BMW 320i, 3 VW Vanagon.
     model : str
         One of `FOREIGN_MODELS`.
-    seconds : float
-        Length of the hard drive; another half as long on another track is held out [s].
 
     Raises
     ------
@@ -54,8 +52,8 @@ def prove_multibody(
     """
     body = FOREIGN_MODELS[model](car)
     vehicle = calibrated_vehicle(body, gentle_drives(body, seed))
-    real, used = _kept_on_track(body, seed, 0, seconds, "real.parquet")
-    holdout, _ = _kept_on_track(body, seed, used + 1, 0.5 * seconds, "holdout.parquet")
+    real, used = _kept_on_track(body, seed, 0, _HARD_SECONDS, "real.parquet")
+    holdout, _ = _kept_on_track(body, seed, used + 1, 0.5 * _HARD_SECONDS, "holdout.parquet")
     with atomic_directory(output) as folder:
         write_vehicle(vehicle, folder / "vehicle.yaml")
         write_drive(real, folder / "real.parquet")
@@ -74,7 +72,6 @@ def prove_multibody_faults(
     seed: int = 1,
     car: int = 2,
     model: str = "multibody",
-    seconds: float = 80.0,
     only: Sequence[str] | None = None,
     report: Callable[[int, int], None] | None = None,
 ) -> list[InjectionResult]:
@@ -87,8 +84,8 @@ def prove_multibody_faults(
     ----------
     output : Path
         Folder; gets ``vehicle.yaml``, the pairs of drives and a diagnosis each.
-    seed, car, model, seconds
-        As for `prove_multibody`; both drives are `seconds` long.
+    seed, car, model
+        As for `prove_multibody`.
     only : sequence of str, optional
         Names of `multibody_faults.MULTIBODY_FAULTS`.
 
@@ -101,7 +98,7 @@ def prove_multibody_faults(
     body = FOREIGN_MODELS[model](car)
     output.mkdir(parents=True, exist_ok=True)
     write_vehicle(calibrated_vehicle(body, gentle_drives(body, seed)), output / "vehicle.yaml")
-    drive = partial(_kept_on_track, seed=seed, seconds=seconds)
+    drive = partial(_kept_on_track, seed=seed, seconds=_FAULT_SECONDS)
     reference, used = drive(body, first=100, name="sim.parquet", lateral=6.5, noisy=False)
     results = []
     for number, fault in enumerate(faults):
