@@ -7,6 +7,7 @@ from difflib import get_close_matches
 from typing import Any
 
 __all__ = [
+    "OUR_FAULT",
     "DriveError",
     "ExportError",
     "LogError",
@@ -31,6 +32,10 @@ def shortened(text: str) -> str:
         return text
     gap = " [...] "
     return f"{text[: _MOST_CHARACTERS - _KEPT_END - len(gap)]}{gap}{text[-_KEPT_END:]}"
+
+
+#: Advice where a check of the program's own work fails.
+OUR_FAULT = "This is a fault of the program: please report it, with the vehicle file and the set."
 
 
 class SplitError(Exception):

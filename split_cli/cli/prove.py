@@ -108,7 +108,7 @@ def _numbers(text: str | None) -> list[float]:
     try:
         return [float(one) for one in text.split(",")] if text else []
     except ValueError:
-        raise click.BadParameter(f"{text!r} is no list of numbers", param_hint="--multiples") from None
+        raise click.BadParameter(f"{text!r} is not a list of numbers", param_hint="--multiples") from None
 
 
 @command.command("recording")

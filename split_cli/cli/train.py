@@ -113,8 +113,10 @@ def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jo
     Label files also train without their drives, but then --trust must be given, since it cannot be estimated.
 
     Drives are learned in the order given. With the same hyperparameters and trust, one run and several appended
-    runs give the same file, bit for bit. For each drive and in total, the table gives the samples used and
-    rejected, updates and size of the set, non-empty cells, their share of the valid region, time per sample and
+    runs give the same file, bit for bit.
+
+    The table has a row for each drive and one for all. It gives the samples used and rejected, and the updates
+    and size of the set. It also gives the non-empty cells, their share of the valid region, time per sample and
     memory.
 
     \b

@@ -93,11 +93,15 @@ class ControlModel:
         where = f"vehicle {vehicle.name}, effects"
         if graph.jumps is not None or (graph.memory is not None and graph.memory.line):
             raise VehicleError(
-                "a delay or a play is among its effects, which a controller here does not follow", where=where
+                "has a delay or a play among its effects, and a controller here follows neither",
+                where=where,
+                advice="Drive with a vehicle file without it.",
             )
         if graph.needs_place_and_time:
             raise VehicleError(
-                "an effect depends on time or track position, which a controller here does not know", where=where
+                "has an effect that depends on time or track position, which a controller here does not know",
+                where=where,
+                advice="Drive with a vehicle file without it.",
             )
         check_features(vehicle, residual.features, step)
         self.start = graph.start
@@ -174,9 +178,9 @@ def check_features(vehicle: Vehicle, features: FeatureSet, step: float) -> None:
     foreign = build_nominal(SingleTrack(vehicle), features, step).foreign_features
     if foreign:
         raise VehicleError(
-            f"the residual asks for {', '.join(foreign)}, which no state of the controller determines",
+            f"the correction needs {', '.join(foreign)}, which the states of the controller do not determine",
             where=f"vehicle {vehicle.name}",
-            advice="A controller knows z2, z1, vx, vy, r, delta, T and states of the terms in its vehicle file.",
+            advice="Use z2, z1, vx, vy, r, delta, T, or states of the terms in the vehicle file.",
         )  # fmt: skip
 
 

@@ -190,7 +190,7 @@ def read_centerline(path: str | FilePath) -> Path:
     path = FilePath(path)
     advice = f"A centre line has the columns {','.join(_CENTERLINE)}."
     if not path.is_file():
-        raise SplitError("no such file, and no track is called so", where=str(path), advice=advice)
+        raise SplitError("there is no such file, and no track of that name", where=str(path), advice=advice)
     try:
         lines = read_text(path, _MOST_BYTES).removeprefix("\ufeff").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -216,7 +216,11 @@ def read_centerline(path: str | FilePath) -> Path:
     step = np.linalg.norm(np.diff(table[:, :2], axis=0, append=table[:1, :2]), axis=1)
     far, same = int(np.argmax(step)), int(np.argmin(step))
     if step[same] < 1e-9:
-        raise SplitError(f"row {numbers[same]} and the next are the same point", where=str(path))
+        raise SplitError(
+            f"row {numbers[same]} and the next are the same point",
+            where=str(path),
+            advice="Remove one of the two rows.",
+        )
     if step[far] > 20.0 * np.median(step):
         last = far == len(table) - 1
         where = "between its last point and its first" if last else f"after row {numbers[far]}"
@@ -228,7 +232,7 @@ def read_centerline(path: str | FilePath) -> Path:
     if not length <= _LONGEST_LAP:
         raise SplitError(
             f"is {length:.3g} m long, at most {_LONGEST_LAP:.0f} m were expected", where=str(path),
-            advice="Coordinates are in metres.",
+            advice="Give coordinates in metres.",
         )  # fmt: skip
     spacing = min(0.5, length / 400.0)
     return resampled(path.stem, table[:, :2], table[:, 3], table[:, 2], closed=True, spacing=spacing)
@@ -246,7 +250,9 @@ def _centerline_row(
         raise SplitError(told, where=str(path), advice=advice)
     chosen = [values[names.index(name)] for name in _CENTERLINE]
     if min(chosen[2:]) <= 0.0:
-        raise SplitError(f"{told}: a width is not positive", where=str(path))
+        raise SplitError(
+            f"{told}: a width is not positive", where=str(path), advice="Give both widths in metres, above 0."
+        )
     return chosen
 
 
@@ -280,7 +286,7 @@ def check_path(path: Path, width: float) -> None:
         raise SplitError(
             f"crosses itself: {found[0]:.0f} m and {found[1]:.0f} m along it meet",
             where=path.name,
-            advice="A track here has one lane a place.",
+            advice="Draw the centre line so that it does not cross itself.",
         )
 
 

@@ -144,7 +144,7 @@ def build_scenario(name: str, width: float, speed: float | None = None) -> Scena
     if name not in SCENARIOS:
         raise SplitError(f"no manoeuvre is called {name!r}", advice=nearest_names(name, SCENARIOS))
     if not 0.1 < width < 4.0:
-        raise SplitError(f"a car's width of 0.1 to 4 m was expected, got {width:g} m", where="--width")
+        raise SplitError(f"a car {width:g} m wide was named, 0.1 to 4 m was expected", where="--width")
     lanes_of, usual, horizon, alone, borders, spacing = SCENARIOS[name]
     speed = usual if speed is None else speed
     if not 1.0 <= speed <= 60.0:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from split_cli.errors import ExportError
+from split_cli.errors import OUR_FAULT, ExportError
 from split_cli.export.c99 import CSource, fill, memory_parts, template
 from split_cli.export.check import ExportAnswer, Oracle, PredictionCheck, check_predictions
 from split_cli.export.compiler import STRICT_FLAGS, Compiler, Driver, run_program, section_bytes
@@ -193,7 +193,9 @@ def _check_valid(training_set: TrainingSet, oracle: Oracle, driver: Driver) -> N
     found = driver.answers(11, oracle.z, 1)[:, 0] > 0.5
     wrong = int((found != expected)[clear].sum())
     if wrong or clear.mean() < 0.5:
-        raise ExportError(f"C: the valid region differs at {wrong} of {int(clear.sum())} queries")
+        raise ExportError(
+            f"C: the valid region differs at {wrong} of {int(clear.sum())} queries", advice=OUR_FAULT
+        )
 
 
 def run_selftest(compiler: Compiler, folder: Path, name: str) -> str:
@@ -213,7 +215,9 @@ def run_selftest(compiler: Compiler, folder: Path, name: str) -> str:
     said: str = done.stdout.decode(errors="replace").strip()
     if done.returncode:
         raise ExportError(
-            f"the self-test fails: {said or done.stderr.decode(errors='replace').strip()}", where=name
+            f"the self-test fails: {said or done.stderr.decode(errors='replace').strip()}",
+            where=name,
+            advice=OUR_FAULT,
         )
     return said
 

@@ -9,7 +9,7 @@ import casadi
 import numpy as np
 import scipy.sparse
 
-from split_cli.errors import ExportError
+from split_cli.errors import OUR_FAULT, ExportError
 from split_cli.export.casadi_step import memory_step
 from split_cli.export.check import ExportAnswer, Oracle, PredictionCheck, check_predictions
 from split_cli.export.step_check import StepOracle, Stepper, compare_drives, compare_memory, compare_states
@@ -277,7 +277,8 @@ def _check_step_jacobian(step: casadi.Function, steps: StepOracle) -> None:
             if not worst <= 1e-5:
                 raise ExportError(
                     f"CasADi: the step's Jacobian is {worst:.3g} off finite differences in column {column}; "
-                    "nothing was written"
+                    "nothing was written",
+                    advice=OUR_FAULT,
                 )
 
 
@@ -318,7 +319,9 @@ def check_hessian(predict: casadi.Function, oracle: Oracle) -> float:
             )
             worst = max(worst, float((np.abs(found[:, :, feature].T - expected) / size).max()))
     if not worst <= 1e-6:
-        raise ExportError(f"CasADi: the Hessian is {worst:.3g} off finite differences; nothing was written")
+        raise ExportError(
+            f"CasADi: the Hessian is {worst:.3g} off finite differences; nothing was written", advice=OUR_FAULT
+        )
     return worst
 
 

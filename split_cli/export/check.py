@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.errors import ExportError
+from split_cli.errors import OUR_FAULT, ExportError
 from split_cli.export.reference import AnyReference, Reference, SplineReference
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction import Predictor, make_predictor
@@ -263,5 +263,6 @@ def _check_not_finite(answer: ExportAnswer, oracle: Oracle, what: str) -> None:
     good &= (mean[~is_nan] == 0.0).all() and np.allclose(variance[~is_nan], prior, rtol=1e-6, atol=0.0)
     if not good:
         raise ExportError(
-            f"{what}: queries that are not finite are not answered as documented; nothing was written"
+            f"{what}: queries that are not finite get other answers than documented; nothing was written",
+            advice=OUR_FAULT,
         )

@@ -51,7 +51,11 @@ class Compiler:
         if done.returncode:
             lines = done.stderr.decode(errors="replace").splitlines()
             first = next((line for line in lines if "error" in line), lines[0] if lines else "no message")
-            raise ExportError(f"the generated C does not compile: {first}", where=" ".join(self.command))
+            raise ExportError(
+                f"the generated C does not compile: {first}",
+                where=" ".join(self.command),
+                advice="Name another compiler in $CC.",
+            )
 
     def compile(self, source: Path, folder: Path, flags: Sequence[str]) -> Path:
         """Compile one source into an object file in `folder` and return its path; raises as `build` does."""
@@ -141,7 +145,7 @@ def find_compiler() -> Compiler | None:
             first = done.stdout.decode(errors="replace").splitlines() or [candidate]
             return Compiler(command, first[0])
         if named:
-            raise ExportError(f"$CC names {named!r}, which does not run")
+            raise ExportError(f"$CC names {named!r}, which does not run", advice="Unset CC or correct it.")
     return None
 
 
@@ -156,6 +160,9 @@ def run_program(command: list[str], given: bytes, what: str) -> subprocess.Compl
     try:
         return subprocess.run(command, input=given, capture_output=True, timeout=_TIMEOUT, check=False)
     except subprocess.TimeoutExpired:
-        raise ExportError(f"{what} did not finish within {_TIMEOUT:g} s") from None
+        raise ExportError(
+            f"{what} did not finish within {_TIMEOUT:g} s",
+            advice="Name another compiler in $CC, or export when the machine is idle.",
+        ) from None
     except OSError as error:
         raise ExportError(f"{what} cannot be run ({error.strerror or error})", where=command[0]) from error

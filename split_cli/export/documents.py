@@ -146,10 +146,14 @@ def read_npz(path: Path) -> Document:
             metadata = parse_json(str(content["metadata"]))
             arrays = {name: content[name] for name in _names(metadata)}
     except (OSError, ValueError, KeyError, EOFError) as error:
-        raise ExportError(f"is not a whole npz export ({error})", where=str(path)) from error
+        raise ExportError(
+            f"is not a whole npz export ({error})", where=str(path), advice="Export the set again."
+        ) from error
     except Exception as error:
         # zipfile and zlib have errors of their own, of no common base.
-        raise ExportError(f"is damaged ({type(error).__name__}: {error})", where=str(path)) from error
+        raise ExportError(
+            f"is damaged ({type(error).__name__}: {error})", where=str(path), advice="Export the set again."
+        ) from error
     return _checked(Document(arrays, metadata), path)
 
 
@@ -163,7 +167,9 @@ def read_json(path: Path) -> Document:
             for name in _names(content)
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ExportError(f"is not a whole json export ({error})", where=str(path)) from error
+        raise ExportError(
+            f"is not a whole json export ({error})", where=str(path), advice="Export the set again."
+        ) from error
     return _checked(Document(arrays, content), path)
 
 
@@ -183,7 +189,9 @@ def _checked(document: Document, path: Path) -> Document:
     fits = fits and a["doubt"].shape == (3,)
     fits = fits and a["offsets"].shape == (cells + 1,) and a["offsets"][0] == 0 and a["offsets"][-1] == points
     if not (fits and (np.diff(a["offsets"]) > 0).all()):
-        raise ExportError(f"is not a whole export of format {DOCUMENT_FORMAT}", where=str(path))
+        raise ExportError(
+            f"is not a whole export of format {DOCUMENT_FORMAT}", where=str(path), advice="Export the set again."
+        )
     return document
 
 
@@ -197,9 +205,15 @@ def require_equal(written: Document, found: Document, what: str) -> None:
     """
     for name, values in written.arrays.items():
         if values.dtype != found.arrays[name].dtype or not np.array_equal(values, found.arrays[name]):
-            raise ExportError(f"{what}: {name} does not read back as written; nothing was written")
+            raise ExportError(
+                f"{what}: {name} does not read back as written; nothing was written",
+                advice="Check the disk, and export again.",
+            )
     if found.metadata != json.loads(json.dumps(written.metadata)):
-        raise ExportError(f"{what}: the metadata do not read back as written; nothing was written")
+        raise ExportError(
+            f"{what}: the metadata do not read back as written; nothing was written",
+            advice="Check the disk, and export again.",
+        )
 
 
 def document_answer(document: Document) -> ExportAnswer:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.errors import ExportError
+from split_cli.errors import OUR_FAULT, ExportError
 from split_cli.export.memory import present
 from split_cli.export.reference import AnyReference
 from split_cli.export.stepped_model import Drives, SteppedModel, random_memory, roll_drives
@@ -193,7 +193,10 @@ def _require(found: np.ndarray, expected: np.ndarray, size: np.ndarray, toleranc
     error = np.abs(found - expected) / (1.0 + size)
     worst = float(np.where(np.isnan(error), np.inf, error).max())
     if not worst <= tolerance:
-        raise ExportError(f"{what} is {worst:.3g} off Python where {tolerance:g} is allowed; nothing was written")
+        raise ExportError(
+            f"{what} is {worst:.3g} off Python where {tolerance:g} is allowed; nothing was written",
+            advice=OUR_FAULT,
+        )
     return worst
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi
 
-from split_cli.errors import ExportError
+from split_cli.errors import OUR_FAULT, ExportError
 
 __all__ = ["number", "straight_line"]
 
@@ -102,4 +102,6 @@ def _expression(operation: int, names: list[str], suffix: str) -> str:
         return _BINARY[operation].format(*names)
     if operation in _FUNCTIONS:
         return f"{_FUNCTIONS[operation]}{suffix}({', '.join(names)})"
-    raise ExportError(f"the nominal model uses CasADi operation {operation}, which C99 export does not know")
+    raise ExportError(
+        f"the nominal model uses CasADi operation {operation}, which C99 export does not know", advice=OUR_FAULT
+    )

@@ -336,7 +336,10 @@ def _feature_expressions(
 
 def _feature_function(z: casadi.SX, x: casadi.SX, u: casadi.SX, place_time: casadi.SX) -> casadi.Function:
     if casadi.depends_on(z, place_time):
-        raise ExportError("a feature depends on time or place through a term, which exported features do not take")
+        raise ExportError(
+            "a feature depends on time or place through a term, which exported features do not take",
+            advice="Train with z2, or without that term.",
+        )
     z = casadi.densify(z)
     jacobian = casadi.densify(casadi.jacobian(z, casadi.vertcat(x, u)))
     return casadi.Function("features", [x, u], [z, jacobian], {"cse": True})

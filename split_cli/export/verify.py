@@ -34,15 +34,25 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         manifest = parse_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ExportError("holds no export: manifest.json is missing", where=str(folder)) from None
+        raise ExportError(
+            "holds no export: manifest.json is missing",
+            where=str(folder),
+            advice="Name a folder that `split export` wrote.",
+        ) from None
     except (OSError, ValueError) as error:
-        raise ExportError(f"is damaged ({error})", where=str(path)) from error
+        raise ExportError(f"is damaged ({error})", where=str(path), advice="Export the set again.") from error
     if not isinstance(manifest, dict) or manifest.get("format") != MANIFEST_FORMAT:
         found = manifest.get("format") if isinstance(manifest, dict) else type(manifest).__name__
-        raise ExportError(f"is of format {found!r}, this version reads {MANIFEST_FORMAT!r}", where=str(path))
+        raise ExportError(
+            f"is of format {found!r}, this version reads {MANIFEST_FORMAT!r}",
+            where=str(path),
+            advice="Export the set again.",
+        )
     missing = {"name", "targets", "files", "real"} - set(manifest)
     if missing or not all(Path(name).name == name for name in manifest["files"]):
-        raise ExportError("is damaged (it lacks keys or names files elsewhere)", where=str(path))
+        raise ExportError(
+            "is damaged (it lacks keys or names files elsewhere)", where=str(path), advice="Export the set again."
+        )
     return manifest
 
 
@@ -103,7 +113,9 @@ def _verify_casadi(folder: Path, name: str) -> VerifiedItem:
     try:
         predict = casadi.Function.load(str(folder / f"{name}.casadi"))
     except RuntimeError as error:
-        raise ExportError(f"cannot be loaded ({str(error).splitlines()[-1]})") from error
+        raise ExportError(
+            f"cannot be loaded ({str(error).splitlines()[-1]})", advice="Export the set again on this machine."
+        ) from error
     asked = _ask(casadi_answer(predict), folder, name, "casadi")
     stored = json.loads((folder / f"{name}_check.json").read_text()).get("drives")
     if stored is None or not asked.passed:

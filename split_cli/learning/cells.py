@@ -162,7 +162,10 @@ def extend(training_set: TrainingSet, labels: Iterable[Labels], *, batch: int | 
         If the labels are of another vehicle, or of other features, region or horizon than the set.
     """
     if training_set.learner != "split":
-        raise SetError(f"was learned by {training_set.learner!r}, whose points are not kept cell by cell")
+        raise SetError(
+            f"was learned by {training_set.learner!r}, whose points are not kept cell by cell",
+            advice="Continue it with that learner.",
+        )
     cells = _Cells(training_set)
     sources = list(training_set.sources)
     for drive in labels:

@@ -213,7 +213,10 @@ def extend_dictionary(training_set: TrainingSet, labels: Iterable[Labels]) -> Tr
         If the set is not one of this learner.
     """
     if training_set.learner != LEARNER:
-        raise SetError(f"the set was learned by {training_set.learner!r}, not by {LEARNER!r}")
+        raise SetError(
+            f"the set was learned by {training_set.learner!r}, not by {LEARNER!r}",
+            advice="Leave out --append, or continue it with the learner that made it.",
+        )
     for drive in labels:
         training_set = _learn_drive(training_set, drive.inside(training_set.grid))
     return training_set

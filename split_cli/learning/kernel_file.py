@@ -51,7 +51,10 @@ def kernel_to_yaml(kernel: Kernel, features: FeatureSet) -> str:
 
 def _check_keys(content: Any, expected: Sequence[str], what: str, where: str) -> None:
     if not isinstance(content, dict):
-        raise SetError(f"{what} must be a mapping with {', '.join(expected)}", where=where)
+        raise SetError(
+            f"{what} must be a mapping with {', '.join(expected)}",
+            where=where,
+        )
     for key in content:
         if key not in expected:
             raise SetError(f"unknown key {key!r} in {what}", where=where, advice=nearest_names(str(key), expected))

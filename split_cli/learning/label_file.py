@@ -85,7 +85,7 @@ def read_labels(path: str | Path) -> Labels:
     where = str(path)
     advice = "Labels are the Parquet that `split label` writes."
     if not Path(path).is_file():
-        raise DriveError("no such file", where=where)
+        raise DriveError("no such file", where=where, advice="Name a file that `split label` wrote.")
     try:
         table = pa.parquet.read_table(path, page_checksum_verification=True)
         stored = parse_json((table.schema.metadata or {})[b"split"])

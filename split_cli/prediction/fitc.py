@@ -62,7 +62,10 @@ class FitcPredictor(Predictor):
         """Return the predictor with `context`, shape (P, D), as pseudo-inputs."""
         context = queries(context, self.training_set)
         if len(context) == 0:
-            raise SplitError("fitc needs at least one future state as pseudo-input")
+            raise SplitError(
+                "fitc needs at least one future state as pseudo-input",
+                advice="Evaluate with a drive that goes on after the block.",
+            )
         stored, kernel = self.training_set, self.training_set.kernel
         kept, _ = most_informative(context, kernel.length_scales, len(context), threshold=_REDUNDANT)
         pseudo = context[np.sort(kept)]

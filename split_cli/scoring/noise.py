@@ -149,8 +149,8 @@ def fast_motion(labels: Labels, floor: NoiseFloor) -> str:
     if not found:
         return ""
     return (
-        f"labels jump from one to the next ({'; '.join(found)} what sensor noise explains): something moves "
-        f"faster than they are taken, every {labels.horizon:g} s, and slower features cannot predict it"
+        f"labels jump from one to the next ({'; '.join(found)} what sensor noise explains). Something moves "
+        f"within the label interval of {labels.horizon:g} s, and slower features cannot predict it"
     )
 
 

@@ -150,7 +150,9 @@ def _read(path: Path) -> dict[str, Any]:
         if inner is None:
             return dict(content)
         content = inner
-    raise VehicleError("holds no keys", where=str(path))
+    raise VehicleError(
+        "holds no keys", where=str(path), advice="Name the project's YAML file with the parameters."
+    )
 
 
 def _value(content: Mapping[str, Any], key: str, where: str) -> float:

@@ -240,7 +240,11 @@ class _Told:
         """Return the number of a plain value or of {value, source, note}."""
         if isinstance(value, Mapping):
             if "value" not in value or set(value) - {"value", "source", "note"}:
-                raise VehicleError(f"{key} must be a number or {{value, source, note}}", where=self.where)
+                raise VehicleError(
+                    f"{key} must be a number or {{value, source, note}}",
+                    where=self.where,
+                    advice=f"Write `{key}: NUMBER`, or give that key `value`, `source` and `note`.",
+                )
             self._keep(key, value)
             value = value["value"]
         return _finite_number(key, value, self.where)

@@ -81,8 +81,8 @@ def calibrate_files(
             derived.add(drive.name)
     if derived and {"drag", "rolling"} & set(settings.parts):
         raise DriveError(
-            "its torque was derived from acceleration with the resistances of its vehicle file, so it says "
-            "nothing about them",
+            "the torque was derived from acceleration, with drag and rolling resistance of the vehicle file, so it "
+            "cannot tell them",
             where=", ".join(sorted(derived)),
             advice="Calibrate the tyres alone: --fit tires.",
         )

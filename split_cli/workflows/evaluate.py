@@ -222,7 +222,7 @@ def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
         )
     if any(size < 0 for size in settings.sizes) or not all(0 < time < np.inf for time in settings.rollout):
         raise SplitError(
-            f"--sizes {settings.sizes} or --rollout {settings.rollout}: every number must be positive"
+            f"--sizes {settings.sizes} or --rollout {settings.rollout} holds a number that is not positive"
         )
     for name in settings.predictors:
         if name not in PREDICTORS:
@@ -230,9 +230,14 @@ def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
     if settings.protocol not in ("held-out", "paper"):
         raise SplitError(f"no protocol {settings.protocol!r}", advice="There are held-out and paper.")
     if settings.protocol == "paper" and trained is not None:
-        raise SplitError("the paper's protocol trains on the lap it scores", advice="Leave --set out.")
+        raise SplitError(
+            "the paper's protocol trains on the lap that it scores, and --set gives a trained set",
+            advice="Leave --set out.",
+        )
     if settings.sizes and trained is not None:
-        raise SplitError("sets of given sizes are made from training blocks", advice="Leave --set or --sizes out.")
+        raise SplitError(
+            "--sizes trains sets of its own, and --set gives one", advice="Leave --set or --sizes out."
+        )
 
 
 def _short_name(features: FeatureSet) -> str:
@@ -488,13 +493,13 @@ def _notes(
     if settings.protocol == "paper":
         notes.append("IN SAMPLE: the paper's protocol trains on the very lap it scores")
     if settings.protocol == "held-out" and any(PREDICTORS[n][1] == "FitcPredictor" for n in settings.predictors):
-        notes.append("fitc was given the recorded future as pseudo-inputs, which no controller knows")
+        notes.append("fitc used the recorded future as pseudo-inputs; a controller does not know it")
     for held in drives:
         if rollouts and not _same_interval(held, drives[0]):
             steps = f"{held.labels.horizon:g} s, not {drives[0].labels.horizon:g} s as of {drives[0].drive.name}"
             notes.append(f"no rollouts of {held.drive.name}: its label interval is {steps}")
     if settings.protocol == "held-out" and settings.rollout and not rollouts:
-        notes.append(f"no rollouts: no test stretch without a gap is longer than {max(settings.rollout):g} s")
+        notes.append(f"no rollouts: no stretch of test data lasts {max(settings.rollout):g} s without a gap")
     return notes
 
 

@@ -44,9 +44,13 @@ def export_doubts(training_set: TrainingSet) -> tuple[str, ...]:
     doubts = [f"{s.name}: ingest found that {'; '.join(s.faults)}" for s in training_set.sources if s.faults]
     accepted = sum(source.accepted for source in training_set.sources)
     if training_set.sources and accepted < FEWEST_TO_FIT:
-        doubts.append(f"{accepted} labels were learned, fewer than the {FEWEST_TO_FIT} that hyperparameters take")
+        doubts.append(
+            f"{accepted} labels were learned, fewer than the {FEWEST_TO_FIT} that fitting a kernel needs"
+        )
     if not any(training_set.trust.share):
-        doubts.append("no output's correction helped on held-out driving: the export would be the nominal model")
+        doubts.append(
+            "the correction helped no output on held-out driving, so the export would be the nominal model"
+        )
     return tuple(doubts)
 
 

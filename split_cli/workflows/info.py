@@ -105,7 +105,11 @@ def _parquet(path: Path) -> FileDescription:
     try:
         names = pa.parquet.read_schema(path).names
     except (pa.ArrowException, OSError) as error:
-        raise SplitError(f"is not a whole Parquet file ({str(error).splitlines()[0]})", where=str(path)) from error
+        raise SplitError(
+            f"is not a whole Parquet file ({str(error).splitlines()[0]})",
+            where=str(path),
+            advice="Copy the file again, or make it anew.",
+        ) from error
     if {"y_vx", "y_vy", "y_r", "reason"} <= set(names):
         table = pa.parquet.read_table(path, columns=["reason"])
         counts = table.column("reason").value_counts().to_pylist()
@@ -171,7 +175,9 @@ def _load_json(path: Path) -> dict:
     try:
         content = parse_json(path.read_text(encoding="utf-8"))
     except (ValueError, OSError) as error:
-        raise SplitError(f"is not JSON ({error})", where=str(path)) from error
+        raise SplitError(
+            f"is not JSON ({error})", where=str(path), advice="Copy the file again, or make it anew."
+        ) from error
     if not isinstance(content, dict):
         raise SplitError("is JSON that this program did not write", where=str(path), advice=_READS)
     return content

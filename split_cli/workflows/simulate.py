@@ -157,7 +157,11 @@ def simulate_log(
     runs, what = _drive(settings, car, setting)
     lead_in = settings.lead_in
     if lead_in >= min(run.t[-1] for run in runs) - 1.0:
-        raise SplitError(f"{lead_in:g} s leave nothing of the drive to record", where="--lead-in")
+        raise SplitError(
+            f"{lead_in:g} s of lead-in leave nothing of the drive to record",
+            where="--lead-in",
+            advice="Lower --lead-in, or drive longer.",
+        )
 
     if settings.calibration_tests:
         tables = [
@@ -180,7 +184,7 @@ def simulate_log(
         write_drive(truth_drive(runs, Path(truth).name, told, lead_in), truth)
 
     notes = tuple(
-        f"{what_ran} ended early: the car had come down to its crawling speed"
+        f"{what_ran} ended early, since the car had slowed to its lowest speed"
         for run, what_ran in zip(runs, CALIBRATION_TESTS if settings.calibration_tests else [what], strict=False)
         if run.ended_early
     )
@@ -250,10 +254,16 @@ def _format(settings: SimulateSettings, output: Path) -> str:
         )
     if settings.calibration_tests and name != "parquet":
         raise SplitError(
-            f"calibration tests are written as a drive, which is Parquet, not {name}", where=str(output)
+            f"calibration tests are written as a drive, which is Parquet, not {name}",
+            where=str(output),
+            advice="Give the output the ending .parquet.",
         )
     if settings.workshop_units and name != "csv":
-        raise SplitError(f"workshop units are for csv, not {name}", where="--workshop-units")
+        raise SplitError(
+            f"workshop units are for csv, not {name}",
+            where="--workshop-units",
+            advice="Give the output the ending .csv, or leave out --workshop-units.",
+        )
     return name
 
 

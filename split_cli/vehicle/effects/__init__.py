@@ -67,6 +67,10 @@ def build_terms(vehicle: Vehicle) -> tuple[Term, ...]:
                 advice=nearest_names(name, units),
             )
         if missing:
-            raise VehicleError(f"{effect.term} lacks {', '.join(sorted(missing))}", where=where)
+            raise VehicleError(
+                f"{effect.term} lacks {', '.join(sorted(missing))}",
+                where=where,
+                advice="Add it under `parameters`; docs/catalogue.md tells what each term needs.",
+            )
         terms.append(kind(dict(effect.parameters), effect.variant))
     return tuple(terms)

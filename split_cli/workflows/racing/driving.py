@@ -161,7 +161,7 @@ class Race:
         s = self.settings
         if self._drive(record=None) is None:
             raise SplitError(
-                f"the run-up to the line was not finished: {self.ended}", where=self.path.name,
+                f"the car did not reach the line of the first lap: {self.ended}", where=self.path.name,
                 advice="The nominal model asks for more than the road gives: lower --p-ellipse-lap0 or "
                 "--max-speed, or tell the grip by --told-grip.",
             )  # fmt: skip

@@ -43,7 +43,7 @@ def check_settings(settings: RaceSettings) -> None:
             advice=f"There are: {', '.join(LEARNERS)}.",
         )  # fmt: skip
     if settings.laps < 0:
-        raise SplitError(f"a number of laps from 0 was expected, got {settings.laps}", where="--laps")
+        raise SplitError(f"is {settings.laps}, a number of laps from 0 was expected", where="--laps")
     _check_numbers(settings)
     features = parse_features(settings.features)
     if settings.hyperparameters not in ("fit", "default"):
@@ -51,7 +51,9 @@ def check_settings(settings: RaceSettings) -> None:
     check_predictor(settings.predictor, features if settings.learner == "split" else None)
     if settings.learner == "iol" and settings.start_set is not None:
         raise SplitError(
-            "the dictionary of iol begins empty", where="--start-set", advice="Use --learner none or split."
+            "the learner iol begins without points, so it cannot start from a set",
+            where="--start-set",
+            advice="Use --learner none or split.",
         )
 
 
@@ -85,21 +87,21 @@ def _check_numbers(settings: RaceSettings) -> None:
     positive += [("--p-long", one.limits.p_long) for one in inner]
     for name, value in positive:
         if not 0.0 < value < 1e6:
-            raise SplitError(f"must be positive, got {value:g}", where=name)
+            raise SplitError(f"is {value:g}, a positive number was expected", where=name)
     shares = [(name, v) for one in inner for name, v in (("--p-ellipse", one.limits.p_ellipse),
               ("--p-unknown", one.limits.p_unknown)) if v is not None]  # fmt: skip
     for name, value in shares:
         if not 0.0 < value < 1.0:
-            raise SplitError(f"a share of the peak between 0 and 1 was expected, got {value:g}", where=name)
+            raise SplitError(f"is {value:g}, a share of the peak force between 0 and 1 was expected", where=name)
     for name, value in [
         ("--tightening", settings.tightening),
         ("deviation", settings.deviation),
         *(("--margin", one.margin) for one in inner),
     ]:
         if not 0.0 <= value < 1e3:
-            raise SplitError(f"must not be negative, got {value:g}", where=name)
+            raise SplitError(f"is {value:g}, 0 or more was expected", where=name)
     if settings.seed < 0:
-        raise SplitError(f"a whole number from 0 was expected, got {settings.seed}", where="--seed")
+        raise SplitError(f"is {settings.seed}, a whole number from 0 was expected", where="--seed")
 
 
 def check_car(vehicle: Vehicle, car: CarParameters) -> None:

@@ -213,7 +213,9 @@ def _run(experiment: Experiment, folder: Path, vehicle: str | Path, say: Callabl
         if settings.start_set is not None:
             origin = folder / f"{settings.start_set}.split"
             if not origin.exists():
-                raise SplitError(f"needs the set of {settings.start_set}, not run yet", where=str(origin))
+                raise SplitError(
+                    f"needs the set of {settings.start_set}, which was not run yet", where=str(origin)
+                )
             settings = replace(settings, start_set=origin)
         learns = experiment.model.startswith("nominal") and settings.scenario == "iso3888-1"
         result = run_maneuvers(settings, vehicle, set_output=trained if learns else None)

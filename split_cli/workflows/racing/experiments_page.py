@@ -39,7 +39,7 @@ def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> l
     """
     page = Path(page)
     if not page.is_file():
-        raise SplitError("no such page", where=str(page))
+        raise SplitError("no such page", where=str(page), advice="Name the page with --page.")
     text, made = page.read_text(encoding="utf-8"), tables(results)
     known = {"maneuvers", "timing"}
     known |= {f"{kind}-{e.group}" for kind in ("laps", "gain", "errors") for e in PLAN.experiments}
@@ -49,7 +49,11 @@ def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> l
         if name in known and name not in made:
             return found.group(0)
         if name not in made:
-            raise SplitError(f"asks for the table {name!r}, which is not there", where=str(page))
+            raise SplitError(
+                f"asks for the table {name!r}, which no experiment makes",
+                where=str(page),
+                advice="Remove the marks of that table from the page.",
+            )
         return f"<!-- table: {name} -->\n{made[name]}\n<!-- end -->"
 
     text = re.sub(r"<!-- table: ([\w-]+) -->\n.*?<!-- end -->", put, text, flags=re.S)

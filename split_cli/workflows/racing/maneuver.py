@@ -222,12 +222,14 @@ def _check(settings: ManeuverSettings) -> None:
     positive += [(name, value) for name, value in optional if value is not None]
     for name, value in positive:
         if not 0.0 < value < 1e6:
-            raise SplitError(f"must be positive, got {value:g}", where=name)
+            raise SplitError(f"is {value:g}, a positive number was expected", where=name)
     share = settings.limits.p_ellipse
     if not 0.0 < share < 1.0:
-        raise SplitError(f"a share of the peak between 0 and 1 was expected, got {share:g}", where="--p-ellipse")
+        raise SplitError(
+            f"is {share:g}, a share of the peak force between 0 and 1 was expected", where="--p-ellipse"
+        )
     if settings.seed < 0:
-        raise SplitError(f"a whole number from 0 was expected, got {settings.seed}", where="--seed")
+        raise SplitError(f"is {settings.seed}, a whole number from 0 was expected", where="--seed")
 
 
 def _highest(runs: Sequence[ManeuverRun]) -> float | None:
@@ -270,7 +272,11 @@ def _learn(world: World, vehicle: Vehicle, step: float, output: str | FilePath) 
     labels = compute_labels(world.recording(name="maneuver"), vehicle, Z2, region, horizon=step)
     good = labels.accepted
     if not good.any():
-        raise SplitError("the run holds no valid label to learn", where=str(output))
+        raise SplitError(
+            "the run gave no valid label, so no set can be trained on it",
+            where=str(output),
+            advice="Lower --speed, so that the run lasts longer.",
+        )
     grid = build_grid(Z2, vehicle, region)
     kernel = default_kernel(grid, labels.y[good], scatter_variance(labels))
     if np.count_nonzero(good) >= FEWEST_TO_FIT:

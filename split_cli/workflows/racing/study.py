@@ -55,7 +55,9 @@ def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]
     if asked != "fit":
         return read_kernel(asked, parse_features(settings.features))
     if np.count_nonzero(good) < FEWEST_TO_FIT:
-        notes.append(f"lap 0 has {np.count_nonzero(good)} valid labels, too few to fit a kernel: default")
+        notes.append(
+            f"lap 0 has {np.count_nonzero(good)} valid labels, too few to fit a kernel; the default kernel is used"
+        )
         return start
     return fit_kernel(labels.z[good], labels.y[good], grid, start).kernel
 
