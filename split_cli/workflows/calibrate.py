@@ -81,7 +81,7 @@ def calibrate_files(
             derived.add(drive.name)
     if derived and {"drag", "rolling"} & set(settings.parts):
         raise DriveError(
-            "the torque was derived from acceleration, with drag and rolling resistance of the vehicle file, so it "
+            "the torque was derived from acceleration with drag and rolling resistance of the vehicle file, so it "
             "cannot tell them",
             where=", ".join(sorted(derived)),
             advice="Calibrate the tyres alone: --fit tires.",
