@@ -206,7 +206,7 @@ def test_figures_are_written_and_named(garage, tmp_path):
         (("--set", "a.split", "--predictor", "bmc"), "no predictor 'bmc'. Did you mean bcm"),
         (("--vehicle", "car.yaml", "--features", "alpha_f,alpha_q"), "no feature 'alpha_q'. Did you mean alpha_"),
         (("--set", "a.split", "--protocol", "paper"), "the paper's protocol trains on the lap that it scores"),
-        (("--set", "a.split", "--sizes", "100"), "are made from training blocks"),
+        (("--set", "a.split", "--sizes", "100"), "trains sets of its own, and --set gives one"),
         (("--vehicle", "car.yaml", "--sizes", "-5"), "holds a number that is not positive"),
         (("--vehicle", "car.yaml", "--rollout", "-1"), "holds a number that is not positive"),
         (("--vehicle", "car.yaml", "--features", ","), "no feature set or no predictor"),
