@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from split_cli.control.path import resampled
-from split_cli.workflows.race_report.page import race_page
+from split_cli.workflows.race_report.page import race_charts, race_page
 from split_cli.workflows.racing.result import Lap, RaceResult
 from tests.browsers import headless
 
@@ -48,6 +48,17 @@ def test_the_page_holds_the_laps_and_loads_nothing():
     assert gap == pytest.approx(np.full(len(gap), 8.0), abs=0.02)
     assert "20.11 s (lap 1), 20.0 % less than the best nominal one" in page
     assert not re.search(r"""(src|href)=["']?(?!data:)[a-z]+:""", page)
+
+
+def test_gaps_are_to_the_first_lap_at_the_same_place():
+    """A car of 12.5 m/s is a fourth of its time ahead of one of 10 m/s, wherever it is."""
+    gap = race_charts([race()])[0]
+    assert gap.title == "Time behind lap 0, negative ahead"
+    same, ahead, _ = gap.series
+    np.testing.assert_allclose(same.y, 0.0, atol=1e-12)
+    inside = np.isfinite(ahead.y)
+    np.testing.assert_allclose(ahead.y[inside], -0.25 * ahead.x[inside], atol=1e-9)
+    assert inside.mean() > 0.95
 
 
 def test_the_best_lap_is_compared_with_the_best_nominal_one():
@@ -100,6 +111,10 @@ def test_laps_are_chosen_compared_and_played_in_a_browser(browser, tmp_path):
     assert one("#status").text == "lap 0: 100 m, 10.0 m/s; lap 1: 125 m, 12.5 m/s"
     boxes[1].click()
     boxes[2].click()
+    # What is chosen is drawn in every chart.
+    for chart in ("gap", "speed", "steer", "gg"):
+        keys = browser.find_elements("css selector", f"#chart-{chart} .legend .switch")
+        assert [key.get_attribute("aria-pressed") for key in keys] == ["true", "false", "true"]
     assert one("#status").text == "lap 0: 100 m, 10.0 m/s; lap 2: 110 m, 11.0 m/s"
     # At true pace a lap outlasts a busy machine.
     browser.execute_script("document.getElementById('pace').value = '1'")

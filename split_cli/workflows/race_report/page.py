@@ -17,9 +17,16 @@ from split_cli.workflows.report.markup import charts_block, plain_table
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape
 
-__all__ = ["race_page"]
+__all__ = ["race_charts", "race_page"]
 
 _BORDER_POINTS = 600
+_ALONG = {
+    "speed": ("Speed", "v [m/s]", 5, 1.0),
+    "lateral": ("Lateral acceleration", "a_y [m/s²]", 11, 1.0),
+    "torque": ("Driving torque, negative braking", "T [N m]", 8, 1.0),
+    "steer": ("Steer angle of the wheels", "delta [deg]", 9, 180.0 / np.pi),
+}
+"""Charts along the lap: title, axis, column of a trace, factor."""
 
 
 def race_page(races: Sequence[RaceResult], path: Path) -> str:
@@ -37,7 +44,7 @@ def race_page(races: Sequence[RaceResult], path: Path) -> str:
     Names are escaped wherever they stand, and a content security policy admits only the page's own script.
     """
     learners = ", ".join(dict.fromkeys(race.learner for race in races))
-    charts = _charts(races)
+    charts = race_charts(races)
     package = files("split_cli.workflows.race_report")
     body = Template(package.joinpath("race.html").read_text("utf-8")).substitute(
         headline=escape(_headline(races)), table=_table(races), timing=_timing(races),
@@ -49,28 +56,32 @@ def race_page(races: Sequence[RaceResult], path: Path) -> str:
     return page("race", _about(races[0]), title, body, charts, _numbers(races, path), [script])
 
 
-def _charts(races: Sequence[RaceResult]) -> list[Chart]:
-    """Return speed and lateral acceleration over the lap and time, and the accelerations, a series a lap.
+def race_charts(races: Sequence[RaceResult]) -> list[Chart]:
+    """Return what an engineer compares along the lap and over time, and the accelerations, a series a lap.
 
-    The nominal lap and the best one are shown at first.
+    The nominal lap and the best one are shown at first. Gaps are to the first lap, at the same place.
     """
     laps = _laps(races)
     clean = [k for k, (_, lap, _) in enumerate(laps) if lap.clean]
     first = {0, min(clean, key=lambda k: laps[k][1].time) if clean else len(laps) - 1}
-    series: dict[str, list[ChartLine]] = {"speed": [], "lateral": [], "gg": []}
+    series: dict[str, list[ChartLine]] = {name: [] for name in ("gap", *_ALONG, "gg")}
     for k, (name, _, trace) in enumerate(laps):
         role, shown = ROLES[k % len(ROLES)], k in first
         part = thinned(len(trace))
         t, s = trace[part, 0] - trace[0, 0], trace[part, 1] - trace[0, 1]
-        for key, column in (("speed", 5), ("lateral", 11)):
-            series[key].append(ChartLine(name, t, trace[part, column], role, along=s, shown=shown))
+        if k == 0:
+            places, passed = np.maximum.accumulate(s), t
+        gap = np.where(s <= places[-1], t - np.interp(s, places, passed), np.nan)
+        series["gap"].append(ChartLine(name, t, gap, role, along=s, shown=shown))
+        for key, (_, _, column, factor) in _ALONG.items():
+            series[key].append(ChartLine(name, t, factor * trace[part, column], role, along=s, shown=shown))
         series["gg"].append(ChartLine(name, trace[part, 11], trace[part, 10], role, "points", shown=shown))
     along = {"x": "time [s]", "other_x": "progress [m]", "other_first": True, "wide": True, "group": "strips"}
     plane = "a_y, left positive [m/s²]", "a_x [m/s²]"
+    gap = f"Time behind {laps[0][0]}, negative ahead" if laps else ""
     return [
-        Chart("speed", "Speed along the lap", y="v [m/s]", series=tuple(series["speed"]), **along),
-        Chart("lateral", "Lateral acceleration along the lap", y="a_y [m/s²]", series=tuple(series["lateral"]),
-              **along),
+        Chart("gap", gap, y="gap [s]", series=tuple(series["gap"]), **along),
+        *(Chart(key, title, y=y, series=tuple(series[key]), **along) for key, (title, y, _, _) in _ALONG.items()),
         Chart("gg", "Accelerations (GG)", *plane, tuple(series["gg"]), equal=True),
     ]  # fmt: skip
 
@@ -139,7 +150,8 @@ def _numbers(races: Sequence[RaceResult], path: Path) -> dict[str, Any]:
     for name, lap, trace in _laps(races):
         s = trace[:, 1] - np.floor((trace[0, 1] + 0.5 * path.length * 0.01) / path.length) * path.length
         laps.append({
-            "name": name, "time": lap.time, "t": _rounded(trace[:, 0] - trace[0, 0], 2), "s": _rounded(s, 1),
+            "name": name, "time": lap.time, "outside": round(lap.outside, 2),
+            "t": _rounded(trace[:, 0] - trace[0, 0], 2), "s": _rounded(s, 1),
             "x": _rounded(trace[:, 2], 2), "y": _rounded(trace[:, 3], 2), "yaw": _rounded(trace[:, 4], 3),
             "v": _rounded(trace[:, 5], 2), "ax": _rounded(trace[:, 10], 2), "ay": _rounded(trace[:, 11], 2),
         })  # fmt: skip

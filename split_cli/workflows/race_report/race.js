@@ -5,22 +5,31 @@
   const named = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const find = (id) => document.getElementById(id);
   const slider = find("time"), clock = find("clock"), play = find("play"), pace = find("pace"), status = find("status");
-  const best = race.laps.reduce((a, lap, k) => (lap.time !== null && (a < 0 || lap.time < race.laps[a].time) ? k : a), -1);
+  const best = race.laps.reduce((a, lap, k) => (lap.time !== null && !lap.outside && (a < 0 || lap.time < race.laps[a].time) ? k : a), -1);
   const chosen = new Set([0, best < 0 ? race.laps.length - 1 : best].filter((k) => k >= 0));
   const role = (k) => roles[k % roles.length];
   const colour = (k) => named(role(k));
+  const dashes = (k) => (k < roles.length ? [] : [8, 4]); // a colour that comes again is dashed
   let now = 0, running = false, before = 0;
 
   race.laps.forEach((lap, k) => {
     const label = document.createElement("label"), box = document.createElement("input"), { shape } = Charts;
-    const swatch = shape("svg", { width: 22, height: 8, "aria-hidden": "true" }, shape("rect", { width: 22, height: 5, y: 1, fill: `var(--${role(k)})` }));
+    const swatch = shape("svg", { width: 22, height: 8, "aria-hidden": "true" }, shape("line", { x1: 0, x2: 22, y1: 4, y2: 4, "stroke-width": 5, "stroke-dasharray": dashes(k).join(" "), stroke: `var(--${role(k)})` }));
     box.type = "checkbox";
     box.checked = chosen.has(k);
     box.dataset.lap = String(k);
-    box.addEventListener("change", () => { box.checked ? chosen.add(k) : chosen.delete(k); setTime(Math.min(now, longest())); });
-    label.append(box, swatch, `${lap.name}${lap.time === null ? ", not finished" : `, ${lap.time.toFixed(2)} s`}`);
+    box.addEventListener("change", () => { box.checked ? chosen.add(k) : chosen.delete(k); inCharts(k); setTime(Math.min(now, longest())); });
+    const off = lap.outside ? `, ${lap.outside.toFixed(2)} m off the track` : "";
+    label.append(box, swatch, `${lap.name}${lap.time === null ? ", not finished" : `, ${lap.time.toFixed(2)} s`}${off}`);
     find("choice").append(label);
   });
+
+  // A lap that is chosen here is drawn in the charts, too; each chart's own legend may differ afterwards.
+  function inCharts(k) {
+    for (const key of document.querySelectorAll(".legend .switch")) {
+      if (key.textContent.trim() === race.laps[k].name && (key.getAttribute("aria-pressed") === "true") !== chosen.has(k)) key.click();
+    }
+  }
 
   const laps = () => [...chosen].sort((a, b) => a - b);
   const last = (k) => race.laps[k].t[race.laps[k].t.length - 1];
@@ -46,8 +55,9 @@
     const left = (canvas.width - sx * (x1 - x0)) / 2, top = (canvas.height - sy * (y1 - y0)) / 2;
     return (x, y) => [left + (x - x0) * sx, canvas.height - top - (y - y0) * sy];
   }
-  function line(pen, points, style, width, close) {
+  function line(pen, points, style, width, close, dash = []) {
     pen.beginPath();
+    pen.setLineDash(dash);
     points.forEach(([x, y], k) => (k ? pen.lineTo(x, y) : pen.moveTo(x, y)));
     if (close) pen.closePath();
     pen.strokeStyle = style;
@@ -63,7 +73,7 @@
     for (const border of [race.left, race.right]) line(pen, border.map(([x, y]) => onTrack(x, y)), named("soft"), 1.5, true);
     for (const k of laps()) {
       const lap = race.laps[k];
-      line(pen, lap.x.map((x, i) => onTrack(x, lap.y[i])), colour(k), 1.4, false);
+      line(pen, lap.x.map((x, i) => onTrack(x, lap.y[i])), colour(k), 1.4, false, dashes(k));
     }
     for (const k of laps()) {
       const lap = race.laps[k], place = at(lap, now), [x, y] = onTrack(value(lap.x, place), value(lap.y, place));
