@@ -90,7 +90,7 @@ FAULTS: dict[str, FaultKind] = {
     "steering offset": FaultKind("steer_offset", "offset", (0.020, 0.010, 0.005)),
     "velocity rotated": FaultKind("sensor_misalignment", "angle", (0.04, 0.02, 0.01)),
     "velocity moved": FaultKind("sensor_lever_arm", "dx", (1.6, 0.8, 0.4)),
-    "reference moved": FaultKind("sensor_lever_arm", "dx", (1.6, 0.8, 0.4)),
+    "reference moved": FaultKind("sensor_lever_arm", "dx", (1.6, 0.8, 0.4), "unit"),
     "velocity biased": FaultKind("velocity_bias", "angle", (0.04, 0.02, 0.01)),
     "velocity drifts": FaultKind("velocity_bias", "drift", (0.0008, 0.0004, 0.0002)),
     "lateral velocity late": FaultKind("channel_delay", "vy", (0.16, 0.08, 0.04), "vy"),

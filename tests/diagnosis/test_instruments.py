@@ -11,9 +11,10 @@ import pytest
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.recording.witnesses import build_witnesses, habits_of, late_against_position
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
-from split_cli.diagnosis.search.fitting import Fit, Part
+from split_cli.diagnosis.search.exploration import Explorer
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable
-from split_cli.diagnosis.search.selection import nothing
+from split_cli.diagnosis.search.selection import nothing, rivals_of
 from split_cli.diagnosis.search.term_tests import is_apart_from_itself, witnessed_p, witnesses_disagree
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
@@ -31,6 +32,7 @@ PLANTED = [
     ("channel_delay", "r", {"r": 0.06}),
     ("channel_delay", "velocity", {"vx": 0.08, "vy": 0.08}),
     ("channel_delay", "ay", {"ay": 0.09}),
+    ("sensor_lever_arm", "unit", {"dx": 0.8}),
 ]
 
 
@@ -198,6 +200,23 @@ def late_yaw_rate():
     return bare_objective(light_evidence(series), kinematics=build_witnesses(series, habits))
 
 
+def test_a_variant_that_witnesses_deny_is_far_off_however_large_model_form_error_is():
+    """A moved unit: with the velocity alone moved v_y fits as well, and the accelerometer contradicts."""
+    series = prepared(recording(44, fault("sensor_lever_arm", "unit", {"dx": 0.8}), seconds=12.0))
+    habits = habits_of(build_witnesses(prepared(recording(45, seconds=12.0))))
+    evidence, felt = light_evidence(series), [w for w in build_witnesses(series, habits) if w.kind == "a_y"]
+
+    def excess(kinematics) -> float:
+        objective = replace(bare_objective(evidence, kinematics=kinematics), form_error_inflation=150.0)
+        candidates = tuple(candidates_of(objective, "sensor_lever_arm"))
+        (unit,) = (one for one in candidates if one.variant == "unit")
+        chosen = fit_parts(objective, (Part(unit, dict(unit.starts[0])),))
+        _, (sibling,) = rivals_of(Explorer(objective, candidates, 1.5), chosen, 0, nothing(objective))
+        return sibling.excess
+
+    assert abs(excess([])) < 1e-3 and excess(felt) > 100.0
+
+
 def test_witnesses_alone_confirm_a_delay_and_by_how_much(late_yaw_rate):
     rules = late_yaw_rate.policy.selection
     (one,) = (c for c in candidates_of(late_yaw_rate, "channel_delay") if c.variant == "r")
@@ -228,7 +247,7 @@ def fit_at(objective, part: Part) -> Fit:
     return Fit((part,), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
 
 
-@pytest.mark.parametrize("k", [0, 2, 6])
+@pytest.mark.parametrize("k", [0, 2, 6, 10])
 def test_a_planted_fault_is_named_with_its_value(k):
     term, variant, parameters = PLANTED[k]
     said = diagnose([recording(36, fault(term, variant, parameters))], road_car())

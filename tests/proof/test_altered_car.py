@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from split_cli.errors import SplitError
 from split_cli.logs.drive import Drive, DriveMetadata
 from split_cli.proof.altered_car import ALTERATIONS, altered_vehicle, driven_by, moved_reference
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects import CATALOGUE, Recording
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
@@ -134,6 +134,13 @@ def test_every_channel_of_a_moved_unit_is_a_rigid_body_s(drive):
     ground = np.gradient(np.stack([drive["X"], drive["Y"]]) + ahead, _AT, axis=1)
     across = -np.sin(moved["yaw"]) * ground[0] + np.cos(moved["yaw"]) * ground[1]
     np.testing.assert_allclose(across[inner], moved["vy"][inner], atol=2e-3)
+    # The term that names it takes it off again.
+    term = CATALOGUE["sensor_lever_arm"]({"dx": 0.8}, "unit")
+    back = term.correct(moved.columns, Recording.single(0.01, len(_AT)))
+    for name in ("vy", "ax", "ay"):
+        # A change of r over 0.06 s in place of one over 0.02 s: (3 x 0.03)^2/6 of r', up to 1 rad/s^2 there.
+        assert np.abs(back[name] - drive[name])[inner].max() < 5e-3, name
+        assert np.abs(moved[name] - drive[name]).max() > 0.05, name
     felt = np.gradient(moved["vy"], _AT) + moved["vx"] * moved["r"]
     np.testing.assert_allclose(moved["ay"][inner], felt[inner], atol=5e-3)
     along = np.gradient(moved["vx"], _AT) - moved["vy"] * moved["r"]

@@ -70,6 +70,7 @@ EXAMPLES = {
     ("yaw_inertia", ""): {"scale": 1.2},
     ("sensor_delay", ""): {"delay": 0.06},
     ("sensor_lever_arm", ""): {"dx": 0.3},
+    ("sensor_lever_arm", "unit"): {"dx": 0.3},
     ("sensor_misalignment", ""): {"angle": 0.02},
     ("velocity_bias", ""): {"angle": 0.02, "drift": 1e-3},
     ("velocity_bias", "step"): {"angle": 0.02, "step": 0.01, "at": 20.0},

@@ -349,13 +349,24 @@ def rivals_of(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> tuple[tuple[
             continue
         difference = (objective.block_sums(fit.residuals**2) - reference) / variance_inflation
         total = float(difference.sum()) + explore.rules.price * (fit.complexity - chosen.complexity)
-        rivals.append(Rival(fit, total, total / error_of_sum(difference)))
+        # Model-form error moves no witness: there a rival's excess is what chance alone makes of it.
+        denied, error = _denied(objective, fit, chosen)
+        apart = 1.0 / explore.variance_inflation - 1.0 / variance_inflation
+        total, spread = total + apart * denied, np.hypot(error_of_sum(difference), apart * error)
+        rivals.append(Rival(fit, total, total / spread))
     rivals.sort(key=lambda rival: rival.excess)
     of_own = [rival.fit.parts[-1].candidate.term == own.term for rival in rivals]
     return (
         tuple(rival for rival, mine in zip(rivals, of_own, strict=True) if not mine),
         tuple(rival for rival, mine in zip(rivals, of_own, strict=True) if mine),
     )
+
+
+def _denied(objective: MarginalLikelihood, fit: Fit, chosen: Fit) -> tuple[float, float]:
+    """Return by how much witnesses deny a fit more than another, and the standard error; zeros if they do not."""
+    more = objective.of_witnesses(fit.residuals) ** 2 - objective.of_witnesses(chosen.residuals) ** 2
+    total = float(more.sum())
+    return (total, error_of_sum(more)) if total > 0.0 and len(more) > 1 else (0.0, 0.0)
 
 
 def _worth_a_fit(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> float:

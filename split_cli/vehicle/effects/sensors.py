@@ -27,9 +27,16 @@ _CRABS = 0.0087
 
 
 class SensorLeverArm(Term):
-    """The velocity sensor is mounted dx ahead of its stated position: recorded v_y = v_y + dx r."""
+    """The velocity sensor is mounted dx ahead of its stated position: recorded v_y = v_y + dx r.
+
+    Variant ``unit``: the accelerometers sit there with it, as in an inertial unit whose place was entered wrongly,
+    or one that was told another centre of gravity: a_x - dx r^2 and a_y + dx r' are recorded. Source: rigid body.
+    Witnesses: position and yaw for v_y; a_y = v_y' + v_x r tells the variants apart.
+    """
 
     id = "sensor_lever_arm"
+    variants: ClassVar = ("", "unit")
+    variant_needs: ClassVar = {"unit": frozenset({"ay"})}
     units: ClassVar = {"dx": "m"}
     neutral: ClassVar = {"dx": 0.0}
     family = "measurement"
@@ -53,17 +60,29 @@ class SensorLeverArm(Term):
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         """Return what it says."""
-        return (
-            f"the velocity sensor sits {amount(p['dx'], more='further forward', less='further back')} than stated"
-        )
+        sits = "sensor sits" if not variant else "sensor and the accelerometers sit"
+        return f"the velocity {sits} {amount(p['dx'], more='further forward', less='further back')} than stated"
 
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
         """Take dx r off."""
-        return {**columns, "vy": columns["vy"] - self.parameters["dx"] * columns["r"]}
+        return self._moved(columns, recording, -self.parameters["dx"])
 
     def corrupt(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
         """Add dx r."""
-        return {**columns, "vy": columns["vy"] + self.parameters["dx"] * columns["r"]}
+        return self._moved(columns, recording, self.parameters["dx"])
+
+    def _moved(self, columns: Mapping[str, np.ndarray], recording: Recording, dx: float) -> dict[str, np.ndarray]:
+        r = columns["r"]
+        moved = {**columns, "vy": columns["vy"] + dx * r}
+        if self.variant and "ax" in columns:
+            moved["ax"] = columns["ax"] - dx * r * r
+        if self.variant and "ay" in columns:
+            slope = np.zeros(len(r))
+            for first, end in recording.segments:
+                if end - first > 1:
+                    slope[first:end] = np.gradient(r[first:end], recording.period)
+            moved["ay"] = columns["ay"] + dx * slope
+        return moved
 
 
 class SensorMisalignment(Term):
