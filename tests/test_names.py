@@ -32,3 +32,14 @@ def test_the_map_of_the_data_names_what_there_is():
     for file, function in named:
         tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
         assert not function or function in {getattr(node, "name", "") for node in tree.body}, f"{file}: {function}"
+
+
+def test_no_test_patches_a_private_name():
+    """What a test sets is part of what a module offers: give it a name without an underscore, or a parameter."""
+    patched = []
+    for path in sorted((ROOT.parent / "tests").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") in ("setattr", "setitem", "patch"):
+                names = [one.value for one in node.args[:2] if isinstance(one, ast.Constant)]
+                patched += [f"{path.name}: {one}" for one in names if "._" in f".{one}" and "__" not in str(one)]
+    assert not patched

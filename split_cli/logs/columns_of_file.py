@@ -18,7 +18,7 @@ __all__ = ["ColumnsOfFile", "column_in_si", "columns_of_csv"]
 
 _BATCH = 2**16  # rows decoded at once
 #: A CSV of fewer bytes is read as a whole [bytes]: it has some 300,000 rows of 11 columns.
-_SMALL_CSV = 2**25
+SMALL_CSV = 2**25
 
 
 class ColumnsOfFile(Mapping[str, np.ndarray]):
@@ -123,7 +123,7 @@ def columns_of_csv(path: Path) -> ColumnsOfFile | None:
     pa.ArrowException, OSError
         If the file is no CSV, or a column's first megabytes are of another type than the rest.
     """
-    if path.stat().st_size < _SMALL_CSV:
+    if path.stat().st_size < SMALL_CSV:
         return None
     scratch = ScratchFolder()
     copy = scratch.path / "columns.parquet"

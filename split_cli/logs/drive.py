@@ -41,7 +41,7 @@ __all__ = [
 INPUT_CHANNELS = ("T", "delta")
 _GROUP_ROWS = 2**20
 #: Rows from which on `open_drive` leaves columns in the file [1]: 11 of them take 46 MB.
-_LONG = 2**19
+LONG_ROWS = 2**19
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def open_drive(path: str | Path, held: Sequence[str] = (), beside: int = 1) -> D
         columns = columns_of_csv(path) if path.suffix.lower() == ".csv" else ColumnsOfFile(path)
     except (pa.ArrowException, OSError, ValueError):
         columns = None
-    if columns is None or columns.length * beside <= _LONG or not columns.is_plain or "t" not in columns:
+    if columns is None or columns.length * beside <= LONG_ROWS or not columns.is_plain or "t" not in columns:
         return read_drive(path, held)  # which says what is wrong
     metadata, period = metadata_from_schema(columns.schema.metadata or {}, path)
     segment = _whole(columns["segment"], path) if "segment" in columns else None

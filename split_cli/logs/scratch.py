@@ -21,7 +21,7 @@ __all__ = ["LONG", "GrowingColumn", "let_go", "room", "set_aside"]
 
 LONG = 2**19
 """Values from which on a column is set aside [1]: 4 MB; shorter ones cost less in memory than in files."""
-_PIECE = 2**18
+PIECE = 2**18
 _maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 
 
@@ -41,8 +41,8 @@ def set_aside(values: np.ndarray) -> np.ndarray:
         return values
     try:
         with tempfile.TemporaryFile() as file:
-            for first in range(0, len(values), _PIECE):
-                file.write(np.ascontiguousarray(values[first : first + _PIECE]).data)
+            for first in range(0, len(values), PIECE):
+                file.write(np.ascontiguousarray(values[first : first + PIECE]).data)
             return _mapped(file, values.dtype)
     except OSError:
         return values
@@ -55,8 +55,8 @@ def room(count: int) -> np.ndarray:
     try:
         with tempfile.TemporaryFile() as file:
             # Written, not left as a hole: a disk that is full later would kill whoever writes into the map.
-            for first in range(0, count, _PIECE):
-                file.write(np.full(min(_PIECE, count - first), np.nan).data)
+            for first in range(0, count, PIECE):
+                file.write(np.full(min(PIECE, count - first), np.nan).data)
             return _mapped(file, np.dtype(float), writable=True)
     except OSError:
         return np.full(count, np.nan)

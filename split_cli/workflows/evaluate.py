@@ -17,11 +17,10 @@ from split_cli.learning.pieces import features_along
 from split_cli.learning.region import Region
 from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.learning.trust import Trust
-from split_cli.logs.drive import Drive, open_drive, untold_inputs
+from split_cli.logs.drive import Drive, open_drive
 from split_cli.logs.laps import first_lap
 from split_cli.prediction import PREDICTORS, Prediction, Predictor, make_predictor
 from split_cli.scoring.application import time_per_query
-from split_cli.scoring.belonging import share_beyond
 from split_cli.scoring.evaluation import (
     HeldOutSamples,
     Score,
@@ -34,11 +33,9 @@ from split_cli.scoring.evaluation import (
 )
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, informative_sets
-from split_cli.scoring.late_inputs import late_inputs
-from split_cli.scoring.noise import fast_motion
-from split_cli.scoring.report import DriveFacts, Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
+from split_cli.scoring.report import Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
-from split_cli.scoring.run import DRAWN_ROWS, EvaluationRun, Trace
+from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
 from split_cli.scoring.torque_lag import Prepared, decide, lag_note
 from split_cli.scoring.verdict import (
@@ -54,7 +51,7 @@ from split_cli.scoring.verdict import (
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.engine import HERE, Engine
-from split_cli.workflows.label import drive_notes
+from split_cli.workflows.evaluation_notes import drive_facts, left_out, notes_of, same_interval
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
 __all__ = ["PLAIN", "evaluate", "evaluate_files"]
@@ -147,7 +144,7 @@ def evaluate(
     comparisons, verdicts = _comparisons(model, nominal, traces, rolled, settings)
     sizes = _sizes(contestants, baselines, settings, say)
     say("noise floor")
-    facts = tuple(_facts(h, model, trained) for h in nominal)
+    facts = tuple(drive_facts(h, model, trained) for h in nominal)
     report = Evaluation(
         settings=settings,
         vehicle=vehicle.name,
@@ -164,8 +161,8 @@ def evaluate(
         verdicts=verdicts,
         notes=(
             *doubts,
-            *_notes(facts, contestants[0][1], settings, rollout_scores),
-            *_left_out(contestants[0][1], trained is None and _finds_trust(settings)),
+            *notes_of(facts, contestants[0][1], settings, rollout_scores),
+            *left_out(contestants[0][1], trained is None and _finds_trust(settings)),
             *correct.notes,
             *(lag_note(own) for *_, own in contestants if own.found),
             *warnings_of([c for c in comparisons if c.name in settings.predictors]),
@@ -362,7 +359,7 @@ def _rollouts(
     jobs = [
         (held, model, {key: (parts[at], predictor) for key, (parts, predictor) in predictors.items()}, steps)
         for at, held in enumerate(drives)
-        if _same_interval(held, drives[0])
+        if same_interval(held, drives[0])
     ]
     for (held, *_), (starts, trajectories, scored) in zip(jobs, engine.map(_rolled_out, jobs), strict=True):
         rolled.append((held, starts, trajectories))
@@ -423,11 +420,6 @@ def _comparisons(
     return tuple(comparisons), tuple(verdicts)
 
 
-def _same_interval(held: HeldOutSamples, first: HeldOutSamples) -> bool:
-    """Tell whether a drive's label interval is the first drive's, so that rollouts of both have the same steps."""
-    return abs(held.labels.horizon - first.labels.horizon) < 1e-9
-
-
 def _sizes(
     contestants: list[tuple[str, list[HeldOutSamples], TrainingSet]],
     baselines: list[dict[str, ScoreTally]],
@@ -447,69 +439,3 @@ def _sizes(
             known = {"features": features, "points": chosen.size}
             scores.append(SizeScore(size, score("full", tally, pooled, **known)))
     return scores
-
-
-def _facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet | None) -> DriveFacts:
-    drive, tested = held.drive, held.labels.take(held.tested)
-    in_sample = bool(trained and drive.sha256 and any(s.sha256 == drive.sha256 for s in trained.sources))
-    notes = list(drive_notes(drive))
-    floor = pooled_noise_floor(model, [held])
-    fast = fast_motion(tested, floor)
-    notes += [f"{drive.name}: {fast}"] if fast else []
-    notes += late_inputs(drive, tested, model.vehicle)
-    notes += [] if trained is None else _outside(drive.name, share_beyond(trained, tested.z))
-    return DriveFacts(
-        name=drive.name,
-        sha256=drive.sha256,
-        duration=held.labels.duration,
-        labels=len(held.labels),
-        tested=len(tested),
-        tested_valid=int(tested.accepted.sum()),
-        in_sample=in_sample,
-        held_out=held.split.intervals,
-        noise_floor=floor,
-        notes=tuple(notes),
-    )
-
-
-def _outside(name: str, share: float) -> list[str]:
-    """Return what to know of a drive beyond the data of the set; most of it outside is a warning."""
-    if round(100.0 * share) == 0:
-        return []
-    warning = "WARNING: outside the data of the set: " if share > 0.5 else ""
-    return [
-        f"{warning}{100.0 * share:.0f} % of the test samples of {name} lie farther than a length scale from every "
-        "point of the set; there the correction fades, and the nominal model remains"
-    ]
-
-
-def _notes(
-    facts: Sequence[DriveFacts], drives: Sequence[HeldOutSamples], settings: EvaluationSettings, rollouts: Sequence
-) -> list[str]:
-    notes = [*untold_inputs([held.drive for held in drives]), *(note for fact in facts for note in fact.notes)]
-    for fact in facts:
-        if fact.in_sample:
-            notes.append(f"IN SAMPLE: the set was trained on {fact.name}; its scores say nothing of other drives")
-    if settings.protocol == "paper":
-        notes.append("IN SAMPLE: the paper's protocol trains on the very lap it scores")
-    if settings.protocol == "held-out" and any(PREDICTORS[n][1] == "FitcPredictor" for n in settings.predictors):
-        notes.append("fitc used the recorded future as pseudo-inputs; a controller does not know it")
-    for held in drives:
-        if rollouts and not _same_interval(held, drives[0]):
-            steps = f"{held.labels.horizon:g} s, not {drives[0].labels.horizon:g} s as of {drives[0].drive.name}"
-            notes.append(f"no rollouts of {held.drive.name}: its label interval is {steps}")
-    if settings.protocol == "held-out" and settings.rollout and not rollouts:
-        notes.append(f"no rollouts: no stretch of test data lasts {max(settings.rollout):g} s without a gap")
-    return notes
-
-
-def _left_out(drives: Sequence[HeldOutSamples], finds_trust: bool) -> list[str]:
-    """Return of which part of long drives a result is; a set that is given brings its trust along."""
-    bounds = [("trust was found on at most", MOST_ROWS)] if finds_trust else []
-    bounds.append(("the page draws", DRAWN_ROWS))
-    return [
-        f"{what} {rows * held.drive.period / 60.0:.3g} minutes of {held.drive.name}"
-        for held in drives
-        for what, rows in bounds
-        if len(held.drive) > rows
-    ]

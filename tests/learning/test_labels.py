@@ -264,7 +264,7 @@ def test_labels_are_the_same_to_the_bit_whatever_the_pieces(effects, held, monke
     features = FeatureSet(("alpha_f", "steer_rate", "T"))
     whole = compute_labels(read_drive(tmp_path / "a.parquet"), car, features, horizon=0.1, stride=3)
     assert len(np.unique(whole.reason)) >= 3
-    monkeypatch.setattr("split_cli.logs.drive._LONG", 100)
+    monkeypatch.setattr("split_cli.logs.drive.LONG_ROWS", 100)
     long = open_drive(tmp_path / "a.parquet")
     assert isinstance(long.columns, ColumnsOfFile)
     # Borders inside segments, on theirs and beside them.

@@ -278,7 +278,7 @@ def test_a_long_recording_is_checked_on_its_middle(folder, drive, monkeypatch):
     faulty = frame(drive)
     faulty.loc[100:120, "vy"] = np.nan
     whole = read_drive(ingest(folder, faulty).drive_path)
-    monkeypatch.setattr("split_cli.logs.assembling.assemble._MOST_CHECKED", len(whole) - 200)
+    monkeypatch.setattr("split_cli.logs.assembling.assemble.MOST_CHECKED", len(whole) - 200)
     result = ingest(folder, faulty)
     long = read_drive(result.drive_path)
     assert list(long.columns) == list(whole.columns)

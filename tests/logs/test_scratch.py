@@ -22,7 +22,7 @@ SAMPLES = Path(__file__).parents[2] / "sample_logs"
 @pytest.fixture
 def everything_is_long(monkeypatch):
     monkeypatch.setattr(scratch, "LONG", 100)
-    monkeypatch.setattr(scratch, "_PIECE", 64)
+    monkeypatch.setattr(scratch, "PIECE", 64)
 
 
 def test_columns_come_back_as_they_went(everything_is_long):
@@ -107,7 +107,7 @@ def test_a_long_recording_makes_the_same_drive(tmp_path, monkeypatch, kind):
     for name in ("short", "long"):
         if name == "long":
             monkeypatch.setattr(scratch, "LONG", 100)
-            monkeypatch.setattr(scratch, "_PIECE", 64)
+            monkeypatch.setattr(scratch, "PIECE", 64)
         (result,) = ingest_logs([log], tmp_path / f"{name}.parquet", settings=settings, **given).results
         drives.append((tmp_path / f"{name}.parquet").read_bytes())
         assert result.rows > 1000

@@ -58,7 +58,7 @@ def test_a_set_is_the_same(folder, tmp_path, address):
 @pytest.mark.slow
 def test_an_evaluation_is_the_same(folder, address, monkeypatch):
     # A drive that stays in its file travels by its name.
-    monkeypatch.setattr("split_cli.logs.drive._LONG", 100)
+    monkeypatch.setattr("split_cli.logs.drive.LONG_ROWS", 100)
     drives = sorted((folder / "in").iterdir())
     reports = []
     for way in ways(address).values():

@@ -15,7 +15,8 @@ from split_cli.scoring.rollouts import roll_out, rollout_starts
 from split_cli.scoring.run import EvaluationRun
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.vehicle.single_track import SingleTrack
-from split_cli.workflows.evaluate import _left_out, evaluate_files
+from split_cli.workflows.evaluate import evaluate_files
+from split_cli.workflows.evaluation_notes import left_out
 from split_cli.workflows.report.evaluation import evaluation_page
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -41,7 +42,7 @@ def test_an_evaluation_is_the_same_to_the_bit_whatever_the_pieces(effects, setti
     write_vehicle(road_car(effects=effects), tmp_path / "car.yaml")
     whole = evaluate_files([tmp_path / "a.parquet"], tmp_path / "car.yaml", settings)
     assert whole.rollouts and whole.report.noise_floor.rms is not None
-    monkeypatch.setattr("split_cli.logs.drive._LONG", 100)
+    monkeypatch.setattr("split_cli.logs.drive.LONG_ROWS", 100)
     monkeypatch.setattr("split_cli.learning.pieces.PIECE_ROWS", 333)
     pieces = evaluate_files([tmp_path / "a.parquet"], tmp_path / "car.yaml", settings)
     assert pieces.held[0][0].drive.stays_in_file and len(drive) > 4 * 333
@@ -58,7 +59,7 @@ def test_an_evaluation_is_the_same_to_the_bit_whatever_the_pieces(effects, setti
 def test_a_long_drive_without_a_stretch_for_a_rollout_has_none(monkeypatch, tmp_path):
     drive = make_drive(3, segments=2, seconds=2.0)
     write_drive(drive, tmp_path / "a.parquet")
-    monkeypatch.setattr("split_cli.logs.drive._LONG", 100)
+    monkeypatch.setattr("split_cli.logs.drive.LONG_ROWS", 100)
     opened = open_drive(tmp_path / "a.parquet")
     assert opened.stays_in_file
     none = rollout_starts(opened, np.ones(len(opened), dtype=bool), 1000, 1.0)
@@ -71,9 +72,9 @@ def test_the_page_draws_a_stretch_of_a_long_drive_and_says_so(monkeypatch, tmp_p
     drive = make_drive(3, segments=6, seconds=5.0, terms=[MissingForce({"front_lateral": 200.0})])
     write_drive(drive, tmp_path / "a.parquet")
     write_vehicle(road_car(), tmp_path / "car.yaml")
-    for module in ("scoring.run", "workflows.evaluate"):
+    for module in ("scoring.run", "workflows.evaluation_notes"):
         monkeypatch.setattr(f"split_cli.{module}.DRAWN_ROWS", 700)
-    monkeypatch.setattr("split_cli.logs.drive._LONG", 100)
+    monkeypatch.setattr("split_cli.logs.drive.LONG_ROWS", 100)
     run = evaluate_files([tmp_path / "a.parquet"], tmp_path / "car.yaml", SETTINGS)
     trace = run.traces[0]
     part = trace.drawn()
@@ -83,8 +84,8 @@ def test_the_page_draws_a_stretch_of_a_long_drive_and_says_so(monkeypatch, tmp_p
     np.testing.assert_array_equal(part.held.drive["t"][part.tested.row], part.tested.t)
     assert f"the page draws {700 * drive.period / 60:.3g} minutes of a.parquet" in run.report.notes
     whole = f"trust was found on at most {700 * drive.period / 60:.3g} minutes of a.parquet"
-    monkeypatch.setattr("split_cli.workflows.evaluate.MOST_ROWS", 700)
-    assert whole in _left_out(run.held[0], True) and whole not in _left_out(run.held[0], False)
+    monkeypatch.setattr("split_cli.workflows.evaluation_notes.MOST_ROWS", 700)
+    assert whole in left_out(run.held[0], True) and whole not in left_out(run.held[0], False)
     assert evaluation_page(run).endswith("</html>\n") or "</html>" in evaluation_page(run)[-20:]
 
 
@@ -97,9 +98,9 @@ def test_a_large_csv_stays_in_a_file_and_is_equal_to_the_one_that_is_read(monkey
         rows.append(",".join([*values, str(drive.segment[number]), "wet", ""]))
     (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
     whole = read_drive(tmp_path / "a.csv")
-    monkeypatch.setattr("split_cli.logs.drive._LONG", 100)
+    monkeypatch.setattr("split_cli.logs.drive.LONG_ROWS", 100)
     assert not open_drive(tmp_path / "a.csv").stays_in_file
-    monkeypatch.setattr("split_cli.logs.columns_of_file._SMALL_CSV", 100)
+    monkeypatch.setattr("split_cli.logs.columns_of_file.SMALL_CSV", 100)
     opened = open_drive(tmp_path / "a.csv")
     assert isinstance(opened.columns, ColumnsOfFile) and opened.sha256 == whole.sha256
     assert (opened.name, opened.period) == (whole.name, whole.period)

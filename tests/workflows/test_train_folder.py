@@ -42,7 +42,7 @@ def test_a_long_drive_gives_the_same_set_bit_for_bit_as_a_short_one(folder, tmp_
     drive = folder / "in" / "a.parquet"
     whole = train_set([drive], folder / "car.yaml", tmp_path / "whole.split")
     assert whole.trust.origin == "held-out"
-    monkeypatch.setattr("split_cli.logs.drive._LONG", 100)
+    monkeypatch.setattr("split_cli.logs.drive.LONG_ROWS", 100)
     monkeypatch.setattr("split_cli.learning.pieces.PIECE_ROWS", 333)
     pieces = train_set([drive], folder / "car.yaml", tmp_path / "pieces.split")
     assert (tmp_path / "whole.split").read_bytes() == (tmp_path / "pieces.split").read_bytes()

@@ -42,7 +42,7 @@ __all__ = ["Assembled", "IngestSettings", "assemble_drive"]
 
 _USUAL_GAP = 0.1
 """Longest step that is interpolated unless said otherwise [s]."""
-_MOST_CHECKED = 2**20
+MOST_CHECKED = 2**20
 """Rows in the middle of a drive whose channels are checked against each other: hours show any wrong unit."""
 _DELAY_PASSES = 6
 """At most so many; identities of three channels are right only once all three are in time."""
@@ -157,9 +157,9 @@ def assemble_drive(
         warnings.append(f"{too_short + dropped} rows of stretches too short to use were left out")
     drive = _drive(recording, grid, columns)
     checked = drive
-    if len(drive) > _MOST_CHECKED:
-        first = (len(drive) - _MOST_CHECKED) // 2
-        checked = drive.stretch(first, first + _MOST_CHECKED)
+    if len(drive) > MOST_CHECKED:
+        first = (len(drive) - MOST_CHECKED) // 2
+        checked = drive.stretch(first, first + MOST_CHECKED)
         minutes = len(checked) * grid.period / 60.0
         warnings.append(f"channels were checked against each other on the middle {minutes:.3g} minutes")
     quality = QualityReport(

@@ -1,0 +1,93 @@
+"""What an evaluation says beside its scores: facts of each drive, and what to know before scores are believed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from split_cli.learning.training_set import TrainingSet
+from split_cli.logs.drive import untold_inputs
+from split_cli.prediction import PREDICTORS
+from split_cli.scoring.belonging import share_beyond
+from split_cli.scoring.evaluation import HeldOutSamples, pooled_noise_floor
+from split_cli.scoring.evidence import MOST_ROWS
+from split_cli.scoring.late_inputs import late_inputs
+from split_cli.scoring.noise import fast_motion
+from split_cli.scoring.report import DriveFacts, EvaluationSettings
+from split_cli.scoring.run import DRAWN_ROWS
+from split_cli.vehicle.single_track import SingleTrack
+from split_cli.workflows.label import drive_notes
+
+__all__ = ["drive_facts", "left_out", "notes_of", "same_interval"]
+
+
+def same_interval(held: HeldOutSamples, first: HeldOutSamples) -> bool:
+    """Tell whether a drive's label interval is the first drive's, so that rollouts of both have the same steps."""
+    return abs(held.labels.horizon - first.labels.horizon) < 1e-9
+
+
+def drive_facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet | None) -> DriveFacts:
+    """Return what is said of a drive: its samples, its noise floor, and what makes its scores doubtful."""
+    drive, tested = held.drive, held.labels.take(held.tested)
+    in_sample = bool(trained and drive.sha256 and any(s.sha256 == drive.sha256 for s in trained.sources))
+    notes = list(drive_notes(drive))
+    floor = pooled_noise_floor(model, [held])
+    fast = fast_motion(tested, floor)
+    notes += [f"{drive.name}: {fast}"] if fast else []
+    notes += late_inputs(drive, tested, model.vehicle)
+    notes += [] if trained is None else _outside(drive.name, share_beyond(trained, tested.z))
+    return DriveFacts(
+        name=drive.name,
+        sha256=drive.sha256,
+        duration=held.labels.duration,
+        labels=len(held.labels),
+        tested=len(tested),
+        tested_valid=int(tested.accepted.sum()),
+        in_sample=in_sample,
+        held_out=held.split.intervals,
+        noise_floor=floor,
+        notes=tuple(notes),
+    )
+
+
+def _outside(name: str, share: float) -> list[str]:
+    """Return what to know of a drive beyond the data of the set; most of it outside is a warning."""
+    if round(100.0 * share) == 0:
+        return []
+    warning = "WARNING: outside the data of the set: " if share > 0.5 else ""
+    return [
+        f"{warning}{100.0 * share:.0f} % of the test samples of {name} lie farther than a length scale from every "
+        "point of the set; there the correction fades, and the nominal model remains"
+    ]
+
+
+def notes_of(
+    facts: Sequence[DriveFacts], drives: Sequence[HeldOutSamples], settings: EvaluationSettings, rollouts: Sequence
+) -> list[str]:
+    """Return the notes of an evaluation, those of its drives among them."""
+    notes = [*untold_inputs([held.drive for held in drives]), *(note for fact in facts for note in fact.notes)]
+    for fact in facts:
+        if fact.in_sample:
+            notes.append(f"IN SAMPLE: the set was trained on {fact.name}; its scores say nothing of other drives")
+    if settings.protocol == "paper":
+        notes.append("IN SAMPLE: the paper's protocol trains on the very lap it scores")
+    if settings.protocol == "held-out" and any(PREDICTORS[n][1] == "FitcPredictor" for n in settings.predictors):
+        notes.append("fitc used the recorded future as pseudo-inputs; a controller does not know it")
+    for held in drives:
+        if rollouts and not same_interval(held, drives[0]):
+            steps = f"{held.labels.horizon:g} s, not {drives[0].labels.horizon:g} s as of {drives[0].drive.name}"
+            notes.append(f"no rollouts of {held.drive.name}: its label interval is {steps}")
+    if settings.protocol == "held-out" and settings.rollout and not rollouts:
+        notes.append(f"no rollouts: no stretch of test data lasts {max(settings.rollout):g} s without a gap")
+    return notes
+
+
+def left_out(drives: Sequence[HeldOutSamples], finds_trust: bool) -> list[str]:
+    """Return of which part of long drives a result is; a set that is given brings its trust along."""
+    bounds = [("trust was found on at most", MOST_ROWS)] if finds_trust else []
+    bounds.append(("the page draws", DRAWN_ROWS))
+    return [
+        f"{what} {rows * held.drive.period / 60.0:.3g} minutes of {held.drive.name}"
+        for held in drives
+        for what, rows in bounds
+        if len(held.drive) > rows
+    ]
