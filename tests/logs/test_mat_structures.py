@@ -95,3 +95,38 @@ def test_objects_of_matlab_are_named_and_what_to_save_instead(tmp_path):
     recording = open_recording(path)
     assert [info.name for info in recording.channels()] == ["vx"]
     assert any("logsout" in note.what for note in recording.notes)
+
+
+def test_what_scipy_only_warns_of_is_counted_or_refused(tmp_path, recwarn):
+    path = tmp_path / "log.mat"
+    savemat(path, {"t": np.arange(40.0), "vx": np.arange(40.0)}, format="4")
+    whole = path.read_bytes()
+    # The type of a version 4 matrix has the order of bytes as thousands: 4 is Cray.
+    path.write_bytes((4000).to_bytes(4, "little") + whole[4:])
+    with pytest.raises(LogError, match="order of bytes"):
+        open_recording(path)
+    savemat(path, {"t": np.arange(40.0), "vx": np.arange(40.0)})
+    whole = path.read_bytes()
+    path.write_bytes(whole + whole[128:])
+    assert [(n.what, n.count) for n in open_recording(path).notes] == [
+        ("variables that cannot be read or stand twice, left out", 2)
+    ]
+    assert not recwarn.list
+
+
+def test_an_array_that_lacks_what_its_flags_tell_ends_no_process(tmp_path):
+    """SciPy's compiled reader follows a null pointer where a complex array has no imaginary part."""
+    path = tmp_path / "log.mat"
+    content = {"t": np.arange(40.0), "log": {"vx": np.arange(40.0)}, "cells": np.array([1, "a"], dtype=object)}
+    savemat(path, content)
+    whole = path.read_bytes()
+    assert len(open_recording(path).channels()) == 2
+    flags = [at for at in range(128, len(whole)) if whole[at : at + 8] == bytes((6, 0, 0, 0, 8, 0, 0, 0))]
+    assert len(flags) == 6
+    for at in flags:
+        # Complex; then a sparse array, a structure and cells, which are made of other parts.
+        for place, value in ((9, 8), (8, 5), (8, 2), (8, 1)):
+            if whole[at + place] != value and (place == 8 or whole[at + 8] == 6):
+                path.write_bytes(whole[: at + place] + bytes((value,)) + whole[at + place + 1 :])
+                with pytest.raises(LogError, match="cut off or damaged"):
+                    open_recording(path)

@@ -27,7 +27,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from split_cli.errors import SplitError
-from tests.studies.fuzz_seeds import SLOW, seeds
+from tests.studies.fuzz_seeds import QUICK, SLOW, seeds
 
 LONGEST_SECONDS = 10.0
 """Of one input, of processor time [s]: the bound the project promises. A starved process is not slow."""
@@ -228,13 +228,15 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder for inputs that broke a rule")
     parser.add_argument("--only", default="", help="kinds whose name holds this")
+    parser.add_argument("--quick", action="store_true", help="most inputs of the kinds that are read quickly")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     begin = time.perf_counter()
     if not given.json:
         print(f"{'kind':18} {'inputs':>8} {'read':>8} {'drops':>8} {'refused':>8} {'broken':>7} {'slowest s':>9}")
     tell = (lambda *_: None) if given.json else _print_row
-    tallies = fuzz(given.inputs, given.seed, given.keep, given.only, tell)
+    shares = SLOW | QUICK if given.quick else SLOW
+    tallies = fuzz(given.inputs, given.seed, given.keep, given.only, tell, shares)
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
     broken = [line for tally in tallies.values() for line in tally.broken]
     if peak > MOST_MEMORY:

@@ -29,12 +29,27 @@ from tests.factories import make_drive, make_training_set, road_car
 from tests.logs import readers_support as support
 from tests.logs.test_readers_stranger import DBC, VBO
 
-__all__ = ["SLOW", "seeds"]
+__all__ = ["QUICK", "SLOW", "seeds"]
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "files"
 SLOW = {"mf4": 0.01, "mf4 bus": 0.005, "dbc": 0.01, "draft": 0.1}
 """Inputs of a kind against those of the others [1]: an MF4 file or a DBC is read in a process of its own, 1 to 2 s
 each, and a draft looks at every column in many ways."""
+QUICK = dict.fromkeys(
+    (
+        "vbo",
+        "feather",
+        "mat 5",
+        "mat 5 structure",
+        "mat 4",
+        "vehicle",
+        "hyperparameters",
+        "trained set",
+        "centre line",
+    ),
+    20.0,
+)
+"""The same of kinds that are read in less than a millisecond: with `--quick` they get most inputs."""
 
 Kind = tuple[str, Path, Callable[[Path], object]]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,13 +42,19 @@ def open_mat(path: Path) -> RawRecording:
 
     check_mat5(path)
     try:
-        content = loadmat(path, struct_as_record=False, squeeze_me=False, chars_as_strings=True)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            content = loadmat(path, struct_as_record=False, squeeze_me=False, chars_as_strings=True)
     except Exception as error:  # SciPy's reader raises a dozen kinds on damaged files
         raise _damaged(path, error) from error
+    # SciPy only warns where it takes numbers for others, cannot read a variable or meets one a second time.
+    lost = [str(warning.message) for warning in said if not issubclass(warning.category, DeprecationWarning)]
+    if any("byte ordering" in text for text in lost):
+        raise _damaged(path, ValueError("numbers in an order of bytes that no PC writes"))
     variables = {key: value for key, value in content.items() if not key.startswith("__")}
     objects = [key for key, value in variables.items() if isinstance(value, MatlabOpaque)]
     leaves = [leaf for key, value in variables.items() if key not in objects for leaf in _leaves(key, value, 0)]
-    return _recording(path, leaves, objects)
+    return _recording(path, leaves, objects, len(lost))
 
 
 def open_mat_hdf5(path: Path) -> RawRecording:
@@ -160,9 +167,13 @@ def _collect_hdf5(
                 leaves.append((name, np.atleast_2d(np.asarray(item[()])).T))
 
 
-def _recording(path: Path, leaves: list[tuple[str, np.ndarray]], objects: Sequence[str]) -> RawRecording:
+def _recording(
+    path: Path, leaves: list[tuple[str, np.ndarray]], objects: Sequence[str], lost: int = 0
+) -> RawRecording:
     arrays = {name: values for name, values in leaves if values.size > 1 and values.ndim <= 2}
     notes: list[ReadNote] = []
+    if lost:
+        notes.append(ReadNote("variables that cannot be read or stand twice, left out", path.name, lost))
     clocks = _own_clocks(arrays)
     signals: dict[str, RawSignal] = {}
     for name, values in arrays.items():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import mmap
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 from split_cli.errors import LogError
@@ -15,9 +16,14 @@ from split_cli.logs.readers.budget import most_bytes_out
 
 __all__ = ["check_mat5"]
 
-_COMPRESSED, _MATRIX, _FLAGS = 15, 14, 6
+_COMPRESSED, _MATRIX, _FLAGS, _INT32, _BYTES = 15, 14, 6, 5, (1, 2)
 _TYPES = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18})
 _CLASSES = range(1, 19)
+_CELL, _OBJECT, _SPARSE, _RECORDS = 1, 3, 5, (2, 3)
+_OPAQUE = (16, 17, 18)
+"""Handles of functions and objects of MATLAB, whose parts nobody has described."""
+_LONGEST_NAME = 4096
+"""Of a field [bytes]; judgement: MATLAB allows 63 letters."""
 _DEEPEST = 32
 _HEADER = 128
 
@@ -39,18 +45,13 @@ def check_mat5(path: Path) -> None:
     with path.open("rb") as stream:
         if not stream.read(10).startswith(b"MATLAB 5.0"):
             return
-        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as file:
-            content = memoryview(file)
-            try:
-                _check_file(content)
-            except _Damage as damage:
-                raise LogError(
-                    f"is cut off or damaged ({damage})",
-                    where=path.name,
-                    advice="Save it again, without compression.",
-                ) from damage
-            finally:
-                content.release()
+        # Closed with the last view of it: an error's own frames still hold some.
+        content = memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
+        try:
+            _check_file(content)
+        except _Damage as damage:
+            advice = "Save it again, without compression."
+            raise LogError(f"is cut off or damaged ({damage})", where=path.name, advice=advice) from damage
 
 
 def _check_file(content: memoryview) -> None:
@@ -67,15 +68,13 @@ def _check_file(content: memoryview) -> None:
         inner = content[begin : begin + stored]
         try:
             if kind == _COMPRESSED:
-                _check_elements(memoryview(_unpacked(inner)), order, 0)
+                _check_variable(memoryview(_unpacked(inner)), order)
             elif kind == _MATRIX:
                 _check_matrix(inner, order, 0)
             else:
                 raise _Damage(f"type {kind} where a variable was expected")
         except _Damage as damage:
             raise _Damage(f"variable at byte {position}: {damage}") from damage
-        finally:
-            inner.release()
         position = begin + stored
 
 
@@ -93,8 +92,8 @@ def _unpacked(packed: memoryview) -> bytes:
     return plain
 
 
-def _check_elements(content: memoryview, order: str, depth: int) -> None:
-    """Check a row of elements, each padded to eight bytes; a small one holds its data in its tag."""
+def _elements(content: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    """Yield type and data of elements in a row, padded to eight bytes; a small one has its data in its tag."""
     position = 0
     while position + 8 <= len(content):
         word = int.from_bytes(content[position : position + 4], order)
@@ -107,22 +106,75 @@ def _check_elements(content: memoryview, order: str, depth: int) -> None:
             raise _Damage(f"an element of type {kind}, which does not exist")
         if begin + size > len(content):
             raise _Damage(f"an element of {size:,} bytes where {len(content) - begin:,} are left")
-        if kind == _MATRIX:
-            _check_matrix(content[begin : begin + size], order, depth + 1)
+        yield kind, content[begin : begin + size]
         position = position + 8 if word >> 16 else begin + (size + 7) // 8 * 8
     if position < len(content):
         raise _Damage("an element's tag is cut off")
 
 
+def _check_variable(content: memoryview, order: str) -> None:
+    """Check what was compressed: one array."""
+    kinds = list(_elements(content, order))
+    if [kind for kind, _ in kinds] != [_MATRIX]:
+        raise _Damage("something else than one array was compressed")
+    _check_matrix(kinds[0][1], order, 0)
+
+
 def _check_matrix(content: memoryview, order: str, depth: int) -> None:
-    """Check one array: its flags with its class, then the elements it is made of. An empty one has none."""
+    """Check one array: its flags and class, then that it has the parts these need; an empty one has none."""
     if depth > _DEEPEST:
         raise _Damage(f"arrays inside arrays, over {_DEEPEST} deep")
     if len(content) == 0:
         return
-    if len(content) < 16 or int.from_bytes(content[:4], order) != _FLAGS:
+    parts = list(_elements(content, order))
+    if len(content) < 16 or parts[0][0] != _FLAGS or len(parts[0][1]) < 8:
         raise _Damage("an array without flags")
-    number = int.from_bytes(content[8:12], order) & 0xFF
+    flags = int.from_bytes(parts[0][1][:4], order)
+    number = flags & 0xFF
     if number not in _CLASSES:
         raise _Damage(f"an array of class {number}, which does not exist")
-    _check_elements(content, order, depth)
+    for kind, data in parts:
+        if kind == _MATRIX:
+            _check_matrix(data, order, depth + 1)
+    if number in _OPAQUE:
+        return
+    kinds = [kind for kind, _ in parts[1:]]
+    if len(kinds) < 2 or kinds[0] != _INT32 or kinds[1] not in _BYTES or len(parts[1][1]) % 4:
+        raise _Damage("an array without dimensions and name")
+    size = _product(parts[1][1], order)
+    rest = parts[3:]
+    if number in _RECORDS:
+        rest, size = _record(rest, number, size, order)
+        wanted = [_MATRIX] * size
+    elif number == _CELL:
+        wanted = [_MATRIX] * size
+    else:
+        count = 1 + (flags >> 11 & 1) + (2 if number == _SPARSE else 0)
+        wanted = [kind for kind, _ in rest if kind != _MATRIX][:count]
+        if len(wanted) != count:
+            raise _Damage(f"an array of {len(wanted)} parts where its class and flags need {count}")
+    if [kind for kind, _ in rest] != wanted:
+        raise _Damage(f"an array of class {number} that is made of something else")
+
+
+def _record(
+    rest: list[tuple[int, memoryview]], number: int, size: int, order: str
+) -> tuple[list[tuple[int, memoryview]], int]:
+    """Return the fields of a structure or an object after its names, and how many there must be."""
+    names = rest[1:] if number == _OBJECT else rest
+    if len(names) < 2 or names[0][0] != _INT32 or len(names[0][1]) != 4 or names[1][0] not in _BYTES:
+        raise _Damage("a structure without names")
+    length, known = int.from_bytes(names[0][1], order), len(names[1][1])
+    if not 0 < length <= _LONGEST_NAME or known % length:
+        raise _Damage(f"names of {length} bytes in {known}")
+    return names[2:], size * (known // length)
+
+
+def _product(dimensions: memoryview, order: str) -> int:
+    """Return how many elements an array has; more than it has bytes are none."""
+    size = 1
+    for at in range(0, len(dimensions), 4):
+        size *= int.from_bytes(dimensions[at : at + 4], order, signed=True)
+        if not 0 <= size < 1 << 40:
+            raise _Damage("dimensions that no array has")
+    return size

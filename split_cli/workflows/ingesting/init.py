@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from split_cli.errors import SplitError
-from split_cli.files import atomic_path
+from split_cli.files import atomic_directory
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.workflows.ingesting.ingest import open_logs
@@ -158,10 +158,11 @@ def init_project(
             raise SplitError("exists already", where=str(target), advice="Name another folder with -o.")
     recording = open_logs(list(logs) if together else logs[0], message_paths)
     draft = draft_map(recording, row_rate=row_rate)
-    folder.mkdir(parents=True, exist_ok=True)
-    for target, text in zip(targets, (render_draft(draft, recording.name) + "\n", VEHICLE_TEMPLATE), strict=True):
-        with atomic_path(target) as temporary:
-            temporary.write_text(text)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    # Both or none: a map alone would stand in the way of the next attempt.
+    with atomic_directory(folder) as temporary:
+        (temporary / "map.yaml").write_text(render_draft(draft, recording.name) + "\n", encoding="utf-8")
+        (temporary / "vehicle.yaml").write_text(VEHICLE_TEMPLATE, encoding="utf-8")
     shown = " ".join(shlex.quote(str(log)) for log in logs) + (" --together" if together else "")
     databases = [f" --dbc {shlex.quote(str(p))}" for p in message_paths if Path(p).is_file()]
     rate = f" --row-rate {row_rate:g}" if row_rate is not None else ""
