@@ -69,7 +69,9 @@ def main() -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="commands whose name holds this")
-    parser.add_argument("--variant", default="", help="variants whose name holds one of these, with commas between")
+    parser.add_argument(
+        "--variant", default="", help="variants whose name holds one of these, with commas between"
+    )
     given = parser.parse_args()
     failed = False
     with tempfile.TemporaryDirectory() as place:
