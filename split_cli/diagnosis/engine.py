@@ -218,7 +218,7 @@ def _compare(case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[
     ways = [
         unnamed.p_value,
         selection.first_p if any(selection.named) or ends_beyond(selection, policy) else 1.0,
-        selection.partly.p_value if selection.partly else 1.0,
+        1.0 if any(selection.named) or selection.partly is None else selection.partly.p_value,
         line.p_value if line else 1.0,
         autocorrelation.p_value(usual_autocorrelation, policy.self_test)
         if is_autocorrelated(autocorrelation, usual_autocorrelation, policy)

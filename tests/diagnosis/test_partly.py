@@ -50,6 +50,17 @@ def test_parts_are_regressions_of_their_own():
     assert most_saved(objective, d, e) == parts.saved.max()
 
 
+def test_a_direction_saves_nothing_where_it_does_nothing():
+    """Before torque is given its direction is what rounding left of it, whose square is no number any more."""
+    rng = np.random.default_rng(5)
+    d, e = 1e-170 * rng.standard_normal((3600, 1)), 1e3 * rng.standard_normal(3600)
+    d[2520:] *= 1e170
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        parts = parts_of_drive(bare(20, 60), d, e)
+    before = parts.last < 14
+    assert before.any() and not parts.saved[before].any() and parts.saved[~before].all()
+
+
 def test_noise_saves_in_the_best_part_what_theory_lets_it():
     """The largest of all parts' chi squared exceeds its Bonferroni bound at 5 % in no more than 5 % of draws."""
     from scipy.stats import chi2
@@ -82,3 +93,14 @@ def test_a_steering_that_is_wrong_for_a_while_is_found_where_it_is(gain, runs):
     assert found.part.candidate.term == "steer_gain" and found.p_value < STANDARD.comparison.level
     assert found.part.values["gain"] == pytest.approx(gain, abs=0.01)
     assert found.begin == pytest.approx(30.0, abs=2.5) and found.end == pytest.approx(65.0, abs=2.5)
+
+
+def test_parts_of_a_long_drive_begin_at_every_other_block():
+    """Sixteen minutes in blocks of 2 s are taken in pairs; a part has as many of them as before of single ones."""
+    rng = np.random.default_rng(3)
+    d, e = rng.standard_normal((86400, 1)), rng.standard_normal(86400)
+    parts = parts_of_drive(bare(480, 60), d, e)
+    assert parts.last.max() == 239 and min(parts.last - parts.first) == 4 and len(parts.first) == 236 * 237 / 2
+    for w in rng.choice(len(parts.first), 20):
+        column, left = (rows[360 * parts.first[w] : 360 * (parts.last[w] + 1)] for rows in (d[:, 0], e))
+        assert parts.saved[w, 0] == pytest.approx((column @ left) ** 2 / (column @ column), rel=1e-6)

@@ -286,7 +286,8 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
             saved = _saving(columns, residuals)
         terms[offer.term] = max(terms[offer.term], saved)
         if not offer.located:
-            partly[offer.term] = max(partly[offer.term], most_saved(objective, columns, residuals))
+            # A half may be too short to have parts.
+            partly[offer.term] = max(partly[offer.term], saved, most_saved(objective, columns, residuals))
     # What the simulation lacks of reality's noise would have added its share.
     quiet = max(0.0, 1.0 - (float(residuals @ residuals) - fit.saved) / max(len(residuals) - fit.freedom, 1.0))
     return SelfTest(

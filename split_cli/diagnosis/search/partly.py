@@ -23,6 +23,8 @@ from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = ["ActingPart", "Parts", "most_saved", "parts_of_drive", "strongest_part"]
 
+_MOST_BLOCKS = 240  # of which parts are made, eight minutes in blocks of 2 s: their number grows with its square
+
 
 @dataclass(frozen=True)
 class ActingPart:
@@ -80,8 +82,8 @@ def parts_of_drive(objective: MarginalLikelihood, columns: np.ndarray, residuals
     and its blocks a (2 s_b - a i_b) with a = (sum of s_b)/(sum of i_b). A scan statistic over intervals of time
     (Naus, 1965), each interval with its own chi squared of one degree of freedom.
     """
-    rows = 3 * sum(int(mask.sum()) for mask in objective.keep)
-    block, d, e = objective.block[:rows], columns[:rows], residuals[:rows]
+    block, least = _blocks(objective)
+    d, e = columns[: len(block)], residuals[: len(block)]
     count = int(block.max(initial=-1)) + 1
     length = np.bincount(block, minlength=count) / 3.0
 
@@ -92,20 +94,35 @@ def parts_of_drive(objective: MarginalLikelihood, columns: np.ndarray, residuals
     before = np.concatenate([[0.0], np.cumsum(length)])
     first, last = np.triu_indices(count)
     long = before[last + 1] - before[first] >= objective.policy.comparison.least_rows
+    long &= last - first + 1 >= least
     first, last = first[long], last[long]
 
     def within(values: np.ndarray) -> np.ndarray:
         total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
         return total[last + 1] - total[first]
 
-    score, known, blocks = within(s), np.maximum(within(i), 1e-300), (last - first + 1)[:, None]
-    size = score / known
+    score, known, blocks = within(s), within(i), (last - first + 1)[:, None]
+    # Where a direction does nothing, running sums leave what rounding makes of all the rest.
+    acts = known > 1e-9 * i.sum(axis=0)
+    size = np.divide(score, known, out=np.zeros_like(score), where=acts)
     saved = score * size
     ss, si, ii = within(s * s), within(s * i), within(i * i)
     squared = size**2 * (4.0 * ss - 4.0 * size * si + size**2 * ii)
     error = np.sqrt(np.maximum(squared - saved**2 / blocks, 0.0) * blocks / np.maximum(blocks - 1, 1))
     scores = np.sqrt(np.maximum(ss - 2.0 * size * si + size**2 * ii, 0.0))
     return Parts(first, last, size, saved, saved / (error + 1e-9), np.abs(score) / (scores + 1e-9))
+
+
+def _blocks(objective: MarginalLikelihood) -> tuple[np.ndarray, int]:
+    """Return the block of each compared row's entries, and how many blocks the shortest part has.
+
+    Where there are many, several are taken as one. A part has as many blocks as a drive that is just long enough:
+    fewer could not tell whether they agree.
+    """
+    block = objective.block[: 3 * sum(int(mask.sum()) for mask in objective.keep)]
+    longest = np.bincount(block).max(initial=1) / 3.0
+    several = 1 + int(block.max(initial=0)) // _MOST_BLOCKS
+    return block // several, int(np.ceil(objective.policy.comparison.least_rows / longest))
 
 
 def most_saved(objective: MarginalLikelihood, columns: np.ndarray, residuals: np.ndarray) -> float:
@@ -191,14 +208,12 @@ def _at(one: Candidate, values: Mapping[str, float], name: str, steps: float) ->
 
 def _rows_of(objective: MarginalLikelihood, first: int, last: int) -> list[np.ndarray]:
     """Return which rows of each recording lie in some blocks, shape (G,) each."""
-    out, begin = [], 0
+    block, out = _blocks(objective)[0][::3], []
     for mask in objective.keep:
-        count = int(mask.sum())
-        block = objective.block[3 * begin : 3 * (begin + count) : 3]
+        own, block = np.split(block, [int(mask.sum())])
         inside = np.zeros(len(mask), dtype=bool)
-        inside[mask] = (block >= first) & (block <= last)
+        inside[mask] = (own >= first) & (own <= last)
         out.append(inside)
-        begin += count
     return out
 
 

@@ -93,7 +93,7 @@ class Selection:
     first : tuple of Fit
         What each term, in each variant that promised most, explains alone, best first.
     partly : ActingPart or None
-        Where nothing is named, the term that most surely acts in a part of the drive.
+        The term that most surely acts in a part of the drive, whatever acts all along it.
     """
 
     base: Fit
@@ -177,9 +177,7 @@ def select_terms(
             break
         history += grown.history
         selection = _examined(explore, base, grown.chosen)
-    partly = None
-    if not any(selection.named):
-        partly = strongest_part(objective, explore.lines(), base.residuals, variance_inflation)
+    partly = strongest_part(objective, explore.lines(), base.residuals, variance_inflation)
     return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first), partly=partly)
 
 
