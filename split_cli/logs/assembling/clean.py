@@ -12,7 +12,10 @@ from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS
 
-__all__ = ["CleanSeries", "Drop", "clean_series", "join_clock_resets", "longest_repeat"]
+__all__ = [
+    "CleanSeries", "Drop", "clean_series", "clock_resets", "isolated_spikes", "join_clock_resets",
+    "longest_repeat",
+]  # fmt: skip
 
 _RESET_WINDOW = 10
 _DUPLICATE_SHARE = 1e-3
@@ -73,7 +76,7 @@ def join_clock_resets(
         If channels do not agree on how often the clock jumped.
     """
     clocks = {id(part.time): part.time for parts in series.values() for part in parts}
-    found_in = {key: _resets(time, largest_step_back) for key, time in clocks.items()}
+    found_in = {key: clock_resets(time, largest_step_back) for key, time in clocks.items()}
     boundaries = {
         (channel, index): found_in[id(part.time)]
         for channel, parts in series.items()
@@ -111,7 +114,7 @@ def join_clock_resets(
     return joined, tuple(said)
 
 
-def _resets(time: np.ndarray, largest_step_back: float) -> list[int]:
+def clock_resets(time: np.ndarray, largest_step_back: float) -> list[int]:
     """Return the rows at which the clock jumped back for good."""
     found: list[int] = []
     start = 0
@@ -177,7 +180,7 @@ def clean_series(
     if steps:
         spikes = np.zeros(len(values), dtype=bool)
     else:
-        spikes = _spikes_between_updates(values) if held else _spikes(values)
+        spikes = _spikes_between_updates(values) if held else isolated_spikes(values)
     if despike:
         keep(~spikes, "spike")
     repeats = 1 if held else longest_repeat(values)
@@ -201,7 +204,7 @@ def clean_series(
     )
 
 
-def _spikes(values: np.ndarray) -> np.ndarray:
+def isolated_spikes(values: np.ndarray) -> np.ndarray:
     """Flag at most two samples in a row that stand out of a running median by far more than noise and motion do.
 
     The scale is the 99 % quantile of the deviation, so that a rough but honest signal has no spikes.
@@ -223,7 +226,7 @@ def _spikes(values: np.ndarray) -> np.ndarray:
 def _spikes_between_updates(values: np.ndarray) -> np.ndarray:
     """Flag spikes of a signal that may keep its value over several samples: judged by its updates."""
     new = np.concatenate([[True], np.diff(values) != 0.0])
-    return _spikes(values[new])[np.cumsum(new) - 1]
+    return isolated_spikes(values[new])[np.cumsum(new) - 1]
 
 
 def longest_repeat(values: np.ndarray) -> int:

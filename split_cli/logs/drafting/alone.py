@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION
+from split_cli.logs.checking.consistency import Consistency
 from split_cli.logs.checking.kinematics import Kinematics, Slope, fit_slope
 from split_cli.logs.drafting.draft import Suggestion
 
-__all__ = ["read_pedal", "read_sideslip", "read_torque"]
+__all__ = ["read_acceleration", "read_pedal", "read_sideslip", "read_torque", "read_wheel", "without_the_tilted"]
 
 _LEAST_OF_A_CAR = 50.0
 """Mass times wheel radius of the lightest car that a person drives: 250 kg on wheels of 0.2 m [kg m]."""
+_AT_REST = 0.1
+"""Speed below which a car stands, noise of its sensor included [m/s]."""
+_REST_SECONDS = 3.0
+"""Of standing in all that tell what an accelerometer reads at rest [s]."""
+_TILTED = 2.5
+"""At rest on level ground a sensor along the car reads 0, on a slope of 1 in 4 a quarter of gravity [m/s^2]."""
+_RADII = 0.02, 0.9
+"""Of wheels, from models to lorries [m]."""
 _MOST_SHARE, _MOST_PERCENT = 1.2, 120.0
 """Of a pedal's travel, sensors that overshoot included: as a share of 1, and in per cent."""
 
@@ -54,6 +63,41 @@ def read_pedal(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) ->
         told = f"reaches {largest:.4g}: neither a share nor per cent of the pedal's travel. Give its `scale:`"
         return replace(s, status="open", reason=told)
     return replace(s, unit="%", reason=f"unit not stated; it reaches {largest:.3g}, so per cent")
+
+
+def read_wheel(s: Suggestion, verdict: Consistency) -> Suggestion:
+    """Tell a wheel that turns from one that rolls: over v_x, rad/s is one over a radius that wheels have."""
+    found = next((r.slope.slope for r in verdict.relations if s.channel in r.powers), 0.0)
+    if s.status != "open" or s.unit is not None or not 1.0 / _RADII[1] < found < 1.0 / _RADII[0]:
+        return s
+    told = f"unit not stated; in rad/s it is a wheel of {1.0 / found:.3g} m radius"
+    return replace(s, unit="rad/s", status="assumed", reason=told)
+
+
+def read_acceleration(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
+    """Leave out an acceleration that nothing supports and that reads gravity while the car stands."""
+    if s.status not in ("assumed", "stated") or not {s.channel, "vx"} <= set(columns):
+        return s
+    standing = np.abs(columns["vx"]) < _AT_REST
+    values = columns[s.channel][standing & np.isfinite(columns[s.channel])]
+    if len(values) < _REST_SECONDS * rate or abs(np.median(values)) < _TILTED:
+        return s
+    told = f"reads {np.median(values):.3g} m/s^2 while the car stands: gravity, so it is not along a level axis"
+    return replace(s, status="open", reason=told)
+
+
+def without_the_tilted(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
+    """Leave out what nothing supports of a sensor whose other axis reads gravity: neither is along the car."""
+    tilted = next((s for s in suggestions if s.channel in ("ax", "ay") and "gravity" in s.reason), None)
+    if tilted is None:
+        return list(suggestions)
+    told = f"of the sensor of {tilted.sources[0]}, which reads gravity while the car stands"
+    return [
+        replace(s, status="open", reason=told)
+        if s.channel in ("ax", "ay") and s.status in ("assumed", "stated")
+        else s
+        for s in suggestions
+    ]
 
 
 def read_sideslip(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:

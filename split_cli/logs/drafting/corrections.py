@@ -130,10 +130,16 @@ def _corrected(s: Suggestion, factor: float) -> Suggestion:
     if s.status == "stated" and size != 1.0 and not s.by_convention:
         return s  # the file states a unit: a finding tells of the contradiction
     if size == 1.0:
-        return replace(s, scale=-s.scale, reason="its sign is turned") if turned else s
+        return replace(s, scale=-s.scale, reason=_beside(s.reason, "its sign is turned")) if turned else s
     if unit is None:
         return s
-    return replace(s, unit=unit, scale=-s.scale if turned else s.scale, reason=f"found to be in {unit}")
+    reason = _beside(s.reason, f"found to be in {unit}")
+    return replace(s, unit=unit, scale=-s.scale if turned else s.scale, reason=reason)
+
+
+def _beside(reason: str, told: str) -> str:
+    """Return a further thing to say, behind what was said before."""
+    return told if not reason or told in reason else f"{reason}; {told}"
 
 
 def as_others_turn(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[str, Suggestion]:

@@ -94,6 +94,7 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("ay", 3, r"acc\w*_?lat\w*|a_?lat"),
     ("steering_wheel_angle", 3, r"(steering_?wheel|hand_?wheel|str_?whl|sw)_?(angle|pos\w*|ang|a)?|swa"),
     ("steering_wheel_angle", 3, r"stw_?ang\w*|steer_?whl\w*"),
+    ("steering_wheel_angle", 3, r"delta_?(d|h|hw|sw|driver|hand\w*)"),
     ("steering_wheel_angle", 3, r"steering_?wheel_?(angle_?)?\w*|lws_?angle|sas_?angle|wheel_?angle_?driver"),
     ("delta", 3, r"delta(_?(f|wheel|front|road))?|df|road_?wheel_?angle"),
     ("delta", 3, r"(steer(ing)?_?)?tire_?angle|tyre_angle|front_wheel_angle"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from split_cli.logs.checking.kinematics import fit_slope
+from split_cli.logs.checking.kinematics import block_interval, fit_slope
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
@@ -20,6 +20,10 @@ _LONGEST_WHEELBASE = 6.5
 """Of a lorry with understeer [m]; what steers more a turn than that is no road wheel."""
 _SHORTEST_CAR = 1.8
 """Wheelbase of a full-size car, the smallest [m]."""
+_OUTLIERS = 6.0
+"""Robust deviations beyond which a sample is no part of the steady relation [1]."""
+_LARGEST_ERROR = 0.15
+"""Of the angle over curvature without understeer, by blocks of time, to be believed [1]."""
 _SHORTEST_STEERING_WHEEL = 12.0
 """Wheelbase of a small car, 1.9 m, times its steering ratio, at least 8, with margin [m]."""
 
@@ -51,7 +55,36 @@ def apparent_wheelbase(delta: np.ndarray, columns: Mapping[str, np.ndarray]) -> 
     else:
         return None
     slope = fit_slope(delta, curvature, moving)
-    return None if slope is None or abs(slope.correlation) < 0.85 else slope.slope
+    if slope is None:
+        return None
+    without_understeer = _at_rest(delta, curvature, vx, moving)
+    if without_understeer is not None and without_understeer * slope.slope > 0.0:
+        return without_understeer
+    return None if abs(slope.correlation) < 0.85 else slope.slope
+
+
+def _at_rest(delta: np.ndarray, curvature: np.ndarray, vx: np.ndarray, mask: np.ndarray) -> float | None:
+    """Return the steer angle over curvature that the steady single track has towards rest [m].
+
+    delta = (L + K v_x^2) curvature: at 250 km/h understeer multiplies the angle. None where the speeds or the
+    curves do not separate the two, or the relation is not this one.
+    """
+    use = mask & np.isfinite(delta) & np.isfinite(curvature) & np.isfinite(vx)
+    if np.count_nonzero(use) < 200:
+        return None
+    d, k = delta[use], curvature[use]
+    terms = np.stack([k, k * vx[use] ** 2, np.ones(len(k))], axis=1)
+    near = np.ones(len(d), dtype=bool)
+    for _ in range(3):
+        fitted = terms @ np.linalg.lstsq(terms[near], d[near], rcond=None)[0]
+        residual = d - fitted
+        scale = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+        near = np.abs(residual - np.median(residual)) <= max(_OUTLIERS * scale, 1e-12)
+    if np.count_nonzero(near) < 200 or np.std(d[near]) == 0.0 or np.std(residual[near]) > 0.5 * np.std(d[near]):
+        return None
+    d, terms = d[near], terms[near]
+    value, error = block_interval(lambda rows: np.linalg.lstsq(terms[rows], d[rows], rcond=None)[0][:1], len(d))
+    return float(value[0]) if error[0] < _LARGEST_ERROR * abs(value[0]) else None
 
 
 def read_steering(
@@ -156,8 +189,8 @@ def _ratio(reach: float | None, unit: str | None, vehicle: Vehicle | None) -> st
         return text
     turned = " and a minus sign" if reach < 0 else ""
     if vehicle is not None:
-        return f"{text}, here about {abs(reach) / vehicle.wheelbase:.3g} (understeer included){turned}"
-    return f"{text}: {abs(reach):.3g} m over the wheelbase (understeer included){turned}"
+        return f"{text}, here about {abs(reach) / vehicle.wheelbase:.3g} (roughly: understeer may add){turned}"
+    return f"{text}: {abs(reach):.3g} m over the wheelbase (roughly: understeer may add){turned}"
 
 
 def _road_wheel(s: Any, columns: Mapping[str, np.ndarray], vehicle: Vehicle | None) -> Any:
@@ -222,6 +255,5 @@ def _scale_of_command(size: float, is_turned: bool) -> str:
     """Say which scale makes a command the road wheels' angle, by its size over the path's curvature [m]."""
     sign, hand = ("-", "it is right-positive; ") if is_turned else ("", "")
     scale = f"`scale: {sign}WHEELBASE/{size:.3g}`"
-    return (
-        f"Compared with the path, {hand}{scale} with the wheelbase in m makes it an angle; understeer adds to it"
-    )
+    how = "with the wheelbase in m makes it an angle, roughly: understeer may add to it"
+    return f"Compared with the path, {hand}{scale} {how}"

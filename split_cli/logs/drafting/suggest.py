@@ -10,13 +10,20 @@ import numpy as np
 
 from split_cli.errors import SplitError
 from split_cli.logs.assembling.conversion import expected_unit
-from split_cli.logs.assembling.gather import row_rate_from_yaw
 from split_cli.logs.checking.checks import ACROSS
 from split_cli.logs.checking.consistency import Consistency
-from split_cli.logs.drafting.alone import read_pedal, read_sideslip, read_torque
+from split_cli.logs.drafting.alone import (
+    read_acceleration,
+    read_pedal,
+    read_sideslip,
+    read_torque,
+    read_wheel,
+    without_the_tilted,
+)
 from split_cli.logs.drafting.axes import without_other_axes, without_the_world
+from split_cli.logs.drafting.clock import clock_of_rows
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
-from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
+from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, render_draft
 from split_cli.logs.drafting.fields import field_candidates
 from split_cli.logs.drafting.hand import what_tells_left, without_a_side
 from split_cli.logs.drafting.naming import (
@@ -29,15 +36,13 @@ from split_cli.logs.drafting.naming import (
 )
 from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
+from split_cli.logs.drafting.triples import along_the_car, names_of_triples
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.raw import (
     RawChannelInfo,
     RawRecording,
     RawSignal,
-    counts_rows,
-    seconds_and_nanoseconds,
     time_column,
-    unit_of_time,
 )
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
@@ -45,7 +50,9 @@ from split_cli.vehicle.parameters import Vehicle
 __all__ = ["Draft", "Suggestion", "draft_map", "render_draft", "suggest_map"]
 
 _MOST_RIVALS = 4
-_HELPERS = ("latitude", "longitude", "wheel_torque", "course")
+_CLOSE = 0.95
+"""Mean correlation of a channel with what the others say, from which on no rival is tried [1]."""
+_HELPERS = ("latitude", "longitude", "wheel_torque", "engine_torque", "course")
 """Meanings that make channels of the drive and are none."""
 
 
@@ -68,8 +75,10 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     """
     infos = recording.channels()
     candidates = _candidates(recording, infos)
-    signals = _read(recording, candidates)
-    time, line, known = _time(recording, infos, signals, candidates, row_rate)
+    triples = names_of_triples(infos)
+    signals = _read(recording, candidates, triples)
+    time, line, known = clock_of_rows(recording, infos, signals, candidates, row_rate)
+    candidates = along_the_car(candidates, triples, signals, time)
     trial = Trial(signals, time, vehicle, known)
     trial.wheel_torques = [c for c in candidates if c.channel == "wheel_torque"]
     opened: list[Suggestion] = []
@@ -87,7 +96,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     if world:
         opened += world
         chosen = _choose(usable, trial)
-    corrected, consistency = correct(chosen, trial)
+    corrected, consistency = _with_rivals_that_fit(*correct(chosen, trial), usable, trial)
     corrected = as_others_turn(as_siblings(corrected, consistency), consistency)
     suggestions = [with_status(s, consistency) for s in corrected.values()]
     suggestions = [s for s in suggestions if s.channel not in ("delta", "steering_wheel_angle", *_HELPERS)]
@@ -97,8 +106,11 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     turning = {**trial.motion_of_pose(clear, ("vx", "r")), **clear}
     steering = read_steering(corrected, turning, vehicle, Suggestion)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
-    alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal}
+    alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal,
+             "ax": read_acceleration, "ay": read_acceleration}  # fmt: skip
     suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
+    suggestions = without_the_tilted(suggestions)
+    suggestions = [read_wheel(s, consistency) if s.channel.startswith("wheel_speed") else s for s in suggestions]
     suggestions += [replace(s, status="open", reason=hand) if hand and s.status != "open" else s for s in steering]
     taken = {name for s in suggestions for name in s.sources}
     known = {s.channel for s in suggestions}
@@ -236,9 +248,12 @@ def _fixes(found: Sequence[TrialCandidate]) -> list[TrialCandidate]:
     return made
 
 
-def _read(recording: RawRecording, candidates: Sequence[TrialCandidate]) -> dict[str, RawSignal]:
+def _read(
+    recording: RawRecording, candidates: Sequence[TrialCandidate], triples: Sequence[tuple[str, str, str]]
+) -> dict[str, RawSignal]:
     """Read what candidates need and what may be a clock; a signal that cannot be read is left out."""
     names = {name for c in candidates for name in names_of(c)}
+    names |= {name for three in triples if names & set(three) for name in three}
     listed = recording.channels()
     if not recording.clocks:
         names |= {info.name for info in listed if re.search("time|stamp|^t$", info.name, re.IGNORECASE)}
@@ -255,81 +270,6 @@ def _read(recording: RawRecording, candidates: Sequence[TrialCandidate]) -> dict
     return signals
 
 
-def _time(
-    recording: RawRecording,
-    infos: Sequence[RawChannelInfo],
-    signals: Mapping[str, RawSignal],
-    candidates: Sequence[TrialCandidate],
-    row_rate: float | None,
-) -> tuple[np.ndarray | None, str, bool]:
-    """Return the clock of a table's rows [s], the map's line for it, and whether it is known."""
-    bare = [s for s in signals.values() if s.time is None]
-    if recording.clocks:
-        return None, "# time: that of the messages", True
-    if hasattr(recording, "paths"):
-        return None, "# time: that of each file", True
-    if signals and not bare:
-        return None, "# time: each signal has its own", True
-    needed = "# time: {period: SECONDS}   # no column of time: needed, or --row-rate HZ"
-    if not bare:
-        return None, needed, False
-    count = len(bare[0].values)
-    pair = seconds_and_nanoseconds(infos)
-    if pair is not None and row_rate is None:
-        whole, part = (recording.read([name])[name].values for name in pair)
-        line = f"time: {{source: {quoted(pair[0])}, nanoseconds: {quoted(pair[1])}}}"
-        return (whole - np.nanmin(whole)) + 1e-9 * part, line, True
-    found = time_column(infos)
-    timed = [i for i in infos if re.search("time|stamp", i.name, re.IGNORECASE) and not counts_rows(i.name)]
-    clocks = [found] if found is not None else timed
-    clocks = clocks or [i for i in infos if getattr(find_unit(stated_unit(i) or ""), "si", "") == "s"]
-    rising = [i for i in clocks if i.name in signals and _rises(signals[i.name].values)]
-    if not rising:
-        # Whatever it is called: what counts evenly since 1970 is a clock.
-        rising = [i for i in infos if i.name in signals and _counts_since_1970(signals[i.name].values)]
-    if rising and row_rate is None:
-        info = rising[0]
-        values = signals[info.name].values
-        unit = info.unit if find_unit(info.unit or "") and find_unit(info.unit).si == "s" else stated_unit(info)
-        unit = unit if unit in ("s", "ms", "us", "ns", "min") else unit_of_time(values)
-        others = [i.name for i in rising[1:]]
-        also = f"   # also rises: {', '.join(others)}" if others else ""
-        line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
-        return (values - np.nanmin(values)) * find_unit(unit).factor, line, True
-    if row_rate is None:
-        row_rate = _rate_told_by_yaw(candidates, signals)
-        if row_rate is None:
-            return np.arange(count) * 0.01, needed, False
-        why = "no column of time; yaw turns as yaw rate says so"
-        line = f"time: {{period: {1.0 / row_rate:.4g}}}   # CHECK: {why}"
-        return np.arange(count) / row_rate, line, True
-    return np.arange(count) / row_rate, f"time: {{period: {1.0 / row_rate:.6g}}}   # as given", True
-
-
-def _rises(values: np.ndarray) -> bool:
-    step = np.diff(values[np.isfinite(values)])
-    return len(step) > 10 and np.mean(step > 0) > 0.95
-
-
-def _counts_since_1970(values: np.ndarray) -> bool:
-    """Whether values rise evenly between the years 2001 and 2100, in s, ms, us or ns."""
-    if not _rises(values):
-        return False
-    first = float(values[np.isfinite(values)][0])
-    return any(1e9 <= first * unit <= 4.1e9 for unit in (1.0, 1e-3, 1e-6, 1e-9))
-
-
-def _rate_told_by_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
-    for yaw in (c for c in candidates if c.channel == "yaw" and c.sources[0] in signals):
-        for rate in (c for c in candidates if c.channel == "r" and c.sources[0] in signals):
-            units = [find_unit(c.unit).factor if c.unit else 1.0 for c in (yaw, rate)]
-            pair = [signals[c.sources[0]].values * u for c, u in zip((yaw, rate), units, strict=True)]
-            found = row_rate_from_yaw(*pair)
-            if found:
-                return found
-    return None
-
-
 def _first_guess(candidate: TrialCandidate, trial: Trial) -> Suggestion:
     unit = candidate.unit
     if unit is None and candidate.channel in ("yaw", "sideslip") and candidate.convert == "":
@@ -341,7 +281,7 @@ def _first_guess(candidate: TrialCandidate, trial: Trial) -> Suggestion:
         "right" in concepts_of(tokens_of(candidate.sources[0]))[0])  # fmt: skip
     return Suggestion(candidate.channel, candidate.sources, unit, convert=candidate.convert,
                       scale=-1.0 if to_the_right else 1.0,
-                      reason="to the right by its name" if to_the_right else "",
+                      reason=candidate.note or ("to the right by its name" if to_the_right else ""),
                       status="stated" if candidate.unit else "assumed",
                       command=all(is_command(name) for name in candidate.sources),
                       by_convention=candidate.by_convention, foreign_unit=candidate.foreign_unit)  # fmt: skip
@@ -366,6 +306,36 @@ def _beside(x: TrialCandidate, options: Sequence[TrialCandidate], trial: Trial) 
     named = re.sub(r"[xX](?=[^xX]*$)", lambda m: "y" if m[0] == "x" else "Y", x.sources[0])
     partner = next((y for y in options if y.sources == (named,)), None)
     return {} if partner is None else {"Y": _first_guess(partner, trial)}
+
+
+def _with_rivals_that_fit(
+    chosen: dict[str, Suggestion],
+    verdict: Consistency,
+    usable: Mapping[str, Sequence[TrialCandidate]],
+    trial: Trial,
+) -> tuple[dict[str, Suggestion], Consistency]:
+    """Exchange a channel that goes with the others badly for a rival that goes better, with all units put right.
+
+    The first choice is made with units as they are guessed: there a rival in another unit contradicts the others.
+    A rival of the wrong size is taken too, and left open with its size: what turns with the car is its channel.
+    """
+    for channel in ("r", "yaw", "ax", "ay", "vy"):
+        rivals = [c for c in usable.get(channel, [])[:_MOST_RIVALS] if c.sources != chosen[channel].sources]
+        taken = {s.sources for s in chosen.values()}
+        for rival in rivals:
+            if rival.sources in taken or _closeness(verdict, channel) > _CLOSE:
+                continue
+            attempt, found = correct({**chosen, channel: _first_guess(rival, trial)}, trial)
+            lost = [c for c in chosen if c != channel and _closeness(verdict, c) > 0.0 == _closeness(found, c)]
+            if not lost and _closeness(found, channel) > _closeness(verdict, channel):
+                chosen, verdict = attempt, found
+    return chosen, verdict
+
+
+def _closeness(verdict: Consistency, channel: str) -> float:
+    """Return the mean correlation of a channel's relations [1]; 0 where it has none."""
+    mine = [abs(r.slope.correlation) for r in verdict.relations if channel in r.powers]
+    return float(np.mean(mine)) if mine else 0.0
 
 
 def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[str, Suggestion]:

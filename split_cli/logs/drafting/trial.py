@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.logs.assembling.clean import clock_resets, isolated_spikes
 from split_cli.logs.assembling.transform import local_tangent_plane, signed, yaw_from_quaternion
 from split_cli.logs.checking.checks import NO_CAR_EXCEEDS, NOT_RECORDED
 from split_cli.logs.checking.consistency import Consistency, check_consistency
@@ -21,6 +22,8 @@ from split_cli.vehicle.parameters import Vehicle
 __all__ = ["Trial", "TrialCandidate", "names_of"]
 
 _JUDGED = ("vx", "vy", "r", "yaw", "X", "Y", "ax", "ay", "delta")
+_GAP = 0.5
+"""Between two rows of a table, from which on what stands between them is not judged, or five usual steps [s]."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class TrialCandidate:
         Whether the unit is that of ROS messages, which the recording itself does not state.
     foreign_unit : str
         What the file states where a unit stands, and is none that is known.
+    note : str
+        Why it is taken in spite of its name.
     """
 
     channel: str
@@ -49,6 +54,7 @@ class TrialCandidate:
     convert: str = ""
     by_convention: bool = False
     foreign_unit: str = ""
+    note: str = ""
 
 
 def names_of(candidate: TrialCandidate) -> tuple[str, ...]:
@@ -73,14 +79,21 @@ class Trial:
         vehicle: Vehicle | None,
         time_is_known: bool,
     ) -> None:
-        self.signals, self.time, self.vehicle, self.time_is_known = signals, time, vehicle, time_is_known
+        self.signals, self.vehicle, self.time_is_known = signals, vehicle, time_is_known
+        self.time = None if time is None else _without_restarts(time)
         self.wheel_torques: list[TrialCandidate] = []
-        stamps = [time if s.time is None else s.time for s in signals.values()]
+        self._sound: dict[str, np.ndarray] = {}
+        stamps = [self.time if s.time is None else s.time for s in signals.values()]
         stamps = [t for t in stamps if t is not None and np.isfinite(t).sum() > 20]
         low = max((float(np.nanquantile(t, 0.0)) for t in stamps if _is_long(t, stamps)), default=0.0)
         high = min((float(np.nanquantile(t, 1.0)) for t in stamps if _is_long(t, stamps)), default=0.0)
         count = int(min(max((high - low) * self.rate, 0), 60_000))
         self.grid = low + np.arange(count) / self.rate
+        self.segment = np.zeros(count, dtype=np.int32)
+        if self.time is not None:
+            self.grid, self.segment = _without_gaps(self.grid, self.time)
+        borders = np.flatnonzero(np.diff(self.segment)) + 1
+        self.slices = [slice(a, b) for a, b in zip([0, *borders], [*borders, len(self.grid)], strict=True)]
 
     def unusable(self, candidate: TrialCandidate) -> str:
         """Return why a candidate cannot be used, empty when it can."""
@@ -107,6 +120,8 @@ class Trial:
             return f"reaches {reach:.3g} {si} in the unit that the file states, no car's exceeds {limit:g}"
         if candidate.channel == "course":
             return "direction of travel over ground: yaw plus sideslip, not yaw"
+        if candidate.channel == "engine_torque":
+            return "before the gearbox: `scale:` with ratio times efficiency makes it T, where one gear is driven"
         return ""
 
     def _beyond_the_globe(self, candidate: TrialCandidate) -> str:
@@ -129,7 +144,7 @@ class Trial:
         if any(name not in self.signals for name in names):
             return None
         raw = [self.signals[name] for name in names]
-        values = self._combined(s, [signal.values for signal in raw])
+        values = self._combined(s, [self._without_spikes(signal) for signal in raw])
         stamps = self.time if raw[0].time is None else raw[0].time
         if stamps is None or len(stamps) != len(values):
             return None
@@ -146,6 +161,18 @@ class Trial:
             values = np.unwrap(values[order])
             return np.interp(self.grid, stamps[order], values)
         return np.interp(self.grid, stamps[order], values[order])
+
+    def _without_spikes(self, signal: RawSignal) -> np.ndarray:
+        """Return what ingest would keep of a signal; NaN where a sample stands alone, far from its neighbours."""
+        if signal.name not in self._sound:
+            values = np.asarray(signal.values, dtype=np.float64)
+            finite = np.flatnonzero(np.isfinite(values))
+            spikes = finite[isolated_spikes(values[finite])]
+            if len(spikes):
+                values = values.copy()
+                values[spikes] = np.nan
+            self._sound[signal.name] = values
+        return self._sound[signal.name]
 
     def _combined(self, s: Suggestion | TrialCandidate, values: list[np.ndarray]) -> np.ndarray:
         if s.convert == "yaw_from_quaternion":
@@ -176,14 +203,21 @@ class Trial:
         wanted = [channel for channel in channels if channel not in columns]
         if not columns or len(self.grid) < 200 or not self.time_is_known:
             return made
-        k = Kinematics(columns, 1.0 / self.rate, [slice(0, len(self.grid))])
+        k = Kinematics(columns, 1.0 / self.rate, self.slices)
         if "vx" in wanted and {"X", "Y"} <= set(columns):
-            made["vx"] = np.hypot(*(np.gradient(columns[c], 1.0 / self.rate) for c in "XY"))
+            made["vx"] = np.hypot(*(self._change(columns[c]) for c in "XY"))
         if "r" in wanted and "yaw" in columns:
             made["r"] = k.rate("yaw")
         elif "r" in wanted and {"X", "Y"} <= set(columns):
             made["r"] = k.course_rate()
         return made
+
+    def _change(self, values: np.ndarray) -> np.ndarray:
+        """Return the derivative of a column, shape (N,); across a border of two segments there is none."""
+        parts = [values[run] for run in self.slices]
+        return np.concatenate(
+            [np.gradient(part, 1.0 / self.rate) if len(part) > 1 else np.full(len(part), np.nan) for part in parts]
+        )
 
     def judge(self, chosen: Mapping[str, Suggestion]) -> Consistency:
         """Return what the consistency checks say of a choice; channels without a suggestion are not judged."""
@@ -211,9 +245,30 @@ class Trial:
             return Consistency()
         nothing = {channel: np.zeros(len(self.grid)) for channel in kinds if channel not in used}
         drive = Drive("draft", {"t": self.grid - self.grid[0], **used, **nothing},
-                      np.zeros(len(self.grid), dtype=np.int32), 1.0 / self.rate)  # fmt: skip
+                      self.segment, 1.0 / self.rate)  # fmt: skip
         with np.errstate(all="ignore"):
             return check_consistency(drive, self.vehicle, kinds, certain)
+
+
+def _without_restarts(time: np.ndarray) -> np.ndarray:
+    """Return a table's time with what follows a restart moved behind what was before it, shape (N,)."""
+    borders = clock_resets(time, _GAP)
+    moved = np.array(time, dtype=np.float64)
+    for begin, end in zip(borders, [*borders, len(time)][1:], strict=True):
+        before = np.nanmax(moved[:begin])
+        moved[begin:end] += before - np.nanmin(moved[begin:end]) + 10.0 * _GAP
+    return moved
+
+
+def _without_gaps(grid: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the grid without what lies between rows far apart, and the segment of each of its rows."""
+    stamps = np.unique(time[np.isfinite(time)])
+    steps = np.diff(stamps)
+    wide = np.flatnonzero(steps > max(_GAP, 5.0 * float(np.median(steps)))) if len(steps) else np.zeros(0, int)
+    begins, ends = stamps[wide], stamps[wide + 1]
+    segment = np.searchsorted(ends, grid, side="right")
+    inside = segment < np.searchsorted(begins, grid, side="left")
+    return grid[~inside], segment[~inside].astype(np.int32)
 
 
 def _is_long(stamps: np.ndarray, others: Sequence[np.ndarray]) -> bool:

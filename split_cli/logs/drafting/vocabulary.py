@@ -23,7 +23,7 @@ _WORDS: dict[str, str] = {
         "accelerations beschleunigung beschl gforce aceleracion accelerazione 加速度"
     ),
     "rate": (
-        "rate rates rt rot rotation rotationrate gyro gyroscope omega dot punkt drehrate geschwindigkeitsrate "
+        "rate rates rt rot rotation rotationrate gyro gyr gyroscope omega dot punkt drehrate geschwindigkeitsrate "
         "角速度"
     ),
     "angular": "angular",
@@ -106,6 +106,7 @@ _AXES = ("x", "y", "z")
 def tokens_of(name: str) -> list[str]:
     """Return the words of a name in lower case; compounds of known words are parted, others stay whole."""
     folded = re.sub(r"[ÄÖÜ]", lambda m: {"Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}[m[0]], name).translate(_FOLD)
+    folded = re.sub(r"(?i)(?<![a-z])g[-_ ]force", "gforce", folded)
     folded = "".join(ch for ch in unicodedata.normalize("NFKD", folded) if not unicodedata.combining(ch))
     found: list[str] = []
     for piece in re.findall(r"[A-Za-z0-9]+|[\u4e00-\u9fff]+", folded):
@@ -180,9 +181,10 @@ def read_concepts(words: list[str]) -> tuple[str, int] | None:
     if not concepts or "other" in concepts:
         return None
     found = _motion(concepts) or _input(concepts)
-    if found is None and "x" in words and concepts <= {"long", "world"}:
+    # An x beside words that nobody knows is an axis of anything.
+    if found is None and not unknown and "x" in words and concepts <= {"long", "world"}:
         found = "X", 2
-    if found is None and "y" in words and concepts <= {"lat", "world"}:
+    if found is None and not unknown and "y" in words and concepts <= {"lat", "world"}:
         found = "Y", 2
     if found is None:
         return None
@@ -206,6 +208,8 @@ def _motion(c: set[str]) -> tuple[str, int] | None:
     if "acceleration" in c:
         if "angular" in c or "yaw" in c or "up" in c:
             return None
+        if c == {"acceleration"}:
+            return "ax", 1
         return ("ax", 3) if "long" in c else ("ay", 3) if c & {"lat", *_SIDES} else None
     if turning and c & {"rate", "velocity", "angular"}:
         return ("r", 3) if not c & {"long", "lat"} else None
@@ -242,6 +246,8 @@ def _input(c: set[str]) -> tuple[str, int] | None:
     if "pressure" in c:
         return ("brake_pressure", 3) if "brake" in c else None
     if "torque" in c:
+        if c <= {"torque", "engine"} and "engine" in c:
+            return "engine_torque", 3
         if c & {"steer", "handwheel", "engine", "yaw"}:
             return None  # the driver's hand, or before the gearbox
         if "brake" in c and "drive" not in c:
@@ -249,7 +255,7 @@ def _input(c: set[str]) -> tuple[str, int] | None:
         if corner is not None:
             return "wheel_torque", 3
         return "T", 3 if c & {"wheel", "drive"} else 2
-    if c & {"rate", "velocity", "acceleration"}:
+    if c & {"rate", "velocity", "acceleration", "slip"}:
         return None
     if "handwheel" in c:
         return "steering_wheel_angle", 3

@@ -21,13 +21,12 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
-from split_cli.logs.readers.dialect import Dialect, Sniffed, sniff, unwrapped
+from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, sniff, unwrapped
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
 __all__ = ["open_delimited"]
 
-_EMPTY = ["", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--"]
 _TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 _BLOCK_BYTES = 4 << 20
 
@@ -97,7 +96,7 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
 
 def _is_text(sniffed: Sniffed, index: int) -> bool:
     cells = [row[index].strip() for row in sniffed.rows if index < len(row)]
-    cells = [cell for cell in cells if cell not in _EMPTY]
+    cells = [cell for cell in cells if cell not in EMPTY_CELLS]
     numeric = sum(np.isfinite(_number(cell, sniffed.dialect.decimal)) for cell in cells)
     return bool(cells) and 2 * numeric < len(cells)
 
@@ -115,6 +114,10 @@ def _number(cell: str, decimal: str) -> float:
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+)?)(?:\s*([AaPp])\.?[Mm]\.?)?$")
 _MONTH = re.compile(r"(\d{1,2})([-/. ])([A-Za-z]{3})[a-z]*\2(\d{2,4})")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_OF_A_PROGRAM = re.compile(
+    r"[A-Z][a-z]{2} ([A-Z][a-z]{2}) +(\d{1,2}) (\d{1,2}:\d{2}:\d{2}(?:\.\d+)?) "
+    r"(?:[A-Z]{1,5})?(?:([+-])(\d{2}):?(\d{2}))? ?(\d{4})$"
+)
 _DATE = re.compile(r"(\d{1,4})([./-])(\d{1,2})\2(\d{1,4})[ T]+(.+)$")
 
 
@@ -122,7 +125,8 @@ def _seconds(cell: str) -> float:
     """Return a time written in words as seconds, else NaN.
 
     ISO 8601 counts from 1970, in UTC where it names no zone. A date in another order does so too; its day comes
-    first where both readings are possible; its month may be a name (``14-Mar-2026``). A clock without a date
+    first where both readings are possible; its month may be a name (``14-Mar-2026``), or it is written as programs
+    print it (``Wed Feb 23 06:51:06 GMT+08:00 2022``). A clock without a date
     (``10:15:03.25``, ``1:03.25``, ``10:15:03 PM``) counts from 0.
     """
     from datetime import UTC, datetime
@@ -136,6 +140,11 @@ def _seconds(cell: str) -> float:
         return 3600.0 * hour + 60.0 * float(minutes) + float(seconds.replace(",", "."))
     if len(cell) < 14:
         return float("nan")
+    spoken = _OF_A_PROGRAM.match(cell)
+    if spoken and spoken[1].lower() in _MONTHS:
+        month, day, clock_of_day, sign, hours, minutes, year = spoken.groups()
+        zone = f"{sign}{hours}:{minutes}" if sign else "+00:00"
+        cell = f"{year}-{_MONTHS.index(month.lower()) + 1:02}-{int(day):02}T{clock_of_day.zfill(8)}{zone}"
     named = _MONTH.match(cell)
     if named and named[3].lower() in _MONTHS:
         cell = f"{named[1]}/{_MONTHS.index(named[3].lower()) + 1}/{named[4]}{cell[named.end() :]}"
@@ -215,7 +224,7 @@ def _read_blocks(
             convert_options=arrow_csv.ConvertOptions(
                 column_types=dict.fromkeys(names, kind),
                 include_columns=[str(index) for index in indices],
-                null_values=_EMPTY,
+                null_values=list(EMPTY_CELLS),
                 strings_can_be_null=True,
                 decimal_point=dialect.decimal,
                 check_utf8=False,
@@ -262,7 +271,7 @@ def _numbers(texts: Any, decimal: str) -> tuple[np.ndarray, int]:
         cells = text.to_pylist()
         values = np.array([np.nan if cell is None else _number(cell, decimal) for cell in cells])
         missing = np.flatnonzero(np.isnan(values))
-        return values, sum(cells[row] is not None and cells[row] not in _EMPTY for row in missing)
+        return values, sum(cells[row] is not None and cells[row] not in EMPTY_CELLS for row in missing)
 
 
 def _unreadable(path: Path, error: Exception) -> LogError:

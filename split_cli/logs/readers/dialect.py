@@ -13,17 +13,20 @@ from pathlib import Path
 from split_cli.errors import LogError
 from split_cli.signals import find_unit
 
-__all__ = ["KNOWN_FORMATS", "Dialect", "Sniffed", "sniff", "unwrapped"]
+__all__ = ["EMPTY_CELLS", "KNOWN_FORMATS", "Dialect", "Sniffed", "sniff", "unwrapped"]
 
 KNOWN_FORMATS = (
     "Known are MCAP, rosbag2, ROS 1 bag, CSV, VBO, Parquet, Feather, MAT, MF4, "
     "and with --dbc also BLF, ASC, TRC and candump."
 )
+EMPTY_CELLS = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--")
+"""What loggers write where they measured nothing."""
 _SAMPLE_BYTES = 1 << 18
 _SEPARATORS = (",", ";", "\t", "|")
 _BLANKS = " "
 _CHECKED_ROWS = 200
 _CONFIRMING_ROWS = 3
+_ROWS_BELOW = 20
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF16_LE, "utf-16-le"),
@@ -204,7 +207,9 @@ def _is_number(cell: str, decimal: str) -> bool:
 
 
 def _holds_values(row: list[str], decimal: str) -> bool:
-    filled = [cell.strip() for cell in row if cell.strip()]
+    # Where nothing was measured a cell is no text; one that says nan stands for a number.
+    filled = [cell.strip() for cell in row]
+    filled = [cell for cell in filled if cell.lower() == "nan" or cell not in EMPTY_CELLS]
     numbers = sum(_is_number(cell, decimal) or cell.lower() in ("nan", "inf", "-inf") for cell in filled)
     return numbers > 0 and 2 * numbers >= len(filled)
 
@@ -220,9 +225,23 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
             continue
         following = [later for later in rows[index + 1 :] if any(later)][:_CONFIRMING_ROWS]
         good = sum(len(later) == width and _holds_values(later, decimal) for later in following)
-        if 2 * good >= len(following):
+        if 2 * good >= len(following) and not _words_among_numbers(row, rows[index + 1 :], decimal):
             return index
     return None
+
+
+def _words_among_numbers(row: list[str], later: list[list[str]], decimal: str) -> bool:
+    """Whether a row holds a word where all rows below it hold numbers: it names a session, beside its number."""
+    below = [r for r in later[:_ROWS_BELOW] if len(r) == len(row) and _holds_values(r, decimal)]
+    if len(below) < _CONFIRMING_ROWS:
+        return False
+    for place, cell in enumerate(row):
+        word = cell.strip()
+        if word in EMPTY_CELLS or _is_number(word, decimal) or word.lower() in ("nan", "inf", "-inf"):
+            continue
+        if all(_is_number(r[place], decimal) for r in below):
+            return True
+    return False
 
 
 def _numbers_the_columns(row: list[str], following: list[list[str]]) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
@@ -19,6 +20,8 @@ from split_cli.logs.readers.probe import probe
 from split_cli.signals import find_unit
 
 __all__ = ["list_samples", "open_mf4"]
+
+_BUS_EVENT = re.compile(r"(CAN|LIN|FLX|ETH|MOST|K_LINE)_\w*(Frame|Error|Event|Symbol|PDU)\b")
 
 
 def list_samples(path: Path) -> None:
@@ -72,8 +75,9 @@ def open_mf4(path: Path, databases: Sequence[Path] = ()) -> RawRecording:
     if not places:
         what = "holds no frame of a message that the database defines" if databases else "holds no channel"
         raise LogError(what, where=path.name, advice="Is it the file, and the DBC, of this drive?")
-    frames = [n for n in places if n.startswith(("CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame"))]
-    if frames and not databases and 2 * len(frames) >= len(places):
+    # By the bus-logging standard frames and events of a bus are groups of these names.
+    frames = [n for n in places if _BUS_EVENT.match(n)]
+    if any(n.startswith("CAN_") for n in frames) and not databases and 2 * len(frames) >= len(places):
         raise LogError(
             "holds CAN frames: what they mean stands in a DBC file",
             where=path.name,

@@ -1,0 +1,126 @@
+"""The clock of a drafted map: the column that counts time, the steps between rows, or the rate that yaw tells."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from split_cli.logs.assembling.gather import row_rate_from_yaw
+from split_cli.logs.drafting.draft import quoted
+from split_cli.logs.drafting.naming import spelled_without_unit, stated_unit, words_of
+from split_cli.logs.drafting.trial import TrialCandidate
+from split_cli.logs.raw import (
+    RawChannelInfo,
+    RawRecording,
+    RawSignal,
+    counts_rows,
+    seconds_and_nanoseconds,
+    time_column,
+    unit_of_time,
+)
+from split_cli.signals import find_unit
+
+__all__ = ["clock_of_rows"]
+
+_EVEN = 0.02
+"""Of the step from row to row, which 99 of 100 keep where one period describes them [1]."""
+
+
+def clock_of_rows(
+    recording: RawRecording,
+    infos: Sequence[RawChannelInfo],
+    signals: Mapping[str, RawSignal],
+    candidates: Sequence[TrialCandidate],
+    row_rate: float | None,
+) -> tuple[np.ndarray | None, str, bool]:
+    """Return the clock of a table's rows [s], the map's line for it, and whether it is known."""
+    bare = [s for s in signals.values() if s.time is None]
+    if recording.clocks:
+        return None, "# time: that of the messages", True
+    if hasattr(recording, "paths"):
+        return None, "# time: that of each file", True
+    if signals and not bare:
+        return None, "# time: each signal has its own", True
+    needed = "# time: {period: SECONDS}   # no column of time: needed, or --row-rate HZ"
+    if not bare:
+        return None, needed, False
+    count = len(bare[0].values)
+    pair = seconds_and_nanoseconds(infos)
+    if pair is not None and row_rate is None:
+        whole, part = (recording.read([name])[name].values for name in pair)
+        line = f"time: {{source: {quoted(pair[0])}, nanoseconds: {quoted(pair[1])}}}"
+        return (whole - np.nanmin(whole)) + 1e-9 * part, line, True
+    found = time_column(infos)
+    timed = [i for i in infos if re.search("time|stamp", i.name, re.IGNORECASE) and not counts_rows(i.name)]
+    clocks = [found] if found is not None else timed
+    clocks = clocks or [i for i in infos if getattr(find_unit(stated_unit(i) or ""), "si", "") == "s"]
+    rising = [i for i in clocks if i.name in signals and _rises(signals[i.name].values)]
+    rising = rising or [i for i in timed if i.name in signals and _rises(signals[i.name].values)]
+    if not rising:
+        # Whatever it is called: what counts evenly since 1970 is a clock.
+        rising = [i for i in infos if i.name in signals and _counts_since_1970(signals[i.name].values)]
+    if rising and row_rate is None:
+        info = rising[0]
+        values = signals[info.name].values
+        unit = info.unit if find_unit(info.unit or "") and find_unit(info.unit).si == "s" else stated_unit(info)
+        unit = unit if unit in ("s", "ms", "us", "ns", "min") else unit_of_time(values)
+        others = [i.name for i in rising[1:]]
+        also = f"   # also rises: {', '.join(others)}" if others else ""
+        line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
+        return (values - np.nanmin(values)) * find_unit(unit).factor, line, True
+    if row_rate is None:
+        row_rate = _rate_told_by_yaw(candidates, signals)
+        if row_rate is None:
+            return _from_steps(infos, recording) or (np.arange(count) * 0.01, needed, False)
+        why = "no column of time; yaw turns as yaw rate says so"
+        line = f"time: {{period: {1.0 / row_rate:.4g}}}   # CHECK: {why}"
+        return np.arange(count) / row_rate, line, True
+    return np.arange(count) / row_rate, f"time: {{period: {1.0 / row_rate:.6g}}}   # as given", True
+
+
+def _from_steps(infos: Sequence[RawChannelInfo], recording: RawRecording) -> tuple[np.ndarray, str, bool] | None:
+    """Return time and line of a table whose only column of time holds the steps between its rows; None if none."""
+    for info in infos:
+        if info.type_name == "text" or not {"dt", "delta_t", "deltat", "timestep", "time_step"} & {
+            "_".join(words_of(info.name)), spelled_without_unit(info).lower()}:  # fmt: skip
+            continue
+        steps = recording.read([info.name])[info.name].values
+        steps = np.where(np.isfinite(steps), steps, np.nanmedian(steps))
+        unit = stated_unit(info) if getattr(find_unit(stated_unit(info) or ""), "si", "") == "s" else None
+        unit = unit or unit_of_time(np.cumsum(steps))
+        step = float(np.median(steps)) * find_unit(unit).factor
+        if not (steps > 0.0).all() or step <= 0.0:
+            continue
+        even = float(np.quantile(np.abs(steps / np.median(steps) - 1.0), 0.99)) < _EVEN
+        told = f"time: {{period: {step:.6g}}}   # CHECK: {info.name} holds the steps between rows, all alike"
+        uneven = (
+            f"# time: needed: {info.name} holds steps of unlike size between rows; add a column with their sum"
+        )
+        return np.cumsum(steps) * find_unit(unit).factor, told if even else uneven, even
+    return None
+
+
+def _rises(values: np.ndarray) -> bool:
+    step = np.diff(values[np.isfinite(values)])
+    return len(step) > 10 and np.mean(step > 0) > 0.95
+
+
+def _counts_since_1970(values: np.ndarray) -> bool:
+    """Whether values rise evenly between the years 2001 and 2100, in s, ms, us or ns."""
+    if not _rises(values):
+        return False
+    first = float(values[np.isfinite(values)][0])
+    return any(1e9 <= first * unit <= 4.1e9 for unit in (1.0, 1e-3, 1e-6, 1e-9))
+
+
+def _rate_told_by_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
+    for yaw in (c for c in candidates if c.channel == "yaw" and c.sources[0] in signals):
+        for rate in (c for c in candidates if c.channel == "r" and c.sources[0] in signals):
+            units = [find_unit(c.unit).factor if c.unit else 1.0 for c in (yaw, rate)]
+            pair = [signals[c.sources[0]].values * u for c, u in zip((yaw, rate), units, strict=True)]
+            found = row_rate_from_yaw(*pair)
+            if found:
+                return found
+    return None

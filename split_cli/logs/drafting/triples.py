@@ -1,0 +1,140 @@
+"""Vectors recorded as three columns whose axes are not the car's: a sensor on its side, a game with y up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from split_cli.logs.drafting.trial import TrialCandidate
+from split_cli.logs.raw import RawChannelInfo, RawSignal
+
+__all__ = ["along_the_car", "names_of_triples"]
+
+_CLEARLY = 3.0
+"""How many times more one axis must turn or move than the one that the names say [1]."""
+_SECONDS = 5.0
+"""Over which a car that rolls and pitches comes back, and one that yaws does not [s]."""
+_KINDS = {"r": "rate", "vx": "velocity", "vy": "velocity", "ax": "acceleration", "ay": "acceleration",
+          "X": "position", "Y": "position"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Axes:
+    """Which of x, y, z (0, 1, 2) are up and forward, and what says so; `forward` is None where nothing tells."""
+
+    up: int
+    forward: int | None
+    why: str
+
+    @property
+    def level(self) -> tuple[int, int]:
+        """The two axes that are not up."""
+        first, second = (k for k in range(3) if k != self.up)
+        return first, second
+
+
+def names_of_triples(infos: Sequence[RawChannelInfo]) -> tuple[tuple[str, str, str], ...]:
+    """Return names that differ by x, y and z at one place only, as ``AccelX``, ``AccelY``, ``AccelZ``."""
+    names = {info.name for info in infos if info.type_name != "text"}
+    found = []
+    for name in sorted(names):
+        for place in reversed([k for k, letter in enumerate(name) if letter in "xX"]):
+            axes = "xyz" if name[place] == "x" else "XYZ"
+            three = tuple(name[:place] + axis + name[place + 1 :] for axis in axes)
+            if names.issuperset(three):
+                found.append((three[0], three[1], three[2]))
+                break
+    return tuple(found)
+
+
+def along_the_car(
+    candidates: Sequence[TrialCandidate],
+    triples: Sequence[tuple[str, str, str]],
+    signals: Mapping[str, RawSignal],
+    time: np.ndarray | None,
+) -> list[TrialCandidate]:
+    """Return the candidates with elements of vectors exchanged where the data show other axes than the names.
+
+    A car turns about its vertical axis and travels along another one. Where the axis called z turns far less than
+    another, or is the one of travel, z is not up: yaw rate, velocities, accelerations and positions are then taken
+    from the axes that the data show. Names of world axes are left alone, since there z is up.
+    """
+    kinds = {
+        _KINDS[c.channel]: three for three in triples for c in candidates if c.sources in {(n,) for n in three}
+        if c.channel in _KINDS
+    }  # fmt: skip
+    axes = _axes(kinds, signals, time)
+    if axes is None:
+        return list(candidates)
+    place = {name: (three, k) for three in triples for k, name in enumerate(three)}
+    made: list[TrialCandidate] = []
+    for c in candidates:
+        if c.channel not in _KINDS or len(c.sources) != 1 or c.sources[0] not in place:
+            made.append(c)
+            continue
+        three, _ = place[c.sources[0]]
+        for k in _wanted(c.channel, axes):
+            made.append(replace(c, sources=(three[k],), note=axes.why))
+    return made
+
+
+def _wanted(channel: str, axes: _Axes) -> tuple[int, ...]:
+    """Return the axes that may hold a channel, the likelier first."""
+    first, second = axes.level
+    if channel == "r":
+        return (axes.up,)
+    if channel in ("X", "Y"):
+        return (first,) if channel == "X" else (second,)
+    if axes.forward is None:
+        return (first, second) if channel in ("vx", "ax") else (second, first)
+    across = second if axes.forward == first else first
+    return (axes.forward,) if channel in ("vx", "ax") else (across,)
+
+
+def _axes(
+    kinds: Mapping[str, tuple[str, str, str]], signals: Mapping[str, RawSignal], time: np.ndarray | None
+) -> _Axes | None:
+    """Return the axes that turning and travel show; None where they are as named."""
+
+    def sizes(kind: str, without_bias: bool = False) -> np.ndarray | None:
+        three = kinds.get(kind, ())
+        if not three or any(name not in signals for name in three):
+            return None
+        return np.array([_lasting(signals[name], time, without_bias) for name in three])
+
+    turning, travel = sizes("rate", without_bias=True), sizes("velocity")
+    forward = None
+    if travel is not None and int(np.argmax(travel)) == 2 and travel[2] > _CLEARLY * max(travel[:2]):
+        forward = 2
+    if turning is not None:
+        up = int(np.argmax(turning))
+        others = np.delete(turning, up)
+        if up != 2 and turning[up] > _CLEARLY * others.max():
+            name, z = kinds["rate"][up], kinds["rate"][2]
+            why = f"{name} turns {turning[up] / max(turning[2], 1e-12):.3g} times as much as {z}: z is not up"
+            return _Axes(up, forward if forward != up else None, why)
+    if forward == 2 and travel is not None:
+        name = kinds["velocity"][2]
+        return _Axes(1, 2, f"the car travels along {name}: z is not up")
+    return None
+
+
+def _lasting(signal: RawSignal, time: np.ndarray | None, without_bias: bool) -> float:
+    """Return the rms of a signal's means over some seconds: what lasts, not what swings back.
+
+    A gyroscope at rest may read a degree per second, more than a car on a straight turns: its median is taken off.
+    """
+    stamps = time if signal.time is None else signal.time
+    values = signal.values
+    if stamps is None or len(stamps) != len(values):
+        return 0.0
+    good = np.isfinite(values) & np.isfinite(stamps)
+    if np.count_nonzero(good) < 20:
+        return 0.0
+    step = float(np.median(np.diff(stamps[good])))
+    rows = int(np.clip(_SECONDS / max(step, 1e-9), 1, np.count_nonzero(good)))
+    means = uniform_filter1d(values[good], rows)
+    return float(np.sqrt(np.mean((means - np.median(means) if without_bias else means) ** 2)))
