@@ -216,6 +216,25 @@ def test_a_bus_recording_of_can_beside_lin_asks_for_its_database(tmp_path):
         open_recording(path)
 
 
+@pytest.mark.parametrize(
+    ("factor", "unit"),
+    [(1.0, "m/s"), (3.6, "km/h"), (1.0 / 0.31, "rad/s"), (30.0 / np.pi / 0.31, "rpm"), (0.5 / np.pi / 0.31, None)],
+)
+def test_four_wheels_without_a_unit_do_not_outvote_a_stated_speed(factor, unit, planted, tmp_path):
+    """In turns per second four wheels agree with each other against speed and path."""
+    t = np.arange(0.0, 60.0, 0.02)
+    columns = {"t_s": t, "v_mps": planted.at("vx", t), "x_m": planted.at("X", t), "y_m": planted.at("Y", t)}
+    columns |= {f"wheel_{corner}": factor * planted.at("vx", t) for corner in ("fl", "fr", "rl", "rr")}
+    draft = drafted_table(columns, tmp_path)
+    assert draft.of("vx").status == "judged" and draft.of("X").status == "judged"
+    for corner in ("fl", "fr", "rl", "rr"):
+        found = draft.of(f"wheel_speed_{corner}")
+        if unit is None:
+            assert found.status == "open" and "0.31 m radius" in found.reason
+        else:
+            assert found.unit == unit and found.status == ("judged" if unit in ("m/s", "km/h") else "assumed")
+
+
 def test_a_column_of_steps_gives_the_period(planted, tmp_path):
     rng = np.random.default_rng(8)
     t = np.arange(0.0, 60.0, 0.02)

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION
-from split_cli.logs.checking.consistency import Consistency
 from split_cli.logs.checking.kinematics import Kinematics, Slope, fit_slope
 from split_cli.logs.drafting.draft import Suggestion
 
@@ -24,6 +23,11 @@ _TILTED = 2.5
 """At rest on level ground a sensor along the car reads 0, on a slope of 1 in 4 a quarter of gravity [m/s^2]."""
 _RADII = 0.02, 0.9
 """Of wheels, from models to lorries [m]."""
+_LEAST_OF_A_CAR_WHEEL = 0.15
+"""Radius of the smallest wheel that a person drives at 12 m/s and more [m]."""
+_ROLLING = {"m/s": 1.0, "km/h": 3.6, "mph": 2.237, "kn": 1.944}
+_ALIKE = 0.05
+"""Of a wheel's speed, by which it differs from v_x with slip and a tyre that wears [1]."""
 _MOST_SHARE, _MOST_PERCENT = 1.2, 120.0
 """Of a pedal's travel, sensors that overshoot included: as a share of 1, and in per cent."""
 
@@ -65,13 +69,32 @@ def read_pedal(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) ->
     return replace(s, unit="%", reason=f"unit not stated; it reaches {largest:.3g}, so per cent")
 
 
-def read_wheel(s: Suggestion, verdict: Consistency) -> Suggestion:
-    """Tell a wheel that turns from one that rolls: over v_x, rad/s is one over a radius that wheels have."""
-    found = next((r.slope.slope for r in verdict.relations if s.channel in r.powers), 0.0)
-    if s.status != "open" or s.unit is not None or not 1.0 / _RADII[1] < found < 1.0 / _RADII[0]:
+def read_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
+    """Tell the unit of a wheel speed by v_x: what rolls is as fast, what turns has a radius that wheels have."""
+    if s.status != "assumed" or not {s.channel, "vx"} <= set(columns):
         return s
-    told = f"unit not stated; in rad/s it is a wheel of {1.0 / found:.3g} m radius"
-    return replace(s, unit="rad/s", status="assumed", reason=told)
+    k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
+    found = fit_slope(k.signal(s.channel), k.signal("vx"), k.moving)
+    if found is None or found.correlation < LEAST_CORRELATION:
+        return s
+    slope, told = found.slope, f"{s.channel} against v_x {found.slope:.3g}"
+    for unit, factor in _ROLLING.items():
+        if abs(slope / factor - 1.0) < _ALIKE:
+            return replace(s, unit=unit, status="judged", reason=f"{told}, unit not stated")
+    is_large = float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0
+    turning = {unit: factor / slope for unit, factor in (("rad/s", 1.0), ("rpm", 30.0 / np.pi))}
+    least = _LEAST_OF_A_CAR_WHEEL if is_large else _RADII[0]
+    for unit, radius in turning.items():
+        if least < radius < _RADII[1]:
+            told = f"unit not stated; in {unit} it is a wheel of {radius:.3g} m radius"
+            return replace(s, unit=unit, status="assumed", reason=told)
+    radius = 0.5 / np.pi / slope
+    if least < radius < _RADII[1]:
+        told = (
+            f"unit not stated; in turns per second, `unit: rad/s, scale: 6.2832`, it is a wheel of {radius:.3g} m"
+        )
+        return replace(s, status="open", reason=f"{told} radius")
+    return replace(s, status="open", reason=f"{told}: neither a speed nor the turning of a wheel")
 
 
 def read_acceleration(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:

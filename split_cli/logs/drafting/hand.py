@@ -12,8 +12,10 @@ from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.raw import RawSignal
 
-__all__ = ["HANDED", "certain_of", "is_heading", "path_is_certain", "what_tells_left", "without_a_side"]
+__all__ = ["HANDED", "NOT_UP", "certain_of", "is_heading", "path_is_certain", "what_tells_left", "without_a_side"]
 
+NOT_UP = "z is not up"
+"""Said of channels that were taken from another axis than the names say."""
 HANDED = ("r", "vy", "ay", "yaw", "delta", "steering_wheel_angle", "sideslip")
 """Channels whose sign says left or right."""
 
@@ -69,6 +71,10 @@ def what_tells_left(chosen: Mapping[str, Suggestion]) -> str:
 def without_a_side(s: Suggestion) -> Suggestion:
     """Return a suggestion that was judged as one whose side was not, where nothing recorded tells left from right.
 
-    A recording that is mirrored as a whole agrees with itself: relations between its channels see sizes only.
+    A recording that is mirrored as a whole agrees with itself: relations between its channels see sizes only. Of
+    axes that are not as named, the one across points left or right, and what nothing supports of it is left open.
     """
+    if s.channel in HANDED and NOT_UP in s.reason and s.status in ("assumed", "stated"):
+        told = f"{s.reason.split(';')[0]}; with `scale: -1` if positive is to the right"
+        return replace(s, status="open", reason=told)
     return replace(s, status="unsided") if s.status == "judged" and s.channel in (*HANDED, "X", "Y") else s

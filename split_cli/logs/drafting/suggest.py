@@ -110,7 +110,9 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
              "ax": read_acceleration, "ay": read_acceleration}  # fmt: skip
     suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
     suggestions = without_the_tilted(suggestions)
-    suggestions = [read_wheel(s, consistency) if s.channel.startswith("wheel_speed") else s for s in suggestions]
+    suggestions = [
+        read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions
+    ]
     suggestions += [replace(s, status="open", reason=hand) if hand and s.status != "open" else s for s in steering]
     taken = {name for s in suggestions for name in s.sources}
     known = {s.channel for s in suggestions}

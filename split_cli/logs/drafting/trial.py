@@ -226,7 +226,11 @@ class Trial:
         unit_of = {c: find_unit(s.unit).si for c, s in chosen.items() if s.unit and find_unit(s.unit)}
         radius = self.vehicle.wheel_radius if self.vehicle is not None else None
         used = {c: columns[c] for c in (*_JUDGED, "T") if c in columns}
+        # What turns or rolls in a unit that nobody states is no judge of v_x where something else is.
+        judged_otherwise = {"X", "Y"} <= set(used) or "ax" in used
         for channel, values in wheels.items():
+            if channel not in unit_of and judged_otherwise:
+                continue
             if unit_of.get(channel) == "rad/s":
                 if radius is None:
                     continue

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from split_cli.logs.drafting.hand import NOT_UP
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawChannelInfo, RawSignal
 
@@ -114,11 +115,11 @@ def _axes(
         others = np.delete(turning, up)
         if up != 2 and turning[up] > _CLEARLY * others.max():
             name, z = kinds["rate"][up], kinds["rate"][2]
-            why = f"{name} turns {turning[up] / max(turning[2], 1e-12):.3g} times as much as {z}: z is not up"
+            why = f"{name} turns {turning[up] / max(turning[2], 1e-12):.3g} times as much as {z}: {NOT_UP}"
             return _Axes(up, forward if forward != up else None, why)
     if forward == 2 and travel is not None:
         name = kinds["velocity"][2]
-        return _Axes(1, 2, f"the car travels along {name}: z is not up")
+        return _Axes(1, 2, f"the car travels along {name}: {NOT_UP}")
     return None
 
 
