@@ -418,7 +418,7 @@ def compare_mapped(draft, recording, planted: PlantedDrive, style: Style) -> Non
         ("Gaspedalstellung", "throttle"),
         ("vel_x_world", None),
         ("YawRateStdDev", None),
-        ("engine torque", None),
+        ("engine torque", "engine_torque"),
         ("steering torque", None),
         ("roll rate", None),
         ("pose.orientation.w", None),
