@@ -13,6 +13,7 @@ from split_cli.diagnosis.statement.result import (
     Location,
     ParameterEstimate,
     Place,
+    RemainderTest,
 )
 from split_cli.diagnosis.statement.sentences import sentence_for, separations, summarise
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separation
@@ -219,3 +220,13 @@ def test_terms_look_alike_whichever_of_them_declares_it():
     assert look_alike("steer_lag", "steer_delay") and look_alike("steer_delay", "steer_lag")
     assert look_alike("steer_backlash", "steer_delay") and look_alike("steer_delay", "steer_backlash")
     assert not look_alike("steer_lag", "aero_drag")
+
+
+@pytest.mark.parametrize(("explained", "unnamed", "rest"), [(0.09, 0.02, "89 %"), (0.6, 0.35, None)])
+def test_shares_that_do_not_add_up_are_told_with_what_is_left(explained, unnamed, rest):
+    """A drift explained to 9 % with 2 % unexplained: where the other 89 % belong has to be said."""
+    finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), explained, (), "", 1.0)
+    said = summarise("mismatch", (finding,), True, None, RemainderTest(1e-9, unnamed, 3.0, ()))
+    assert f"{unnamed:.0%} of the gap is explained by no effect".replace("%", " %") in said
+    assert ("scatter, or the model-form error" in said) == (rest is not None)
+    assert rest is None or f"remaining {rest} has no structure" in said

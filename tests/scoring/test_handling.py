@@ -72,6 +72,16 @@ class TestUndersteer:
         biased = understeer_of(replace(weaving, columns=columns), CAR)
         assert biased.gradient == pytest.approx(understeer_of(weaving, CAR).gradient, rel=0.02)
 
+    def test_a_car_that_slides_where_its_file_calls_it_gentle_has_no_gradient(self):
+        """On ice, at a third of the grip of the file: beyond the front tyres' peak steering changes nothing."""
+        front, rear = (replace(tire, D=0.33 * tire.D) for tire in (CAR.front_tire, CAR.rear_tire))
+        ice = replace(CAR, front_tire=front, rear_tire=replace(rear, B=3.0 * rear.B))
+        steer = 0.3 * np.minimum(PERIOD * np.arange(3000) / 20.0, 1.0)
+        slides = driven(ice, steer, np.full(3000, 15.0))
+        assert np.abs(slides["vx"] * slides["r"]).max() < 4.0
+        assert understeer_of(slides, CAR) is None
+        assert understeer_of(driven(CAR, 0.1 * steer, np.full(3000, 15.0)), CAR) is not None
+
     def test_a_straight_says_nothing(self):
         assert understeer_of(driven(CAR, np.zeros(1000), np.full(1000, 20.0)), CAR) is None
 

@@ -36,6 +36,7 @@ _KINDS = {
 }
 Parameters = Mapping[str, ParameterEstimate]
 _STATES = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))
+_WORTH_A_WORD = 0.2  # of the gap, that neither a finding nor the unexplained part accounts for
 _CLEARLY = 0.02  # share of the gap from which on it is said to go with a variable
 _STANDS_FOR = 0.4  # of what place explains, from which on another variable is named in its stead
 
@@ -164,7 +165,7 @@ def summarise(
     if location is not None:
         parts.append(_where(location))
     if unexplained and remainder is not None:
-        parts.append(_unnamed(remainder, bool(findings)))
+        parts.append(_unnamed(remainder, findings))
     if improvement is not None:
         parts.append(_help(improvement, "physics" if findings else "split_only"))
     if corrected is not None and not corrected.accepted:
@@ -259,9 +260,16 @@ def not_accepted(corrected: CorrectedVehicle) -> str:
     )
 
 
-def _unnamed(remainder: RemainderTest, named: bool) -> str:
-    share = f"{percent(remainder.share)} of the gap" if named else "The gap"
+def _unnamed(remainder: RemainderTest, findings: Sequence[Finding]) -> str:
+    share = f"{percent(remainder.share)} of the gap" if findings else "The gap"
     kind = remainder.by_group[0][0] if remainder.by_group else ""
     lead = f" It depends mostly on {_KINDS.get(kind, kind)}." if kind else ""
     formula = f" A candidate formula: {remainder.formula}." if remainder.formula else ""
-    return f"{share} is explained by no effect of the catalogue.{lead}{formula}"
+    # Shares of findings are of held-out time and may overlap; what is left of the whole belongs to nobody.
+    rest = 1.0 - remainder.share - sum(finding.gap_explained for finding in findings)
+    noted = (
+        f" The remaining {percent(rest)} has no structure: scatter, or the model-form error of what is named."
+        if findings and rest > _WORTH_A_WORD
+        else ""
+    )
+    return f"{share} is explained by no effect of the catalogue.{lead}{formula}{noted}"

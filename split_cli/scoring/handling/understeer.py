@@ -17,6 +17,7 @@ DEG_PER_G = float(np.degrees(9.80665))
 _LINEAR = 4.0  # [m/s^2]: ISO 4138 reads the gradient below 0.4 g, where tyres of road cars are linear
 _OF_GRIP = 0.4  # the same as a share of what the tyres give, for cars with less grip
 _MOST_BRAKING = 0.5  # of that limit: longitudinal force takes lateral stiffness
+_LINEAR_SLIP = 0.15  # [rad]: beyond it no tyre is linear, whatever grip the vehicle file claims; judgement
 _LEAST_SECONDS = 1.0
 _FEWEST = 12
 _LEAST_SPREAD = 0.1  # of that limit: rms of a_y below which a slope over it is noise
@@ -68,6 +69,9 @@ def nominal_understeer(vehicle: Vehicle) -> float:
 def understeer_of(drive: Drive, vehicle: Vehicle) -> Understeer | None:
     """Return the understeer gradient that a drive shows, None where it holds too little gentle cornering.
 
+    None as well where an end of the interval would need more slip in gentle cornering than any tyre is linear in.
+    The car then slides at what the vehicle file's grip calls gentle, or the drive leaves the slope open.
+
     Parameters
     ----------
     drive : Drive
@@ -104,6 +108,8 @@ def understeer_of(drive: Drive, vehicle: Vehicle) -> Understeer | None:
     block = np.floor(drive["t"][used] / _BLOCK)
     ones = np.ones(len(a_y))
     slope, interval = _regress(np.stack([a_y, ones, change], axis=1), difference, block)
+    if max(map(abs, interval)) * limit > _LINEAR_SLIP:
+        return None
     steer, ratios = _regress(np.stack([kinematic, a_y, ones, change], axis=1), steer_angle[used], block)
     steady = difference - slope[2] * change
     return Understeer(
