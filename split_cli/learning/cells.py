@@ -171,7 +171,7 @@ def extend(training_set: TrainingSet, labels: Iterable[Labels], *, batch: int | 
     for drive in labels:
         _check_belongs(training_set, drive)
         if len(sources) > np.iinfo(np.int16).max:
-            raise SetError(f"holds {len(sources)} drives already, a set can name no more")
+            raise SetError(f"holds {len(sources)} drives already, a set can list no more")
         sources.append(cells.offer(drive, len(sources), batch or max(len(drive), 1)))
     return cells.freeze(tuple(sources))
 

@@ -51,9 +51,9 @@ def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle) -> tuple[str, ..
         if found is not None:
             delay, error, correlation = found
             told.append(
-                f"{drive.name}: labels of {label} go with {rate} (correlation {-correlation:.2f}): the {what} "
-                f"seems to arrive {delay:.3f} s late (+- {error:.1g}), which features of the moment cannot tell. "
-                f"`split diagnose --real {drive.name} --vehicle VEHICLE --out DIR` settles it; the effect is "
+                f"{drive.name}: labels of {label} follow {rate} (correlation {-correlation:.2f}): the {what} "
+                f"seems to arrive {delay:.3f} s late (+- {error:.1g}). Features of one moment show no delay. "
+                f"Run `split diagnose --real {drive.name} --vehicle VEHICLE --out DIR`; its name for the delay is "
                 f"{term}"
             )
     return tuple(told)

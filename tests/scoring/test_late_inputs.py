@@ -34,7 +34,7 @@ def test_a_late_input_is_told_with_its_delay_and_the_command_that_settles_it(dri
     for run in drive.segments():
         early[run] = np.append(early[run][2:], np.repeat(early[run][-1], 2))
     said = told(replace(drive, columns={**drive.columns, channel: early}))
-    (line,) = [text for text in said if f"labels of {state} go with" in text]
+    (line,) = [text for text in said if f"labels of {state} follow" in text]
     delay = float(re.search(r"arrive ([0-9.]+) s late", line)[1])
     # Inputs are lines between knots 0.2 s apart, so that the rate of before and after a kink mix: a quarter.
     assert delay == pytest.approx(2 * drive.period, rel=0.25)

@@ -111,7 +111,7 @@ def test_training_puts_the_lag_into_the_set_and_says_so(trained):
         [folder / "late.parquet"], folder / "car.yaml", folder / "plain.split", TrainSettings(lag="none")
     )
     assert read_set(folder / "plain.split").found == ()
-    assert any("labels of v_x go with dT/dt" in note for note in plain.notes)
+    assert any("labels of v_x follow dT/dt" in note for note in plain.notes)
 
 
 def test_evaluate_compares_the_set_with_the_vehicle_file(trained):

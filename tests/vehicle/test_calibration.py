@@ -134,7 +134,7 @@ def test_torque_that_arrives_in_part_is_told(road_car, gentle_run):
     weaker = replace(gentle_run, T=gentle_run.T / 0.9)
     found = calibrate_vehicle([weaker], road_car, CalibrationSettings(parts=("drag", "rolling")))
     assert found.resistance.torque_gain[0] == pytest.approx(0.9, abs=0.01)
-    assert any("arrives as force" in remark for remark in found.remarks)
+    assert any("times T/r_e" in remark for remark in found.remarks)
 
 
 def test_a_drive_at_one_speed_leaves_drag_open(road_car, gentle_run):

@@ -228,7 +228,9 @@ def _kept_where_open(
                 )
             reasons.append(f"the {curve.axle} slope is {spread}{why}")
         elif curve.held_out.calibrated >= min(curve.held_out.start, curve.held_out.signal):
-            reasons.append(f"on held-out blocks the {curve.axle} curve is no better than the start or none")
+            reasons.append(
+                f"on held-out blocks the {curve.axle} curve is no better than the start file's, or than no force"
+            )
     if not reasons:
         return curves
     why = f"the start's tyres are kept on both axles: {' and '.join(reasons)}"

@@ -119,11 +119,13 @@ def fit_resistance(
     gain, gain_error = _torque_gain(design, against, drive, samples.block, both.parameters)
     if abs(gain - 1.0) > max(gain_error, 0.02):
         remarks.append(
-            f"per T/r_e {gain:.3f} +- {gain_error:.3f} arrives as force: check the wheel radius, the torque map, "
+            f"the force is {gain:.3f} +- {gain_error:.3f} times T/r_e: check the wheel radius, the torque map, "
             "and the inertia of turning wheels, which the nominal model leaves out"
         )
     if 0 in wanted and rolling <= 0.0:
-        remarks.append("rolling resistance came out at 0, its bound: suspect a grade, the mass or the torque map")
+        remarks.append(
+            "the fitted rolling resistance is 0, its lower bound: check for a grade, the mass and the torque map"
+        )
     speed = np.linspace(samples.vx.min(), samples.vx.max(), 101)
     rows = np.column_stack([np.ones_like(speed), speed**2])
     return Resistance(

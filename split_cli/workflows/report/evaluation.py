@@ -175,7 +175,7 @@ def _tables(run: EvaluationRun) -> str:
     if floor.rms is not None:
         rows.append(("noise floor", *(number(float(v)) for v in floor.rms), number(floor.norm), ""))
     heads = ("Rms error of one step", "v_x [m/s²]", "v_y [m/s²]", "r [rad/s²]", "norm", "skill")
-    words = "<p>Skill is 1 − MSE over the MSE of velocities held; 0 is no better than persistence.</p>"
+    words = "<p>Skill is 1 − MSE over that of persistence (velocities held); 0 is no better.</p>"
     return section("scores", "Scores", words + plain_table(heads, rows, "table-scores"))
 
 

@@ -292,7 +292,7 @@ def _fitting(labels: Labels, how: Labelling, counts_places: bool, where: str) ->
             advice=label_again,
         )
     if how.held:
-        raise SetError("holds labels: --held comes too late for them", where=where, advice=label_again)
+        raise SetError("holds labels; --held cannot change them", where=where, advice=label_again)
     if counts_places:
         raise SetError(
             "holds labels, but the vehicle file has effects at track positions, which need the drives",

@@ -204,7 +204,7 @@ def trust_notes(trust: Trust) -> list[str]:
     if trust.origin == "unjudged":
         return [
             "the drives are too short to judge the correction on held-out blocks, so none of it is applied; "
-            "record more driving, or say --trust full"
+            "record more driving, or pass --trust full"
         ]
     left_out = [n for n, share in zip(("v_x", "v_y", "r"), trust.share, strict=True) if share == 0.0]
     if not left_out:
