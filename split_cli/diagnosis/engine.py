@@ -285,7 +285,8 @@ def _for_a_while(found: _Comparison, named: bool, policy: Policy) -> list[str]:
     one = found.outcome.selection.partly
     if named or one is None or _WAYS * one.p_value >= policy.comparison.level:
         return []
-    return [acting_in_a_part(one.part.term, one.begin, one.end)]
+    several = len(found.outcome.structure.objective.evidence) > 1
+    return [acting_in_a_part(one.part.term, one.begin, one.end, one.recording + 1 if several else None)]
 
 
 def _held_out(case: DiagnosisCase, split: HeldOut) -> list[tuple[Evidence, np.ndarray]]:

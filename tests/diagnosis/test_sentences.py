@@ -15,7 +15,7 @@ from split_cli.diagnosis.statement.result import (
     Place,
     RemainderTest,
 )
-from split_cli.diagnosis.statement.sentences import sentence_for, separations, summarise
+from split_cli.diagnosis.statement.sentences import acting_in_a_part, sentence_for, separations, summarise
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separation
 from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.vehicle.effects import CATALOGUE
@@ -230,3 +230,18 @@ def test_shares_that_do_not_add_up_are_told_with_what_is_left(explained, unnamed
     assert f"{unnamed:.0%} of the gap is explained by no effect".replace("%", " %") in said
     assert ("scatter, or the model-form error" in said) == (rest is not None)
     assert rest is None or f"remaining {rest} has no structure" in said
+
+
+@pytest.mark.parametrize(("term", "variant"), VARIANTS)
+def test_what_acts_in_a_part_is_told_with_when_and_how_much(term, variant):
+    """Parameters without an effect are left out, a share has no unit, and one drive needs no number."""
+    kind = CATALOGUE[term]
+    units = kind.parameter_units(variant)
+    first, *others = units
+    values = {first: 0.85, **{name: kind.neutral.get(name, 2.0) for name in others}}
+    told = acting_in_a_part(kind(values, variant), 24.9, 55.9)
+    assert told.startswith("Between 24.9 and 55.9 s it looks like") and f"({term})" in told
+    assert f"{first} = 0.85" in told and "not all along the drive" in told
+    assert (f"0.850 {units[first]}" in told) == (units[first] != "1")
+    assert not any(f"{name} = " in told for name in others if name in kind.neutral)
+    assert "55.9 s of real drive 2 it" in acting_in_a_part(kind(values, variant), 24.9, 55.9, 2)

@@ -34,13 +34,16 @@ class ActingPart:
     ----------
     part : Part
         A term with its parameters there.
+    recording : int
+        Which of the real recordings it begins in.
     begin, end : float
-        In the recording's time from its start [s].
+        In that recording's time [s].
     p_value : float
         Of an effect no larger than what is allowed, after counting all parts and terms that were asked.
     """
 
     part: Part
+    recording: int
     begin: float
     end: float
     p_value: float
@@ -190,8 +193,9 @@ def _stretch(
         objective.policy.allowances.term_floor * objective.shared_cost, objective.part_floors.get(one.effect, 0.0)
     )
     p_value = minimum_effect_p(float(parts.saved[w, column]), 1.0, size, widened, floor, allowance=1.0)
-    begin, end = _times(objective, inside)
-    return ActingPart(Part(one, values), begin, end, p_value)
+    recording = next(k for k, rows in enumerate(inside) if rows.any())
+    t = objective.evidence[recording].series.drive["t"][objective.evidence[recording].at[inside[recording]]]
+    return ActingPart(Part(one, values), recording, float(t[0]), float(t[-1]), p_value)
 
 
 def _at(one: Candidate, values: Mapping[str, float], name: str, steps: float) -> dict[str, float]:
@@ -215,12 +219,3 @@ def _rows_of(objective: MarginalLikelihood, first: int, last: int) -> list[np.nd
         inside[mask] = (own >= first) & (own <= last)
         out.append(inside)
     return out
-
-
-def _times(objective: MarginalLikelihood, inside: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Return from when to when rows lie, in the first recording that has any [s]."""
-    for one, rows in zip(objective.evidence, inside, strict=True):
-        if rows.any():
-            t = one.series.drive["t"][one.at[rows]]
-            return float(t[0]), float(t[-1])
-    return 0.0, 0.0

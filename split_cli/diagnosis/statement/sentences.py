@@ -114,16 +114,20 @@ def separations(term: str, variant: str, alternatives: Sequence[str]) -> tuple[s
     return tuple(separation(term, variant, alternative).words for alternative in alternatives)
 
 
-def acting_in_a_part(term: Term, begin: float, end: float) -> str:
-    """Return what a term would explain from `begin` to `end` [s] and not all along the drive."""
+def acting_in_a_part(term: Term, begin: float, end: float, number_of_drive: int | None = None) -> str:
+    """Return what a term would explain from `begin` to `end` [s] and not all along the drive.
+
+    `number_of_drive` tells which of several real drives, from 1.
+    """
+    where = f" of real drive {number_of_drive}" if number_of_drive else ""
     units, neutral = term.parameter_units(term.variant), type(term).neutral
     own = {name: value for name, value in term.parameters.items() if value != neutral.get(name)}
     sizes = ", ".join(
         f"{name} = {number(value, 3)} {units[name]}".removesuffix(" 1") for name, value in own.items()
     )
     return (
-        f"Between {number(begin)} and {number(end)} s it looks like {term_with_id(term.id)} with {sizes}, but not "
-        "all along the drive."
+        f"Between {number(begin)} and {number(end)} s{where} it looks like {term_with_id(term.id)} with {sizes}, "
+        "but not all along the drive."
     )
 
 
