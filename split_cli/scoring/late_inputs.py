@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.learning.labels import Labels
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = ["late_inputs", "torque_delay"]
@@ -28,7 +28,9 @@ _INPUTS = (
 )
 
 
-def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle) -> tuple[str, ...]:
+def late_inputs(
+    drive: Drive, labels: Labels, vehicle: Vehicle, found: Sequence[EffectSpec] = ()
+) -> tuple[str, ...]:
     """Return what the labels say of late inputs, in words; empty where they say nothing beyond chance.
 
     Parameters
@@ -37,6 +39,8 @@ def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle) -> tuple[str, ..
     labels : Labels
         Of that drive.
     vehicle : Vehicle
+    found : sequence of EffectSpec, optional
+        What a trained set models beyond the vehicle file: nothing is left to settle there.
 
     Notes
     -----
@@ -47,9 +51,11 @@ def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle) -> tuple[str, ..
     used = labels if labels.accepted.all() else labels.take(labels.accepted)
     told = []
     for name, output, label, rate, what, term in _INPUTS:
-        found = _late(_missing(drive, used, vehicle, name, output), used.y[:, output])
-        if found is not None:
-            delay, error, correlation = found
+        if any(effect.term == term for effect in found):
+            continue
+        late = _late(_missing(drive, used, vehicle, name, output), used.y[:, output])
+        if late is not None:
+            delay, error, correlation = late
             told.append(
                 f"{drive.name}: labels of {label} follow {rate} (correlation {-correlation:.2f}): the {what} "
                 f"seems to arrive {delay:.3f} s late (+- {error:.1g}). Features of one moment show no delay. "

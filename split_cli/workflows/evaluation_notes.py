@@ -33,7 +33,7 @@ def drive_facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet |
     floor = pooled_noise_floor(model, [held])
     fast = fast_motion(tested, floor)
     notes += [f"{drive.name}: {fast}"] if fast else []
-    notes += late_inputs(drive, tested, model.vehicle)
+    notes += late_inputs(drive, tested, model.vehicle, trained.found if trained else ())
     notes += [] if trained is None else _outside(drive.name, share_beyond(trained, tested.z))
     return DriveFacts(
         name=drive.name,

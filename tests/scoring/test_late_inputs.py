@@ -11,6 +11,7 @@ import pytest
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
 from split_cli.scoring.late_inputs import late_inputs
+from split_cli.vehicle.parameters import EffectSpec
 from tests.factories import MissingForce, make_drive, road_car
 
 
@@ -39,3 +40,7 @@ def test_a_late_input_is_told_with_its_delay_and_the_command_that_settles_it(dri
     # Inputs are lines between knots 0.2 s apart, so that the rate of before and after a kink mix: a quarter.
     assert delay == pytest.approx(2 * drive.period, rel=0.25)
     assert "split diagnose --real made.parquet" in line and line.endswith(term)
+    # A set that models this lag leaves nothing to settle.
+    late = replace(drive, columns={**drive.columns, channel: early})
+    labels = compute_labels(late, road_car(), Z2)
+    assert line not in late_inputs(late, labels, road_car(), (EffectSpec(term, {"tau": delay}),))
