@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,6 +90,20 @@ def test_its_page_says_the_verdict_first_and_lets_no_name_act(run):
     headline = re.search(r'<h1 id="verdict">(.*?)</h1>', page).group(1)
     assert re.search("errors up to|changes nothing|worse|Too little", headline)
     assert page.count("<script") == 2 and HOSTILE not in page
+
+
+def test_its_warnings_and_colour_are_those_of_the_headlines_predictor(run):
+    lines = (
+        "bcm z2 verdict: the correction helps: v_y better",
+        "rbcm z2 verdict: the correction does harm: r WORSE",
+    )
+    told = ("WARNING: v_y is worse than holding the velocities", "a note")
+    page = evaluation_page(replace(run, report=replace(run.report, verdicts=lines, notes=told)))
+    verdict = page.split('<section class="verdict ')[1].split("</section>")[0]
+    assert verdict.startswith("match")
+    assert "But v_y is worse than holding the velocities." in verdict and "a note" not in verdict
+    worse = replace(run, report=replace(run.report, verdicts=(lines[0].replace("better", "WORSE"),)))
+    assert '<section class="verdict mismatch' in evaluation_page(worse)
 
 
 @pytest.fixture(scope="module")

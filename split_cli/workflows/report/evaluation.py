@@ -32,6 +32,7 @@ __all__ = ["evaluation_charts", "evaluation_page"]
 
 _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
 _HARM = "WORSE"
+_WARNING = "WARNING: "
 
 
 def evaluation_page(run: EvaluationRun) -> str:
@@ -113,7 +114,9 @@ def _headline(comparisons: Sequence[Comparison]) -> str:
 
 def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
     report = run.report
-    harm = any(_HARM in line for line in report.verdicts)
+    # The headline and its colour are those of the first predictor; the others stand below.
+    own = [line for line in report.verdicts if comparisons and line.startswith(f"{comparisons[0].name} ")]
+    harm = any(_HARM in line for line in own)
     kind = "mismatch" if harm else "match"
     lines = "".join(f"<p>{escape(line)}.</p>" for line in report.verdicts)
     valid = sum(drive.tested_valid for drive in report.drives)
@@ -128,9 +131,11 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
         f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
         for what, value, note in facts
     )
+    warned = [note.split(_WARNING, 1)[1] for note in report.notes if note.startswith(_WARNING)]
+    but = "".join(f'<p class="lead">But {escape(text)}.</p>' for text in warned)
     return (
         f'<section class="verdict {kind}" aria-labelledby="verdict"><h1 id="verdict">'
-        f'{escape(_headline(comparisons))}</h1><dl class="facts">{told}</dl>'
+        f'{escape(_headline(comparisons))}</h1>{but}<dl class="facts">{told}</dl>'
         f"<details><summary>Every predictor, state by state</summary>{lines}</details></section>"
     )
 
