@@ -43,6 +43,10 @@ ACROSS = (
     (TUM_RUN, TUM_TRAIN),
 )
 HALVES = ("1:10 car, three laps", "Hyundai Genesis, real, gentle", "Indy AV-21, real, banked oval")
+SHORT = {
+    AGGRESSIVE: "road 85 %", MODERATE: "road 70 %", SMALL: "road, small course", TUM_RUN: "TUM, run",
+    TUM_TRAIN: "TUM, train", HALVES[0]: "1:10 car", HALVES[1]: "Genesis", HALVES[2]: "AV-21",
+}  # fmt: skip
 #: Laps of the road car simulated for this study: track, share of the grip, seed.
 FRESH_TRAIN = (("small", 0.7, 41), ("small", 0.5, 47), ("oval", 0.8, 42), ("handling", 0.55, 43))
 FRESH_JUDGE = (("handling", 0.85, 44), ("handling", 0.5, 45), ("small", 0.85, 46))
@@ -138,11 +142,11 @@ def recorded_pairs(cases: dict[str, Case], folder: Path, datasets: Path | None) 
     for first, second in ACROSS:
         if first in cases and second in cases:
             (trains, vehicle), (judges, _) = drive(first), drive(second)
-            yield Pair(f"{first} → {second}", trains, judges, vehicle)
+            yield Pair(f"{SHORT[first]} → {SHORT[second]}", trains, judges, vehicle)
     for title in HALVES:
         if title in cases:
             path, vehicle = drive(title)
-            yield from halves_of(title, path, vehicle, folder)
+            yield from halves_of(SHORT[title], path, vehicle, folder)
 
 
 def halves_of(title: str, path: Path, vehicle: str, folder: Path) -> Iterator[Pair]:
