@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 __all__ = [
@@ -179,4 +180,8 @@ class SignalMap:
 
     def channel(self, name: str) -> ChannelMap | None:
         """Return the entry of a channel, None when the map has none."""
-        return next((entry for entry in self.channels if entry.channel == name), None)
+        return self._by_channel.get(name)
+
+    @cached_property
+    def _by_channel(self) -> dict[str, ChannelMap]:
+        return {entry.channel: entry for entry in reversed(self.channels)}

@@ -9,6 +9,7 @@ import pytest
 
 from split_cli.errors import LogError, MapError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.readers.can import read_databases
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
@@ -205,6 +206,24 @@ def test_a_database_that_takes_all_memory_or_never_ends_is_refused(can_log, tmp_
     os.mkfifo(bad)
     with pytest.raises(LogError, match="is a pipe"):
         open_recording(log, message_paths=[bad])
+
+
+@pytest.mark.parametrize("can_log", ["log"], indirect=True)
+def test_a_comment_of_megabytes_in_a_dbc_costs_no_memory(can_log, tmp_path):
+    """cantools takes 250 times its length: more than the first reading may, which would refuse the file."""
+    _, plain = can_log
+    talks = tmp_path / "talks.dbc"
+    comment = 'says \\"no\\" ' * 400_000
+    talks.write_text(f'{DBC}CM_ "{comment}";\nCM_ "short";\n')
+    assert talks.stat().st_size > 4e6
+    found, known = (read_databases([path]).messages for path in (talks, plain))
+    assert [(m.name, [s.name for s in m.signals]) for m in found] == [
+        (m.name, [s.name for s in m.signals]) for m in known
+    ]
+    # One that never ends is the grammar's to refuse.
+    talks.write_text(f'{DBC}CM_ "{comment}')
+    with pytest.raises(LogError, match="cannot be read as a CAN database"):
+        read_databases([talks])
 
 
 @pytest.mark.parametrize("can_log", ["log"], indirect=True)

@@ -22,6 +22,8 @@ from split_cli.logs.readers.probe import probe
 __all__ = ["DATABASE_SUFFIXES", "is_can_log", "open_can", "read_databases"]
 
 DATABASE_SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
+_LONGEST_TEXT = 1000
+"""Of what a database quotes [characters]; the longest names have 128."""
 _CANDUMP = re.compile(rb"^\s*\(\d+\.\d+\)\s+\w+\s+[0-9A-Fa-f]{3,8}#", re.MULTILINE)
 _ASC = re.compile(rb"^date .*\r?\n\s*base\s+(hex|dec)", re.MULTILINE)
 
@@ -37,7 +39,28 @@ def load_database(path: Path) -> Any:
     """Return what cantools makes of one file; a message of a billion bytes would take it 8 GB."""
     import cantools
 
-    return cantools.database.load_file(str(path), strict=False)
+    kind = path.suffix.lower()
+    if kind not in (".dbc", ".sym"):
+        return cantools.database.load_file(str(path), strict=False)
+    text = path.read_text(encoding="cp1252", errors="replace")
+    return cantools.database.load_string(_with_short_texts(text), kind[1:], strict=False)
+
+
+def _with_short_texts(text: str) -> str:
+    """Return a database with no quoted text beyond `_LONGEST_TEXT`, for which cantools takes 250 times its length.
+
+    Such are comments. A quotation mark within a text stands behind a backslash.
+    """
+    kept, begin = [], 0
+    while (start := text.find('"', begin)) >= 0:
+        end = text.find('"', start + 1)
+        while end >= 0 and text[end - 1] == "\\":
+            end = text.find('"', end + 1)
+        end = len(text) if end < 0 else end
+        kept.append(text[begin : min(end, start + 1 + _LONGEST_TEXT)].removesuffix("\\"))
+        kept.append(text[end : end + 1])
+        begin = end + 1
+    return "".join([*kept, text[begin:]])
 
 
 def read_databases(paths: Sequence[Path]) -> Any:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,18 +15,22 @@ from split_cli.files import ScratchFolder
 
 __all__ = ["probe"]
 
-_LEAST_MEMORY = 2 << 30
-"""Address space of the probe [bytes]; judgement: its imports take 1 GB of addresses, a file of 100 MB another."""
+_LEAST_MEMORY = 768 << 20
+"""Memory of the probe [bytes]; judgement: its imports take 200 MB."""
 _MEMORY_A_BYTE = 20
-"""More addresses for each byte of the file [1]; judgement: samples of 16 bits become two doubles, some copied."""
-_LONGEST_SECONDS = 60.0
+"""More memory for each byte of the file [1]; judgement: samples of 16 bits become two doubles, some copied."""
+_LONGEST_SECONDS = 10
 _SECONDS_A_MEGABYTE = 2.0
+"""Of processor time [s]; judgement: imports take 1 to 3 s, a megabyte of a CAN database 1 s."""
+_CLOCK_SECONDS = 6.0
+"""On the clock for each second of processor time [1]: other programs may be running."""
+_WITHOUT_MEMORY = (b"MemoryError", b"SystemError")
 _ADVICE = "Save it again with the logger's own tool."
 _CODE = """
 import importlib, pathlib, resource, sys
-most = int(sys.argv[2])
-resource.setrlimit(resource.RLIMIT_AS, (most, most))
-getattr(importlib.import_module(sys.argv[3]), sys.argv[4])(pathlib.Path(sys.argv[1]))
+for limit, most in ((resource.RLIMIT_DATA, int(sys.argv[2])), (resource.RLIMIT_CPU, int(sys.argv[3]))):
+    resource.setrlimit(limit, (most, most))
+getattr(importlib.import_module(sys.argv[4]), sys.argv[5])(pathlib.Path(sys.argv[1]))
 """
 
 
@@ -48,8 +54,9 @@ def probe(path: Path, read: Callable[[Path], object]) -> None:
     size = path.stat().st_size
     package = str(Path(__file__).resolve().parents[3])
     paths = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
-    command = [sys.executable, "-c", _CODE, str(path.resolve()), str(_LEAST_MEMORY + _MEMORY_A_BYTE * size)]
-    command += [read.__module__, read.__name__]
+    seconds = math.ceil(_LONGEST_SECONDS + _SECONDS_A_MEGABYTE * size / 1e6)
+    limits = [str(_LEAST_MEMORY + _MEMORY_A_BYTE * size), str(seconds)]
+    command = [sys.executable, "-c", _CODE, str(path.resolve()), *limits, read.__module__, read.__name__]
     try:
         # asammdf unfolds into files in the temporary folder: a probe that is killed leaves none behind.
         with ScratchFolder() as scratch:
@@ -57,13 +64,19 @@ def probe(path: Path, read: Callable[[Path], object]) -> None:
             done = subprocess.run(
                 command,
                 capture_output=True,
-                timeout=_LONGEST_SECONDS + _SECONDS_A_MEGABYTE * size / 1e6,
+                timeout=_CLOCK_SECONDS * seconds,
                 env={**os.environ, **own},
                 check=False,
             )
     except subprocess.TimeoutExpired as error:
-        raise LogError("is damaged: reading it does not end", where=path.name, advice=_ADVICE) from error
-    if done.returncode < 0 or b"MemoryError" in done.stderr:
+        raise _endless(path) from error
+    if -done.returncode in (signal.SIGXCPU, signal.SIGKILL):  # at the limit of processor time, soft and hard
+        raise _endless(path)
+    if done.returncode < 0 or any(name in done.stderr for name in _WITHOUT_MEMORY):
         died = done.returncode < 0
         what = "ends the program that reads it" if died else "takes more memory than its size allows"
         raise LogError(f"is damaged: it {what}", where=path.name, advice=_ADVICE)
+
+
+def _endless(path: Path) -> LogError:
+    return LogError("is damaged: reading it does not end", where=path.name, advice=_ADVICE)
