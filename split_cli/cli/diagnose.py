@@ -8,6 +8,7 @@ import click
 
 from split_cli.cli.digits import pair_known
 from split_cli.cli.options import (
+    engine_options,
     existing_file,
     held_option,
     json_option,
@@ -40,23 +41,33 @@ _CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
 @output_option("Folder to write into.", names=("--out",))
 @click.option("--exit-code", is_flag=True, help="Exit with code 3 if simulation and reality differ.")
 @held_option
+@engine_options(None)
 @json_option
-def command(real, simulated, holdout, vehicle_path, output, exit_code, held, as_json) -> None:
+def command(
+    real, simulated, holdout, vehicle_path, output, exit_code, held, engine, scheduler, jobs, as_json
+) -> None:
     """Say where a simulation and a real drive differ, and name the physics that the simulation lacks.
 
     Without --sim the nominal model serves as the simulation. Without --holdout the last quarter of the real drives
     is held out, and the improvement is measured there.
+
+    One diagnosis works in threads, --jobs of them. A Dask cluster does its self-tests and the sizes of what it did
+    not find.
 
     \b
     Example:
       split diagnose --real lap.parquet --sim twin.parquet --vehicle car.yaml --out diagnosis
     """
     from split_cli.diagnosis.statement.document import diagnosis_to_text
+    from split_cli.diagnosis.together import use_threads
     from split_cli.workflows.diagnose import diagnose_files
+    from split_cli.workflows.engine import open_engine
 
+    use_threads(jobs or 0)
     files = {"simulated": simulated, "holdout": holdout, "held": held}
-    with StepBar(shares=_BEGINS) as progress:
-        result = diagnose_files(real, vehicle_path, output, **files, progress=progress, note=progress.note)
+    with open_engine(engine, jobs=jobs, scheduler=scheduler) as where, StepBar(shares=_BEGINS) as progress:
+        files |= {"engine": where, "progress": progress, "note": progress.note}
+        result = diagnose_files(real, vehicle_path, output, **files)
     if as_json:
         click.echo(diagnosis_to_text(result), nl=False)
     else:

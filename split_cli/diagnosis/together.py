@@ -1,19 +1,24 @@
-"""Several pieces of one diagnosis at a time, in threads: numpy and compiled loops let go of Python's lock."""
+"""Several pieces of one diagnosis at a time, in threads, or the heavy ones wherever a caller has them done.
+
+NumPy and compiled loops let go of Python's lock, so threads are enough on one machine.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
-__all__ = ["cores", "together", "use_threads"]
+__all__ = ["apart", "cores", "handing_out", "together", "use_threads"]
 
 _Item = TypeVar("_Item")
 _Out = TypeVar("_Out")
 
 _MOST = 4  # beyond it Python's lock is what is waited for
 _threads = 0
+_apply: Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]] | None = None
 
 
 def use_threads(count: int) -> None:
@@ -30,6 +35,28 @@ def together(function: Callable[[_Item], _Out], items: Iterable[_Item]) -> list[
         return [function(item) for item in items]
     with ThreadPoolExecutor(count) as pool:
         return list(pool.map(function, items))
+
+
+@contextmanager
+def handing_out(apply: Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]) -> Iterator[None]:
+    """Let ``apply(function, items)`` do what `apart` is given, in the body."""
+    global _apply
+    _apply = apply
+    try:
+        yield
+    finally:
+        _apply = None
+
+
+def apart(function: Callable[[_Item], _Out], items: Iterable[_Item]) -> list[_Out]:
+    """Return the function of each item, in order, as `together` does; for pieces that are worth a journey.
+
+    What they return is plain, and nothing they alter is needed: both may have been copied.
+    """
+    items = list(items)
+    if _apply is None or len(items) < 2:
+        return together(function, items)
+    return list(_apply(function, items))
 
 
 def cores() -> int:

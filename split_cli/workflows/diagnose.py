@@ -14,12 +14,14 @@ from split_cli.diagnosis.remainder.location import FORCES
 from split_cli.diagnosis.statement.document import VEHICLES, diagnosis_to_text, vehicle_name
 from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, Improvement, InputFile
 from split_cli.diagnosis.statement.sentences import not_accepted
+from split_cli.diagnosis.together import handing_out
 from split_cli.files import atomic_directory, refuse_what_cannot_be_written, sha256_of_file, write_digests
 from split_cli.learning.features import Z2
 from split_cli.learning.label_file import label_columns
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive, read_drive, untold_inputs
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_file, write_vehicle
+from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.pictures import diagnosis_charts
 from split_cli.workflows.recordings import RecordingCorrection
 from split_cli.workflows.report.page import report_page
@@ -44,6 +46,7 @@ def diagnose_files(
     simulated: Sequence[str | Path] = (),
     holdout: Sequence[str | Path] = (),
     held: Sequence[str] = (),
+    engine: Engine = HERE,
     progress: Callable[[str], None] = lambda step: None,
     note: Callable[[str], None] = lambda text: None,
 ) -> Diagnosis:
@@ -59,14 +62,17 @@ def diagnose_files(
         Folder to write into.
     held : sequence of str
         Inputs (T, delta) that keep their value between samples, whatever the files say.
+    engine : Engine
+        A cluster does the tests of halves and the sizes of silent effects; the result does not depend on it.
     progress, note : callable
         Called with the name of each step, and with what a reader should know of the inputs.
     """
     if not Path(output).is_dir():
         refuse_what_cannot_be_written(output)
-    diagnosis, vehicle, drives = read_and_diagnose(
-        real, vehicle_path, simulated=simulated, holdout=holdout, held=held, progress=progress, note=note
-    )
+    with handing_out(engine.map) if engine.carries_closures else contextlib.nullcontext():
+        diagnosis, vehicle, drives = read_and_diagnose(
+            real, vehicle_path, simulated=simulated, holdout=holdout, held=held, progress=progress, note=note
+        )
     progress("writing")
     write_diagnosis(diagnosis, vehicle, output, drives, [read_drive(path, held) for path in simulated])
     return diagnosis

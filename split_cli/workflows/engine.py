@@ -34,11 +34,14 @@ class Engine:
     workers : int
     apply : callable
         ``apply(function, items)`` yields results in order; an error of an item is raised at its place.
+    carries_closures : bool
+        Whether functions within functions can travel, too.
     """
 
     name: str
     workers: int
     apply: Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
+    carries_closures: bool = False
 
     def map(self, function: Callable[[_T], _R], items: Iterable[_T]) -> Iterator[_R]:
         """Yield ``function(item)`` of every item, in order.
@@ -153,7 +156,7 @@ def _dask(jobs: int, scheduler: str | None) -> Iterator[Engine]:
             ) from error
         workers = len(client.scheduler_info(n_workers=-1)["workers"])
         name = f"Dask, {workers} workers"
-        yield Engine(name, workers, lambda function, items: _on_cluster(client, function, items))
+        yield Engine(name, workers, lambda function, items: _on_cluster(client, function, items), True)
 
 
 def _on_cluster(client: Any, function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
@@ -161,11 +164,12 @@ def _on_cluster(client: Any, function: Callable[[Any], Any], items: Sequence[Any
     workers = max(len(client.scheduler_info(n_workers=-1)["workers"]), 1)
     waiting: list[Any] = []
     rest = iter(items)
+    carried = _carried(client, function)
 
     def hand_out() -> None:
         for item in rest:
             # Not pure: a source may have changed since a task of the same arguments ran.
-            waiting.append(client.submit(function, item, pure=False))
+            waiting.append(client.submit(*carried, item, pure=False))
             return
 
     for _ in range(workers * (1 + _AHEAD)):
@@ -176,3 +180,21 @@ def _on_cluster(client: Any, function: Callable[[Any], Any], items: Sequence[Any
         future.release()
         hand_out()
         yield result
+
+
+def _carried(client: Any, function: Callable[[Any], Any]) -> tuple[Any, ...]:
+    """Return a function with what it is called with first; what a local one holds travels once, not each time."""
+    if "<locals>" not in function.__qualname__:
+        return (function,)
+    import cloudpickle
+
+    return _call, client.scatter(cloudpickle.dumps(function), broadcast=True, hash=False)
+
+
+def _call(pickled: bytes, item: Any) -> Any:
+    import cloudpickle
+
+    from split_cli.diagnosis.together import use_threads
+
+    use_threads(1)
+    return cloudpickle.loads(pickled)(item)

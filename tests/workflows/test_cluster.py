@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.main import group
-from split_cli.logs.drive import write_drive
+from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -88,3 +88,26 @@ def test_cases_of_a_proof_are_the_same(tmp_path, address):
     assert files[0] == files[1] and files[0]
     for file in files[0]:
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "cluster" / file).read_bytes()
+
+
+@pytest.mark.slow
+def test_a_diagnosis_is_the_same(tmp_path, address):
+    """Of a stretch of the samples, long enough for the halves of the simulation to be tested."""
+    samples = Path(__file__).parents[2] / "sample_logs"
+    for name in ("real", "sim"):
+        drive = read_drive(samples / f"road_pair_{name}.parquet")
+        write_drive(drive.stretch(0, 2400), tmp_path / f"{name}.parquet")
+    given = (
+        "--real",
+        tmp_path / "real.parquet",
+        "--sim",
+        tmp_path / "sim.parquet",
+        "--vehicle",
+        samples / "road_car.yaml",
+    )
+    told = {}
+    for name, way in (("one", ("--jobs", 1)), ("cluster", ways(address)["cluster"])):
+        told[name] = json.loads(run("diagnose", *given, "--out", tmp_path / name, "--json", *way))
+        assert (tmp_path / name / "report.html").exists()
+    assert told["cluster"] == told["one"]
+    assert told["one"]["verdict"] != "undecided" and told["one"]["detectable"]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import time
 from pathlib import Path
 
 import fsspec
 import pytest
 
+from split_cli.cli.main import main
 from split_cli.errors import SplitError
 from split_cli.workflows.engine import open_engine
 from split_cli.workflows.ingesting.ingest import ingest_logs
@@ -158,3 +161,43 @@ def test_a_scheduler_that_is_not_there_is_told():
         pass
     with pytest.raises(SplitError, match="needs `--engine dask`"), open_engine(scheduler="tcp://127.0.0.1:1"):
         pass
+
+
+def test_with_keep_going_the_command_lists_bad_logs_at_the_end_and_in_its_exit_code(archive, tmp_path, capsys):
+    (archive / "bad.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(50))
+    (archive / "monday" / "empty.csv").write_text("t,vx\n")
+    words = ["ingest", str(archive), "-o", str(tmp_path / "drives"), "--jobs", "1"]
+    with pytest.raises(SystemExit) as stopped:
+        main(words)
+    assert stopped.value.code == 1
+    assert not (tmp_path / "drives").exists()
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as stopped:
+        main([*words, "--keep-going"])
+    assert stopped.value.code == 1
+    assert len(contents(tmp_path / "drives")) == 3
+    *_, count, first, second = capsys.readouterr().err.splitlines()
+    assert "2 of 5 logs gave no drive" in count
+    assert "bad.mcap" in first and "empty.csv" in second
+
+
+def _process(item: int) -> int:
+    time.sleep(0.5)
+    return os.getpid()
+
+
+def _end(item: int) -> None:
+    os._exit(1)
+
+
+@pytest.mark.slow
+def test_unasked_a_folder_uses_every_core_up_to_four_and_a_killed_process_is_told(monkeypatch):
+    monkeypatch.setattr("split_cli.workflows.engine.cores", lambda: 2)
+    with open_engine(jobs=None) as engine:
+        assert list(engine.map(_process, [1])) == [os.getpid()]  # no process for a single log
+        assert len({*engine.map(_process, range(6))} - {os.getpid()}) == 2
+        with pytest.raises(SplitError, match="a worker process was ended from outside"):
+            list(engine.map(_end, range(2)))
+    monkeypatch.setattr("split_cli.workflows.engine.cores", lambda: 64)
+    with open_engine(jobs=None) as engine:
+        assert engine.workers == 4

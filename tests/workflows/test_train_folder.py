@@ -74,3 +74,15 @@ def test_of_a_grown_folder_only_what_is_new_is_learned(folder, tmp_path):
     with pytest.raises(SetError, match="all 3 drives were learned before"):
         train_set([tmp_path / "in"], folder / "car.yaml", tmp_path / "a.split", append=True)
     assert (tmp_path / "a.split").read_bytes() == before
+
+
+def test_a_drive_that_changed_after_it_was_learned_is_noticed(folder, tmp_path):
+    shutil.copytree(folder / "in", tmp_path / "in")
+    train_set([tmp_path / "in"], folder / "car.yaml", tmp_path / "a.split", DEFAULT)
+    changed, new = tmp_path / "in" / "b.parquet", tmp_path / "in" / "new.parquet"
+    shutil.copy(tmp_path / "in" / "a.parquet", new)
+    write_drive(read_drive(changed).stretch(0, 1000), changed)
+    result = train_set([tmp_path / "in"], folder / "car.yaml", tmp_path / "a.split", append=True)
+    assert [row.drive for row in result.rows] == ["b.parquet"]  # the copy is of the same content
+    told = [note for note in result.notes if "has changed since the set learned it" in note]
+    assert len(told) == 1 and told[0].startswith("b.parquet")

@@ -30,7 +30,7 @@ from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.partly import most_saved
-from split_cli.diagnosis.together import together
+from split_cli.diagnosis.together import apart, together
 from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = ["SelfTest", "self_test"]
@@ -154,7 +154,7 @@ def self_test(
     )
     dealings = (_every_other_block(graded, policy), _first_half(graded))
     halves = [[mask ^ turned for mask in first] for first in dealings for turned in (False, True)]
-    tests = together(lambda teaching: _test_half(sides, teaching, offers), halves)
+    tests = apart(lambda teaching: _test_half(sides, teaching, offers), halves)
     tests = [test for test in tests if test is not None]
     if not tests:
         return SelfTest()

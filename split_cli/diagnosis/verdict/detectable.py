@@ -13,7 +13,7 @@ from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import over_allowance, p_of_effect
 from split_cli.diagnosis.statement.result import Detectable
-from split_cli.diagnosis.together import together
+from split_cli.diagnosis.together import apart
 from split_cli.vehicle.effects import CATALOGUE, Term
 
 __all__ = ["smallest_named"]
@@ -61,7 +61,7 @@ def smallest_named(
 
     every = _alone(candidates)
     tried = [(one, start) for several in every.values() for one, start in several]
-    found = iter(together(lambda one: smallest(*one), tried))
+    found = iter(apart(lambda one: smallest(*one), tried))
     parameters: dict[str, dict[str, tuple[float, str]]] = {}
     for (term, name), several in every.items():
         # Which variant of them is there nobody knows: what is reported holds for all.

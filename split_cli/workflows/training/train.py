@@ -209,13 +209,15 @@ def train_set(
         if append:
             stack.enter_context(exclusive_access(output))
         paths = [stack.enter_context(source.local()) for source in sources]
+        changed: tuple[str, ...] = ()
         if append and expanded:
-            paths = _not_learned(paths, read_set(output))
-        return _train_set(paths, vehicle_path, output, settings, append, rows, batch, per_lap, engine, say)
+            paths, changed = _not_learned(paths, read_set(output))
+        result = _train_set(paths, vehicle_path, output, settings, append, rows, batch, per_lap, engine, say)
+        return replace(result, notes=(*changed, *result.notes))
 
 
-def _not_learned(paths: Sequence[Path], known: TrainingSet) -> list[Path]:
-    """Return the drives of a grown folder that the set has not learned.
+def _not_learned(paths: Sequence[Path], known: TrainingSet) -> tuple[list[Path], tuple[str, ...]]:
+    """Return the drives of a grown folder that the set has not learned, and what to say of those that changed.
 
     Raises
     ------
@@ -223,13 +225,20 @@ def _not_learned(paths: Sequence[Path], known: TrainingSet) -> list[Path]:
         If there is none: the set would stay as it is.
     """
     learned = {source.sha256 for source in known.sources}
-    new = [path for path in paths if drive_digest(path) not in learned]
+    digests = {path: drive_digest(path) for path in paths}
+    new = [path for path in paths if digests[path] not in learned]
+    gone = {source.name for source in known.sources if source.sha256 not in digests.values()}
     if not new:
         raise SetError(
             f"all {len(paths)} drives were learned before; the set is as it was",
             advice="Give drives that are new.",
         )
-    return new
+    return new, tuple(
+        f"{path.name} has changed since the set learned it, and is learned again; what was learned of it before "
+        "stays (train anew to leave it out)"
+        for path in new
+        if path.name in gone
+    )
 
 
 def _train_set(
