@@ -139,7 +139,7 @@ def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None
     for name, kind in FAULTS.items():
         if (only and name not in only) or (derived and kind.term in _NEEDS_TORQUE):
             continue
-        if kind.parameter not in drive.columns and kind.term == "acceleration_bias":
+        if "ay" not in drive.columns and name in ("lateral acceleration biased", "reference moved"):
             continue
         for size in kind.sizes:
             value = size * vehicle.wheelbase / 2.7 if kind.term in _MOVED else size

@@ -12,6 +12,7 @@ from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import term_size
+from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
@@ -211,6 +212,22 @@ def test_an_interval_ends_where_no_real_car_lies_beyond(drive):
     (unknown,) = parameter_estimates(objective, replace(fit, residuals=fit.residuals * 3000.0))
     assert unknown["scale"].interval_95 == (physical.lower, physical.upper)
     assert unknown["scale"].std_error > physical.upper - physical.lower
+
+
+def test_of_brakes_that_are_not_used_nothing_is_known():
+    """A car that never brakes, with weak driving torque: the brakes' gain moves no row."""
+    weak = driven(47, (CATALOGUE["drive_gain"]({"drive_gain": 0.8, "brake_gain": 1.0}),), runs=6)
+    objective = noisy_objective(replace(weak, columns={**weak.columns, "T": np.abs(weak["T"])}), 5)
+    fit = fitted(objective, "drive_gain", {"drive_gain": 0.8, "brake_gain": 0.88})
+    (told,) = parameter_estimates(objective, fit)
+    physical = fit.parts[0].candidate.ranges["brake_gain"]
+    assert told["brake_gain"].value == 1.0
+    assert told["brake_gain"].interval_95 == (physical.lower, physical.upper)
+    low, high = told["drive_gain"].interval_95
+    assert 0.0 < high - low < 0.5
+    weak_drive = ParameterEstimate(0.8, 0.02, "1", (0.76, 0.84))
+    said = CATALOGUE["drive_gain"].statement({**told, "drive_gain": weak_drive})
+    assert said.endswith("too weak (95 %: 16.0 to 24.0 %); of braking torque the drive tells nothing")
 
 
 def test_intervals_hold_what_halves_of_the_simulation_differ_by(drive):

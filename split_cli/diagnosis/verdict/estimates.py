@@ -27,8 +27,9 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
     With a fixed baseline J knows nothing of the simulation's uncertainty; what was learned from a recording with
     as much model-form error is as uncertain as what is found on this one. By what halves of the simulation differ,
     two recordings of one car may differ, too; by what its witnesses say of a sensor's fault, its size.
-    Intervals end where no real car lies
-    beyond: a time constant is not negative, however little is known of it.
+    Intervals end where no real car lies beyond: a time constant is not negative, however little is known of it.
+    A parameter that moves all rows by less than one standard deviation over all its range was not shown, a brake's
+    gain on a drive without braking: it has its neutral value, and its range for an interval.
     """
     from scipy.stats import t as student
 
@@ -56,7 +57,12 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
         relative = np.hypot(relative, _between_recordings(objective, fit, k))
         relative = np.hypot(relative, witnesses_disagree(objective, fit, k, objective.policy.selection))
         for name, unit in term.parameter_units(part.candidate.variant).items():
-            value = term.parameters[name]
+            value, physical = term.parameters[name], part.candidate.ranges[name]
+            neutral = term.neutral.get(name)
+            if neutral is not None and scale[column] * (physical.upper - physical.lower) < 1.0:
+                residuals[name] = _not_shown(neutral, unit, physical)
+                column += 1
+                continue
             away = value - term.neutral.get(name, value)
             error = float(np.hypot(np.sqrt(variance[column]), 0.0 if name in _PLACES else abs(away) * relative))
             limits = (value - wide * error, value + wide * error)
@@ -64,12 +70,15 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
                 rise = _CHI2_95 * max(float(np.max(variance / np.maximum(plain, 1e-300))), 1.0)
                 limits = _place_limits(objective, fit, k, name, rise)
                 error = (limits[1] - limits[0]) / (2.0 * wide)
-            residuals[name] = ParameterEstimate(
-                value, error, unit, _possible(limits, value, part.candidate.ranges[name])
-            )
+            residuals[name] = ParameterEstimate(value, error, unit, _possible(limits, value, physical))
             column += 1
         out.append(residuals)
     return tuple(out)
+
+
+def _not_shown(neutral: float, unit: str, physical: Range) -> ParameterEstimate:
+    limits = _possible((physical.lower, physical.upper), neutral, physical)
+    return ParameterEstimate(neutral, 0.5 * (limits[1] - limits[0]), unit, limits)
 
 
 def _between_recordings(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
