@@ -153,6 +153,27 @@ def write_other(folder, planted, kind):
     return path
 
 
+def test_a_structure_of_arrow_that_claims_more_rows_than_its_parts_ends_no_process(tmp_path):
+    import pyarrow as pa
+    import pyarrow.feather
+
+    path = tmp_path / "lap.feather"
+    pose = pa.StructArray.from_arrays([pa.array(np.arange(40.0))], ["vy"])
+    pyarrow.feather.write_feather(pa.table({"pose": pose}), str(path), compression="uncompressed")
+    assert len(open_recording(path).read(["pose.vy"])["pose.vy"].values) == 40
+    whole, lengths = path.read_bytes(), (40).to_bytes(8, "little")
+    at, refused = whole.find(lengths), 0
+    while at >= 0:
+        path.write_bytes(whole[:at] + (4_000_000).to_bytes(8, "little") + whole[at + 8 :])
+        try:
+            recording = open_recording(path)
+            recording.read([info.name for info in recording.channels()])
+        except LogError as error:
+            refused += "cut off or damaged" in str(error)
+        at = whole.find(lengths, at + 1)
+    assert refused >= 2
+
+
 @pytest.mark.parametrize(
     ("name", "content", "match"),
     [

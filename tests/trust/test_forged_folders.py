@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.main import group
+from split_cli.errors import SplitError
 from split_cli.files import DIGESTS, sha256_of_file, write_digests
 from split_cli.learning.label_file import read_labels, write_labels
 from split_cli.learning.training_set import read_set, write_set
@@ -194,3 +195,25 @@ def test_a_drive_of_another_source_entered_in_a_manifest(folder):
     write_drive(replace(other, metadata=told), drives / "lap.parquet")
     enter()
     assert failed(drives) == {"lap.parquet of lap.csv"}
+
+
+@pytest.mark.parametrize("value", [None, -1, "x", [], {}, [None], 1e308, "../../etc/passwd"])
+def test_a_key_of_another_kind_is_a_failed_check_or_one_line(folder, value):
+    cases = [("export", "manifest.json", key) for key in ("name", "targets", "files", "set", "real")]
+    cases += [("export", "a_check.json", key) for key in ("z", "mean")]
+    cases += [("diagnosis", "diagnosis.json", key) for key in ("findings", "inputs", "verdict", "schema")]
+    for place, name, key in cases:
+        path, manifest = folder / place / name, folder / "export" / "manifest.json"
+        whole, entered = path.read_text(), manifest.read_text()
+        path.write_text(json.dumps({**json.loads(whole), key: value}))
+        if name == "a_check.json":
+            told = json.loads(entered)
+            told["files"][name] = sha256_of_file(path)
+            manifest.write_text(json.dumps(told))
+        try:
+            passed = not failed(folder / place)
+        except SplitError:
+            passed = False
+        assert not passed or key in ("set", "real"), (name, key)
+        path.write_text(whole)
+        manifest.write_text(entered)

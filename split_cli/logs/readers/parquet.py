@@ -58,6 +58,8 @@ def open_arrow(path: Path) -> RawRecording:
     try:
         with pa.memory_map(str(path)) as source:
             table = pa.ipc.open_file(source).read_all()
+            # A structure whose parts are shorter than it claims ends the process where one of them is taken out.
+            table.validate(full=True)
     except (pa.ArrowException, OSError) as error:
         raise _damaged(path, "Arrow", error) from error
     return _recording(path, "Arrow", table.schema, table.num_rows, table.column)

@@ -43,7 +43,8 @@ def verify_diagnosis(folder: Path) -> tuple[VerifiedItem, ...]:
     if not isinstance(told, dict) or told.get("schema") != "split-diagnosis/1":
         raise SplitError("is no diagnosis of this version", where=str(path))
     items = [*_digests(folder), _checked("document", lambda: _document(told))]
-    inputs = [i for i in told.get("inputs", ()) if isinstance(i, dict)]
+    inputs = told.get("inputs")
+    inputs = [i for i in inputs if isinstance(i, dict)] if isinstance(inputs, list) else []
     named = [(str(i.get("name")), str(i.get("sha256"))) for i in inputs]
     items += compare_sources((folder, folder.absolute().parent), named)
     report = folder / "report.html"
@@ -125,8 +126,9 @@ def _gap(path: Path, told: dict[str, Any]) -> str:
 def _checked(check: str, run: Callable[[], str]) -> VerifiedItem:
     try:
         return VerifiedItem(check, True, run())
-    except (SplitError, KeyError, TypeError, ValueError, OSError) as error:
-        return VerifiedItem(check, False, str(error) or type(error).__name__)
+    except (SplitError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError, OSError) as error:
+        # Whatever a forged document leads to in the check that reads it.
+        return VerifiedItem(check, False, str(error)[:400] or type(error).__name__)
 
 
 def _digests(folder: Path) -> list[VerifiedItem]:
