@@ -18,6 +18,7 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Region
+from split_cli.learning.set_limits import check_labels_header
 
 __all__ = ["drive_of_labels", "label_columns", "read_labels", "write_labels"]
 
@@ -93,8 +94,9 @@ def read_labels(path: str | Path) -> Labels:
             raise DriveError(
                 f"is of format {stored['format']!r}, {LABELS_FORMAT!r} was expected", where=where, advice=advice
             )
+        check_labels_header(stored)
         labels = _labels_from_table(table, stored)
-    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
         raise DriveError(f"cannot be read as labels ({error})", where=where, advice=advice) from error
     fault = _fault(labels, stored.get("samples", len(labels)))
     if fault:

@@ -1,4 +1,4 @@
-"""What a trained set can hold at all: a forged or damaged file is refused before anything is computed with it."""
+"""What a trained set and labels can hold at all: a forged or damaged file is refused before it is computed with."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["check_header", "check_points"]
+__all__ = ["check_header", "check_labels_header", "check_points"]
 
 LARGEST_CAPACITY = 1000
 """Points a cell may keep [1]; theory: an update costs M^2; at 1,000 it outlasts a control interval."""
@@ -56,6 +56,28 @@ def check_header(described: Mapping[str, Any], features: Sequence[str], vehicle_
     _whole("found_effects", described.get("found_effects", 0), 0, len(described["vehicle"].get("effects") or ()))
     if described["vehicle_digest"] != vehicle_digest:
         raise ValueError("the digest of its vehicle is not that of the vehicle in it")
+
+
+def check_labels_header(described: Mapping[str, Any]) -> None:
+    """Check what a file of labels says of itself.
+
+    Raises
+    ------
+    ValueError
+        Names the first field that no labels can have.
+    """
+    _within("horizon [s]", described["horizon"], 0.0, LONGEST_HORIZON)
+    _whole("window", described["window"], 1, np.inf)
+    for name, value in described["region"].items():
+        _within(f"region.{name}", value, 0.0, 1e3)
+    for name in ("start_time", "duration"):
+        if not np.isfinite(_number(name, described[name])):
+            raise ValueError(f"{name} is no time")
+    for name in ("drive", "sha256", "vehicle_digest"):
+        if not isinstance(described[name], str):
+            raise ValueError(f"{name} is no text")
+    if not isinstance(described["plain"], bool):
+        raise ValueError("plain is neither true nor false")
 
 
 def _check_grid(grid: Mapping[str, Any], dimensions: int) -> None:

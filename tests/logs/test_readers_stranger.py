@@ -73,6 +73,18 @@ def test_vbo_has_units_for_its_last_columns_degrees_east_and_no_stray_row(tmp_pa
     assert any("last row" in note.what for note in recording.notes)
 
 
+def test_digits_with_something_between_them_are_no_number(tmp_path):
+    path = vbo(tmp_path)
+    text = path.read_bytes()
+    path.write_bytes(text.replace(b" 072.00 ", b" 07_2.00 ", 1))
+    recording = open_recording(path)
+    assert len(recording.read(["velocity"])["velocity"].values) == 399
+    assert any(note.count == 1 and "cells" in note.what for note in recording.notes)
+    (tmp_path / "lap.csv").write_text("t,vx\n" + "".join(f"{i},{'1_5' if i == 7 else i}\n" for i in range(40)))
+    read = open_recording(tmp_path / "lap.csv").read(["vx"])["vx"].values
+    assert np.flatnonzero(np.isnan(read)).tolist() == [7]
+
+
 def test_a_real_vbo_reads(datasets):
     recording = open_recording(datasets / "kth_s90" / "S90__038.VBO")
     units = {info.name: info.unit for info in recording.channels()}

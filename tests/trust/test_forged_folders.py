@@ -217,3 +217,23 @@ def test_a_key_of_another_kind_is_a_failed_check_or_one_line(folder, value):
         assert not passed or key in ("set", "real"), (name, key)
         path.write_text(whole)
         manifest.write_text(entered)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"window": 0}, {"window": "x"}, {"horizon": -1.0}, {"horizon": 1e308}, {"vehicle_digest": 5},
+        {"drive": None}, {"region": {"alpha_max": None}}, {"region": []}, {"features": {}},
+        {"duration": float("inf")}, {"plain": 1},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_header_that_no_labels_have(folder, change):
+    import pyarrow.parquet
+
+    table = pyarrow.parquet.read_table(folder / "l.parquet")
+    told = json.loads(table.schema.metadata[b"split"])
+    table = table.replace_schema_metadata({b"split": json.dumps({**told, **change}).encode()})
+    pyarrow.parquet.write_table(table, folder / "l.parquet", write_page_checksum=True)
+    with pytest.raises(SplitError, match="cannot be read as labels"):
+        verify(folder / "l.parquet")

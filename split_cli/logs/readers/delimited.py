@@ -103,7 +103,8 @@ def _is_text(sniffed: Sniffed, index: int) -> bool:
 
 def _number(cell: str, decimal: str) -> float:
     try:
-        return float(cell.replace(decimal, ".") if decimal != "." else cell)
+        # Python takes 1_5 for 15; no logger writes that.
+        return float(cell.replace(decimal, ".") if decimal != "." else cell) if "_" not in cell else float("nan")
     except ValueError:
         folded = cell.lower()
         if folded in _TRUE or folded in _FALSE:

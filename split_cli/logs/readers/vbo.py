@@ -79,7 +79,8 @@ def _rows(lines: list[str], width: int, path: Path, notes: list[ReadNote]) -> np
     for line in lines:
         cells = line.replace(",", ".").split()
         try:
-            row = [float(cell) for cell in cells]
+            # Python takes 1_5 for 15; no logger writes that.
+            row = [float(cell) for cell in cells] if "_" not in line else []
         except ValueError:
             row = []
         if len(row) == width:
