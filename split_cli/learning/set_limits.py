@@ -1,4 +1,4 @@
-"""What a trained set and labels can hold at all: a forged or damaged file is refused before it is computed with."""
+"""What a trained set and labels can hold: a forged or damaged file is refused before it is computed with."""
 
 from __future__ import annotations
 
