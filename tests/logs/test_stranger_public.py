@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from split_cli.errors import MapError
 from split_cli.logs.drafting.draft import Draft
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.delimited import open_delimited
 from split_cli.logs.readers.opening import open_recording
+from split_cli.workflows.ingesting.ingest import ingest_logs
 from tests.factories import road_car
 from tests.logs.planted import PlantedDrive
 from tests.logs.test_stranger_styles import DEG, G, Style, written
@@ -254,6 +256,26 @@ def test_a_session_row_half_of_numbers_is_no_row_of_values(session, tmp_path):
     recording = open_delimited(tmp_path / "log.csv")
     assert [info.name for info in recording.channels()] == ["time", "gear", "speed", "rpm"]
     np.testing.assert_allclose(recording.read(["time"])["time"].values, 0.1 * np.arange(40))
+
+
+def test_logs_that_hold_a_part_each_are_pointed_to_together(planted, tmp_path):
+    t = np.arange(0.0, 20.0, 0.02)
+    halves = {"a": ("vx", "vy"), "b": ("r", "delta", "T")}
+    for name, channels in halves.items():
+        table = np.stack([t, *(planted.at(c, t) for c in channels)], 1)
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header=",".join(["t", *channels]), comments="")
+    entries = "".join(f"  {c}: {{source: {c}}}\n" for channels in halves.values() for c in channels)
+    (tmp_path / "m.yaml").write_text(f"time: {{source: t, unit: s}}\nchannels:\n{entries}")
+    logs = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    with pytest.raises(MapError, match="--together"):
+        ingest_logs(logs, tmp_path / "out", maps=[tmp_path / "m.yaml"])
+    assert not (tmp_path / "out").exists()
+    ingest_logs(logs, tmp_path / "one.parquet", maps=[tmp_path / "m.yaml"], together=True)
+    # Where the whole is not there either, nothing is promised.
+    (tmp_path / "m.yaml").write_text(f"time: {{source: t, unit: s}}\nchannels:\n{entries}  ay: {{source: ay}}\n")
+    with pytest.raises(MapError) as told:
+        ingest_logs(logs, tmp_path / "out", maps=[tmp_path / "m.yaml"])
+    assert "--together" not in str(told.value)
 
 
 def test_the_planted_car_is_the_usual_one():

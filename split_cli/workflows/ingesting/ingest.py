@@ -201,8 +201,28 @@ def ingest_logs(
             if not existed:
                 _remove_if_empty(output)
     # A folder is shown only when all of its drives are made.
-    with atomic_directory(output) as folder:
-        return _into_folder(prepared, sources, output, folder, engine, keep_going, progress)
+    try:
+        with atomic_directory(output) as folder:
+            return _into_folder(prepared, sources, output, folder, engine, keep_going, progress)
+    except MapError as error:
+        raise _or_together(error, inputs, signal_map, message_paths) from error
+
+
+def _or_together(
+    error: MapError, paths: Sequence[str], signal_map: SignalMap | None, message_paths: Sequence[str | Path]
+) -> MapError:
+    """Return the error, with the way out where no log has all that is mapped and all of them together do."""
+    if signal_map is None:
+        return error
+    mapped = {name for entry in signal_map.channels for source in entry.sources for name in source.names}
+    recorded = []
+    for path in paths:
+        with contextlib.suppress(SplitError):
+            recorded.append({c.name for c in open_recording(path, message_paths=message_paths).channels()})
+    if not mapped <= set().union(*recorded) or any(mapped <= names for names in recorded):
+        return error
+    advice = "Each log holds a part of what is mapped: `--together` makes one drive of them."
+    return MapError(error.what, where=error.where, advice=advice)
 
 
 def _remove_if_empty(folder: Path) -> None:
