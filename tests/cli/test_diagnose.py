@@ -104,6 +104,19 @@ def test_a_vehicle_of_the_library_is_named_and_hashed_by_its_file(tmp_path):
     assert corrected.mass == read_vehicle("tum_sim").mass
 
 
+def test_what_a_long_diagnosis_takes_is_told_beforehand(tmp_path):
+    told = {}
+    for rows in (200, 40_000):
+        t = 0.01 * np.arange(rows)
+        columns = {name: np.zeros_like(t) for name in ("vy", "r", "T", "delta")} | {"t": t, "vx": 5.0 + 0.0 * t}
+        write_drive(Drive("long", columns, np.zeros(rows, dtype=np.int32), 0.01), tmp_path / "long.parquet")
+        told[rows] = []
+        workflow.diagnose_files([tmp_path / "long.parquet"], "tum_sim", tmp_path / "out", note=told[rows].append)
+    more = [text for text in told[40_000] if "more than 1 GB of memory" in text]
+    assert len(more) == 1 and "40000 rows (6.67 minutes)" in more[0] and "--start --end" in more[0]
+    assert not [text for text in told[200] if "memory" in text]
+
+
 def test_a_file_wins_over_the_library_and_an_unknown_name_is_told(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tum_sim").write_text(library_path("tum_sim").read_text())
