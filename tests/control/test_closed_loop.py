@@ -127,7 +127,7 @@ def test_a_cone_is_hit_when_the_body_reaches_it():
         ({"hyperparameters": "nowhere.yaml"}, "nowhere.yaml"),
         ({"car": "f1tenth_car"}, "wheelbase"),
         ({"settings": MpccSettings(limits=Limits(p_ellipse=1.2))}, "share of the peak"),
-        ({"settings": MpccSettings(margin=-1.0)}, "negative"),
+        ({"settings": MpccSettings(margin=-1.0)}, "--margin: is -1"),
         ({"settings": MpccSettings(margin=4.0)}, "beside the car"),
     ],
 )
@@ -139,7 +139,7 @@ def test_what_cannot_be_driven_is_refused_before_the_first_step(options, says):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"speeds": (-3.0,)}, "--speed: must be positive"),
+        ({"speeds": (-3.0,)}, "--speed: is -3, a positive number"),
         ({"p_ellipse": 1.5}, "share of the peak"),
         ({"car": "f1tenth_car"}, "wheelbase"),
         ({"seed": -2}, "from 0"),
