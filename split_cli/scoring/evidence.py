@@ -23,8 +23,8 @@ from split_cli.scoring.rollouts import Correction, roll_out, rollout_starts
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
-    "FEWEST_BLOCKS", "HORIZONS", "MOST_ROWS", "WHOLE_DRIVES", "TrainingDrive", "TrustEvidence",
-    "held_out_evidence",
+    "FEWEST_BLOCKS", "HORIZONS", "MOST_ROWS", "TrainingDrive", "TrustEvidence",
+    "held_out_evidence", "held_out_whole",
 ]  # fmt: skip
 
 #: Horizons beyond one step at which trust is judged [s].
@@ -39,7 +39,7 @@ _MOST_BLOCKS = 24
 FEWEST_BLOCKS = 5
 _FOLDS = 5
 #: From this many drives on each is held out whole: two would leave a fold one drive to learn from.
-WHOLE_DRIVES = 3
+_WHOLE_DRIVES = 3
 _GUARD = 1.0
 _STARTS_A_BLOCK = 10
 #: Rows of recordings that trust is found on at most; of more, drives are taken evenly.
@@ -151,10 +151,11 @@ def held_out_evidence(
     -----
     Of three drives or more each is held out whole, in at most five groups: what differs from drive to drive (load,
     road, driver, sensor offsets) is then in the errors. Of fewer, every fifth block is held out in turn, and the
-    errors are those of the same drive at another time.
+    errors are those of the same drive at another time. Drives too short for a block do not count.
     """
     drives = _spread(drives)
     numbered = _number_blocks(drives)
+    folds = _folds_of(numbered)
     total = 1 + max((int(block.max(initial=-1)) for block in numbered), default=-1)
     if total < FEWEST_BLOCKS:
         return (), total
@@ -165,10 +166,7 @@ def held_out_evidence(
     parts: list[TrustEvidence] = []
     for fold in range(_FOLDS):
         say(f"judging the correction on held-out blocks, fold {fold + 1} of {_FOLDS}")
-        whole = len(drives) >= WHOLE_DRIVES
-        tests = [
-            (block >= 0) & ((number if whole else block) % _FOLDS == fold) for number, block in enumerate(numbered)
-        ]
+        tests = [its == fold for its in folds]
         if not any(test.any() for test in tests):
             continue
         kept = [p.labels.within(~_widen(test, p.drive)) for p, test in zip(drives, tests, strict=True)]
@@ -211,6 +209,21 @@ def _number_blocks(drives: Sequence[TrainingDrive]) -> list[np.ndarray]:
         numbered.append(block)
         number += count
     return numbered
+
+
+def held_out_whole(drives: Sequence[TrainingDrive]) -> int:
+    """Return how many drives `held_out_evidence` holds out whole; 0 where it holds out blocks of time."""
+    judged = sum(bool((block >= 0).any()) for block in _number_blocks(_spread(drives)))
+    return judged if judged >= _WHOLE_DRIVES else 0
+
+
+def _folds_of(numbered: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return the fold in which each row is held out, -1 for none; drives too short for a block only teach."""
+    judged = [number for number, block in enumerate(numbered) if (block >= 0).any()]
+    if len(judged) < _WHOLE_DRIVES:
+        return [np.where(block >= 0, block % _FOLDS, -1) for block in numbered]
+    fold_of = {number: rank % _FOLDS for rank, number in enumerate(judged)}
+    return [np.where(block >= 0, fold_of.get(number, -1), -1) for number, block in enumerate(numbered)]
 
 
 def _widen(test: np.ndarray, drive: Drive) -> np.ndarray:
@@ -292,7 +305,7 @@ def _rivals(drive: Drive, labels: Labels) -> np.ndarray:
 
 
 def _rolled_out(held: _HeldOut) -> list[TrustEvidence]:
-    """Return errors of rollouts that stay inside one held-out block, as long as blocks allow."""
+    """Return errors of rollouts that stay on held-out rows, as long as those allow; by the block they begin in."""
     drive, labels, of_file = held.part.drive, held.part.labels, held.of_file
     window, speed = labels.window, labels.region.minimum_speed
     found: list[TrustEvidence] = []
@@ -301,7 +314,6 @@ def _rolled_out(held: _HeldOut) -> list[TrustEvidence]:
             continue  # read off the longer rollouts
         steps = max(1, round(horizon / labels.horizon))
         most = _STARTS_A_BLOCK * max(1, len(np.unique(held.block[held.test])))
-        # Neighbouring blocks of one fold never touch, so a run of test rows is one block.
         starts = rollout_starts(drive, held.test, steps * window, speed, most)
         if len(starts) < FEWEST_BLOCKS:
             continue

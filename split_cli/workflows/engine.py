@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
+import signal
+import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 from split_cli.diagnosis.together import cores
@@ -81,8 +87,14 @@ def open_engine(name: str = "process", *, jobs: int | None = 1, scheduler: str |
     elif jobs <= 1:
         yield HERE
     else:
-        with contextlib.closing(_Processes(jobs)) as processes:
+        processes = _Processes(jobs)
+        try:
             yield Engine(f"{jobs} processes", jobs, processes.apply)
+        except BaseException:
+            processes.stop()  # Ctrl-C, say: nobody waits for what is under way
+            raise
+        finally:
+            processes.close()
 
 
 class _Processes:
@@ -91,15 +103,17 @@ class _Processes:
     def __init__(self, count: int) -> None:
         self._count = count
         self._pool: ProcessPoolExecutor | None = None
+        self._context = multiprocessing.get_context("spawn")
+        self._told, self._alive = self._context.Pipe(duplex=False)
 
     def apply(self, function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
         if len(items) < 2:
             return map(function, items)
         if self._pool is None:
-            context = multiprocessing.get_context("spawn")
-            count = min(self._count, len(items))
-            self._pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker)
-        return self._results(self._pool, function, items)
+            self._pool = ProcessPoolExecutor(
+                self._count, mp_context=self._context, initializer=_start_worker, initargs=(self._told,)
+            )
+        return self._results(self._pool, partial(_work, function), items)
 
     def _results(
         self, pool: ProcessPoolExecutor, function: Callable[[Any], Any], items: Sequence[Any]
@@ -113,19 +127,45 @@ class _Processes:
                 advice="Use fewer processes; --jobs 1 works in this one.",
             ) from error
 
+    def stop(self) -> None:
+        """Have workers drop what they are doing, unfinished files removed."""
+        self._alive.close()
+
     def close(self) -> None:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
+        self._alive.close()
+        self._told.close()
 
 
-def _start_worker() -> None:
-    """Let the parent decide about interrupts; one thread each, since there is a process a core."""
-    import os
-    import signal
+_stopped = threading.Event()  # of a worker: it begins nothing more
+
+
+def _start_worker(told: Connection) -> None:
+    """Let the parent decide about interrupts; one thread each, since there is a process a core.
+
+    The other end of `told` closes when the parent stops its workers, or ends.
+    """
+
+    def stop(number: int, frame: object) -> None:
+        _stopped.set()
+        sys.exit(128 + number)
+
+    def listen() -> None:
+        told.poll(None)
+        os.kill(os.getpid(), signal.SIGTERM)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, stop)
+    threading.Thread(target=listen, daemon=True).start()
     for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
+
+
+def _work(function: Callable[[Any], Any], item: Any) -> Any:
+    if _stopped.is_set():
+        sys.exit(1)
+    return function(item)
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ from split_cli.learning.features import Z2
 from split_cli.learning.hyperparameters import default_kernel, scatter_variance
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import z2_grid
-from split_cli.scoring.evidence import TrainingDrive, TrustEvidence, held_out_evidence
+from split_cli.scoring.evidence import TrainingDrive, TrustEvidence, held_out_evidence, held_out_whole
 from split_cli.scoring.trust import best_trust, doubt_from, judge_correction, own_shares
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -113,6 +113,18 @@ def test_of_three_drives_each_is_held_out_whole():
         left = step.error[odd] - step.change[odd, 1]
         heights[count] = float(np.mean(left) / np.mean(step.error[odd]))
     assert heights[3] > 0.95 and heights[2] < 0.8
+
+
+def test_drives_too_short_for_a_block_leave_the_folds_of_the_long_one():
+    """A drive is judged as without two stops beside it, in which the car is too slow to be learned from."""
+    drives, empty = asked_of(make_drive(0, segments=6), *(make_drive(seed, segments=1) for seed in (1, 2)))
+    stops = [TrainingDrive(part.drive, part.labels.take(slice(0, 0))) for part in drives[1:]]
+    (alone, blocks), (beside, same) = (
+        held_out_evidence(given, empty) for given in (drives[:1], [*stops, *drives[:1]])
+    )
+    assert blocks == same >= 5 and not held_out_whole([*stops, *drives[:1]]) and held_out_whole(drives) == 3
+    for one, other in zip(alone, beside, strict=True):
+        np.testing.assert_array_equal(one.change, other.change)
 
 
 def test_what_a_rival_explains_as_well_is_not_credited_to_the_correction():

@@ -190,6 +190,28 @@ def _end(item: int) -> None:
     os._exit(1)
 
 
+def _write_for_a_minute(path: Path | None) -> None:
+    if path is None:
+        return
+    path.write_text("unfinished")
+    try:
+        time.sleep(60.0)
+    finally:
+        path.unlink()
+
+
+@pytest.mark.slow
+def test_an_interrupt_waits_for_no_worker_and_leaves_no_unfinished_file(tmp_path):
+    """The first item is done at once, two are under way, and two more wait beside them: none of them goes on."""
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), open_engine(jobs=2) as engine:
+        next(engine.map(_write_for_a_minute, [None, *(tmp_path / str(number) for number in range(5))]))
+        while len(list(tmp_path.iterdir())) < 2:
+            time.sleep(0.1)
+        raise KeyboardInterrupt
+    assert time.monotonic() - begun < 50.0 and not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 def test_unasked_a_folder_uses_every_core_up_to_four_and_a_killed_process_is_told(monkeypatch):
     monkeypatch.setattr("split_cli.workflows.engine.cores", lambda: 2)

@@ -23,7 +23,7 @@ from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
-from split_cli.scoring.evidence import MOST_ROWS, WHOLE_DRIVES, TrainingDrive
+from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive, held_out_whole
 from split_cli.scoring.torque_lag import Prepared, decide, lag_note
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.training.labelled_drives import LabelledDrives
@@ -92,10 +92,10 @@ def create_set(
         chosen = decide(prepared(), None if dictionary or lag == "none" else prepared, drives.say)
         empty, (fit, drives) = chosen.empty, chosen.made
         drives.note(*([lag_note(empty)] if empty.found_effects else []), *trust_notes(empty.trust))
-        if len(drives) >= WHOLE_DRIVES:
+        whole = held_out_whole(chosen.drives) if empty.trust.origin == "held-out" else 0
+        if whole:
             drives.note(
-                f"each of the {len(drives)} drives was held out whole: trust and intervals are for another "
-                "drive like these"
+                f"{whole} drives were held out whole in turn: trust and intervals are for another drive like these"
             )
     else:
         empty, fit = _blank(drives, **settings)
