@@ -117,7 +117,7 @@ def _told_of_a_full_disk() -> Iterator[None]:
     except OSError as error:
         raise LogError(
             f"a long recording does not fit into the folder for temporary files ({error.strerror})",
-            where=tempfile.gettempdir(),
+            where=tempfile.tempdir or "the folder for temporary files",
             advice="Make room there, or name another folder by the variable TMPDIR.",
         ) from error
 

@@ -70,6 +70,19 @@ def test_without_room_on_the_disk_columns_stay_in_memory_or_it_is_said(everythin
         GrowingColumn().append(values)
 
 
+def test_a_machine_without_a_folder_for_temporary_files(everything_is_long, monkeypatch):
+    def nowhere(*given, **named):
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", nowhere)
+    monkeypatch.setattr(tempfile, "gettempdir", nowhere)
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    values = np.arange(200.0)
+    assert set_aside(values) is values
+    with pytest.raises(LogError, match="No usable temporary directory found.*TMPDIR"):
+        GrowingColumn().append(values)
+
+
 @pytest.mark.parametrize("kind", ["mcap", "parquet", "csv", "csv with text in it", "csv out of order"])
 def test_a_long_recording_makes_the_same_drive(tmp_path, monkeypatch, kind):
     """Also with spikes, missing values, a delay, a cut, a sensor off the CG and a derived channel."""

@@ -121,6 +121,20 @@ def test_axes_stay_as_named_where_the_car_hardly_turns(tmp_path):
     assert drafted_table(columns, tmp_path).of("r").sources == ("gyro_z",)
 
 
+def test_gravity_along_z_says_that_z_is_up_where_the_car_pitches_more_than_it_yaws(tmp_path):
+    """A freeway: hardly a bend, and long waves of the road."""
+    t = np.arange(0.0, 120.0, 0.02)
+    columns = {"t": t, "gyro_x_radps": 0.001 * np.sin(0.9 * t), "gyro_y_radps": 0.02 * np.sin(0.5 * t),
+               "gyro_z_radps": 0.002 * np.sin(0.1 * t), "acc_x": 0.5 * np.sin(0.2 * t),
+               "acc_y": 0.05 * np.sin(0.1 * t), "acc_z": -G + 0.3 * np.sin(7.0 * t)}  # fmt: skip
+    draft = drafted_table(columns, tmp_path)
+    assert {c: draft.of(c).sources[0] for c in ("r", "ax", "ay")} == {
+        "r": "gyro_z_radps", "ax": "acc_x", "ay": "acc_y"}  # fmt: skip
+    # Without them nothing speaks against the turning; the side is then asked for, with the reason.
+    draft = drafted_table({name: v for name, v in columns.items() if "acc" not in name}, tmp_path)
+    assert draft.of("r").status == "open" and draft.of("r").reason.startswith("gyro_y_radps turns 7.52 times")
+
+
 def test_understeer_at_speed_does_not_make_a_steering_wheel_of_a_road_wheel(tmp_path):
     """At 60 m/s this car needs five times the angle: 33 m of steering wheel over curvature, in radians."""
     rng = np.random.default_rng(7)
@@ -244,9 +258,14 @@ def test_a_column_of_steps_gives_the_period(planted, tmp_path):
                "vy": planted.at("vy", t)}  # fmt: skip
     even = drafted_table(columns, tmp_path)
     assert even.time.startswith("time: {period: 0.02}") and "dt holds the steps" in even.time
-    columns["dt"] = 0.02 * rng.uniform(0.5, 1.5, len(t))
-    uneven = drafted_table(columns, tmp_path)
-    assert uneven.time.startswith("# time") and "steps of unlike size" in uneven.time
+    # No step leads to the first row. What the column says goes before a rate that yaw would tell.
+    columns |= {"yaw": planted.at("yaw", t), "r": planted.at("r", t)}
+    columns["dt"] = np.where(t > 0.0, 0.02, 0.0)
+    assert drafted_table(columns, tmp_path).time.startswith("time: {period: 0.02}")
+    gap = np.where(np.arange(len(t)) == 900, 60.0, 0.02)
+    for steps in (0.02 * rng.uniform(0.5, 1.5, len(t)), gap):
+        uneven = drafted_table({**columns, "dt": steps}, tmp_path)
+        assert uneven.time.startswith("# time") and "steps of unlike size" in uneven.time
 
 
 @pytest.mark.parametrize("session", ["Run,7,Driver,12", "3,Session,1,Dry", "Lap,3,4,5"])
@@ -256,6 +275,17 @@ def test_a_session_row_half_of_numbers_is_no_row_of_values(session, tmp_path):
     recording = open_delimited(tmp_path / "log.csv")
     assert [info.name for info in recording.channels()] == ["time", "gear", "speed", "rpm"]
     np.testing.assert_allclose(recording.read(["time"])["time"].values, 0.1 * np.arange(40))
+
+
+def test_a_word_in_the_first_row_of_values_costs_its_cell_alone(tmp_path):
+    values = "\n".join(f"{0.1 * n:.1f},{20 + n % 3},{n}" for n in range(1, 40))
+    (tmp_path / "log.csv").write_text(f"time,speed,rpm\n0.0,NoFix,0\n{values}\n")
+    recording = open_delimited(tmp_path / "log.csv")
+    speed = recording.read(["speed"])["speed"].values
+    assert len(speed) == 40 and np.isnan(speed[0]) and not np.isnan(speed[1:]).any()
+    assert [(note.what, note.count) for note in recording.notes] == [
+        ("cells that are no numbers, read as missing", 1)
+    ]
 
 
 def test_logs_that_hold_a_part_each_are_pointed_to_together(planted, tmp_path):

@@ -20,6 +20,7 @@ from split_cli.logs.drive import Source, read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.diagnose import write_diagnosis
 from split_cli.workflows.verifying.verify import verify
+from split_cli.workflows.verifying.verify_files import compare_sources
 from tests.diagnosis.test_report import mismatch
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -99,6 +100,13 @@ def test_a_set_or_a_drive_of_another_run(folder):
     assert failed(folder / "l.parquet") == {"source d0.parquet"}
     split("train", folder / "d1.parquet", "--vehicle", folder / "car.yaml", "-o", folder / "a.split")
     assert failed(folder / "export") == {"trained set"}
+
+
+def test_a_recording_and_its_simulation_may_have_one_name(folder):
+    real, simulated = sha256_of_file(folder / "d0.parquet"), sha256_of_file(folder / "d1.parquet")
+    told = [("real/d0.parquet", real), ("sim/d0.parquet", simulated)]
+    assert [i.passed for i in compare_sources([folder], told)] == [True, None]
+    assert [i.passed for i in compare_sources([folder], [("d0.parquet", simulated)])] == [False]
 
 
 def test_a_vehicle_changed_since_it_was_written(folder):

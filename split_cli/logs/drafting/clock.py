@@ -26,6 +26,8 @@ __all__ = ["clock_of_rows"]
 
 _EVEN = 0.02
 """Of the step from row to row, which 99 of 100 keep where one period describes them [1]."""
+_LOST_ROW = 0.5
+"""Of the step, beyond which a row is missing: one period would hide the gap [1]."""
 
 
 def clock_of_rows(
@@ -71,9 +73,12 @@ def clock_of_rows(
         line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
         return (values - np.nanmin(values)) * find_unit(unit).factor, line, True
     if row_rate is None:
+        steps = _from_steps(infos, recording)
+        if steps is not None:
+            return steps
         row_rate = _rate_told_by_yaw(candidates, signals)
         if row_rate is None:
-            return _from_steps(infos, recording) or (np.arange(count) * 0.01, needed, False)
+            return np.arange(count) * 0.01, needed, False
         why = "no column of time; yaw turns as yaw rate says so"
         line = f"time: {{period: {1.0 / row_rate:.4g}}}   # CHECK: {why}"
         return np.arange(count) / row_rate, line, True
@@ -91,9 +96,11 @@ def _from_steps(infos: Sequence[RawChannelInfo], recording: RawRecording) -> tup
         unit = stated_unit(info) if getattr(find_unit(stated_unit(info) or ""), "si", "") == "s" else None
         unit = unit or unit_of_time(np.cumsum(steps))
         step = float(np.median(steps)) * find_unit(unit).factor
-        if not (steps > 0.0).all() or step <= 0.0:
+        # The first row has none before it; loggers give it 0.
+        if step <= 0.0 or not (steps[1:] > 0.0).all():
             continue
-        even = float(np.quantile(np.abs(steps / np.median(steps) - 1.0), 0.99)) < _EVEN
+        off = np.abs(steps[1:] / np.median(steps) - 1.0)
+        even = float(np.quantile(off, 0.99)) < _EVEN and float(off.max()) < _LOST_ROW
         told = f"time: {{period: {step:.6g}}}   # CHECK: {info.name} holds the steps between rows, all alike"
         uneven = (
             f"# time: needed: {info.name} holds steps of unlike size between rows; add a column with their sum"

@@ -75,6 +75,7 @@ def without_a_side(s: Suggestion) -> Suggestion:
     axes that are not as named, the one across points left or right, and what nothing supports of it is left open.
     """
     if s.channel in HANDED and NOT_UP in s.reason and s.status in ("assumed", "stated"):
-        told = f"{s.reason.split(';')[0]}; with `scale: -1` if positive is to the right"
+        why = next(part for part in s.reason.split("; ") if NOT_UP in part)
+        told = f"{why}; with `scale: -1` if positive is to the right"
         return replace(s, status="open", reason=told)
     return replace(s, status="unsided") if s.status == "judged" and s.channel in (*HANDED, "X", "Y") else s

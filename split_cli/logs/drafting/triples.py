@@ -106,7 +106,9 @@ def _axes(
             return None
         return np.array([_lasting(signals[name], time, without_bias) for name in three])
 
-    turning, travel = sizes("rate", without_bias=True), sizes("velocity")
+    turning, travel, pull = sizes("rate", without_bias=True), sizes("velocity"), sizes("acceleration")
+    if pull is not None and pull[2] > _CLEARLY * max(pull[:2]):
+        return None  # gravity lies along z: on a straight a car pitches more than it yaws
     forward = None
     if travel is not None and int(np.argmax(travel)) == 2 and travel[2] > _CLEARLY * max(travel[:2]):
         forward = 2

@@ -231,7 +231,13 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
 
 
 def _words_among_numbers(row: list[str], later: list[list[str]], decimal: str) -> bool:
-    """Whether a row holds a word where all rows below it hold numbers: it names a session, beside its number."""
+    """Whether a row holds a word where all rows below it hold numbers: it names a session, beside its number.
+
+    A row of titles stands between; a word right above the numbers is a value that was not measured.
+    """
+    following = [r for r in later if any(cell.strip() for cell in r)][:1]
+    if following and len(following[0]) == len(row) and _holds_values(following[0], decimal):
+        return False
     below = [r for r in later[:_ROWS_BELOW] if len(r) == len(row) and _holds_values(r, decimal)]
     if len(below) < _CONFIRMING_ROWS:
         return False
