@@ -102,6 +102,15 @@ def test_a_set_or_a_drive_of_another_run(folder):
     assert failed(folder / "export") == {"trained set"}
 
 
+def test_the_gap_of_a_diagnosis_is_checked_alone_and_among_drives(folder):
+    assert verify(folder / "diagnosis" / "gap.parquet").kind == "gap of a diagnosis"
+    assert failed(folder) == set() and "diagnosis/gap.parquet" in checked(folder)
+    gap = bytearray((folder / "diagnosis" / "gap.parquet").read_bytes())
+    gap[len(gap) // 3] ^= 0xFF
+    (folder / "diagnosis" / "gap.parquet").write_bytes(gap)
+    assert failed(folder) == {"diagnosis/gap.parquet"}
+
+
 def test_a_recording_and_its_simulation_may_have_one_name(folder):
     real, simulated = sha256_of_file(folder / "d0.parquet"), sha256_of_file(folder / "d1.parquet")
     told = [("real/d0.parquet", real), ("sim/d0.parquet", simulated)]

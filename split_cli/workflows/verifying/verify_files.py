@@ -23,16 +23,16 @@ from split_cli.workflows.verifying.relabelled import labels_against_drive
 from split_cli.workflows.verifying.verification import VerifiedItem, item
 from split_cli.yaml_file import read_yaml_mapping
 
-__all__ = ["compare_sources", "verify_drive", "verify_page", "verify_parquet", "verify_yaml"]
+__all__ = ["compare_sources", "read_gap", "verify_drive", "verify_page", "verify_parquet", "verify_yaml"]
 
 
 def verify_parquet(path: Path) -> tuple[str, tuple[VerifiedItem, ...]]:
-    """Check a drive or labels; return what it is, and what was checked.
+    """Check a drive, labels or the gap of a diagnosis; return what it is, and what was checked.
 
     Raises
     ------
     SplitError
-        If it is neither, or damaged: the pages of our Parquet files carry checksums.
+        If it is none of them, or damaged: the pages of our Parquet files carry checksums.
     """
     import pyarrow as pa
     import pyarrow.parquet
@@ -41,9 +41,31 @@ def verify_parquet(path: Path) -> tuple[str, tuple[VerifiedItem, ...]]:
         names = set(pa.parquet.read_schema(path).names)
     except (pa.ArrowException, OSError) as error:
         raise SplitError(f"is not a whole Parquet file ({str(error).splitlines()[0]})", where=str(path)) from error
+    if {"drive", "y_vx", "y_vy", "y_r"} <= names:
+        text, _ = read_gap(path)
+        return "gap of a diagnosis", (VerifiedItem("pages", True, text),)
     if {"y_vx", "y_vy", "y_r", "reason"} <= names:
         return "labels", _labels(path)
     return "drive", verify_drive(read_drive(path), path)
+
+
+def read_gap(path: Path) -> tuple[str, set[str]]:
+    """Return what was checked of the gap of a diagnosis, and the names of its drives.
+
+    Raises
+    ------
+    SplitError
+        If it is damaged.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    try:
+        table = pa.parquet.read_table(path, page_checksum_verification=True)
+        drives = set(table["drive"].unique().to_pylist())
+    except (pa.ArrowException, OSError) as error:
+        raise SplitError(str(error).splitlines()[0], where=str(path)) from error
+    return f"{table.num_rows} rows, every page with a checksum has it right", drives
 
 
 def verify_drive(drive: Drive, path: Path) -> tuple[VerifiedItem, ...]:

@@ -14,7 +14,7 @@ from split_cli.vehicle.parameters import physics_as_written, read_vehicle
 from split_cli.workflows.ingesting.ingest_manifest import IngestManifest
 from split_cli.workflows.report.payload import shown_digest
 from split_cli.workflows.verifying.verification import VerifiedItem, item
-from split_cli.workflows.verifying.verify_files import compare_sources, verify_page, verify_parquet
+from split_cli.workflows.verifying.verify_files import compare_sources, read_gap, verify_page, verify_parquet
 
 __all__ = ["is_diagnosis", "verify_diagnosis", "verify_drives_folder", "verify_pages_folder"]
 
@@ -109,18 +109,11 @@ def _effects(path: Path, told: dict[str, Any]) -> str:
 
 
 def _gap(path: Path, told: dict[str, Any]) -> str:
-    import pyarrow as pa
-    import pyarrow.parquet
-
-    try:
-        table = pa.parquet.read_table(path, page_checksum_verification=True)
-        drives = set(table["drive"].unique().to_pylist())
-    except (pa.ArrowException, OSError) as error:
-        raise SplitError(str(error).splitlines()[0]) from error
+    text, drives = read_gap(path)
     strange = drives - {one["name"] for one in told["inputs"]}
     if strange:
         raise SplitError(f"is of {', '.join(sorted(strange))}, which the document does not name")
-    return f"{table.num_rows} rows, every page with a checksum has it right"
+    return text
 
 
 def _checked(check: str, run: Callable[[], str]) -> VerifiedItem:
@@ -193,12 +186,14 @@ def verify_drives_folder(folder: Path) -> tuple[VerifiedItem, ...]:
     for drive in drives:
         name = str(drive.relative_to(folder))
         try:
-            failed = [i for i in verify_parquet(drive)[1] if i.passed is False]
+            kind, checks = verify_parquet(drive)
+            failed = [i for i in checks if i.passed is False]
         except SplitError as error:
             items.append(VerifiedItem(name, False, str(error)))
             continue
         bad = "; ".join(f"{i.check}: {i.detail}" for i in failed)
-        items.append(item(name, not failed, "pages, ranges, clock and physics", bad))
+        good = "pages, ranges, clock and physics" if kind == "drive" else f"{kind}, as `split verify` of it alone"
+        items.append(item(name, not failed, good, bad))
     return tuple(items)
 
 
