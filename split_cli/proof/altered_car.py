@@ -20,7 +20,7 @@ from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
 from split_cli.vehicle.windows import substep_count
 
-__all__ = ["ALTERATIONS", "altered_vehicle", "driven_by", "moved_reference"]
+__all__ = ["ALTERATIONS", "altered_vehicle", "driven_by", "follows_motion", "moved_reference"]
 
 #: Speed over the vehicle's minimum speed below which a car moves as recorded: it hardly slips there [1].
 _CREEP = 0.2
@@ -30,6 +30,8 @@ _SPUN = 1.0
 _SLOPE = 0.06
 #: Share of the yaw rate's variance that the nominal model has to explain, running free at the recorded speed [1].
 _EXPLAINED = 0.75
+#: Words of a torque that was derived from the motion, and not from pedals or a motor.
+_OF_MOTION = ("nominal model", "acceleration")
 
 
 def _tires(vehicle: Vehicle, change: Callable[[MagicFormula], MagicFormula]) -> Vehicle:
@@ -92,9 +94,10 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     slowest = _CREEP * vehicle.minimum_speed
     explained = _explained(drive, car, slowest)
     if not explained >= _EXPLAINED:
+        share = explained if explained > 0.0 else 0.0  # it is no number where the model runs away
         raise SplitError(
-            f"told speed and steering alone, the file explains {max(explained, 0.0):.0%} of the yaw rate's "
-            f"variation; {_EXPLAINED:.0%} are needed to say how another car would have moved",
+            f"told speed and steering alone, the file explains {share:.0%} of the yaw rate's variation; "
+            f"{_EXPLAINED:.0%} are needed to say how another car would have moved",
             where=drive.name,
             advice="Calibrate it first (split calibrate).",
         )
@@ -118,7 +121,7 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     columns = dict(drive.columns)
     vx, vy, r = (np.asarray(drive[name], dtype=float) for name in ("vx", "vy", "r"))
     columns |= {"vy": vy + changed[:, 0], "r": r + changed[:, 1]}
-    if not str(drive.metadata.kinds.get("T", "")).startswith("derived"):
+    if not follows_motion(drive):
         columns["T"] = torque
     if "ax" in columns:
         columns["ax"] = columns["ax"] - (columns["vy"] * columns["r"] - vy * r)
@@ -127,6 +130,12 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     if "yaw" in columns:
         columns |= _moved_path(drive, columns)
     return replace(drive, columns=columns, sha256="")
+
+
+def follows_motion(drive: Drive) -> bool:
+    """Tell whether a drive's torque was derived from its motion: then it says nothing of the car."""
+    how = str(drive.metadata.kinds.get("T", ""))
+    return how.startswith("derived") and any(word in how for word in _OF_MOTION)
 
 
 def moved_reference(drive: Drive, dx: float) -> Drive:

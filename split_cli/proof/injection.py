@@ -14,7 +14,7 @@ import numpy as np
 
 from split_cli.errors import DriveError, SplitError
 from split_cli.logs.drive import Drive
-from split_cli.proof.altered_car import ALTERATIONS, altered_vehicle, driven_by, moved_reference
+from split_cli.proof.altered_car import ALTERATIONS, altered_vehicle, driven_by, follows_motion, moved_reference
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from split_cli.vehicle.parameters import Vehicle
 
@@ -114,10 +114,6 @@ further forward, not v_y alone as with "velocity moved".
 """
 _NEEDS_TORQUE = ("drive_gain", "drive_delay", "sensor_delay", "mass")
 _MOVED = ("sensor_lever_arm", "cg_shift")
-_OF_MOTION = (
-    "nominal model",
-    "acceleration",
-)  # words of a torque that follows the motion, and not pedals or a motor
 
 
 def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None) -> list[InjectedFault]:
@@ -133,8 +129,7 @@ def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None
         If a name in `only` is no fault.
     """
     require_known(only or (), FAULTS)
-    how = str(drive.metadata.kinds.get("T", ""))
-    derived = how.startswith("derived") and any(word in how for word in _OF_MOTION)
+    derived = follows_motion(drive)
     found = [InjectedFault("none", "", ())]
     for name, kind in FAULTS.items():
         if (only and name not in only) or (derived and kind.term in _NEEDS_TORQUE):

@@ -19,11 +19,12 @@ from split_cli.errors import SplitError
 from split_cli.learning.cells import empty_set
 from split_cli.learning.features import parse_features
 from split_cli.learning.kernel import Kernel
-from split_cli.learning.region import Grid, Region
+from split_cli.learning.region import Grid, Region, z2_grid
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import read_drive
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing.driving import next_deviation
+from split_cli.workflows.racing.entry import check_trusted
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.settings import RaceSettings
@@ -192,6 +193,15 @@ def test_a_set_of_another_vehicle_is_refused(tmp_path):
         says = r"another vehicle of the same name, road_car: rolling_resistance_front is 91 in the set and 101"
         with pytest.raises(SplitError, match=says):
             raise refused.exception
+
+
+def test_a_set_of_a_vehicle_that_differs_in_late_digits_is_refused_in_words():
+    car = read_vehicle(CAR)
+    region, kernel = Region.of(car), Kernel(np.ones(3), np.ones(3), np.ones(3))
+    other = replace(car, mass=car.mass * (1.0 + 1e-9))
+    trained = empty_set(other, parse_features("z2"), region, z2_grid(car, region), kernel, horizon=0.05)
+    with pytest.raises(SplitError, match="mass is "):
+        check_trusted(trained, car, "a.split")
 
 
 def test_learners_are_compared_in_one_report(tmp_path):

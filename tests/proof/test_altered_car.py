@@ -95,6 +95,15 @@ def test_the_term_s_own_equations_are_the_altered_car_s(term):
     np.testing.assert_allclose(named.velocity_derivative(*at), other.velocity_derivative(*at), rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("how", "is_written"), [("throttle times peak", True), ("from dv_x/dt by the nominal model", False)]
+)
+def test_a_heavier_car_needs_more_torque_unless_its_torque_came_from_the_motion(drive, how, is_written):
+    known = replace(drive, metadata=DriveMetadata(kinds={"T": f"derived: {how}"}))
+    found = driven_by(known, VEHICLE, altered_vehicle(VEHICLE, "mass", 1.2))
+    assert (np.abs(found["T"] - drive["T"]).max() > 10.0) == is_written
+
+
 def test_what_the_nominal_model_gets_wrong_stays_as_it_was(drive):
     # Of a softer car, told by a file that does not know: the labels against the file, at every moment.
     softer = _drive(altered_vehicle(VEHICLE, "tire_stiffness", 0.9))
