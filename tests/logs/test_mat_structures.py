@@ -130,3 +130,27 @@ def test_an_array_that_lacks_what_its_flags_tell_ends_no_process(tmp_path):
                 path.write_bytes(whole[: at + place] + bytes((value,)) + whole[at + place + 1 :])
                 with pytest.raises(LogError, match="cut off or damaged"):
                     open_recording(path)
+
+
+def test_a_structure_of_a_billion_elements_is_refused_before_it_is_counted_out(tmp_path):
+    path = tmp_path / "log.mat"
+    savemat(path, {"t": np.arange(40.0), "log": {"vx": np.arange(40.0)}})
+    whole = path.read_bytes()
+    one_by_one = bytes((5, 0, 0, 0, 8, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0))
+    at = whole.rindex(one_by_one, 0, whole.index(b"log"))
+    path.write_bytes(whole[: at + 8] + (1 << 30).to_bytes(4, "little") + whole[at + 12 :])
+    with pytest.raises(LogError, match="its dimensions need 1,073,741,824"):
+        open_recording(path)
+
+
+def test_the_version_of_a_mat_file_is_told_by_its_bytes_and_not_by_its_text(tmp_path):
+    """What SciPy reads as version 5 is checked as version 5, whatever the first line says."""
+    path = tmp_path / "log.mat"
+    savemat(path, {"t": np.arange(40.0), "vx": np.arange(40.0)})
+    whole = path.read_bytes().replace(b"MATLAB 5.0", b"MATLAB 5.\xff", 1)
+    path.write_bytes(whole)
+    assert len(open_recording(path).channels()) == 2
+    at = whole.index(bytes((6, 0, 0, 0, 8, 0, 0, 0)))
+    path.write_bytes(whole[: at + 9] + bytes((8,)) + whole[at + 10 :])
+    with pytest.raises(LogError, match="cut off or damaged"):
+        open_recording(path)

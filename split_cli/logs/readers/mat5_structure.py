@@ -42,8 +42,15 @@ def check_mat5(path: Path) -> None:
     LogError
         Names what is wrong, and at which byte.
     """
+    from scipy.io.matlab import MatReadError, matfile_version
+
     with path.open("rb") as stream:
-        if not stream.read(10).startswith(b"MATLAB 5.0"):
+        try:
+            # By its bytes, as the reader after this tells it; the text before them says nothing.
+            version, _ = matfile_version(stream)
+        except (MatReadError, ValueError):
+            return
+        if version != 1:
             return
         # Closed with the last view of it: an error's own frames still hold some.
         content = memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
@@ -145,8 +152,9 @@ def _check_matrix(content: memoryview, order: str, depth: int) -> None:
     rest = parts[3:]
     if number in _RECORDS:
         rest, size = _record(rest, number, size, order)
-        wanted = [_MATRIX] * size
-    elif number == _CELL:
+    if number in (*_RECORDS, _CELL):
+        if len(rest) != size:
+            raise _Damage(f"an array of {len(rest)} elements where its dimensions need {size:,}")
         wanted = [_MATRIX] * size
     else:
         count = 1 + (flags >> 11 & 1) + (2 if number == _SPARSE else 0)
@@ -171,7 +179,7 @@ def _record(
 
 
 def _product(dimensions: memoryview, order: str) -> int:
-    """Return how many elements an array has; more than it has bytes are none."""
+    """Return how many elements an array has."""
     size = 1
     for at in range(0, len(dimensions), 4):
         size *= int.from_bytes(dimensions[at : at + 4], order, signed=True)
