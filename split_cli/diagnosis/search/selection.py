@@ -267,7 +267,14 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
 def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selection:
     """Return a selection with another explanation in the place of the chosen one, compared afresh."""
     found = _examined(explore, selection.base, chosen)
-    return replace(found, history=selection.history, first_p=selection.first_p, first=selection.first)
+    return replace(
+        selection,
+        chosen=found.chosen,
+        without=found.without,
+        rivals=found.rivals,
+        siblings=found.siblings,
+        named=found.named,
+    )
 
 
 def _believed_together(
