@@ -15,29 +15,43 @@ from split_cli.learning.hyperparameters import (
     longest_scale,
     scatter_variance,
 )
+from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels
-from split_cli.learning.region import build_grid
+from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["train_in_memory"]
+__all__ = ["fitted_grid_and_kernel", "train_in_memory"]
 
 
 def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
-    """Learn a set from training labels, with hyperparameters fitted to them.
+    """Learn a set from training labels, with hyperparameters fitted to them, see `fitted_grid_and_kernel`."""
+    grid, kernel = fitted_grid_and_kernel(labels, vehicle)
+    return learn(labels, vehicle=vehicle, grid=grid, kernel=kernel)
 
-    With fewer than 60 valid labels the defaults stay (the set's kernel then says so).
+
+def fitted_grid_and_kernel(
+    labels: Sequence[Labels], vehicle: Vehicle, cell_edge: float = 1.0
+) -> tuple[Grid, Kernel]:
+    """Return the grid, its cells `cell_edge` times as long as usual, and the kernel fitted to training labels.
+
+    With fewer than 60 valid labels the defaults stay (the kernel then says so).
+
+    Raises
+    ------
+    DriveError
+        If no label is valid.
     """
-    accepted = np.concatenate([part.z[part.accepted] for part in labels])
-    if not len(accepted):
+    z = np.concatenate([part.z[part.accepted] for part in labels])
+    if not len(z):
         raise DriveError(
             "no training sample lies inside the valid region",
             where=labels[0].drive,
             advice="`split label` counts why; look at units and signs with `split info`.",
         )
     y = np.concatenate([part.y[part.accepted] for part in labels])
-    grid = build_grid(labels[0].features, vehicle, labels[0].region, accepted)
+    grid = build_grid(labels[0].features, vehicle, labels[0].region, z).coarser(cell_edge)
     kernel = default_kernel(grid, y, scatter_variance(labels[0]))
-    if len(accepted) >= FEWEST_TO_FIT:
-        kernel = fit_kernel(accepted, y, grid, kernel, longest=longest_scale(grid)).kernel
-    return learn(labels, vehicle=vehicle, grid=grid, kernel=kernel)
+    if len(z) >= FEWEST_TO_FIT:
+        kernel = fit_kernel(z, y, grid, kernel, longest=longest_scale(grid)).kernel
+    return grid, kernel

@@ -12,16 +12,10 @@ import numpy as np
 from split_cli.errors import DriveError, SplitError
 from split_cli.learning.cells import DEFAULT_CAPACITY, DEFAULT_THRESHOLD, learn
 from split_cli.learning.features import parse_features
-from split_cli.learning.hyperparameters import (
-    FEWEST_TO_FIT,
-    default_kernel,
-    fit_kernel,
-    longest_scale,
-    scatter_variance,
-)
+from split_cli.learning.in_memory import fitted_grid_and_kernel
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels, compute_labels
-from split_cli.learning.region import Grid, Region, build_grid
+from split_cli.learning.region import Grid, Region
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.prediction import make_predictor
 from split_cli.scoring.application import time_per_query
@@ -163,19 +157,7 @@ def _fold(
 ) -> tuple[list[Labels], Grid, Kernel]:
     """Return a fold's training labels, the grid, and the kernel fitted to them."""
     labels = [_training(part, fold) for part in parts]
-    z = np.concatenate([part.z[part.accepted] for part in labels])
-    y = np.concatenate([part.y[part.accepted] for part in labels])
-    if not len(z):
-        raise DriveError(
-            "no training sample lies inside the valid region",
-            where=labels[0].drive,
-            advice="`split label` counts why; look at units and signs with `split info`.",
-        )
-    grid = build_grid(labels[0].features, vehicle, labels[0].region, z).coarser(cell_edge)
-    kernel = default_kernel(grid, y, scatter_variance(labels[0]))
-    if len(z) >= FEWEST_TO_FIT:
-        kernel = fit_kernel(z, y, grid, kernel, longest=longest_scale(grid)).kernel
-    return labels, grid, kernel
+    return labels, *fitted_grid_and_kernel(labels, vehicle, cell_edge)
 
 
 def _try(
