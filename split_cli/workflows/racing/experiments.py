@@ -90,17 +90,15 @@ def _race(
 
 
 def _races() -> list[Experiment]:
-    """Return races on both tracks: ten laps of what was learned with the first seed, four with others; rivals."""
+    """Return races of every learner on both tracks: ten laps, but four of the long course with later seeds."""
     found = []
     for seed in _SEEDS:
         for group, track in _TRACKS.items():
-            found.append(_race(group, "none", seed, laps=3 if group == "small" else 2, **track))
-            found.append(_race(group, "split", seed, laps=10 if seed == 0 else 4, **track))
+            laps = 10 if group == "small" or seed == 0 else 4
+            found += [_race(group, learner, seed, laps=laps, **track) for learner in ("none", "split", "iol")]
     for seed in _SEEDS:
         for group, track in _TRACKS.items():
-            found.append(_race(group, "iol", seed, laps=3 if group == "small" else 2, **track))
-            found.append(_race(group, "none", seed, "physics", laps=1, **track))
-            found.append(_race(group, "split", seed, "physics", laps=3 if group == "small" else 2, **track))
+            found += [_race(group, learner, seed, "physics", laps=3, **track) for learner in ("none", "split")]
     return found + _rivals_and_roads()
 
 
