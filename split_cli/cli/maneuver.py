@@ -45,7 +45,8 @@ __all__ = ["command"]
     "--grip", type=float, default=1.0, show_default=True, help="Friction scale of the road: 1 dry, 0.5 wet."
 )
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force that the "
-              f"controller may use  [default: {SHARE_NOMINAL}, with a set {SHARE_LEARNED}].")  # fmt: skip
+              f"controller may use  [default: {SHARE_LEARNED} with a set, or if the vehicle file knows the "
+              f"tyres' peaks from data; else {SHARE_NOMINAL}].")  # fmt: skip
 @click.option("--p-long", type=float, default=P_LONG, show_default=True, help="Weight of the longitudinal "
               "force in the friction ellipse.")  # fmt: skip
 @click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "

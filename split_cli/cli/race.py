@@ -69,8 +69,8 @@ __all__ = ["command"]
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force "
               f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].")  # fmt: skip
 @click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share with the nominal model: "
-              f"in lap 0, and in every lap of learner none  [default: --p-ellipse, or "
-              f"{SHARE_NOMINAL}].")  # fmt: skip
+              f"in lap 0, and in every lap of learner none  [default: --p-ellipse; else {SHARE_LEARNED} if the "
+              f"vehicle file knows the tyres' peaks from data, {SHARE_NOMINAL} if it assumes them].")  # fmt: skip
 @click.option("--p-unknown", type=float, metavar="SHARE", help="The same share where there are no training data. "
               "It rises to --p-ellipse with the information that the data hold  [default: "
               "--p-ellipse].")  # fmt: skip
@@ -132,8 +132,6 @@ def command(
       split race --vehicle road_car.yaml --learner none --learner iol --learner split --laps 1 --report laps.html
       split race --vehicle road_car.yaml --track monza.csv --learner none --json
     """
-    from dataclasses import replace
-
     from split_cli.control.limits import Limits
     from split_cli.control.mpcc import MpccSettings
     from split_cli.workflows.racing.race import run_race
@@ -141,16 +139,14 @@ def command(
 
     if len(learners) > 1 and (output or set_output):
         raise click.UsageError("-o and --set take the drive and the set of one learner; name one.")
-    if p_ellipse_lap0 is None:
-        p_ellipse_lap0 = SHARE_NOMINAL if p_ellipse is None else p_ellipse
+    first_share = p_ellipse if p_ellipse_lap0 is None else p_ellipse_lap0
     p_ellipse = SHARE_LEARNED if p_ellipse is None else p_ellipse
     limits = Limits(p_long=p_long, p_ellipse=p_ellipse, p_unknown=p_unknown, guarded=guarded)
-    first = MpccSettings(limits=replace(limits, p_ellipse=p_ellipse_lap0, p_unknown=None), margin=margin)
     results = []
     for learner in learners:
         settings = RaceSettings(
             learner=learner, delay=not no_delay, printed_iol=iol_update == "printed",
-            settings=MpccSettings(limits=limits, margin=margin), first=first, **options,
+            settings=MpccSettings(limits=limits, margin=margin), first_share=first_share, **options,
         )  # fmt: skip
         say = f"race, {learner}" if len(learners) > 1 else "race"
         with StepBar(settings.laps + 1) as bar:

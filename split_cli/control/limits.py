@@ -7,12 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.control.model import Linearization
-from split_cli.control.policy import ALPHA_MAX, DALPHA_MAX, LEAST_SIDE, P_ELLIPSE, P_LONG, SATURATED
+from split_cli.control.policy import (
+    ALPHA_MAX,
+    DALPHA_MAX,
+    LEAST_SIDE,
+    P_ELLIPSE,
+    P_LONG,
+    SATURATED,
+    SHARE_LEARNED,
+    SHARE_NOMINAL,
+)
 from split_cli.control.residual import ResidualValues
+from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["SLIP_ROWS", "Limits", "load_shift", "slip_limit", "slip_rows", "torque_limit"]
+__all__ = ["SLIP_ROWS", "Limits", "load_shift", "nominal_share", "slip_limit", "slip_rows", "torque_limit"]
 
 SLIP_ROWS = 5
 
@@ -54,6 +64,20 @@ class Limits:
             return np.full(len(residual.mean), self.p_ellipse)
         known = residual.knowledge[:, 1:].min(axis=1)
         return self.p_unknown + known * (self.p_ellipse - self.p_unknown)
+
+
+def nominal_share(vehicle: Vehicle) -> float:
+    """Return the share of the peak forces that a vehicle file may use by itself, before anything is learned [1].
+
+    Notes
+    -----
+    `SHARE_LEARNED` where the file knows the peaks: both axles' D is calibrated or published, or a term of the file
+    tells it (grip found by a diagnosis). `SHARE_NOMINAL` where a peak is assumed, or its source is not stated.
+    """
+    sources = {vehicle.origins.get(f"{axle}.D") for axle in ("front_tire", "rear_tire")}
+    known = sources <= {"calibrated", "published"}
+    known |= any(CATALOGUE[effect.term].states_peak for effect in vehicle.effects)
+    return SHARE_LEARNED if known else SHARE_NOMINAL
 
 
 def load_shift(vehicle: Vehicle) -> np.ndarray:

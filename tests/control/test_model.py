@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from split_cli.control._compiled import discretize
-from split_cli.control.limits import Limits, load_shift, slip_limit, slip_rows, torque_limit
+from split_cli.control.limits import Limits, load_shift, nominal_share, slip_limit, slip_rows, torque_limit
 from split_cli.control.model import ControlModel
 from split_cli.control.residual import NoResidual, Residual, ResidualValues
 from split_cli.errors import VehicleError
@@ -224,6 +224,20 @@ def test_no_axle_is_asked_for_more_force_along_than_the_ellipse_gives():
     # One axle is at the ellipse (within SATURATED of its square), the other below.
     assert used.max(axis=1) == pytest.approx(np.full(2, limits.p_ellipse * np.sqrt(0.99)), rel=1e-6)
     assert braking[0] < 5600.0
+
+
+@pytest.mark.parametrize(
+    ("sources", "effects", "share"),
+    [
+        ({"front_tire.D": "assumed", "rear_tire.D": "calibrated"}, (), 0.85),
+        ({"front_tire.D": "calibrated", "rear_tire.D": "published"}, (), 0.95),
+        ({}, (), 0.85),
+        ({}, (EffectSpec("friction_scale", {"scale": 0.9}),), 0.95),
+        ({}, (EffectSpec("drive_lag", {"tau": 0.05}),), 0.85),
+    ],
+)
+def test_a_file_whose_peaks_are_known_may_use_more_of_them(sources, effects, share):
+    assert nominal_share(replace(CAR, origins=sources, effects=effects)) == share
 
 
 def test_the_ellipse_is_as_wide_as_the_residual_is_known():

@@ -83,6 +83,9 @@ class Term:
         Whether the term is part of the car (sensor terms are not).
     through_tires : bool
         Whether its parameters are known only as well as one curve says what an axle's tyres do.
+    states_peak : bool
+        Whether its parameters say which peak force the tyres reach, so that a vehicle file that has it no longer
+        assumes one.
     family : str
         Kind of physics, by which the manoeuvre is chosen that tells two terms apart: ``tires``, ``body``,
         ``along`` (forces along the car), ``steering``, ``place``, ``time``, ``air``, ``measurement``, ``clock``.
@@ -121,6 +124,7 @@ class Term:
     neutral: ClassVar[Mapping[str, float]] = {}
     exported: ClassVar[bool] = True
     through_tires: ClassVar[bool] = False
+    states_peak: ClassVar[bool] = False
     family: ClassVar[str] = "tires"
     needs: ClassVar[frozenset[str]] = frozenset()
     variant_needs: ClassVar[Mapping[str, frozenset[str]]] = {}

@@ -144,6 +144,7 @@ class FrictionScale(Term):
 
     id = "friction_scale"
     through_tires: ClassVar = True
+    states_peak: ClassVar = True
     units: ClassVar = {"scale": "1"}
     neutral: ClassVar = {"scale": 1.0}
     discrepancy: ClassVar = (("", "scale", -0.15),)
@@ -227,6 +228,7 @@ class GripFade(Term):
 
     id = "grip_fade"
     through_tires: ClassVar = True
+    states_peak: ClassVar = True
     units: ClassVar = {"final_loss": "1", "tau": "s"}
     neutral: ClassVar = {"final_loss": 0.0}
     family = "time"

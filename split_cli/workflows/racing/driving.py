@@ -10,6 +10,7 @@ import numpy as np
 
 from split_cli.control.grip import PeakShift, learned_grip, tells_peaks
 from split_cli.control.learner import Learner, NoLearner
+from split_cli.control.limits import nominal_share
 from split_cli.control.model import ControlModel, check_features
 from split_cli.control.mpcc import Mpcc
 from split_cli.control.path import check_path, contour_and_lag
@@ -101,8 +102,7 @@ class Race:
         self.path = find_path(settings.track)
         check_path(self.path, self.width)
         self.start = -min(RUN_UP_SHARE * self.path.length, LONGEST_RUN_UP)
-        for one in (settings.settings, settings.first or settings.settings):
-            check_start(self.path, self.start, self.width, one.margin)
+        check_start(self.path, self.start, self.width, settings.settings.margin)
         self.mpcc = replace(settings.settings, max_speed=settings.max_speed)
         torque = settings.max_torque or vehicle.max_torque
         self.actuators = Actuators(min(torque, vehicle.max_torque), vehicle.max_brake_torque)
@@ -137,9 +137,10 @@ class Race:
         self.model = ControlModel(self.header.vehicle, self.learner.residual, self.mpcc.step)
         if self.model.not_compiled:
             self.notes.append(f"the model's functions are interpreted, not compiled: {self.model.not_compiled}")
-        first = self.mpcc if s.first is None or self.start_set is not None else replace(
-            self.mpcc, limits=s.first.limits, margin=s.first.margin
-        )  # fmt: skip
+        first = self.mpcc
+        if self.start_set is None:
+            share = nominal_share(self.vehicle) if s.first_share is None else s.first_share
+            first = replace(first, limits=replace(first.limits, p_ellipse=share, p_unknown=None))
         self.controller = Mpcc(self.model, self.path, self.actuators, first, self.width, s.tightening)
         self.controller.deviation = s.deviation
         self._take_grip(np.full(2, s.told_grip))

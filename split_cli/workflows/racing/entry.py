@@ -76,7 +76,7 @@ def check_predictor(name: str, features: FeatureSet | None) -> None:
 
 def _check_numbers(settings: RaceSettings) -> None:
     """Refuse numbers out of their range, naming the option."""
-    inner = [settings.settings] + ([settings.first] if settings.first is not None else [])
+    limits = settings.settings.limits
     positive = [
         ("--max-speed", settings.max_speed),
         ("--grip", settings.grip),
@@ -84,19 +84,22 @@ def _check_numbers(settings: RaceSettings) -> None:
     ]
     positive += [(name, v) for name, v in (("--max-torque", settings.max_torque), ("--width", settings.width))
                  if v is not None]  # fmt: skip
-    positive += [("--p-long", one.limits.p_long) for one in inner]
+    positive.append(("--p-long", limits.p_long))
     for name, value in positive:
         if not 0.0 < value < 1e6:
             raise SplitError(f"is {value:g}, a positive number was expected", where=name)
-    shares = [(name, v) for one in inner for name, v in (("--p-ellipse", one.limits.p_ellipse),
-              ("--p-unknown", one.limits.p_unknown)) if v is not None]  # fmt: skip
+    shares = [
+        ("--p-ellipse", limits.p_ellipse),
+        ("--p-ellipse-lap0", settings.first_share),
+        ("--p-unknown", limits.p_unknown),
+    ]
     for name, value in shares:
-        if not 0.0 < value < 1.0:
+        if value is not None and not 0.0 < value < 1.0:
             raise SplitError(f"is {value:g}, a share of the peak force between 0 and 1 was expected", where=name)
     for name, value in [
         ("--tightening", settings.tightening),
         ("deviation", settings.deviation),
-        *(("--margin", one.margin) for one in inner),
+        ("--margin", settings.settings.margin),
     ]:
         if not 0.0 <= value < 1e3:
             raise SplitError(f"is {value:g}, 0 or more was expected", where=name)

@@ -13,7 +13,7 @@ from split_cli.errors import SplitError, nearest_names
 from split_cli.files import atomic_path, atomic_write_text
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
-from split_cli.workflows.racing.settings import LEARNING, NOMINAL, RaceSettings
+from split_cli.workflows.racing.settings import RaceSettings
 
 __all__ = ["PLAN", "Experiment", "ExperimentPlan", "run_experiments", "stored"]
 
@@ -69,22 +69,21 @@ class ExperimentPlan:
         return tuple(e for e in self.experiments if not only or e.name.startswith(only))
 
 
-CAREFUL = replace(NOMINAL, limits=replace(NOMINAL.limits, p_ellipse=0.75))
+_CAREFUL = 0.75
 _SEEDS = (0, 1, 2)
 _TRACKS = {"small": {"track": "small", "max_speed": 22.0}, "handling": {"track": "handling", "max_speed": 30.0}}
 _SMALL = _TRACKS["small"]
 # Tyres that nobody knows on a road of lower grip ask for more care: the nominal model begins at less of its peak.
-_WET, _WORN = ({"grip": grip, "told_grip": grip, "first": CAREFUL, **_SMALL} for grip in (0.5, 0.85))
+_WET, _WORN = ({"grip": grip, "told_grip": grip, "first_share": _CAREFUL, **_SMALL} for grip in (0.5, 0.85))
 
 
 def _race(
     group: str, learner: str, seed: int = 0, vehicle: str = "gentle", model: str | None = None, **options
 ) -> Experiment:
-    """Return a race with the one setting of all; a file that knows the peaks drives as what was learned does."""
+    """Return a race with the one setting of all."""
     if model is None:
         model = "nominal" if learner == "none" else learner
         model += "" if vehicle == "gentle" else f" {vehicle}"
-    options = {"first": LEARNING if vehicle == "physics" else NOMINAL, "settings": LEARNING, **options}
     settings = RaceSettings(learner=learner, seed=seed, max_torque=1000.0, **options)
     return Experiment(f"{group}-{model.replace(' ', '-')}-{seed}", group, model, settings, vehicle)
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from split_cli.control.grip import PeakShift, learned_grip, tells_peaks
 from split_cli.control.learner import learning_region
-from split_cli.control.limits import Limits
+from split_cli.control.limits import Limits, nominal_share
 from split_cli.control.model import ControlModel
 from split_cli.control.mpc import Mpc, MpcSettings, SpeedController
 from split_cli.control.path import contour_and_lag
-from split_cli.control.policy import P_LONG, SHARE_LEARNED, SHARE_NOMINAL
+from split_cli.control.policy import P_LONG, SHARE_LEARNED
 from split_cli.control.receding import Actuators, ControllerLost
 from split_cli.control.residual import NoResidual, PredictorResidual, Residual
 from split_cli.control.scenarios import Scenario, build_scenario, cones_hit
@@ -82,12 +82,11 @@ class ManeuverSettings:
     p_ellipse: float | None = None
     guarded: bool = True
 
-    @property
-    def limits(self) -> Limits:
-        """Limits of the controller."""
+    def limits(self, vehicle: Vehicle) -> Limits:
+        """Return the limits of the controller that drives with a vehicle file, and with the start set if any."""
         share = self.p_ellipse
         if share is None:
-            share = SHARE_NOMINAL if self.start_set is None else SHARE_LEARNED
+            share = nominal_share(vehicle) if self.start_set is None else SHARE_LEARNED
         return Limits(p_long=self.p_long, p_ellipse=share, guarded=self.guarded)
 
 
@@ -223,8 +222,8 @@ def _check(settings: ManeuverSettings) -> None:
     for name, value in positive:
         if not 0.0 < value < 1e6:
             raise SplitError(f"is {value:g}, a positive number was expected", where=name)
-    share = settings.limits.p_ellipse
-    if not 0.0 < share < 1.0:
+    share = settings.p_ellipse
+    if share is not None and not 0.0 < share < 1.0:
         raise SplitError(
             f"is {share:g}, a share of the peak force between 0 and 1 was expected", where="--p-ellipse"
         )
@@ -301,7 +300,7 @@ class _Run:
         self.actuators = Actuators(torque, vehicle.max_brake_torque, steer_rate=car.steer_rate)
         mpc = MpcSettings(
             horizon=scenario.horizon, step=scenario.step, steering_alone=scenario.steering_alone,
-            limits=settings.limits,
+            limits=settings.limits(vehicle),
         )  # fmt: skip
         self.controller = Mpc(self.model, scenario.path, self.actuators, mpc, width, scenario.speed)
         self.controller.grip = grip

@@ -7,18 +7,14 @@ from pathlib import Path as FilePath
 
 from split_cli.control.limits import Limits
 from split_cli.control.mpcc import MpccSettings
-from split_cli.control.policy import FIRST_DEVIATION, MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL
+from split_cli.control.policy import FIRST_DEVIATION, MARGIN, RACE_P_LONG, SHARE_LEARNED
 
-__all__ = ["LEARNERS", "LEARNING", "NOMINAL", "RaceSettings"]
+__all__ = ["LEARNERS", "LEARNING", "RaceSettings"]
 
 LEARNERS = ("none", "iol", "split")
 
-NOMINAL, LEARNING = (
-    MpccSettings(limits=Limits(p_long=RACE_P_LONG, p_ellipse=share, guarded=True), margin=MARGIN)
-    for share in (SHARE_NOMINAL, SHARE_LEARNED)
-)
-"""How the nominal model drives, and how what was learned does: one setting for all tracks, but for the share of
-the peak that each may use."""
+LEARNING = MpccSettings(limits=Limits(p_long=RACE_P_LONG, p_ellipse=SHARE_LEARNED, guarded=True), margin=MARGIN)
+"""How a race is driven: one setting for all tracks and models, but for the share of the peak (`first_share`)."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +60,9 @@ class RaceSettings:
     tightening : float
         Standard deviations by which the borders are moved in [1].
     settings : MpccSettings
-    first : MpccSettings or None
-        Of what the nominal model drives: the run-up, lap 0, and all laps of the learner none without a start set.
-        As `settings` when it is None; horizon and step are those of `settings`.
+    first_share : float or None
+        Share of the peak that the nominal model may use [1]: in the run-up, in lap 0, and in all laps of the
+        learner none without a start set. By default `nominal_share` of the vehicle file.
     told_grip : float
         What the slip limits take for the road's grip before anything is learned [1].
     learn_grip : bool
@@ -92,6 +88,6 @@ class RaceSettings:
     deviation: float = FIRST_DEVIATION
     tightening: float = 0.0
     settings: MpccSettings = LEARNING
-    first: MpccSettings | None = NOMINAL
+    first_share: float | None = None
     told_grip: float = 1.0
     learn_grip: bool = True
