@@ -94,7 +94,9 @@ def track_position(drive: Drive, reference: TrackReference | None, *, first: boo
     if lap:
         lead = np.unwrap((s - own) * 2.0 * np.pi / lap) * lap / (2.0 * np.pi)
         return np.mod(own + _running_mean(lead, max(5, int(0.5 / drive.period))), lap), "position"
-    return own + _running_mean(s - own, max(5, int(0.5 / drive.period))), "position"
+    # A drive that leaves the path has no place on it beyond its ends.
+    carried = own + _running_mean(s - own, max(5, int(0.5 / drive.period)))
+    return np.clip(carried, reference.s[0], reference.s[-1]), "position"
 
 
 def places_of(drives: Sequence[Drive], wheelbase: float) -> tuple[list[tuple[np.ndarray, str]], float | None]:

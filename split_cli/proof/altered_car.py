@@ -2,7 +2,7 @@
 
 Nobody can drive the recorded drive again with another car. What can be computed is how its motion would have
 differed: by as much as two nominal models differ, one of the vehicle file and one of the file with the alteration.
-All that the nominal model gets wrong stays as it was at every moment of time.
+The forces that the nominal model lacks stay as they were at every moment of time, and move the altered body.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
+from scipy.ndimage import uniform_filter1d
 
 from split_cli.errors import SplitError
 from split_cli.logs.drive import Drive
@@ -28,8 +29,10 @@ _CREEP = 0.2
 _SPUN = 1.0
 #: Time over which the yaw rate's change is taken [s].
 _SLOPE = 0.06
-#: Share of the yaw rate's variance that the nominal model has to explain, running free at the recorded speed [1].
+#: Share of the variance of either axle's lateral force that the nominal model has to explain [1].
 _EXPLAINED = 0.75
+#: Over how long these forces are averaged: in shorter moments a slope of velocities is mostly noise [s].
+_LASTING = 0.3
 #: Words of a torque that was derived from the motion, and not from pedals or a motor.
 _OF_MOTION = ("nominal model", "acceleration")
 
@@ -78,26 +81,26 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     ------
     SplitError
         If the altered car would have spun, so that the recorded steering says nothing of how it is driven. If the
-        file, told speed and steering alone, explains less than three quarters of the yaw rate: then its response
-        to any change is not the car's.
+        file explains less than three quarters of an axle's lateral force: then its response to any change is not
+        the car's.
 
     Notes
     -----
     With x = (v_x, v_y, r) as recorded, f and g the single tracks of both files and u the inputs, the differences
-    d of v_y and r follow d' = g(x + d, u') - f(x, u) from 0 at the begin of each segment, by RK4 with as many
-    substeps as the altered car's eigenvalues ask for. The torque in u' is the one that keeps v_x' as it was; it is
-    written into the drive unless T was derived from the motion. So the labels of the new drive against g are those
-    of the old one against f. Yaw angle, position and accelerations change by what d moves. Below a fifth of the
-    vehicle's minimum speed d is 0.
+    d of v_y and r follow d' = g(x + d, u') - f(x, u) + (G F^-1 - I)(x' - f(x, u)) from 0 at the begin of each
+    segment, by RK4 with as many substeps as the altered car's eigenvalues ask for. F and G are the matrices of
+    forces to rates of both: the labels x' - f are of forces, which move the altered body. So a sensor's bias,
+    which is a force to the nominal model and none to the car, does not turn it. The torque in u' is the one that
+    keeps v_x' as it was; it is written into the drive unless T was derived from the motion. Yaw angle, position
+    and accelerations change by what d moves. Below a fifth of the vehicle's minimum speed d is 0.
     """
     car, other = SingleTrack(vehicle, ()), SingleTrack(altered, ())
     slowest = _CREEP * vehicle.minimum_speed
-    explained = _explained(drive, car, slowest)
-    if not explained >= _EXPLAINED:
-        share = explained if explained > 0.0 else 0.0  # it is no number where the model runs away
+    front, rear = _explained(drive, car)
+    if not min(front, rear) >= _EXPLAINED:
         raise SplitError(
-            f"told speed and steering alone, the file explains {share:.0%} of the yaw rate's variation; "
-            f"{_EXPLAINED:.0%} are needed to say how another car would have moved",
+            f"the file explains {max(front, 0.0):.0%} of the variation of the front axle's lateral force and "
+            f"{max(rear, 0.0):.0%} of the rear's; {_EXPLAINED:.0%} are needed to tell how another car would move",
             where=drive.name,
             advice="Calibrate it first (split calibrate).",
         )
@@ -151,18 +154,35 @@ def moved_reference(drive: Drive, dx: float) -> Drive:
     if "ax" in columns:
         columns["ax"] = columns["ax"] - dx * r * r
     if "ay" in columns:
-        width = max(1, round(_SLOPE / drive.period / 2.0))
         columns["ay"] = np.array(columns["ay"], dtype=float)
         for rows in drive.segments():
-            known = np.pad(r[rows], width, mode="edge")
-            columns["ay"][rows] += dx * (known[2 * width :] - known[: -2 * width]) / (2.0 * width * drive.period)
+            columns["ay"][rows] += dx * _slope(r[rows], drive.period)
     return replace(drive, columns=columns, sha256="")
 
 
-def _explained(drive: Drive, car: SingleTrack, slowest: float) -> float:
-    """Return the share [1] of the variance of r that a model explains which runs free at the recorded speed."""
-    left = [drive["r"][rows] - _running_free(car, _Path.of(drive, rows), slowest) for rows in drive.segments()]
-    return 1.0 - float(np.var(np.concatenate(left)) / np.var(drive["r"]))
+def _slope(values: np.ndarray, period: float) -> np.ndarray:
+    """Return the change of samples (N, ...) over `_SLOPE` around each, by time; at the ends over what there is."""
+    width = max(1, round(_SLOPE / period / 2.0))
+    rows = np.arange(len(values))
+    before, after = np.maximum(rows - width, 0), np.minimum(rows + width, len(values) - 1)
+    return ((values[after] - values[before]).T / (np.maximum(after - before, 1) * period)).T
+
+
+def _explained(drive: Drive, car: SingleTrack) -> tuple[float, float]:
+    """Return the shares [1] of the variance of the front and the rear lateral force that a model explains."""
+    width = max(1, round(_LASTING / drive.period))
+    lacking, whole = [], []
+    for rows in drive.segments():
+        path = _Path.of(drive, rows)
+        moving = path.velocity[:, 0] > car.vehicle.minimum_speed
+        slope, model = _slope(path.velocity, drive.period), path.rates(car)
+        turning = np.cross([0.0, 0.0, 1.0], path.velocity * [1.0, 1.0, 0.0]) * path.velocity[:, 2:]
+        for found, one in ((lacking, slope - model), (whole, slope + turning)):
+            found.append(uniform_filter1d(one, width, axis=0)[moving])
+    forces = np.linalg.inv(car.vehicle.force_matrix()).T
+    left, all_of_it = (np.var(np.concatenate(one) @ forces, axis=0)[1:] for one in (lacking, whole))
+    front, rear = 1.0 - left / np.maximum(all_of_it, 1e-300)
+    return float(front), float(rear)
 
 
 @dataclass(frozen=True)
@@ -181,6 +201,10 @@ class _Path:
         held = tuple(drive.metadata.between.get(name) == "held" for name in ("T", "delta"))
         return cls(drive.period, velocity, inputs, held)
 
+    def rates(self, model: SingleTrack) -> np.ndarray:
+        """Return v_x', v_y' and r' of a model at every sample, shape (N, 3)."""
+        return np.stack(model.velocity_derivative(*self.velocity.T, *self.inputs.T), axis=1)
+
     def between(self, k: int, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return velocity (M, 3) and inputs (M, 2) at shares of the sample that begins at row k."""
         grown = share[:, None]
@@ -195,12 +219,13 @@ def _follow(
     count = len(path.velocity)
     inputs, velocity = path.inputs, path.velocity
     changed, rate, torque = np.zeros((count, 2)), np.zeros((count, 2)), inputs[:, 0].copy()
+    moved = _moved_forces(car, other, path, slowest)
     substeps = _substeps(other, path, slowest)
     span = _THRUST * other.vehicle.max_torque
     for k in range(count):
         if velocity[k, 0] <= slowest:
             continue
-        known = np.array(car.velocity_derivative(*velocity[k], *inputs[k]))
+        known = np.array(car.velocity_derivative(*velocity[k], *inputs[k])) - moved[k]
         # Thrust is linear in the torque on either side of zero.
         for _ in range(2):
             here, there = (
@@ -210,7 +235,8 @@ def _follow(
             torque[k] += span * (known[0] - here[0]) / (there[0] - here[0])
         rate[k] = np.array(here[1:]) - known[1:]
         if k + 1 < count and velocity[k + 1, 0] > slowest:
-            changed[k + 1] = _step(car, other, path, k, int(substeps[k]), changed[k], torque[k] - inputs[k, 0])
+            more = torque[k] - inputs[k, 0]
+            changed[k + 1] = _step(car, other, path, k, int(substeps[k]), changed[k], more, moved[k : k + 2, 1:])
             if not np.abs(changed[k + 1, 0]) < 10.0 * _SPUN * velocity[k, 0]:
                 changed[k + 1 :] = np.nan
                 break
@@ -220,16 +246,11 @@ def _follow(
 _THRUST = 1e-3  # step of the torque over the largest [1]
 
 
-def _running_free(car: SingleTrack, path: _Path, slowest: float) -> np.ndarray:
-    """Return the yaw rate [rad/s] of a model that is told speed, torque and steer angle alone, shape (N,)."""
-    nothing = replace(path, velocity=path.velocity * [1.0, 0.0, 0.0])
-    state = path.velocity[:, 1:].copy()
-    substeps = _substeps(car, path, slowest)
-    for k in np.flatnonzero((path.velocity[:-1, 0] > slowest) & (path.velocity[1:, 0] > slowest)):
-        state[k + 1] = _step(None, car, nothing, k, int(substeps[k]), state[k], 0.0)
-        if not np.abs(state[k + 1, 0]) < 10.0 * path.velocity[k, 0]:
-            return np.full(len(state), np.inf)
-    return state[:, 1]
+def _moved_forces(car: SingleTrack, other: SingleTrack, path: _Path, slowest: float) -> np.ndarray:
+    """Return the rates that the forces which `car` lacks add to those of an altered body, shape (N, 3)."""
+    labels = (_slope(path.velocity, path.period) - path.rates(car)) * (path.velocity[:, :1] > slowest)
+    matrices = (one.vehicle.force_matrix() for one in (car, other))
+    return labels @ (np.linalg.solve(*(one.T for one in matrices)) - np.eye(3))
 
 
 def _substeps(model: SingleTrack, path: _Path, slowest: float) -> np.ndarray:
@@ -239,20 +260,23 @@ def _substeps(model: SingleTrack, path: _Path, slowest: float) -> np.ndarray:
 
 
 def _step(
-    car: SingleTrack | None,
+    car: SingleTrack,
     other: SingleTrack,
     path: _Path,
     k: int,
     parts: int,
     begin: np.ndarray,
     more_torque: float,
+    moved: np.ndarray,
 ) -> np.ndarray:
-    """Return the differences of v_y and r one sample later, by classical RK4; `car` may be one that stays."""
+    """Return the differences of v_y and r one sample later, by classical RK4.
+
+    `moved` are the last columns of `_moved_forces` at both ends of the sample, shape (2, 2).
+    """
     share = np.linspace(0.0, 1.0, 2 * parts + 1)
     velocity, inputs = path.between(k, share)
-    known = np.zeros((len(share), 2))
-    if car is not None:
-        known = np.stack(car.velocity_derivative(*velocity.T, *inputs.T), axis=1)[:, 1:]
+    known = np.stack(car.velocity_derivative(*velocity.T, *inputs.T), axis=1)[:, 1:]
+    known -= moved[0] + share[:, None] * (moved[1] - moved[0])
     h = path.period / parts
 
     def slope(at: int, d: np.ndarray) -> np.ndarray:

@@ -63,3 +63,18 @@ def test_an_open_path_keeps_its_own_arc_length():
     ((s, _),), lap = places_of([Drive("road", columns, np.zeros(len(t), np.int32), 0.01)], 2.7)
     assert lap is None
     np.testing.assert_allclose(s, 15.0 * t, atol=1e-9)
+
+
+def test_a_drive_that_leaves_an_open_path_has_places_on_it_alone():
+    t = np.arange(0.0, 20.0, 0.01)
+
+    def straight(begin: float, speed: float) -> Drive:
+        columns = {name: np.zeros(len(t)) for name in ("Y", "yaw", "vy", "r", "T", "delta")}
+        columns |= {"t": t, "X": begin + speed * t, "vx": np.full(len(t), speed)}
+        return Drive("straight", columns, np.zeros(len(t), np.int32), 0.01)
+
+    # The first ten seconds lie before the path begins.
+    (_, (s, reference)), lap = places_of([straight(0.0, 10.0), straight(-100.0, 10.0)], 2.7)
+    assert reference == "position" and lap is None
+    np.testing.assert_allclose(s, np.clip(10.0 * t - 100.0, 0.0, None), atol=3.0)
+    assert s.min() == 0.0

@@ -21,7 +21,7 @@ VEHICLE = Vehicle(
     MagicFormula(10.0, 1.3, 6500.0), 2000.0, 5000.0, 100.0, 80.0, drag_coefficient=0.4,
 )  # fmt: skip
 SIZES = {"mass": 1.25, "friction_scale": 0.75, "tire_stiffness": 0.7, "cg_shift": 0.2}
-_AT = np.arange(1501) * 0.01
+_AT = np.arange(801) * 0.01
 
 
 def _steer(t):
@@ -82,7 +82,8 @@ def test_of_a_car_without_model_error_the_altered_drive_is_the_altered_car_s(ter
     for name in ("vy", "r", "yaw", "X", "Y", "T", "ax", "ay"):
         scale = np.abs(drive[name] - true[name]).max()
         # Between samples channels run in straight lines: 1e-5 of a sine of 3 rad/s at 100 Hz, gathered by yaw.
-        assert np.abs(found[name] - true[name]).max() < 2e-3 * scale, name
+        # In the first and the last 30 ms slopes are taken to one side.
+        assert np.abs(found[name] - true[name])[3:-3].max() < 1e-2 * scale, name
     assert np.array_equal(found["vx"], drive["vx"]) and np.array_equal(found["delta"], drive["delta"])
 
 
@@ -104,21 +105,31 @@ def test_a_heavier_car_needs_more_torque_unless_its_torque_came_from_the_motion(
     assert (np.abs(found["T"] - drive["T"]).max() > 10.0) == is_written
 
 
-def test_what_the_nominal_model_gets_wrong_stays_as_it_was(drive):
+def test_the_forces_that_the_nominal_model_lacks_stay_as_they_were():
     # Of a softer car, told by a file that does not know: the labels against the file, at every moment.
     softer = _drive(altered_vehicle(VEHICLE, "tire_stiffness", 0.9))
-    heavier = altered_vehicle(VEHICLE, "mass", 1.2)
-    found = driven_by(softer, VEHICLE, heavier)
+    softer = softer.select(softer["t"] < 5.0)
+    other = altered_vehicle(altered_vehicle(VEHICLE, "mass", 1.2), "cg_shift", 0.1)
+    found = driven_by(softer, VEHICLE, other)
 
     def labels(one: Drive, vehicle: Vehicle) -> np.ndarray:
         rates = SingleTrack(vehicle, ()).velocity_derivative(*(one[n] for n in ("vx", "vy", "r", "T", "delta")))
-        change = np.stack([np.gradient(one[name], _AT) for name in ("vx", "vy", "r")])
-        return (change - np.stack(rates))[:, 2:-2]
+        change = np.stack([np.gradient(one[name], 0.01) for name in ("vx", "vy", "r")])
+        return np.linalg.solve(vehicle.force_matrix(), change - np.stack(rates))[:, 5:-5]
 
-    before, after = labels(softer, VEHICLE), labels(found, heavier)
-    assert np.abs(labels(found, VEHICLE) - before).max(axis=1)[1] > 0.5
-    # Central differences of 10 ms are right to (3 x 0.01)^2/6 of v_y' and r'.
-    np.testing.assert_allclose(after, before, atol=2e-3)
+    before, after = labels(softer, VEHICLE), labels(found, other)
+    assert np.abs(labels(found, VEHICLE) - before).max() > 0.2 * np.abs(before).max()
+    # Slopes over 60 ms are right to (3 x 0.06)^2/24 of v_y' and r'.
+    np.testing.assert_allclose(after, before, atol=2e-3 * VEHICLE.mass)
+
+
+def test_a_biased_velocity_turns_no_car(drive):
+    """A bias of v_y is a lateral force to the nominal model, and none that a moved CG lets turn the car."""
+    altered = altered_vehicle(VEHICLE, "cg_shift", 0.2)
+    short = drive.select(drive["t"] < 4.0)
+    biased = replace(short, columns={**short.columns, "vy": short["vy"] - 0.1})
+    found, true = (driven_by(one, VEHICLE, altered)["r"] - short["r"] for one in (biased, short))
+    assert abs(np.mean(found - true)) < 0.02 * np.abs(true).max()
 
 
 def test_a_car_that_would_spin_is_refused(drive):

@@ -2,11 +2,14 @@
 
 A car with a fifth more yaw inertia turns in a fifth slower under all moments, those included that no single track
 has. Were these left as they are, a single track that misses as much as it holds would say that nothing changed.
+Where the centre of gravity lies elsewhere, the axles slip otherwise at the same velocities, and a tyre's force is
+that of its slip.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +18,7 @@ from split_cli.vehicle.flow import AxleFlow, Flow
 from split_cli.vehicle.operations import NUMPY
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["alters_body", "at_another_body"]
+__all__ = ["alters_body", "at_another_body", "moved_axles"]
 
 
 def alters_body(term: Term) -> bool:
@@ -23,8 +26,16 @@ def alters_body(term: Term) -> bool:
     return type(term).body is not Term.body
 
 
+def moved_axles(vehicle: Vehicle, terms: Sequence[Term]) -> Vehicle:
+    """Return a vehicle with the axles where terms put them; itself where none moves one."""
+    moved = _body(vehicle, [term for term in terms if alters_body(term)])
+    if moved.l_f == vehicle.cg_to_front_axle:
+        return vehicle
+    return replace(vehicle, cg_to_front_axle=float(moved.l_f), cg_to_rear_axle=float(moved.l_r))
+
+
 def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) -> np.ndarray:
-    """Return rates that the same forces give the body that terms make of a vehicle's.
+    """Return rates that the same forces give the mass and the inertia that terms make of a vehicle's.
 
     Parameters
     ----------
@@ -32,21 +43,20 @@ def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) 
         Of v_x, v_y [m/s^2] and r [rad/s^2], at the vehicle's own body, the effects of its file included.
     vehicle : Vehicle
     terms : sequence of Term
-        Those that alter no body are passed over.
+        Those that alter no body are passed over, and where axles lie is the vehicle's, see `moved_axles`.
 
     Notes
     -----
-    m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r, with arms l_f - dx and l_r + dx. The forces
-    stay where a variant lets the nominal ones follow the load, too: what a single track lacks is mostly of torque.
+    m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r. The forces stay where a variant lets the
+    nominal ones follow the load, too: what a single track lacks is mostly of torque.
     """
     altering = [term for term in terms if alters_body(term)]
     if not altering:
         return rates
     own = [term for term in build_terms(vehicle) if alters_body(term)]
     old, new = _body(vehicle, own), _body(vehicle, [*own, *altering])
-    along, across, turning = (*(old.mass * rates.T[:2]), old.yaw_inertia * rates[:, 2])
-    turning = turning + (new.l_f - old.l_f) * across
-    return np.stack([along / new.mass, across / new.mass, turning / new.yaw_inertia], axis=1)
+    lighter, nimbler = old.mass / new.mass, old.yaw_inertia / new.yaw_inertia
+    return rates * np.array([lighter, lighter, nimbler])
 
 
 def _body(vehicle: Vehicle, terms: Sequence[Term]) -> Flow:

@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.body import at_another_body
+from split_cli.diagnosis.baseline.body import at_another_body, moved_axles
 from split_cli.diagnosis.baseline.tires import at_other_tires
 from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.vehicle.effects import CATALOGUE, Term
@@ -73,8 +73,12 @@ class SharedDiscrepancy:
         or body.
 
         What the actuators really did, and where the car really was, is what the shared discrepancy answers to; its
-        forces are those of the tyres that are there, and move the body that is there.
+        forces are those of the tyres that are there, at the slips they have, and move the body that is there.
         """
+        there = moved_axles(self.vehicle, terms)
+        if there is not self.vehicle:
+            rest = [term for term in terms if moved_axles(self.vehicle, [term]) is self.vehicle]
+            return replace(self, vehicle=there).rates(series, weights, rest)
         _, smooth = series.corrected(terms)
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), smooth)
@@ -95,8 +99,13 @@ class SharedDiscrepancy:
         return self.at_another_car(np.stack(out, axis=1), actual, terms)
 
     def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
-        """Return rates (N, 3) of a recording with the tyres and the body that terms make of the vehicle's."""
-        return at_another_body(at_other_tires(rates, series, self.vehicle, terms), self.vehicle, terms)
+        """Return rates (N, 3) with the tyres and the body that terms make of the vehicle's.
+
+        Where terms move axles, the rates are those at the axles' slips there, see `rates`.
+        """
+        there = moved_axles(self.vehicle, terms)
+        some = series if there is self.vehicle else replace(series)  # a series keeps a flow of every vehicle
+        return at_another_body(at_other_tires(rates, some, there, terms), there, terms)
 
     def _directions(self) -> np.ndarray:
         return self.vehicle.force_matrix() * self._peak * _SMOOTH_DEVIATION

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from split_cli.diagnosis.baseline.body import alters_body
+from split_cli.diagnosis.baseline.body import alters_body, moved_axles
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.baseline.tires import alters_tires
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
@@ -254,15 +254,20 @@ class MarginalLikelihood:
         def rows() -> np.ndarray:
             moved = []
             for one in self.evidence:
-                rates = [self._rates(one, some) for some in ((), altering)]
+                rates = [self._rates(one, [*some, *self._moving_axles(others)]) for some in ((), altering)]
                 here, there = (self.discrepancy.at_another_car(some, one.series, others) for some in rates)
                 moved.append(one.whitener(integrated(one.series, there - here)))
             return self.stack(moved)
 
         return self._remembered(("shift", bool(others)), [*altering, *others], rows, for_good=not others)
 
+    def _moving_axles(self, terms: Sequence[Term]) -> list[Term]:
+        """Return the terms that put the axles elsewhere, by which these slip otherwise."""
+        vehicle = self.discrepancy.vehicle
+        return [term for term in terms if moved_axles(vehicle, [term]) is not vehicle]
+
     def _rates(self, one: Evidence, altering: Sequence[Term]) -> np.ndarray:
-        """Return the shared discrepancy's rates (N, 3) where terms alter inputs or sensors."""
+        """Return the shared discrepancy's rates (N, 3) where terms alter inputs, sensors or the axles' slips."""
         return self._remembered(
             ("discrepancy rates", id(one)),
             altering,
@@ -274,8 +279,8 @@ class MarginalLikelihood:
         others = [term for term in terms if alters_car(term)]
         if self.posterior is None or not others:
             return None
-        rates = self._rates(one, ())
-        return self.discrepancy.at_another_car(rates, one.series, others) - rates
+        here, there = (self._rates(one, some) for some in ((), self._moving_axles(others)))
+        return self.discrepancy.at_another_car(there, one.series, others) - here
 
     def left_by(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what terms leave while they are fitted, shape (R,).
