@@ -11,6 +11,8 @@ import numpy as np
 from split_cli.logs.assembling.clean import CleanSeries, Drop
 from split_cli.logs.checking.consistency import Consistency
 from split_cli.logs.checking.delay import DelayEstimate
+from split_cli.logs.map_entries import EXTRA_UNITS
+from split_cli.signals import CHANNELS
 
 __all__ = [
     "ChannelQuality",
@@ -21,6 +23,10 @@ __all__ = [
     "stored_findings",
 ]
 
+_KNOWN = {*CHANNELS, *EXTRA_UNITS}
+_MOST_ROWS = 12
+"""Of the table, for columns that no command knows: CarSim writes 700, and what follows would be out of sight."""
+_SHOWN = 6
 _FAULTS = ("scale", "sign", "swapped", "range", "constant")
 _MODEL_CHANNELS = ("vx", "vy", "r", "T", "delta")
 
@@ -168,15 +174,21 @@ def render_quality(report: QualityReport) -> str:
         f"{'channel':<{wide}}{'source':<34}{'rate/Hz':>8}{'jitter':>8}{'gaps':>6}{'min':>12}{'max':>12}"
         "  resampling",
     ]
-    for c in report.channels:
+    as_recorded = [c for c in report.channels if c.channel == c.source and c.channel not in _KNOWN]
+    beyond = as_recorded[_MOST_ROWS:]
+    for c in report.channels if not beyond else [c for c in report.channels if c not in beyond]:
         source = c.source if len(c.source) <= 33 else "..." + c.source[-30:]
         lines.append(
             f"{c.channel:<{wide}}{source:<34}{c.rate:>8.1f}{c.jitter:>8.1%}{c.gaps:>6d}{c.low:>12.4g}{c.high:>12.4g}"
             f"  {c.resampling}"
         )
-    dropped = [f"{d.count} {d.reason} in {d.source}" for c in report.channels for d in c.drops]
+    if beyond:
+        lines.append(f"and {len(beyond)} further columns, kept as recorded: {_few([c.source for c in beyond])}")
+    dropped: dict[str, list[str]] = {}
+    for drop in dict.fromkeys(d for c in report.channels for d in c.drops):
+        dropped.setdefault(f"{drop.count} {drop.reason}", []).append(drop.source)
     for title, entries in (
-        ("dropped or moved", dropped),
+        ("dropped or moved", [f"{what} in {_few(sources)}" for what, sources in dropped.items()]),
         ("assumed", _assumed(report.assumed)),
         ("file and map disagree", report.contradictions),
         ("not in this recording", _skipped(report.skipped)),
@@ -189,6 +201,12 @@ def render_quality(report: QualityReport) -> str:
             lines.append(f"{title}:")
             lines.extend(f"  {entry}" for entry in entries)
     return "\n".join(lines)
+
+
+def _few(names: Sequence[str]) -> str:
+    """Return the first names, and how many more there are."""
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + more
 
 
 def _assumed(texts: Sequence[str]) -> list[str]:

@@ -15,7 +15,7 @@ from split_cli.logs.checking.directions import (
     swap_finding,
 )
 from split_cli.logs.checking.explanations import ConsistencyFinding, Relation, explain
-from split_cli.logs.checking.path import direction_of_travel, velocity_across, yaw_is_course
+from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 
@@ -102,7 +102,8 @@ def check_consistency(
             placed = Checks(as_it_is, drive, vehicle, kinds, certain).sideslip_place() and placed
         findings += [*finer.straight_line(), *placed, *finer.grip()]
     if not {"X", "Y", "yaw"} & wrong:
-        findings += [*direction_of_travel(finer), *velocity_across(finer), *yaw_is_course(finer)]
+        useless = [*velocity_across(finer), *velocity_along(finer)]
+        findings += [*direction_of_travel(finer, not useless), *useless, *yaw_is_course(finer)]
     # Along another axis, an acceleration tells nothing of a tilt or a bias.
     along = {finding.channel for finding in exchanged}
     findings = [f for f in findings if f in exchanged or f.channel not in along or f.check == "constant"]

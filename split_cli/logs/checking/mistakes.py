@@ -69,6 +69,9 @@ _LENGTH_UNITS = ((1 / 0.3048, "ft"), (1e-3, "km"), (100.0, "cm"), (1000.0, "mm")
 _STEERING_RATIOS = (8.0, 25.0)
 """Of steering wheel to road wheel, from racing cars to lorries [1]."""
 
+_RADIUS_RATIOS = (0.7, 1.4)
+"""Of a wheel's radius as stated to the one that it rolls on [1]; within them lie all tyres of one class of cars."""
+
 
 def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
     """Return the mistakes that a channel may carry; `vehicle` gives the wheel radius that rad/s depends on."""
@@ -86,6 +89,9 @@ def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
     if channel.startswith("wheel_speed") and vehicle is not None:
         known += _unit(channel, 1.0 / vehicle.wheel_radius, "rad/s")
         known += _unit(channel, 60.0 / (2.0 * np.pi * vehicle.wheel_radius), "rpm")
+        what = "rolls on another radius than it was made with, here or in the logger"
+        remedy = "correct `wheel_radius` in the vehicle file where it counts turns, else set `scale:`"
+        known.append(Mistake(channel, *_RADIUS_RATIOS, False, what, remedy, 4.0))
     if channel in ("ax", "ay"):
         known += _unit(channel, 1.0 / STANDARD_GRAVITY, "g", turned=True)
         twice = "was converted from g although it is in m/s^2"

@@ -8,22 +8,24 @@ from split_cli.logs.checking.checks import LEAST_CORRELATION, Checks, Unjudged
 from split_cli.logs.checking.explanations import ConsistencyFinding
 from split_cli.logs.checking.kinematics import around_mean, block_interval, fit_slope
 
-__all__ = ["direction_of_travel", "velocity_across", "yaw_is_course"]
+__all__ = ["direction_of_travel", "velocity_across", "velocity_along", "yaw_is_course"]
 
 _LEAST_DIRECTION = 0.05
 """Smaller errors of a direction are those of an ordinary pose [rad]; judgement."""
+_NO_UNIT = 5.0
+"""Times a speed that no unit makes of it: km/h makes 3.6 [1]."""
 _LEAST_REAR_SLIP = 1e-3
 """Slip of the rear axle a unit of lateral acceleration that every car exceeds [rad/(m/s^2)]: racing tyres carry at
 most some 40 times their load a radian, which makes 2.5e-3."""
 
 
-def direction_of_travel(checks: Checks) -> list[ConsistencyFinding]:
-    """Compare yaw with the direction in which X, Y moves."""
+def direction_of_travel(checks: Checks, with_velocity: bool = True) -> list[ConsistencyFinding]:
+    """Compare yaw with the direction in which X, Y moves, its sideslip taken off `with_velocity`."""
     if not checks.usable("X", "Y", "yaw") or not checks.known("vx"):
         return []
     k = checks.k
     # Without v_y: the sideslip of left and right bends has no mean.
-    sideslip = np.arctan2(k.signal("vy"), k.signal("vx")) if checks.usable("vy") else 0.0
+    sideslip = np.arctan2(k.signal("vy"), k.signal("vx")) if with_velocity and checks.usable("vy") else 0.0
     centre, off = around_mean(k.travel_from_yaw() - sideslip)
     off = off[np.isfinite(off)]
     if len(off) < 50:
@@ -64,6 +66,30 @@ def velocity_across(checks: Checks) -> list[ConsistencyFinding]:
         "of it is error. Map another v_y, or leave it out and pass `--derive velocity-from-pose`."
     )
     return [ConsistencyFinding("contradiction", "vy", text, measured, None)]
+
+
+def velocity_along(checks: Checks) -> list[ConsistencyFinding]:
+    """Look for a v_x that is no speed of this car: far larger than that of X, Y, and not varying with it.
+
+    Noise of a pose only adds to its speed.
+    """
+    if not checks.usable("X", "Y") or not checks.known("vx"):
+        return []
+    k = checks.k
+    vx, path = k.signal("vx"), np.hypot(k.rate("X"), k.rate("Y"))
+    slope = fit_slope(np.abs(vx), path, np.isfinite(path))
+    if slope is not None and slope.correlation >= LEAST_CORRELATION:
+        return []
+    both = np.isfinite(vx) & np.isfinite(path)
+    recorded, true = (float(np.sqrt(np.mean(v[both] ** 2))) if both.any() else 0.0 for v in (vx, path))
+    if recorded <= _NO_UNIT * true or np.ptp(vx[both]) == 0.0:
+        return []
+    told = "do not vary together" if slope is None else f"correlate by {slope.correlation:.2f} only"
+    text = (
+        f"v_x does not follow the path: {recorded:.3g} m/s (rms) where X, Y moves at {true:.2g} m/s, and the two "
+        f"{told}. Map another v_x, or leave it out and pass `--derive velocity-from-pose`."
+    )
+    return [ConsistencyFinding("contradiction", "vx", text, recorded, None)]
 
 
 def yaw_is_course(checks: Checks) -> list[ConsistencyFinding]:

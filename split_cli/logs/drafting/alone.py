@@ -125,6 +125,11 @@ def without_the_tilted(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
 
 def read_sideslip(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
     """Compare a side-slip angle with v_y/v_x, or with the path across yaw; one of the other hand is turned."""
+    if s.status == "assumed" and s.unit == "rad" and "sideslip" in columns:
+        largest = float(np.nanmax(np.abs(columns["sideslip"]), initial=0.0))
+        if largest > np.pi:
+            s = replace(s, unit="deg", reason=f"unit not stated; it reaches {largest:.3g}, so degrees")
+            columns = {**columns, "sideslip": np.radians(columns["sideslip"])}
     slope = _of_sideslip(columns, rate) if s.status != "open" and {"vx", "sideslip"} <= set(columns) else None
     if slope is None or abs(slope.correlation) < LEAST_CORRELATION or abs(np.log(abs(slope.slope))) > 0.3:
         return s

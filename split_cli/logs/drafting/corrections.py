@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -159,7 +160,18 @@ def as_others_turn(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[
     }
 
 
-def with_status(s: Suggestion, verdict: Consistency) -> Suggestion:
+_TURNING = {"r", "yaw"}
+
+
+def _agree_in_any_unit(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consistency) -> bool:
+    """Whether a yaw or its rate, of which no unit is stated, agrees with the other alone: in degrees both would too."""
+    if s.channel not in _TURNING or any(chosen[c].status == "stated" for c in _TURNING & set(chosen)):
+        return False
+    holding = [set(r.powers) for r in verdict.relations if r.holds and _TURNING & set(r.powers)]
+    return bool(holding) and all(powers == _TURNING for powers in holding)
+
+
+def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consistency) -> Suggestion:
     """Say what supports or contradicts a suggestion."""
     faults = ("scale", "sign", "range", "constant", "swapped", "contradiction", "course")
     wrong = [f for f in verdict.findings if f.channel == s.channel and f.check in faults]
@@ -173,6 +185,9 @@ def with_status(s: Suggestion, verdict: Consistency) -> Suggestion:
     holding = [relation for relation in verdict.relations if relation.holds and keys & set(relation.powers)]
     notes = [f.text for f in verdict.findings if f.channel == s.channel]
     told = f"{s.reason}; " if s.reason else ""
+    if _agree_in_any_unit(s, chosen, verdict):
+        unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
+        return replace(s, unit=unit, reason=f"{told}unit not stated, {unit} assumed: r and yaw agree in degrees too")
     if holding:
         shown = "; ".join(f"{r.name} {r.slope.slope:.3g}" for r in holding[:3])
         return replace(s, status="judged", reason=f"{told}{shown}{'; note: ' + notes[0] if notes else ''}")

@@ -107,21 +107,24 @@ def read_steering(
     chosen = {c: s for c, s in chosen.items() if s not in shares}
     if shares and "delta" not in chosen:
         told += [replace(s, channel="delta", status="open", reason=_share(s, columns)) for s in shares[:1]]
+    by_ratio = None
     if "steering_wheel_angle" in chosen:
         wheel = _hand_wheel(chosen["steering_wheel_angle"], columns)
         told.append(wheel)
         if "delta" not in chosen and _is_of_the_road(wheel, columns):
             as_delta = {**columns, "delta": columns[wheel.channel]}
             told[-1] = _road_wheel(replace(wheel, channel="delta"), as_delta, vehicle)
-        elif "delta" not in chosen:
+        else:
             reach = apparent_wheelbase(columns.get("steering_wheel_angle", np.zeros(0)), columns) if (
                 "steering_wheel_angle" in columns) else None  # fmt: skip
             found = chosen["steering_wheel_angle"]
             if reach is not None and found.unit != wheel.unit and wheel.unit == "deg":
                 reach *= np.pi / 180.0
-            told.append(make("delta", wheel.sources, status="open", reason=_ratio(reach, wheel.unit, vehicle)))
+            by_ratio = make("delta", wheel.sources, status="open", reason=_ratio(reach, wheel.unit, vehicle))
     if "delta" in chosen:
         told.append(_road_wheel(chosen["delta"], columns, vehicle))
+    if by_ratio is not None and not any(s.channel == "delta" and s.status != "open" for s in told):
+        told.append(by_ratio)
     return told
 
 

@@ -98,9 +98,9 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
         chosen = _choose(usable, trial)
     corrected, consistency = _with_rivals_that_fit(*correct(chosen, trial), usable, trial)
     corrected = as_others_turn(as_siblings(corrected, consistency), consistency)
-    suggestions = [with_status(s, consistency) for s in corrected.values()]
+    suggestions = [with_status(s, corrected, consistency) for s in corrected.values()]
     suggestions = [s for s in suggestions if s.channel not in ("delta", "steering_wheel_angle", *_HELPERS)]
-    suggestions = [_as_course(s, consistency) if s.channel == "yaw" else s for s in suggestions]
+    suggestions = [_as_course(s, consistency, trial) if s.channel == "yaw" else s for s in suggestions]
     in_doubt = {s.channel for s in suggestions if s.status == "open"}
     clear = {c: values for c, values in trial.columns(corrected).items() if c not in in_doubt}
     turning = {**trial.motion_of_pose(clear, ("vx", "r")), **clear}
@@ -130,8 +130,14 @@ def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehic
     return render_draft(draft_map(recording, row_rate=row_rate, vehicle=vehicle), recording.name)
 
 
-def _as_course(s: Suggestion, verdict: Consistency) -> Suggestion:
-    """Leave a yaw open that is called a course over ground, unless the sideslip between the two is seen."""
+def _as_course(s: Suggestion, verdict: Consistency, trial: Trial) -> Suggestion:
+    """Leave a yaw open that is called a course over ground, or changes only with the satellite fix.
+
+    Unless the sideslip between the two is seen.
+    """
+    if s.status == "assumed" and _changes_with_the_fix(s, trial):
+        why = "changes only with the satellite fix: a receiver's direction of travel (yaw plus sideslip), not yaw"
+        return replace(s, status="open", reason=why)
     called = {m.channel for name in s.sources for m in meanings(RawChannelInfo(name, "column", None))}
     if (
         s.status == "open"
@@ -140,6 +146,18 @@ def _as_course(s: Suggestion, verdict: Consistency) -> Suggestion:
     ):
         return s
     return replace(s, status="open", reason="by its name the direction of travel: yaw plus sideslip, not yaw")
+
+
+def _changes_with_the_fix(s: Suggestion, trial: Trial) -> bool:
+    """Whether a heading is held on the rows of a table on which its latitude is held too, and on few others."""
+    latitude = next((x for x in trial.signals.values() if meanings(RawChannelInfo(x.name, "column", None))[:1] and
+                     meanings(RawChannelInfo(x.name, "column", None))[0].channel == "latitude"), None)  # fmt: skip
+    heading = trial.signals.get(s.sources[0])
+    if latitude is None or heading is None or len(latitude.values) != len(heading.values):
+        return False
+    fixes, turns = (np.diff(x.values) != 0.0 for x in (latitude, heading))
+    rows = len(fixes)
+    return 20 < np.sum(turns) < 0.5 * rows and np.sum(turns & fixes) > 0.9 * np.sum(turns) and np.mean(fixes) < 0.5
 
 
 def _is_bare_topic(info: RawChannelInfo, infos: Sequence[RawChannelInfo]) -> bool:

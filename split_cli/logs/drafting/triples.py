@@ -115,7 +115,9 @@ def _axes(
     if turning is not None:
         up = int(np.argmax(turning))
         others = np.delete(turning, up)
-        if up != 2 and turning[up] > _CLEARLY * others.max():
+        # On a straight a car pitches more than it yaws, but what pitches swings back.
+        lasts = _CLEARLY * turning[up] > _lasting(signals[kinds["rate"][up]], time, True, seconds=0.0)
+        if up != 2 and lasts and turning[up] > _CLEARLY * others.max():
             name, z = kinds["rate"][up], kinds["rate"][2]
             why = f"{name} turns {turning[up] / max(turning[2], 1e-12):.3g} times as much as {z}: {NOT_UP}"
             return _Axes(up, forward if forward != up else None, why)
@@ -125,7 +127,9 @@ def _axes(
     return None
 
 
-def _lasting(signal: RawSignal, time: np.ndarray | None, without_bias: bool) -> float:
+def _lasting(
+    signal: RawSignal, time: np.ndarray | None, without_bias: bool, seconds: float = _SECONDS
+) -> float:
     """Return the rms of a signal's means over some seconds: what lasts, not what swings back.
 
     A gyroscope at rest may read a degree per second, more than a car on a straight turns: its median is taken off.
@@ -138,6 +142,6 @@ def _lasting(signal: RawSignal, time: np.ndarray | None, without_bias: bool) -> 
     if np.count_nonzero(good) < 20:
         return 0.0
     step = float(np.median(np.diff(stamps[good])))
-    rows = int(np.clip(_SECONDS / max(step, 1e-9), 1, np.count_nonzero(good)))
+    rows = int(np.clip(seconds / max(step, 1e-9), 1, np.count_nonzero(good)))
     means = uniform_filter1d(values[good], rows)
     return float(np.sqrt(np.mean((means - np.median(means) if without_bias else means) ** 2)))

@@ -70,14 +70,16 @@ _WORDS: dict[str, str] = {
         "min max limit bias temp temperature lap age confidence jerk "
         "roll rolling pitch pitching tilt bank bearing course slope grade altitude height kappa curvature "
         "radius distance dist combined combo gear ratio level battery voltage power fuel lean satellites "
-        "sats hdop residual spring damper jounce suspension steps engine_speed orientation quaternion quat"
+        "sats hdop aax aay aaz residual spring damper jounce suspension steps engine_speed orientation quaternion quat"
     ),
     "driver": "driver fahrer",
     "velocity long": "vx vlong vlon vlgt vfwd vlaengs",
     "velocity lat": "vy vlat vquer",
     "acceleration long": "ax along alon algt alaengs",
     "acceleration lat": "ay alat aquer",
-    "yaw rate": "wz psip yr yawrate psidot psipunkt dpsi",
+    "yaw rate": "wz avz psip yr yawrate psidot psipunkt dpsi",
+    "angular long": "avx",
+    "angular lat": "avy",
     "torque wheel": "radmoment radmomente raddrehmoment",
     "steer road angle": "radlenkwinkel vorderradlenkwinkel spurwinkel 前轮转角",
     "pedal acceleration": "加速踏板",
@@ -203,7 +205,9 @@ def _motion(c: set[str]) -> tuple[str, int] | None:
     if c & {"steer", "handwheel", "torque", "throttle", "brake", "pressure", "current", "engine"}:
         return None
     if corner is not None:
-        return (f"wheel_speed_{corner}", 3) if "velocity" in c or "wheel" in c else None
+        # A wheel's spin is its rate about the lateral axis (CarSim: AVy_L1).
+        spins = {"angular", "lat"} <= c or ("velocity" in c or "wheel" in c) and "angular" not in c
+        return (f"wheel_speed_{corner}", 3) if spins else None
     turning = "yaw" in c or ("up" in c and bool(c & {"rate", "angular"} or {"angle", "velocity"} <= c))
     if "acceleration" in c:
         if "angular" in c or "yaw" in c or "up" in c:

@@ -34,6 +34,7 @@ _MARKS = (
 )
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _NUMBER_WITH_COMMA = re.compile(r"^[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d+)?$")
+_WORD = re.compile(r"[^\W\d]")
 _UNIT_LIKE = re.compile(r"^[\[(]?[#A-Za-z°µ%/*^·.\-\d² ]{0,12}[\])]?$")
 
 
@@ -282,7 +283,7 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
 
 
 def _looks_like_titles(row: list[str]) -> bool:
-    return len([cell for cell in row if re.search(r"[^\W\d]", cell)]) > 1
+    return len([cell for cell in row if _WORD.search(cell)]) > 1
 
 
 def _rejoined(row: list[str], width: int) -> list[str]:
@@ -309,5 +310,6 @@ def _is_unit_row(row: list[str], width: int) -> bool:
     filled = [cell for cell in cells if cell]
     if abs(len(row) - width) > 1 or not filled or not all(_UNIT_LIKE.match(cell) for cell in filled):
         return False
-    known = sum(find_unit(cell) is not None or cell[0] in "[(" for cell in filled)
+    # AiM writes # where a channel has no unit; a sign is never a channel's name.
+    known = sum(find_unit(cell) is not None or cell[0] in "[(" or not _WORD.search(cell) for cell in filled)
     return 2 * known >= len(filled)

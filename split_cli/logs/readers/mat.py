@@ -21,6 +21,8 @@ _DEEPEST = 8
 _MOST_COLUMNS = 64
 _TIME_NAMES = ("time", "Time", "t", "tout")
 _TIME_FIELD = re.compile(r"(?:t|time|timestamps?|stamp|tout)(?:_?(s|sec|ms|us|ns))?", re.IGNORECASE)
+_UNIT_FIELDS = ("unit", "units")
+_VALUE_FIELDS = (".Value", ".Values", ".value", ".values")
 _VALUE_NAMES = ("signals.values", "values", "data", "Data")
 
 
@@ -86,8 +88,9 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
     if {"X", "Y"} <= set(getattr(value, "_fieldnames", ())) and all(_named(value.Y)) and all(_named(value.X)):
         yield from _capture(name, value)
     elif hasattr(value, "_fieldnames"):
+        unit = next((_text(getattr(value, key)) for key in value._fieldnames if key.lower() in _UNIT_FIELDS), "")
         for key in value._fieldnames:
-            yield from _leaves(f"{name}.{key}", getattr(value, key), depth + 1)
+            yield from _leaves(_with_unit(f"{name}.{key}", unit), getattr(value, key), depth + 1)
     elif isinstance(value, np.ndarray) and value.dtype == object:
         # Structs and cells come as arrays of objects, a single struct as an array of one.
         items = value.ravel()[:_MOST_COLUMNS]
@@ -101,6 +104,12 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
                 yield from _leaves(name if value.size == 1 else f"{name}[{index}]", item, depth + 1)
     elif isinstance(value, np.ndarray) and (value.dtype.kind in "biuf"):
         yield name, value
+
+
+def _with_unit(name: str, unit: str) -> str:
+    """Return the address of a structure's values with the unit that stands beside them, as MoTeC exports it."""
+    # A dot in brackets is no part of an address.
+    return f"{name} [{unit.replace('.', ' ')}]" if unit and name.endswith(_VALUE_FIELDS) else name
 
 
 def _named(items: Any) -> list[str]:
@@ -148,12 +157,15 @@ def _collect_hdf5(
 ) -> None:
     import h5py
 
+    unit = next((_text_hdf5(group[key]) for key in group if key.lower() in _UNIT_FIELDS), "")
     for key, item in group.items():
         if key.startswith("#") or depth > _DEEPEST:
             continue
         name = f"{prefix}{key}"
         if "MATLAB_object_decode" in item.attrs:
             objects.append(name)
+        elif key.lower() in _UNIT_FIELDS:
+            continue
         elif isinstance(item, h5py.Group):
             _collect_hdf5(item, name + ".", leaves, objects, depth + 1, where)
         elif (
@@ -164,7 +176,14 @@ def _collect_hdf5(
                 # A fill value stands for any number of values that are stored nowhere.
                 refuse_unpacked_size(item.nbytes, item.id.get_storage_size(), f"variable {name}", where)
                 # HDF5 keeps the order of dimensions of the writer, MATLAB's is the reverse.
-                leaves.append((name, np.atleast_2d(np.asarray(item[()])).T))
+                leaves.append((_with_unit(name, unit), np.atleast_2d(np.asarray(item[()])).T))
+
+
+def _text_hdf5(item: Any) -> str:
+    """Return a text of MATLAB, stored as numbers of characters; nothing where it is something else."""
+    if item.attrs.get("MATLAB_class", b"") not in (b"char", "char") or getattr(item, "size", 0) > 40:
+        return ""
+    return "".join(map(chr, np.ravel(item[()]))).strip()
 
 
 def _recording(
@@ -175,10 +194,18 @@ def _recording(
     if lost:
         notes.append(ReadNote("variables that cannot be read or stand twice, left out", path.name, lost))
     clocks = _own_clocks(arrays)
+    titles = _of_one_value(arrays, clocks)
     signals: dict[str, RawSignal] = {}
     for name, values in arrays.items():
+        if len(values) == 2 and values.ndim == 2 and name not in clocks and _rises_evenly(values[0]):
+            # Simulink's To File: the first of two rows is the time.
+            signals[name] = RawSignal(name, values[0].astype(np.float64), values[1].astype(np.float64), None)
+            note_once(notes, ReadNote("matrices of two rows, the first taken as time in s", path.name))
+            continue
+        if name in titles and titles[name] is None:
+            continue
         for column_name, column in _columns(name, values):
-            bare, unit = column_name_and_unit(column_name)
+            bare, unit = column_name_and_unit(titles.get(name) or column_name)
             time = clocks.get(name)
             if time is not None and len(time) != len(column):
                 time = None
@@ -202,6 +229,27 @@ def _recording(
             advice="Save the signals as vectors: save('log.mat', 't', 'vx', 'vy').",
         )
     return TableRecording(path.name, path, signals, type_name="vector", notes=notes)
+
+
+def _of_one_value(arrays: dict[str, np.ndarray], clocks: dict[str, np.ndarray]) -> dict[str, str | None]:
+    """Return the titles of structures of one value and its time (MoTeC): the structure's; None for the time."""
+    fields: dict[str, list[str]] = {}
+    for name in arrays:
+        fields.setdefault(name.split(" [")[0].rpartition(".")[0], []).append(name)
+    titles: dict[str, str | None] = {}
+    for structure, names in fields.items():
+        value = next((name for name in names if name.split(" [")[0].endswith(_VALUE_FIELDS)), None)
+        if structure and value in clocks and len(names) == 2 and min(arrays[value].shape) == 1:
+            unit = value.partition(" [")[2]
+            titles |= {name: f"{structure} [{unit}" if unit and name == value else None for name in names}
+            titles[value] = titles[value] or structure
+    return titles
+
+
+def _rises_evenly(row: np.ndarray) -> bool:
+    """Whether a row counts up in equal steps, as a time does."""
+    step = np.diff(np.asarray(row, dtype=np.float64))
+    return len(step) > 10 and bool(np.all(step > 0.0)) and float(np.ptp(step)) < 1e-3 * float(step.mean())
 
 
 def _own_clocks(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -232,7 +280,7 @@ def _clocks_of_structures(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray
             times[structure] = time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(match[1] or "", 1.0)
     clocks = {}
     for name, values in arrays.items():
-        time = times.get(name.rpartition(".")[0])
+        time = times.get(name.split(" [")[0].rpartition(".")[0])
         if time is not None and len(time) in values.shape:
             clocks[name] = time
     return clocks

@@ -25,6 +25,18 @@ _FOREIGN_MAGIC = (
     (b"PK\x03\x04", "a zip archive or a spreadsheet", "Unpack it, or export it as CSV."),
     (b"BZh", "compressed with bzip2", "Unpack it first."),
 )
+_OTHERS = {
+    **dict.fromkeys((".xrk", ".xrz", ".drk"), ("an AiM recording", "Export it from RaceStudio as CSV.")),
+    ".ld": ("a MoTeC log", "Export it from i2 as CSV or MAT."),
+    ".ibt": ("an iRacing telemetry file", "Export it as CSV, for instance through MoTeC i2."),
+    ".rcz": ("a RaceChrono session", "Export it from the app as CSV v3."),
+    ".tdms": ("a TDMS file", "Export it as CSV or MAT."),
+    ".npz": ("an archive of NumPy arrays", "Save the arrays as the columns of one table, CSV or Parquet."),
+    ".npy": ("a NumPy array", "Save its columns with their names, as CSV or Parquet."),
+    **dict.fromkeys((".pkl", ".pickle"), ("a pickle of Python", "Save it as Parquet or CSV.")),
+    **dict.fromkeys((".xls", ".xlsx", ".ods"), ("a spreadsheet", "Export it as CSV.")),
+}  # fmt: skip
+"""Files that other programs write and that are not read, by suffix: what they are and the way out."""
 _BINARY_SUFFIXES = {
     ".mcap": "an MCAP file", ".bag": "a ROS 1 bag", ".db3": "a rosbag2 database", ".parquet": "a Parquet file",
     ".feather": "a Feather file", ".arrow": "an Arrow file", ".mf4": "an MDF file", ".dat": "an MDF file",
@@ -74,6 +86,9 @@ def _open_file(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
     opened = _open_by_content(path, head, message_paths)
     if opened is not None:
         return opened
+    what, advice = _OTHERS.get(path.suffix.lower(), ("", ""))
+    if what and (b"\0" in head or head.startswith((b"PK", b"\x80", b"<h"))):
+        raise LogError(f"is {what}, which is not read", where=path.name, advice=advice)
     for magic, what, advice in _FOREIGN_MAGIC:
         if head.startswith(magic):
             raise LogError(f"is {what}, which is not read", where=path.name, advice=advice)

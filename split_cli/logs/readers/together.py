@@ -38,7 +38,7 @@ class JointRecording:
         for part in parts:
             infos = part.channels()
             time = time_column(infos)
-            if time is None and not part.clocks:
+            if time is None and not part.clocks and not _own_clock(part, infos):
                 raise LogError(
                     "has no column of time, which several files together need",
                     where=part.name,
@@ -93,6 +93,12 @@ class JointRecording:
             if note not in self._own_notes:
                 self._own_notes.append(note)
         return convert_to_si(signal.values, unit, where=part.name)
+
+
+def _own_clock(part: RawRecording, infos: Sequence[RawChannelInfo]) -> bool:
+    """Whether a table's signals carry their own times, as those of MATLAB's structures do."""
+    read = part.read([info.name for info in infos if info.type_name == "vector"][:1])
+    return any(signal.time is not None for signal in read.values())
 
 
 def open_together(parts: Sequence[RawRecording]) -> RawRecording:
