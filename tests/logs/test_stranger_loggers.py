@@ -13,9 +13,9 @@ from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.dialect import sniff
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
+from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.ingesting.ingest import ingest_logs
 from split_cli.workflows.ingesting.init import init_project
-from split_cli.vehicle.parameters import write_vehicle
 from tests.factories import road_car
 from tests.logs.planted import UNITS, PlantedDrive
 
@@ -48,8 +48,8 @@ def test_a_row_of_units_may_hold_signs_for_channels_that_have_none(tmp_path):
 @pytest.mark.parametrize("version", ["5", "7.3"])
 def test_structures_of_motec_are_channels_with_their_units(version, planted, tmp_path):
     t, c = planted
-    fields = {"Corr_Speed": (c["vx"] * 3.6, "km/h"), "Yaw_Rate": (c["r"] * DEG, "deg/s"), "Accel_Lat": (c["ay"] / G, "G"),
-              "Brake_Pressure_Front": (0.0 * t + t, "psi")}  # fmt: skip
+    fields = {"Corr_Speed": (c["vx"] * 3.6, "km/h"), "Yaw_Rate": (c["r"] * DEG, "deg/s"),
+              "Accel_Lat": (c["ay"] / G, "G"), "Brake_Pressure_Front": (0.0 * t + t, "psi")}  # fmt: skip
     path = tmp_path / "lap.mat"
     if version == "5":
         savemat(path, {n: {"Time": t + 237.9, "Value": v, "Units": u} for n, (v, u) in fields.items()})
@@ -152,7 +152,9 @@ def test_wheels_of_another_radius_are_no_speed_in_another_unit(planted, tmp_path
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=",".join(columns), comments="")
     lines = [f"  {n}: {{source: {n}, unit: {UNITS[n]}}}" for n in list(columns)[1:10]]
     lines += [f"  wheel_speed_{w}: {{source: n_{w}, unit: rpm}}" for w in corners]
-    (tmp_path / "map.yaml").write_text("name: m\ntime: {source: t, unit: s}\nchannels:\n" + "\n".join(lines) + "\n")
+    (tmp_path / "map.yaml").write_text(
+        "name: m\ntime: {source: t, unit: s}\nchannels:\n" + "\n".join(lines) + "\n"
+    )
     write_vehicle(road_car(), tmp_path / "car.yaml")
     run = ingest_logs([tmp_path / "a.csv"], tmp_path / "d.parquet", maps=[tmp_path / "map.yaml"],
                       vehicle_path=tmp_path / "car.yaml")  # fmt: skip
@@ -165,8 +167,8 @@ def test_wheels_of_another_radius_are_no_speed_in_another_unit(planted, tmp_path
 
 
 def test_files_of_other_programs_are_named_with_the_way_out(tmp_path):
-    for name, head, told in (("a.npz", b"PK\x03\x04\x00", "NumPy"), ("a.xrk", b"<hCNF\x00", "RaceStudio"),
-                             ("a.ld", b"@\x00\x00\x00", "i2"), ("a.ibt", b"\x02\x00\x00\x00", "iRacing")):  # fmt: skip
+    for name, head, told in (("a.npz", b"PK\x03\x04", "NumPy"), ("a.xrk", b"<hCNF", "RaceStudio"),
+                             ("a.ld", b"@", "i2"), ("a.ibt", b"\x02", "iRacing")):  # fmt: skip
         (tmp_path / name).write_bytes(head + bytes(64))
         with pytest.raises(LogError, match=told):
             open_recording(tmp_path / name)

@@ -70,7 +70,7 @@ _STEERING_RATIOS = (8.0, 25.0)
 """Of steering wheel to road wheel, from racing cars to lorries [1]."""
 
 _RADIUS_RATIOS = (0.7, 1.4)
-"""Of a wheel's radius as stated to the one that it rolls on [1]; within them lie all tyres of one class of cars."""
+"""Of a wheel's radius as stated to the one that it rolls on [1]: all tyres of one class of cars."""
 
 
 def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:

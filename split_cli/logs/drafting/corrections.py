@@ -164,7 +164,7 @@ _TURNING = {"r", "yaw"}
 
 
 def _agree_in_any_unit(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consistency) -> bool:
-    """Whether a yaw or its rate, of which no unit is stated, agrees with the other alone: in degrees both would too."""
+    """Whether yaw or its rate, in no stated unit, agrees with the other alone: in degrees both would too."""
     if s.channel not in _TURNING or any(chosen[c].status == "stated" for c in _TURNING & set(chosen)):
         return False
     holding = [set(r.powers) for r in verdict.relations if r.holds and _TURNING & set(r.powers)]
@@ -187,7 +187,9 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
     told = f"{s.reason}; " if s.reason else ""
     if _agree_in_any_unit(s, chosen, verdict):
         unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
-        return replace(s, unit=unit, reason=f"{told}unit not stated, {unit} assumed: r and yaw agree in degrees too")
+        return replace(
+            s, unit=unit, reason=f"{told}unit not stated, {unit} assumed: r and yaw agree in degrees too"
+        )
     if holding:
         shown = "; ".join(f"{r.name} {r.slope.slope:.3g}" for r in holding[:3])
         return replace(s, status="judged", reason=f"{told}{shown}{'; note: ' + notes[0] if notes else ''}")

@@ -27,6 +27,7 @@ from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, render_dr
 from split_cli.logs.drafting.fields import field_candidates
 from split_cli.logs.drafting.hand import what_tells_left, without_a_side
 from split_cli.logs.drafting.naming import (
+    Meaning,
     is_command,
     meanings,
     named_by_axis,
@@ -135,15 +136,13 @@ def _as_course(s: Suggestion, verdict: Consistency, trial: Trial) -> Suggestion:
 
     Unless the sideslip between the two is seen.
     """
-    if s.status == "assumed" and _changes_with_the_fix(s, trial):
-        why = "changes only with the satellite fix: a receiver's direction of travel (yaw plus sideslip), not yaw"
+    if s.status == "open" or any(r.name == ACROSS and r.holds for r in verdict.relations):
+        return s
+    named = [m for name in s.sources for m in meanings(RawChannelInfo(name, "column", None))]
+    if Meaning("yaw", 3) not in named and _changes_with_the_fix(s, trial):
+        why = "changes only with the satellite fix: of one antenna it is the direction of travel, not yaw"
         return replace(s, status="open", reason=why)
-    called = {m.channel for name in s.sources for m in meanings(RawChannelInfo(name, "column", None))}
-    if (
-        s.status == "open"
-        or "course" not in called
-        or any(r.name == ACROSS and r.holds for r in verdict.relations)
-    ):
+    if "course" not in {m.channel for m in named}:
         return s
     return replace(s, status="open", reason="by its name the direction of travel: yaw plus sideslip, not yaw")
 

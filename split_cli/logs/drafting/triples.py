@@ -127,9 +127,7 @@ def _axes(
     return None
 
 
-def _lasting(
-    signal: RawSignal, time: np.ndarray | None, without_bias: bool, seconds: float = _SECONDS
-) -> float:
+def _lasting(signal: RawSignal, time: np.ndarray | None, without_bias: bool, seconds: float = _SECONDS) -> float:
     """Return the rms of a signal's means over some seconds: what lasts, not what swings back.
 
     A gyroscope at rest may read a degree per second, more than a car on a straight turns: its median is taken off.

@@ -70,7 +70,8 @@ _WORDS: dict[str, str] = {
         "min max limit bias temp temperature lap age confidence jerk "
         "roll rolling pitch pitching tilt bank bearing course slope grade altitude height kappa curvature "
         "radius distance dist combined combo gear ratio level battery voltage power fuel lean satellites "
-        "sats hdop aax aay aaz residual spring damper jounce suspension steps engine_speed orientation quaternion quat"
+        "sats hdop aax aay aaz residual spring damper jounce suspension steps engine_speed orientation quaternion "
+        "quat"
     ),
     "driver": "driver fahrer",
     "velocity long": "vx vlong vlon vlgt vfwd vlaengs",

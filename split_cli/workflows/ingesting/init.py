@@ -77,7 +77,9 @@ class InitResult:
         if check:
             steps.append(f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}.")
         if self.draft.time.startswith("# time: {period"):
-            steps.append(f"State the time in {self.map_path}, or add --row-rate HZ below: the log has no column of it.")
+            steps.append(
+                f"State the time in {self.map_path}, or add --row-rate HZ below: the log has no column of it."
+            )
         if not self.draft.left:
             steps.append(
                 "Check in a left turn that r and delta are positive: nothing recorded tells left from right."
@@ -109,7 +111,9 @@ class InitResult:
             "open": "left open, with the reason",
         }
         lines = [f"wrote {self.map_path} and {self.vehicle_path}"]
-        lines += [f"  {words[status]}: {', '.join(dict.fromkeys(found))}" for status, found in counts.items() if found]
+        lines += [
+            f"  {words[status]}: {', '.join(dict.fromkeys(found))}" for status, found in counts.items() if found
+        ]
         return "\n".join([*lines, "next:", *(f"  {n}. {step}" for n, step in enumerate(self.next_steps, 1))])
 
     def to_mapping(self) -> dict[str, Any]:
