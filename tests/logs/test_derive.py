@@ -10,15 +10,13 @@ import pytest
 from split_cli.errors import MapError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.assembling.derive import (
-    _third_difference_bands,
     derivation_named,
-    derivative,
-    smooth,
     torque_from_acceleration,
     torque_from_current,
     torque_from_throttle_and_brake,
     velocity_from_pose,
 )
+from split_cli.logs.assembling.smoothing import _third_difference_bands, derivative, smooth
 from split_cli.vehicle.single_track import SingleTrack
 from tests.factories import road_car
 from tests.logs.planted import PlantedDrive, planted_map

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from split_cli.errors import DriveError, MapError, nearest_names
 from split_cli.files import sha256_of_file
 from split_cli.logs.assembling.clean import join_clock_resets
 from split_cli.logs.assembling.conversion import RawSeries
-from split_cli.logs.assembling.derive import DERIVATIONS, DerivationInputs, Derived, derivation_named
+from split_cli.logs.assembling.derive import DERIVATIONS, DerivationInputs, Derived, derivation_named, reachable
 from split_cli.logs.assembling.gather import Gathered, gather, topic_of
 from split_cli.logs.assembling.placing import move_to_cg
 from split_cli.logs.assembling.quality import QualityReport
@@ -148,9 +148,8 @@ def assemble_drive(
     grid, too_short = lay_grid(channels, settings.rate, recording.name)
     columns, noise, qualities = bring_to_clock(channels, grid)
     grid, columns, dropped = without_missing(grid, columns, needed)
-    slices = slices_of(grid.segment)
     conversions = [*gathered.conversions, *joined, *trimmed]
-    made = _place_and_derive(derivations, columns, grid, slices, vehicle, signal_map, gathered, noise, conversions)
+    made, grid = _place_and_derive(derivations, columns, grid, vehicle, signal_map, gathered, noise, conversions)
     before = metadata_of_drive(recording.path)
     kinds, warnings = _kinds(gathered, made, columns, before)
     if too_short or dropped:
@@ -164,7 +163,7 @@ def assemble_drive(
         warnings.append(f"channels were checked against each other on the middle {minutes:.3g} minutes")
     quality = QualityReport(
         channels=tuple(qualities),
-        segments=len(slices),
+        segments=len(slices_of(grid.segment)),
         duration=len(drive) * grid.period,
         recorded=max(float(part.time[-1] - part.time[0]) for c in needed for part in channels.clean[c]),
         origin=gathered.origin + float(grid.time[0]),
@@ -252,21 +251,26 @@ def _check_required(gathered: Gathered, derivations: Sequence[str], signal_map: 
         return
     skipped = [text for text in gathered.skipped if text.partition(":")[0] in missing]
     many = len(missing) > 1
+    reached = reachable({*gathered.series, *made})
     raise MapError(
         f"{' and '.join([', '.join(missing[:-1]), missing[-1]] if many else missing)} {'are' if many else 'is'} "
         f"required and not mapped{' (not recorded: ' + '; '.join(skipped) + ')' if skipped else ''}",
         where=where,
-        advice=" ".join(_way_to(channel, signal_map) for channel in missing)
+        advice=" ".join(_way_to(channel, signal_map, reached) for channel in missing)
         + " `split ingest LOG --list` shows what is recorded.",
     )
 
 
-def _way_to(channel: str, signal_map: SignalMap) -> str:
-    """Return how a required channel comes into the drive; what the map configures goes first."""
-    ways = [name for name, entry in DERIVATIONS.items() if channel in entry.makes]
+def _way_to(channel: str, signal_map: SignalMap, reached: Collection[str]) -> str:
+    """Return how a required channel comes into the drive: as the map configures, or the recording allows."""
+    ways = [name for name, entry in DERIVATIONS.items() if channel in entry.makes and channel not in entry.needs]
     ways = [name for name in ways if name.replace("-", "_") in signal_map.derivations] or ways
-    derived = f", or derive it with --derive {' or '.join(ways)}" if ways else ""
-    return f"{channel}: map a recorded signal{derived}."
+    possible = [name for name in ways if set(DERIVATIONS[name].needs) <= set(reached)]
+    if possible or not ways:
+        derived = f", or derive it with --derive {' or '.join(possible)}" if possible else ""
+        return f"{channel}: map a recorded signal{derived}."
+    takes = [f"{name} takes {', '.join(DERIVATIONS[name].needs) or 'settings in the map'}" for name in ways]
+    return f"{channel}: map a recorded signal, or map what derives it ({'; '.join(takes)})."
 
 
 def _with_delays(gathered: Gathered, settings: IngestSettings) -> dict[str, tuple[RawSeries, ...]]:
@@ -287,17 +291,21 @@ def _place_and_derive(
     derivations: Sequence[str],
     columns: dict[str, np.ndarray],
     grid: SampleClock,
-    slices: list[slice],
     vehicle: Vehicle | None,
     signal_map: SignalMap,
     gathered: Gathered,
     noise: dict[str, NoiseEstimate],
     conversions: list[str],
-) -> list[tuple[str, Derived]]:
-    """Move sensors to the CG and compute what was asked for: position first, since velocities may come from it."""
+) -> tuple[list[tuple[str, Derived]], SampleClock]:
+    """Move sensors to the CG and compute what was asked for: position first, since velocities may come from it.
+
+    Returns what was made and the clock of the rows that are left: where a derived channel is not known, they go.
+    """
     made: list[tuple[str, Derived]] = []
+    slices = slices_of(grid.segment)
 
     def derive(name: str) -> None:
+        nonlocal grid, slices
         missing = [channel for channel in DERIVATIONS[name].needs if channel not in columns]
         if missing:
             raise MapError(f"--derive {name} needs {', '.join(missing)}", advice="Map or derive it too.")
@@ -309,6 +317,8 @@ def _place_and_derive(
             if not derived.keeps_noise:
                 noise[channel] = NoiseEstimate(channel, None, None, reason=f"derived ({name})")
         made.append((name, derived))
+        grid, _, dropped = without_missing(grid, columns, list(derived.columns))
+        slices = slices_of(grid.segment) if dropped else slices
 
     rest = list(derivations)
     move_to_cg(columns, gathered.maps, vehicle, grid.period, slices, noise, conversions, before=True)
@@ -320,7 +330,7 @@ def _place_and_derive(
     move_to_cg(columns, measured, vehicle, grid.period, slices, noise, conversions, before=False)
     for name in rest:
         derive(name)
-    return made
+    return made, grid
 
 
 def _kinds(
@@ -343,7 +353,7 @@ def _kinds(
                 warnings.append(f"{channel} was taken as measured (the map says neither command nor measured)")
     for _, derived in made:
         for channel in derived.columns:
-            kinds[channel] = f"derived: {derived.how}"
+            kinds[channel] = f"derived: {derived.how}" if channel in CHANNELS else "derived"
         if derived.warning:
             warnings.append(derived.warning)
     return kinds, warnings

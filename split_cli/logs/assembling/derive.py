@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import MapError, nearest_names
+from split_cli.logs.assembling.dead_reckoning import TOLERANCE, lateral_velocity_from_accelerations
+from split_cli.logs.assembling.smoothing import derivative, smooth
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.vehicle.parameters import Vehicle
@@ -20,7 +22,7 @@ __all__ = [
     "Derivation",
     "Derived",
     "derivation_named",
-    "smooth",
+    "reachable",
     "torque_from_acceleration",
     "torque_from_current",
     "torque_from_throttle_and_brake",
@@ -194,56 +196,6 @@ def torque_from_current(
     return current * torque_constant * gear_ratio * np.where(current >= 0.0, efficiency, 1.0 / efficiency)
 
 
-def smooth(values: np.ndarray) -> np.ndarray:
-    """Smooth evenly spaced noisy samples by penalising third differences, shape (N,).
-
-    Notes
-    -----
-    z = (I + lambda D'D)^-1 x with D the third difference (Whittaker's smoother, the discrete quintic spline),
-    lambda by generalised cross-validation: least RSS/(1 - dof/N)^2, dof/N the mean of the filter's frequency
-    response. The noise need not be known, only be white. Computed as x - lambda D'(I + lambda DD')^-1 D x, which
-    leaves a parabola alone to rounding at any lambda.
-    """
-    if len(values) < 12:
-        return values
-    from scipy.linalg import solveh_banded
-    from scipy.optimize import minimize_scalar
-
-    third = np.diff(values, n=3)
-    bands = _third_difference_bands(len(third))
-    frequency = np.linspace(0.0, np.pi, 20001)[1:]
-    response = (2.0 - 2.0 * np.cos(frequency)) ** 3
-
-    def correction(log_lambda: float) -> np.ndarray:
-        system = np.exp(log_lambda) * bands
-        system[-1] += 1.0
-        inner = np.exp(log_lambda) * solveh_banded(system, third)
-        # D' inner, written out: each third difference reaches four samples.
-        out = np.zeros(len(values))
-        for shift, weight in enumerate((-1.0, 3.0, -3.0, 1.0)):
-            out[shift : shift + len(inner)] += weight * inner
-        return out
-
-    def score(log_lambda: float) -> float:
-        dof = float(np.mean(1.0 / (1.0 + np.exp(log_lambda) * response)))
-        rss = float(np.sum(correction(log_lambda) ** 2))
-        return np.log(max(rss, 1e-300)) - 2.0 * np.log(1.0 - dof)
-
-    grid = np.linspace(np.log(1e-4), np.log(1e12), 20)
-    best = int(np.argmin([score(point) for point in grid]))
-    around = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
-    chosen = minimize_scalar(score, bounds=around, method="bounded", options={"xatol": 0.05}).x
-    return values - correction(float(chosen))
-
-
-def _third_difference_bands(count: int) -> np.ndarray:
-    """Return DD' of the third difference in upper banded form, shape (4, count): a Toeplitz band."""
-    bands = np.empty((4, count))
-    for offset, value in enumerate((20.0, -15.0, 6.0, -1.0)):
-        bands[3 - offset] = value
-    return bands
-
-
 def velocity_from_pose(
     X: np.ndarray, Y: np.ndarray, yaw: np.ndarray, period: float, segments: list[slice]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -272,15 +224,6 @@ def velocity_from_pose(
         cosine, sine = np.cos(smoothed[2]), np.sin(smoothed[2])
         out[:, run] = cosine * dX + sine * dY, cosine * dY - sine * dX, dyaw
     return out[0], out[1], out[2]
-
-
-def derivative(values: np.ndarray, period: float) -> np.ndarray:
-    """Return d/dt of evenly spaced samples, shape (N,): of fourth order, of second at the two rows of each end."""
-    if len(values) < 5:
-        return np.gradient(values, period) if len(values) > 1 else np.zeros_like(values)
-    slope = np.gradient(values, period, edge_order=2)
-    slope[2:-2] = (values[:-4] - 8.0 * values[1:-3] + 8.0 * values[3:-1] - values[4:]) / (12.0 * period)
-    return slope
 
 
 def _require_vehicle(situation: DerivationInputs, name: str) -> Vehicle:
@@ -413,6 +356,39 @@ def _run_lateral_velocity_from_straights(situation: DerivationInputs) -> Derived
     )
 
 
+def _run_lateral_velocity_from_accelerations(situation: DerivationInputs) -> Derived:
+    name = "lateral-velocity-from-accelerations"
+    vehicle = _require_vehicle(situation, name)
+    made = lateral_velocity_from_accelerations(situation.columns, situation.period, situation.segments, vehicle)
+    speed = np.maximum(np.abs(situation.columns["vx"]), vehicle.minimum_speed)
+    sure = made.std <= TOLERANCE * speed if made is not None else np.zeros(len(speed), dtype=bool)
+    if made is None or not sure.any():
+        raise MapError(
+            f"--derive {name} needs gentle driving, straight or nearly so, and finds too little",
+            advice="Integrated accelerations drift between such moments. Record v_y, the sideslip or a pose.",
+        )
+    rest = f"; {1.0 - sure.mean():.0%} of the rows left out, less sure than {TOLERANCE:g} rad"
+    if not made.belongs:
+        raise MapError(
+            f"--derive {name}: a_y contradicts v_x r at {made.contradicted:.0%} of the moments of gentle driving, "
+            f"and fits {1.0 + made.gain:.2f} times it",
+            advice="Its unit, sign or frame is wrong, it is late against r, or it comes too slowly for this car.",
+        )
+    return Derived(
+        {"vy": np.where(sure, made.vy, np.nan), "vy_std": made.std},
+        f"v_y from a_y - v_x r, held where driving is gentle ({made.words()}){rest if not sure.all() else ''}",
+        "v_y is derived from a_y: its label repeats a_y and the tyre forces of the nominal model. Roll and bank "
+        "that follow the turns, a clock between a_y and r, and the accelerometer's place stay in it",
+    )
+
+
+def _run_yaw_rate_from_yaw(situation: DerivationInputs) -> Derived:
+    made = np.empty(len(situation.columns["yaw"]))
+    for run in situation.segments:
+        made[run] = derivative(smooth(situation.columns["yaw"][run]), situation.period)
+    return Derived({"r": made}, "from smoothed yaw")
+
+
 def _run_acceleration_from_velocity(situation: DerivationInputs) -> Derived:
     c = situation.columns
     made = {"ax": np.empty(len(c["vx"])), "ay": np.empty(len(c["vx"]))}
@@ -444,6 +420,14 @@ DERIVATIONS: dict[str, Derivation] = {
             ("vx", "vy", "r"),
             (),
             _run_lateral_velocity_from_straights,
+        ),
+        Derivation("yaw-rate-from-yaw", ("r",), ("yaw",), (), _run_yaw_rate_from_yaw),
+        Derivation(
+            "lateral-velocity-from-accelerations",
+            ("vy",),
+            ("vx", "r", "ay"),
+            (),
+            _run_lateral_velocity_from_accelerations,
         ),
         Derivation(
             "acceleration-from-velocity", ("ax", "ay"), ("vx", "vy", "r"), (), _run_acceleration_from_velocity
@@ -489,3 +473,13 @@ def derivation_named(name: str) -> Derivation:
     if spelled not in DERIVATIONS:
         raise MapError(f"no derivation {name!r}", advice=nearest_names(spelled, DERIVATIONS))
     return DERIVATIONS[spelled]
+
+
+def reachable(recorded: Collection[str]) -> set[str]:
+    """Return the channels that are recorded or that some derivation makes of them, directly or by steps."""
+    reached: set[str] = set()
+    step = set(recorded)
+    while step - reached:
+        reached |= step
+        step = {made for entry in DERIVATIONS.values() if set(entry.needs) <= reached for made in entry.makes}
+    return reached

@@ -9,8 +9,8 @@ import numpy as np
 
 from split_cli.errors import MapError
 from split_cli.logs.assembling import transform
-from split_cli.logs.assembling.derive import derivative
 from split_cli.logs.assembling.noise import sum_of_noise
+from split_cli.logs.assembling.smoothing import derivative
 from split_cli.logs.drive import NoiseEstimate
 from split_cli.logs.map_entries import ChannelMap, Position
 from split_cli.logs.scratch import set_aside

@@ -132,8 +132,16 @@ def _ways(missing: Sequence[str], mapped: set[str], opened: set[str]) -> list[st
         ways.append("vy: --derive lateral-velocity-from-sideslip.")
     elif {"vx", "vy", "r"} & set(missing) and {"X", "Y", "yaw"} <= mapped:
         ways.append("vx, vy, r: --derive velocity-from-pose.")
+    elif "vy" in missing and {"vx", "ay"} <= mapped and {"r", "yaw"} & mapped:
+        ways.append(
+            "vy: --derive lateral-velocity-from-accelerations (a_y - v_x r, held where driving is gentle)."
+        )
     elif "vy" in missing:
-        ways.append("vy: neither lateral velocity, sideslip nor pose was found; it takes one of them.")
+        ways.append("vy: neither lateral velocity, sideslip, pose nor yaw rate with a_y was found; it takes one.")
+    if "r" in missing and "yaw" in mapped:
+        ways.append("r: --derive yaw-rate-from-yaw.")
+    elif "r" in missing:
+        ways.append("r: a gyro or a heading. a_y and the course turn with the path, so sideslip is not in them.")
     if "delta" in missing and not opened & {"delta", "steering_wheel_angle"}:
         ways.append("delta: no steering angle was found. Training and diagnosis need one, measured or commanded.")
     return ways

@@ -91,6 +91,13 @@ class InitResult:
         elif {"vx", "vy", "r"} & set(missing) and {"X", "Y", "yaw"} <= mapped:
             derive += " --derive velocity-from-pose"
             derived |= {"vx", "vy", "r"}
+        else:
+            if "r" in missing and "yaw" in mapped:
+                derive += " --derive yaw-rate-from-yaw"
+                derived.add("r")
+            if "vy" in missing and {"vx", "r", "ay"} <= mapped | derived:
+                derive += " --derive lateral-velocity-from-accelerations"
+                derived.add("vy")
         derive += " --derive torque-from-acceleration" if "T" in missing else ""
         left = [channel for channel in missing if channel not in derived]
         if left:
