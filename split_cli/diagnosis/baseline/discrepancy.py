@@ -98,6 +98,13 @@ class SharedDiscrepancy:
                 row += direction * total
         return self.at_another_car(np.stack(out, axis=1), actual, terms)
 
+    def with_shifted_cg(self, ahead: float) -> SharedDiscrepancy:
+        """Return the dictionary of a car whose CG lies further ahead [m]: the axles slip otherwise."""
+        if not ahead:
+            return self
+        l_f, l_r = self.vehicle.cg_to_front_axle - ahead, self.vehicle.cg_to_rear_axle + ahead
+        return replace(self, vehicle=replace(self.vehicle, cg_to_front_axle=l_f, cg_to_rear_axle=l_r))
+
     def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
         """Return rates (N, 3) with the tyres and the body that terms make of the vehicle's.
 

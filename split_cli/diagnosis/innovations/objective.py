@@ -25,6 +25,8 @@ from split_cli.vehicle.effects import Term
 _LEAST_INFORMED = 2e-3
 #: States of terms of which rows and rates are kept while a fit moves other parameters.
 _REMEMBERED = 64
+#: Shifts of the CG in wheelbases between which the shared discrepancy runs in straight lines.
+_SHIFTS = 0.02
 
 __all__ = ["DiscrepancyPosterior", "MarginalLikelihood", "build_objective", "learn_discrepancy"]
 
@@ -279,8 +281,26 @@ class MarginalLikelihood:
         others = [term for term in terms if alters_car(term)]
         if self.posterior is None or not others:
             return None
-        here, there = (self._rates(one, some) for some in ((), self._moving_axles(others)))
-        return self.discrepancy.at_another_car(there, one.series, others) - here
+        there = self._rates_at_axles(one, self._moving_axles(others))
+        return self.discrepancy.at_another_car(there, one.series, others) - self._rates(one, ())
+
+    def _rates_at_axles(self, one: Evidence, moving: Sequence[Term]) -> np.ndarray:
+        """Return the shared discrepancy's rates (N, 3) at other slips, in straight lines between shifts of the CG.
+
+        Slips are smooth in the shift; to evaluate all functions at each step of a fit would take a third of it.
+        """
+        vehicle = self.discrepancy.vehicle
+        ahead = vehicle.cg_to_front_axle - moved_axles(vehicle, moving).cg_to_front_axle
+        step = _SHIFTS * vehicle.wheelbase
+        below, share = divmod(ahead / step, 1.0)
+
+        def at(shift: float) -> np.ndarray:
+            there = self.discrepancy.with_shifted_cg(shift * step)
+            return self._remembered(
+                ("rates at axles", id(one), shift), (), lambda: there.rates(one.series, self.posterior.weights)
+            )
+
+        return at(below) if share < 1e-9 else (1.0 - share) * at(below) + share * at(below + 1.0)
 
     def left_by(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what terms leave while they are fitted, shape (R,).
