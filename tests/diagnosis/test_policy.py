@@ -75,7 +75,7 @@ BESIDE_THEIR_ALGORITHM = {
     "innovations/autocovariance.py": {"LAG_ROWS"},
     "innovations/comparable.py": {"_SMOOTHED_SECONDS"},
     "innovations/evidence.py": {"ROW_SECONDS", "_TUNING_ROWS"},
-    "innovations/objective.py": {"_LEAST_INFORMED", "_REMEMBERED"},
+    "innovations/objective.py": {"_LEAST_INFORMED", "_REMEMBERED", "_SHIFTS"},
     "innovations/projection.py": {"_FEW"},
     "innovations/rollouts.py": {"_STEP_SECONDS", "_MOST_STARTS", "_FEWEST_STARTS"},
     "innovations/effect_to_noise.py": {"_HORIZON"},
