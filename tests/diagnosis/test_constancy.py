@@ -12,7 +12,7 @@ from split_cli.diagnosis.search.form_error import form_error_columns
 from split_cli.diagnosis.search.selection import nothing, select_terms
 from split_cli.diagnosis.verdict import constancy
 from split_cli.diagnosis.verdict.constancy import bends, parameter_drifts
-from split_cli.diagnosis.verdict.findings import _is_bent
+from split_cli.diagnosis.verdict.findings import _sure_bends
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
 
@@ -90,13 +90,15 @@ def test_nothing_fitted_drifts_nowhere(nominal_objective):
 
 SLOW = Drifting(lambda flow: 0.9 + 0.001 * (flow.t - 48.0))
 SIDED = Drifting(lambda flow: 0.9 + 0.04 * np.sign(flow.r))
+FAST = Drifting(lambda flow: 0.9 + 0.01 * (flow.vx - 18.0))
 CONSTANT = CATALOGUE["steer_gain"]({"gain": 0.9})
 
 
 @pytest.mark.parametrize(
     ("term", "variable", "size"),
-    # Of a tenth less steering: 0.001 times the spread of 96 s evenly, 28 s, and 0.04 to either side.
-    [(SLOW, "time", 0.28), (SIDED, "the side of the turn", 0.4)],
+    # Of a tenth less steering: 0.001 times the spread of 96 s evenly, 28 s, and 0.04 to either side; 0.01 times that
+    # of speeds from 10 to 26 m/s, 4.6 m/s.
+    [(SLOW, "time", 0.28), (SIDED, "the side of the turn", 0.4), (FAST, "speed", 0.46)],
 )
 def test_a_term_that_stands_for_what_changes_bends_with_it(term, variable, size):
     objective = objective_of(term)
@@ -125,7 +127,7 @@ def test_a_bend_is_that_of_generalised_least_squares():
     step = part.candidate.ranges["gain"].step
     moved = objective.residual((part.candidate.build({"gain": part.values["gain"] + step}),))
     effect = (moved - objective.residual(fit.terms)) * (part.values["gain"] - 1.0) / step
-    columns = effect[:, None] * constancy._histories(objective)["time"]
+    columns = effect[:, None] * constancy._variables(objective)["time"]
     ridged = np.hstack(
         [1e3 * effect[:, None] / np.linalg.norm(effect), form_error_columns(objective, fit) / noise**0.5]
     )
@@ -145,4 +147,4 @@ def test_a_selection_that_bends_is_not_all():
         objective = objective_of(term)
         selection = select_terms(objective, candidates_of(objective, "steer_gain"), 1.5)
         assert [one.id for one in selection.terms] == ["steer_gain"]
-        assert _is_bent(objective, selection, 1.5) is bent
+        assert bool(_sure_bends(objective, selection, 1.5)) is bent

@@ -4,9 +4,13 @@ from types import SimpleNamespace
 
 import pytest
 
+from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
 from split_cli.diagnosis.verdict import findings
+from split_cli.diagnosis.verdict.constancy import Bend
 from split_cli.diagnosis.verdict.findings import is_apart_from_none
+
+RULES = STANDARD.abstention
 
 
 def test_values_hold_with_and_without_what_is_not_believed():
@@ -46,8 +50,13 @@ def test_what_explains_no_more_than_is_left_and_its_untrusted_look_alikes_has_no
     left = SimpleNamespace(share=0.08)
     shares = {"friction_scale": 0.6, "cg_shift": 0.1, "tire_stiffness": 0.03}
     told = [SimpleNamespace(term=term, gap_explained=share) for term, share in shares.items()]
-    assert findings._imitating(told, left) == {"cg_shift", "tire_stiffness"}
-    assert findings._imitating(told[:2], left) == set()
+    assert findings._imitating(told, left, (), RULES) == {"cg_shift", "tire_stiffness"}
+    assert findings._imitating(told[:2], left, (), RULES) == set()
     # A lag of the drive looks like neither.
     beside = SimpleNamespace(term="drive_lag", gap_explained=0.1)
-    assert findings._imitating([*told, beside], left) == {"cg_shift", "tire_stiffness"}
+    assert findings._imitating([*told, beside], left, (), RULES) == {"cg_shift", "tire_stiffness"}
+    # What has to bend by the greater part of itself stands for something else, and so may what looks like it.
+    nothing_left = SimpleNamespace(share=0.0)
+    for size, out in ((0.3, set()), (0.7, {"cg_shift", "tire_stiffness"})):
+        bent = [Bend("cg_shift", "front slip", size, 1e-9)]
+        assert findings._imitating(told, nothing_left, bent, RULES) == out

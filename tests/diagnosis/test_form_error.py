@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search import form_error as module
@@ -201,3 +202,50 @@ def test_of_tyres_either_axle_may_be_wrong_by_itself(behind):
     across, turning = car.mass * rates[:, 1], car.yaw_inertia * rates[:, 2]
     assert np.abs(rates).max() > 0.0
     np.testing.assert_allclose(turning, -car.cg_to_rear_axle * across, atol=1e-12 * np.abs(turning).max())
+
+
+@pytest.fixture(scope="module")
+def heavier(behind) -> Fit:
+    (one,) = (one for one in candidates_of(behind, "mass") if one.variant == "degressive")
+    part = Part(one, {"scale": 1.15})
+    residuals = behind.whiten(behind.left_by((part.term,)))
+    return Fit((part,), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
+
+
+def moved(fit: Fit, by: np.ndarray) -> Fit:
+    return replace(fit, residuals=fit.residuals + by, cost=float(np.sum((fit.residuals + by) ** 2)))
+
+
+def test_a_heavier_car_goes_up_the_curve_of_either_axle(behind, heavier):
+    """A front axle that gives a twentieth less of what the load asks turns the car, as a damping would."""
+    (plain,) = (one for one in candidates_of(behind, "mass") if not one.variant)
+    mass = plain.build({"scale": 1.15})
+    (one,) = behind.evidence
+    effect = one.left(()) - one.left((mass,))
+    assert np.abs(effect[:, 2]).max() < 1e-12 < np.abs(module._by_force(effect, one.vehicle)[:, 2, 1]).max()
+    varied = module._varied(behind, heavier.terms, 0)
+    whole = behind.residual(()) - behind.residual(heavier.terms)
+    assert varied[:, [0, 6, 12]].sum(axis=1) == pytest.approx(whole, abs=1e-9)
+    wrong = moved(heavier, 0.05 * behind.whiten(varied[:, 6]))
+    assert saved_beside_form_error(behind, wrong, heavier) < 0.1 * abs(wrong.cost - heavier.cost)
+
+
+@pytest.mark.parametrize("share", [0.5, 3.0])
+def test_how_tyres_carry_another_load_is_free_between_the_laws(behind, heavier, share):
+    """Half-way to another law saves nothing; beyond the laws counts, as in one dense bounded problem."""
+    rng = np.random.default_rng(2)
+    calm = replace(heavier, residuals=rng.standard_normal(len(heavier.residuals)))
+    laws = module._other_load_laws(behind, heavier)
+    assert laws.shape[1] == 2
+    wrong = moved(calm, share * laws[:, 0])
+    saved = saved_beside_form_error(behind, wrong, moved(calm, 0.0))
+    form_error = module.form_error_columns(behind, heavier)
+    free = form_error.shape[1]
+    stacked = np.block([[laws, form_error], [np.zeros((free, 2)), np.eye(free)]])
+    low, high = (np.r_[bound, bound, np.full(free, far)] for bound, far in ((0.0, -np.inf), (1.0, np.inf)))
+    here, there = (
+        2.0 * lsq_linear(stacked, np.append(fit.residuals, np.zeros(free)), (low, high)).cost
+        for fit in (wrong, calm)
+    )
+    assert saved == pytest.approx(here - there, rel=1e-4, abs=0.05)
+    assert bool(saved > 100.0) is (share > 1.0)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 
 from split_cli.diagnosis.baseline.body import alters_body
 from split_cli.diagnosis.baseline.discrepancy import scaled_features
@@ -48,12 +49,30 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
     """Return what an explanation saves against another, the other's terms free to be wrong by their share.
 
     What single-track terms get wrong of a real car's effect is of their own kind, and varies with the operating
-    point: axle by axle of what alters tyres, else channel by channel. Evidence for a further term is what it saves
-    beyond that.
+    point: axle by axle of what alters tyres, or asks them for other forces, else channel by channel. And how tyres
+    carry another load is known within the variants alone. Evidence for a further term is what it saves beyond that.
+
+    Notes
+    -----
+    With P = (I + M M^T)^-1 as in `costs_beside_form_error` and the columns V of `_other_load_laws`, each cost is
+    the least of (e - V u)^T P (e - V u) with u from 0, the variant that was chosen, to 1, another.
     """
     form_error = _columns(objective, [(before.terms, k) for k in range(len(before.parts))])
     here, there = _costs(form_error, [before.residuals, after.residuals])
-    return here - there
+    laws = _other_load_laws(objective, before)
+    if not laws.shape[1]:
+        return here - there
+    cleared = laws - form_error @ np.linalg.solve(
+        np.eye(form_error.shape[1]) + form_error.T @ form_error, form_error.T @ laws
+    )
+    root = np.linalg.cholesky(laws.T @ cleared + 1e-9 * np.trace(laws.T @ laws) * np.eye(laws.shape[1])).T
+
+    def between(residuals: np.ndarray) -> float:
+        """Return what the best law between the variants saves."""
+        target = solve_triangular(root, cleared.T @ residuals, trans=1)
+        return float(target @ target) - 2.0 * float(lsq_linear(root, target, (0.0, 1.0)).cost)
+
+    return (here - between(before.residuals)) - (there - between(after.residuals))
 
 
 def residuals_beside_form_error(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
@@ -82,6 +101,20 @@ def free_to_form_error(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     return solve_triangular(lower, form_error.T, lower=True).T
 
 
+def _other_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
+    """Return what other variants of terms that load tyres would do instead, same values, shape (R, V)."""
+    here, columns = objective.left_by(fit.terms), []
+    for k, term in enumerate(fit.terms):
+        for variant in type(term).variants if term.loads_tires else ():
+            if variant != term.variant:
+                other = type(term)(term.parameters, variant)
+                columns.append(here - objective.left_by((*fit.terms[:k], other, *fit.terms[k + 1 :])))
+    if not columns:
+        return np.empty((len(here), 0))
+    columns = objective.whiten(np.stack(columns, axis=1))
+    return columns[:, np.linalg.norm(columns, axis=0) > 0.0]
+
+
 def _columns(objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]]) -> np.ndarray:
     """Return M, shape (R, 18 a part), of parts given as terms and the number of one of them."""
     share = objective.policy.selection.form_error_share
@@ -101,7 +134,8 @@ def _costs(form_error: np.ndarray, residuals: Sequence[np.ndarray]) -> list[floa
 def _varied(objective: MarginalLikelihood, terms: tuple[Term, ...], k: int) -> np.ndarray:
     """Return what one term adds, piece by piece and times each function, as residuals, shape (R, 18)."""
     others = terms[:k] + terms[k + 1 :]
-    by_axle = terms[k].through_tires and not alters_body(terms[k]) and not alters_inputs(terms[k])
+    # A heavier car goes up the curves of its tyres: what asks them for other forces errs with them.
+    by_axle = (terms[k].through_tires or alters_body(terms[k])) and not alters_inputs(terms[k])
     return objective.stack([one.whitener(_variations(one, terms, others, by_axle)) for one in objective.evidence])
 
 

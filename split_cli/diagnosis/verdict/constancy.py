@@ -3,8 +3,9 @@
 A term of the catalogue that stands in for something else has to bend: its parameter drifts with what the something
 depends on. Few parameters are tested, so the test sees what a flexible fit of the remainder loses in its freedom.
 
-A single track is wrong about a term by operating point. It is not by the side of the turn, by time, or by how hot
-what slides, brakes or works has become: a term that bends with these by more than it may be wrong is another one.
+A single track is wrong about a term by operating point, by a share of what the term does. It is not by the side of
+the turn, by time, or by how hot what slides, brakes or works has become. A term that bends with any of these by
+more than it may be wrong is not all that acts; one that bends by the greater part of itself is another.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ def parameter_drifts(objective: MarginalLikelihood, fit: Fit) -> tuple[Drift, ..
 
 @dataclass(frozen=True)
 class Bend:
-    """How much of what one term does has to change with something that its parameters cannot depend on.
+    """How much of what one term does has to change with something that its parameters do not depend on.
 
     Attributes
     ----------
@@ -92,7 +93,7 @@ class Bend:
 def bends(
     objective: MarginalLikelihood, fit: Fit, named: Sequence[bool], variance_inflation: float
 ) -> tuple[Bend, ...]:
-    """Return how the named parts of a fit bend with the side of the turn, time, and heat, surest first.
+    """Return how the named parts of a fit bend with operating point, side of the turn, time, and heat, surest first.
 
     Parameters
     ----------
@@ -121,7 +122,7 @@ def bends(
     def cleared(rows: np.ndarray) -> np.ndarray:
         return rows - free @ np.linalg.solve(normal, free.T @ rows)
 
-    left, variables, out, first = cleared(fit.residuals), _histories(objective), [], 0
+    left, variables, out, first = cleared(fit.residuals), _variables(objective), [], 0
     for part, is_named in zip(fit.parts, named, strict=True):
         effect = slopes[:, first : first + len(part.values)] @ _steps_from_none(part)
         first += len(part.values)
@@ -156,9 +157,9 @@ def _steps_from_none(part: Part) -> np.ndarray:
     ])  # fmt: skip
 
 
-def _histories(objective: MarginalLikelihood) -> dict[str, np.ndarray]:
-    """Return functions (R, F) of what no operating point tells, about within [-1, 1], by the variable."""
-    tables = [_histories_of(one) for one in objective.evidence]
+def _variables(objective: MarginalLikelihood) -> dict[str, np.ndarray]:
+    """Return functions (R, F) of what a term may bend with, about within [-1, 1], by the variable."""
+    tables = [_variables_of(one) for one in objective.evidence]
     extra = sum(len(one.begin) for one in objective.kinematics)
     out = {}
     for name in tables[0]:
@@ -167,7 +168,7 @@ def _histories(objective: MarginalLikelihood) -> dict[str, np.ndarray]:
     return out
 
 
-def _histories_of(one: Evidence) -> dict[str, np.ndarray]:
+def _variables_of(one: Evidence) -> dict[str, np.ndarray]:
     series = one.series
     a, b, torque, speed = scaled_features(series, one.vehicle).T
     share = series.t / max(float(series.t[-1]), 1e-9)
@@ -182,6 +183,10 @@ def _histories_of(one: Evidence) -> dict[str, np.ndarray]:
         return np.stack([one / max(float(np.quantile(np.abs(one), 0.98)), 1e-9) for one in warm], axis=1)
 
     functions = {
+        "front slip": np.stack([np.abs(a), a * a], axis=1),
+        "rear slip": np.stack([np.abs(b), b * b], axis=1),
+        "torque": np.stack([torque, np.abs(torque)], axis=1),
+        "speed": speed[:, None],
         "the side of the turn": np.sign(series.smooth[:, 2])[:, None],
         "time": np.cos(np.pi * share[:, None] * np.arange(1, _WAVES + 1)),
         **{f"heat of {name}": heats(power) for name, power in powers.items()},

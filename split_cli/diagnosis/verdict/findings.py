@@ -20,7 +20,7 @@ from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
-from split_cli.diagnosis.verdict.constancy import bends, parameter_drifts
+from split_cli.diagnosis.verdict.constancy import Bend, bends, parameter_drifts
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -47,16 +47,13 @@ def describe(
     remainder = _remainder(structure, selection, variance_inflation, left)
     findings = _findings(objective, selection, remainder.share)
     autocorrelation = residual_autocorrelation(structure, left)
-    unexplained = (
-        not findings
-        or _is_unexplained(findings, remainder, autocorrelation, outcome)
-        or _is_bent(objective, selection, variance_inflation)
-    )
+    bent = _sure_bends(objective, selection, variance_inflation)
+    unexplained = not findings or _is_unexplained(findings, remainder, autocorrelation, outcome) or bool(bent)
     kept = {one.term for one in findings}
     if contradicted:
         unexplained, kept = True, {one.term for one in findings if not one.exported}
     elif unexplained:
-        kept -= _imitating(findings, remainder) - _told_by_witnesses(objective, selection)
+        kept -= _imitating(findings, remainder, bent, rules) - _told_by_witnesses(objective, selection)
     kept -= _vague(selection, findings, rules)
     while len(kept) < len(findings):
         # Those that stay are fitted again without the others, and asked again. What is not believed may yet be
@@ -67,14 +64,15 @@ def describe(
         remainder = _remainder(structure, selection, variance_inflation, left)
         findings = _findings(objective, selection, remainder.share, beside)
         kept = {one.term for one in findings} - _vague(selection, findings, rules)
-        kept -= _imitating(findings, remainder) - _told_by_witnesses(objective, selection)
+        bent = _sure_bends(objective, selection, variance_inflation)
+        kept -= _imitating(findings, remainder, bent, rules) - _told_by_witnesses(objective, selection)
     return selection, findings, remainder, unexplained
 
 
-def _is_bent(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> bool:
-    """Return whether a named term has to change with time, heat or side: then something else acts as well."""
+def _sure_bends(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> list[Bend]:
+    """Return how named terms have to change by more than a single track gets wrong: something else acts as well."""
     found = bends(objective, selection.chosen, selection.named, variance_inflation)
-    return bool(found) and found[0].p_value * len(found) < objective.policy.selection.level
+    return [one for one in found if one.p_value * len(found) < objective.policy.selection.level]
 
 
 def _told_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> set[str]:
@@ -88,15 +86,20 @@ def _told_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> s
     return told
 
 
-def _imitating(findings: Sequence[Finding], remainder: RemainderTest) -> set[str]:
+def _imitating(
+    findings: Sequence[Finding], remainder: RemainderTest, bent: Sequence[Bend], rules: Abstention
+) -> set[str]:
     """Return terms that explain no more than is left, which they may imitate: that has no name.
+
+    So do terms that have to bend by the greater part of what they do: a steering offset that shows in hard turns
+    and not in gentle ones is a tyre that is weaker to one side.
 
     What a term took that is not believed for this has no name either. It may as well be of the terms that are
     declared to look like it, of which each has to explain more than both: a centre of gravity that pulls against a
     stiffness, say, where the balance of the axles is all that is left.
     """
     shares = {one.term: one.gap_explained * (1.0 - remainder.share) for one in findings}
-    out: set[str] = set()
+    out = {one.term for one in bent if one.term in shares and one.size > rules.greater_part}
     while True:
         nameless = {
             term: remainder.share + sum(shares[other] for other in out if look_alike(term, other))

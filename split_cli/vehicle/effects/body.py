@@ -73,6 +73,7 @@ class Mass(Term):
     needs: ClassVar = frozenset({"torque"})
     discrepancy: ClassVar = (("", "scale", 0.1),)
     variants: ClassVar = ("", "loaded", "degressive")
+    loads_tires: ClassVar = True
     mimics: ClassVar = (
         Mimic(
             "friction_scale+drive_gain+yaw_inertia+aero_drag+rolling_resistance",
@@ -153,6 +154,7 @@ class CgShift(Term):
     family = "body"
     discrepancy: ClassVar = (("", "dx", 0.03),)
     variants: ClassVar = ("", "loaded", "degressive")
+    loads_tires: ClassVar = True
     mimics: ClassVar = (
         Mimic(
             "sensor_lever_arm+tire_stiffness+yaw_moment_differential",

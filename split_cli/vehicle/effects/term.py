@@ -86,6 +86,8 @@ class Term:
     states_peak : bool
         Whether its parameters say which peak force the tyres reach, so that a vehicle file that has it no longer
         assumes one.
+    loads_tires : bool
+        Whether its variants are laws of how a tyre carries another load; a real one lies between them.
     family : str
         Kind of physics, by which the manoeuvre is chosen that tells two terms apart: ``tires``, ``body``,
         ``along`` (forces along the car), ``steering``, ``place``, ``time``, ``air``, ``measurement``, ``clock``.
@@ -125,6 +127,7 @@ class Term:
     exported: ClassVar[bool] = True
     through_tires: ClassVar[bool] = False
     states_peak: ClassVar[bool] = False
+    loads_tires: ClassVar[bool] = False
     family: ClassVar[str] = "tires"
     needs: ClassVar[frozenset[str]] = frozenset()
     variant_needs: ClassVar[Mapping[str, frozenset[str]]] = {}

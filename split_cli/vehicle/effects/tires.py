@@ -331,6 +331,7 @@ class LoadTransfer(Term):
     neutral: ClassVar = {"cg_height": 0.0}
     discrepancy: ClassVar = (("", "cg_height", 0.2), ("peak", "cg_height", 0.2))
     variants: ClassVar = ("", "peak", "degressive")
+    loads_tires: ClassVar = True
     mimics: ClassVar = (
         Mimic("combined_slip", "braking in turns only", "driving and braking in turns: the two differ in sign"),
     )
@@ -420,6 +421,7 @@ class AeroDownforce(Term):
     neutral: ClassVar = {"front": 0.0, "rear": 0.0}
     discrepancy: ClassVar = (("", "front", 0.3), ("", "rear", 0.3))
     variants: ClassVar = ("", "peak", "degressive")
+    loads_tires: ClassVar = True
     mimics: ClassVar = (
         Mimic("tire_stiffness", "one speed in every turn", "the same turn at two speeds"),
         Mimic("friction_scale", "one speed in every turn", "the same turn at two speeds"),
