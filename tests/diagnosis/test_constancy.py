@@ -96,8 +96,8 @@ CONSTANT = CATALOGUE["steer_gain"]({"gain": 0.9})
 
 @pytest.mark.parametrize(
     ("term", "variable", "size"),
-    # Of a tenth less steering: 0.001 times the spread of 96 s evenly, 28 s, and 0.04 to either side; 0.01 times that
-    # of speeds from 10 to 26 m/s, 4.6 m/s.
+    # Of a tenth less steering: 0.001 times the spread of 96 s evenly, 28 s, and 0.04 to either side; 0.01 times
+    # that of speeds from 10 to 26 m/s, 4.6 m/s.
     [(SLOW, "time", 0.28), (SIDED, "the side of the turn", 0.4), (FAST, "speed", 0.46)],
 )
 def test_a_term_that_stands_for_what_changes_bends_with_it(term, variable, size):

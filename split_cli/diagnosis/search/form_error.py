@@ -50,7 +50,7 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
 
     What single-track terms get wrong of a real car's effect is of their own kind, and varies with the operating
     point: axle by axle of what alters tyres, or asks them for other forces, else channel by channel. And how tyres
-    carry another load is known within the variants alone. Evidence for a further term is what it saves beyond that.
+    carry another load is known within the variants alone. Evidence for a further term is what it saves beyond.
 
     Notes
     -----

@@ -93,7 +93,7 @@ class Bend:
 def bends(
     objective: MarginalLikelihood, fit: Fit, named: Sequence[bool], variance_inflation: float
 ) -> tuple[Bend, ...]:
-    """Return how the named parts of a fit bend with operating point, side of the turn, time, and heat, surest first.
+    """Return how named parts bend with operating point, side of the turn, time, and heat, surest first.
 
     Parameters
     ----------

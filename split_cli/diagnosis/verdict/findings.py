@@ -70,7 +70,7 @@ def describe(
 
 
 def _sure_bends(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> list[Bend]:
-    """Return how named terms have to change by more than a single track gets wrong: something else acts as well."""
+    """Return how named terms have to change by more than a single track gets wrong: something else acts, too."""
     found = bends(objective, selection.chosen, selection.named, variance_inflation)
     return [one for one in found if one.p_value * len(found) < objective.policy.selection.level]
 
