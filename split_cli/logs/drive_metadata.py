@@ -84,6 +84,14 @@ class DriveMetadata:
     quality: Mapping[str, object] = field(default_factory=dict)
     between: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def told_kinds(self) -> tuple[str, ...]:
+        """The channels with their kinds, those of one kind together: ``vx, vy, r measured``."""
+        alike: dict[str, list[str]] = {}
+        for channel, kind in self.kinds.items():
+            alike.setdefault(kind, []).append(channel)
+        return tuple(f"{', '.join(channels)} {kind}" for kind, channels in alike.items())
+
     def noise_of(self, channel: str) -> NoiseEstimate | None:
         """Return the noise estimate of a channel, None when ingest made none."""
         return next((estimate for estimate in self.noise if estimate.channel == channel), None)

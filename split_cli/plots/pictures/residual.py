@@ -40,7 +40,10 @@ def whiteness_chart(residuals: Sequence[tuple[str, str, Labels, np.ndarray]]) ->
             series.append(ChartLine(name, lags, found[1:], role))
             band = max(band, half)
         if series:
-            note = "Inside the band the residual is white noise. Sensor noise alone gives −0.5 at the first lag."
+            note = (
+                "Inside the band the residual is white noise. Where it stays outside, the model leaves out "
+                "something that lasts. Sensor noise alone gives −0.5 at the first lag."
+            )
             bands = (Band(-band, band, "99 % of white noise"),)
             name, title = f"white-{symbol.replace('_', '')}", f"Residual of {symbol}"
             texts = (name, title, "lag [s]", "autocorrelation")

@@ -68,7 +68,7 @@ class IngestResult:
     def to_text(self) -> str:
         """Return the report for a terminal."""
         head = f"{self.log} -> {self.drive_path}: {self.rows} rows at {1.0 / self.period:g} Hz"
-        kinds = ", ".join(f"{channel} {kind}" for channel, kind in self.metadata.kinds.items())
+        kinds = "; ".join(self.metadata.told_kinds)
         converted = [f"  {text}" for text in self.metadata.conversions]
         return "\n".join(
             [

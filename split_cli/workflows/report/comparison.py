@@ -53,7 +53,7 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), t
         f'<section class="verdict {kind}" aria-labelledby="verdict"><h1 id="verdict">{escape(said)}</h1>'
         f'<dl class="facts">{told}</dl></section>'
         + section("errors", title, charts_block(charts[:3], thirds=True))
-        + (section("gate", "Where the first model is worse", alarms) if alarms else "")
+        + (section("gate", f"Where {escape(compared.models[0])}, named first, is worse", alarms) if alarms else "")
         + _tables(compared)
         + "".join(picture_sections(pictures))
         + _notes(compared.notes)

@@ -43,7 +43,7 @@ def evaluation_page(run: EvaluationRun) -> str:
     believed = [c for c in report.comparisons if c.name in report.settings.predictors]
     body = (
         f"{_verdict(run, believed)}{_errors(charts)}{''.join(picture_sections(charts))}{_tables(run)}"
-        f"{_notes(report.notes)}"
+        f"{_notes([note for note in report.notes if not note.startswith(_WARNING)])}"
     )
     return page("evaluate", f"{names} with {report.vehicle}", f"{_headline(believed)} {names}", body, charts)
 
@@ -163,7 +163,7 @@ def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) 
 
 def _errors(charts: Sequence[Chart]) -> str:
     mine = [chart for chart in charts if chart.name.startswith("ratio-")]
-    return section("ratios", "Does it help, by horizon", charts_block(mine, thirds=True)) if mine else ""
+    return section("ratios", "Does it help, by horizon?", charts_block(mine, thirds=True)) if mine else ""
 
 
 def _tables(run: EvaluationRun) -> str:

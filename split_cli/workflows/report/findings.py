@@ -113,7 +113,7 @@ def _remainder(remainder: RemainderTest, unexplained: bool, level: float) -> str
     test = bar_row("p value against noise (dashed: significance level)", strength, chance(remainder.p_value),
                    -math.log10(level) / _MOST_POWERS)  # fmt: skip
     groups = f'<h4>Test against noise</h4><div class="bars">{test}</div>'
-    if bars:
+    if bars and unexplained:  # of noise the shares say nothing
         groups += f'<h4>What a flexible fit of the residual depends on</h4><div class="bars">{bars}</div>'
     lead = (
         f"<h4>A candidate formula</h4><p><code>{escape(remainder.formula)}</code></p>" if remainder.formula else ""

@@ -15,8 +15,8 @@ _SECTIONS = (
     ("tires", "Axle forces and tyres", ("tire-", "force-"), True),
     ("handling", "Handling: understeer and steering response", ("understeer", "response-"), True),
     ("grip", "Accelerations and track", ("gg", "path"), False),
-    ("white", "Is the residual white", ("white-",), True),
-    ("coverage", "Do the intervals hold", ("coverage-",), True),
+    ("white", "Is the residual white?", ("white-",), True),
+    ("coverage", "Do the intervals hold?", ("coverage-",), True),
 )
 
 

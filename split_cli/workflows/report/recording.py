@@ -87,6 +87,6 @@ def _channels(found: Mapping[str, Any]) -> str:
 
 
 def _done(drive: Drive) -> str:
-    kinds = [f"{name}: {kind}" for name, kind in drive.metadata.kinds.items()]
-    items = "".join(f"<li>{escape(text)}</li>" for text in (*drive.metadata.conversions, *kinds))
+    told = (*drive.metadata.conversions, *drive.metadata.told_kinds)
+    items = "".join(f"<li>{escape(text)}</li>" for text in told)
     return section("done", "What was converted, measured and derived", f"<ul>{items}</ul>") if items else ""

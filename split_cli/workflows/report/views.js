@@ -164,7 +164,9 @@
   /* One switch a series; a chart with one series has a name, not a switch. */
   function legend(place, series, told, plot) {
     if (!place) return;
-    const parts = series.map((one) => {
+    // The axis of a single row of bars says what they are.
+    const drawn = series.length === 1 && series[0].kind === "bars" ? [] : series;
+    const parts = drawn.map((one) => {
       const mark = one.kind === "points"
         ? shape("circle", { cx: 11, cy: 6, r: 4, fill: one.color })
         : shape("line", { x1: 0, x2: 22, y1: 6, y2: 6, stroke: one.color, "stroke-width": one.kind === "bars" ? 8 : 3, "stroke-dasharray": DASHES[one.role] || "none" });
@@ -180,6 +182,9 @@
     });
     const bands = told.bands.map((band) => element("span", { class: "key" }, shape("svg", { width: 22, height: 12, "aria-hidden": "true" }, shape("rect", { width: 22, height: 12, fill: "var(--noise)" })), band.name));
     place.replaceChildren(...parts, ...bands);
+    // On paper a row of charts with one legend shows it once.
+    const before = place.closest("figure")?.previousElementSibling?.querySelector(".legend");
+    place.classList.toggle("same", Boolean(before) && before.textContent === place.textContent);
   }
 
   told.forEach(chart);
