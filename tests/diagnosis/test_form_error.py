@@ -16,6 +16,7 @@ from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
 from split_cli.diagnosis.search.form_error import (
     costs_beside_form_error,
     free_to_form_error,
+    moved_between_load_laws,
     residuals_beside_form_error,
     saved_beside_form_error,
 )
@@ -249,3 +250,15 @@ def test_how_tyres_carry_another_load_is_free_between_the_laws(behind, heavier, 
     )
     assert saved == pytest.approx(here - there, rel=1e-4, abs=0.05)
     assert bool(saved > 100.0) is (share > 1.0)
+
+
+def test_a_mass_moves_to_what_it_is_with_the_law_between_the_variants(behind, heavier):
+    """Residuals of 3 % more mass half-way to another law: the fit with that law finds both."""
+    (part,) = heavier.parts
+    more = Part(part.candidate, {"scale": part.values["scale"] + 0.01})
+    slope = behind.whiten(behind.left_by((more.term,)) - behind.left_by(heavier.terms)) / 0.01
+    between = 0.5 * module._other_load_laws(behind, heavier)[:, 0]
+    fit = replace(heavier, sensitivity=slope[:, None], residuals=between - 0.03 * slope)
+    assert moved_between_load_laws(behind, fit) == pytest.approx([0.03], abs=1e-3)
+    alone = replace(fit, parts=(), sensitivity=np.empty((len(slope), 0)))
+    assert moved_between_load_laws(behind, alone).shape == (0,)

@@ -25,6 +25,7 @@ __all__ = [
     "costs_beside_form_error",
     "form_error_columns",
     "free_to_form_error",
+    "moved_between_load_laws",
     "residuals_beside_form_error",
     "saved_beside_form_error",
 ]
@@ -62,17 +63,41 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
     laws = _other_load_laws(objective, before)
     if not laws.shape[1]:
         return here - there
-    cleared = laws - form_error @ np.linalg.solve(
-        np.eye(form_error.shape[1]) + form_error.T @ form_error, form_error.T @ laws
-    )
-    root = np.linalg.cholesky(laws.T @ cleared + 1e-9 * np.trace(laws.T @ laws) * np.eye(laws.shape[1])).T
+    best = [_bounded_fit(form_error, laws, one.residuals, np.zeros(laws.shape[1]))[1] for one in (before, after)]
+    return (here - best[0]) - (there - best[1])
 
-    def between(residuals: np.ndarray) -> float:
-        """Return what the best law between the variants saves."""
-        target = solve_triangular(root, cleared.T @ residuals, trans=1)
-        return float(target @ target) - 2.0 * float(lsq_linear(root, target, (0.0, 1.0)).cost)
 
-    return (here - between(before.residuals)) - (there - between(after.residuals))
+def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
+    """Return how far parameters, over the parts in order, move with the best law of load, shape (P,).
+
+    A heavier car whose tyres carry a little more is taken for a lighter one where its variant says that they carry
+    no more. Zeros where no term loads the tyres.
+
+    Notes
+    -----
+    The least of (e + J x - V u)^T P (e + J x - V u), as in `saved_beside_form_error`, J the sensitivity.
+    """
+    laws, slopes = _other_load_laws(objective, fit), fit.sensitivity
+    if not laws.shape[1]:
+        return np.zeros(slopes.shape[1])
+    scale = np.linalg.norm(slopes, axis=0) + 1e-150
+    low = np.repeat([-np.inf, 0.0], [slopes.shape[1], laws.shape[1]])
+    columns = np.hstack([-slopes / scale, laws])
+    found, _ = _bounded_fit(form_error_columns(objective, fit), columns, fit.residuals, low)
+    return found[: len(scale)] / scale
+
+
+def _bounded_fit(
+    form_error: np.ndarray, columns: np.ndarray, residuals: np.ndarray, low: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Return weights of columns beside model-form error, those from 0 no more than 1, and what they save."""
+    normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
+    cleared = columns - form_error @ np.linalg.solve(normal, form_error.T @ columns)
+    curvature = columns.T @ cleared
+    root = np.linalg.cholesky(curvature + 1e-9 * np.diag(np.diag(curvature))).T
+    target = solve_triangular(root, cleared.T @ residuals, trans=1)
+    found = lsq_linear(root, target, (low, np.where(np.isinf(low), np.inf, 1.0)))
+    return found.x, float(target @ target) - 2.0 * float(found.cost)
 
 
 def residuals_beside_form_error(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part
+from split_cli.diagnosis.search.form_error import moved_between_load_laws
 from split_cli.diagnosis.search.term_tests import term_size, witnesses_disagree
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.vehicle.effects.search import Range
@@ -27,6 +28,8 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
     With a fixed baseline J knows nothing of the simulation's uncertainty; what was learned from a recording with
     as much model-form error is as uncertain as what is found on this one. By what halves of the simulation differ,
     two recordings of one car may differ, too; by what its witnesses say of a sensor's fault, its size.
+    Where a term loads the tyres, intervals also hold what is found with the law of load that fits best between the
+    variants, see `moved_between_load_laws`.
     Intervals end where no real car lies beyond: a time constant is not negative, however little is known of it.
     A parameter that moves all rows by less than one standard deviation over all its range was not shown, a brake's
     gain on a drive without braking: it has its neutral value, and its range for an interval.
@@ -48,7 +51,7 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
     if objective.fixed_baseline:
         variance = 2.0 * variance
     wide = float(student.ppf(0.975, max(blocks - J.shape[1], 2)))
-    out, column = [], 0
+    moved, out, column = moved_between_load_laws(objective, fit), [], 0
     for k, part in enumerate(fit.parts):
         size = term_size(objective, fit, k)
         term, residuals = part.term, {}
@@ -65,7 +68,10 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
                 continue
             away = value - term.neutral.get(name, value)
             error = float(np.hypot(np.sqrt(variance[column]), 0.0 if name in _PLACES else abs(away) * relative))
-            limits = (value - wide * error, value + wide * error)
+            limits = (
+                value - wide * error + min(moved[column], 0.0),
+                value + wide * error + max(moved[column], 0.0),
+            )
             if name in _PLACES:
                 rise = _CHI2_95 * max(float(np.max(variance / np.maximum(plain, 1e-300))), 1.0)
                 limits = _place_limits(objective, fit, k, name, rise)
