@@ -22,6 +22,7 @@ from split_cli.logs.drive import Drive, read_drive
 from split_cli.plots.chart import Chart
 from split_cli.plots.draw import draw_chart
 from split_cli.plots.evaluation import draw_figures
+from split_cli.prediction import DEFAULT_PREDICTOR
 from split_cli.scoring.handling.steering_response import SteeringResponse, steering_response
 from split_cli.scoring.handling.understeer import DEG_PER_G, Understeer
 from split_cli.scoring.handling.understeer import understeer_of as understeer
@@ -196,7 +197,7 @@ def compare(
     models: Mapping[str, Vehicle | TrainingSet],
     drives: Drive | Sequence[Drive],
     horizons: Sequence[float] = (0.05, 0.5, 2.0),
-    predictor: str = "rbcm",
+    predictor: str = DEFAULT_PREDICTOR,
 ) -> ComparisonResult:
     """Let models (vehicles and trained sets, by name) run freely on the same drives; see `split compare`."""
     several = [drives] if isinstance(drives, Drive) else list(drives)

@@ -54,11 +54,11 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 @click.option(
     "--predictor",
     "predictors",
-    default="bcm,rbcm",
+    default="bcm,projected",
     show_default=True,
     callback=_list_of(str),
     metavar="LIST",
-    help="Predictors to score: bcm, rbcm, grbcm, local, weights, table, projected, full, fitc, iol.",
+    help="Predictors to score: projected, bcm, rbcm, grbcm, local, weights, table, full, fitc, iol.",
 )
 @click.option(
     "--protocol",

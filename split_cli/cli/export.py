@@ -22,11 +22,11 @@ __all__ = ["command"]
 @output_option("Folder to write into.")
 @click.option(
     "--predictor",
-    default="rbcm",
+    default="projected",
     show_default=True,
-    type=click.Choice(["bcm", "rbcm", "table", "projected"]),
-    help="bcm: committee of cells. rbcm: robust committee. table: spline table of the dense Gaussian process. "
-    "projected: the same of the process on at most 600 points.",
+    type=click.Choice(["projected", "table", "bcm", "rbcm"]),
+    help="projected: process on at most 600 points. table: spline table of the dense Gaussian process. "
+    "bcm: committee of cells. rbcm: robust committee.",
 )
 @click.option("--name", metavar="NAME", help="Prefix of files and functions [default: the set's file name].")
 @click.option(

@@ -14,13 +14,16 @@ import numpy as np
 
 from split_cli.errors import ExportError, printable
 from split_cli.export.memory import Memory, present
+from split_cli.export.projection import ProjectionData
 from split_cli.export.provenance import Provenance
 from split_cli.export.straight_line import number, straight_line
 from split_cli.export.symbolic import NominalGraph
-from split_cli.export.tables import BcmTables, TableData
+from split_cli.export.tables import BcmTables, Constants, TableData
 
 __all__ = ["CSource", "c_identifier", "c_source", "fill", "memory_parts", "template"]
 
+#: The C that evaluates each kind of constants.
+_TEMPLATES = {BcmTables: "committee.c.in", TableData: "table.c.in", ProjectionData: "projection.c.in"}
 _KEYWORDS = frozenset(
     (
         "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
@@ -98,7 +101,7 @@ def fill(text: str, values: dict[str, str], kept: Collection[str] = ()) -> str:
 
 
 def c_source(
-    tables: BcmTables | TableData,
+    tables: Constants,
     graph: NominalGraph,
     provenance: Provenance,
     name: str,
@@ -109,7 +112,7 @@ def c_source(
 
     Parameters
     ----------
-    tables : BcmTables or TableData
+    tables : BcmTables, TableData or ProjectionData
         What the predictor evaluates.
     graph : NominalGraph
         Of the set's vehicle.
@@ -130,7 +133,7 @@ def c_source(
         raise ExportError(f"{name!r} is not a C identifier", advice=f"Use --name {c_identifier(name)}.")
     real = tables.real
     with_step = graph.features is not None
-    table_text, table_bytes = _spline(tables) if isinstance(tables, TableData) else _tables(tables)
+    table_text, table_bytes = _tables(tables)
     values = {
         "NAME": name,
         "UPPER": name.upper(),
@@ -159,9 +162,8 @@ def c_source(
         ),
     }
     values |= _predictor_values(tables)
-    predictor = "table.c.in" if isinstance(tables, TableData) else "committee.c.in"
     robust = ("robust",) if getattr(tables, "robust", False) else ()
-    values["PREDICTOR"] = fill(template(predictor), values, robust)
+    values["PREDICTOR"] = fill(template(_TEMPLATES[type(tables)]), values, robust)
     values["VALID"] = straight_line(valid, "valid_region", real, "1 where the valid region holds z, else 0.")
     memory = graph.memory if with_step else None
     values |= _memory_values(graph, memory, name, real)
@@ -220,7 +222,7 @@ def _limits(graph: NominalGraph, provenance: Provenance, real: str) -> str:
     return "\n".join(parts)
 
 
-def _predictor_values(tables: BcmTables | TableData) -> dict[str, str]:
+def _predictor_values(tables: Constants) -> dict[str, str]:
     """Return what the templates say of the predictor."""
     if isinstance(tables, TableData):
         n0, n1, n2, _ = tables.coefficients.shape
@@ -229,6 +231,13 @@ def _predictor_values(tables: BcmTables | TableData) -> dict[str, str]:
             "OUTSIDE": "Every query takes the same time. Outside the\n"
             " * box of the nodes it is the prior, and on the way there it is smooth.",
             "SIZES": f", WIDTH = 6, N0 = {n0}, N1 = {n1}, N2 = {n2}",
+        }
+    if isinstance(tables, ProjectionData):
+        count = len(tables.points)
+        return {
+            "KIND": f"a Gaussian process on {count} points",
+            "OUTSIDE": "Every query takes the same time. Far from\n * the points it is the prior.",
+            "SIZES": f", POINTS = {count}, TRIANGLE = {count * (count + 1) // 2}",
         }
     kind = "robust Bayesian committee machine" if tables.robust else "Bayesian committee machine"
     return {
@@ -343,31 +352,54 @@ def _memory_tables(graph: NominalGraph, memory: Memory, real: str) -> str:
     return "\n".join(parts)
 
 
-def _tables(tables: BcmTables) -> tuple[str, int]:
-    """Return the constant tables as C, and their bytes on the target."""
-    real = tables.real
-    reals = {
-        "inverse_length[DIMENSION]": 1.0 / tables.length_scales,
-        "signal_variance[OUTPUTS]": tables.signal_variance,
-        "noise_ratio[OUTPUTS]": tables.noise_ratio,
-        "trust[OUTPUTS]": tables.trust,
-        "doubt[OUTPUTS]": tables.doubt,
-        "reference[CELLS * DIMENSION]": tables.reference,
-        "reach[CELLS]": tables.reach,
-        "points[POINTS * DIMENSION]": tables.points,
-        "eigenvectors[" + str(len(tables.eigenvectors)) + "]": tables.eigenvectors,
-        "gains[POINTS * OUTPUTS]": tables.gains,
-        "weights[POINTS * OUTPUTS]": tables.weights,
-    }
-    size, parts = 0, [_macros(real)]
-    for label, values in (("first_point", tables.offsets), ("first_square", tables.square_offsets)):
-        parts.append(_array(f"static const unsigned long {label}[CELLS + 1]", [f"{v}UL" for v in values.tolist()]))
-        size += 8 * len(values)
-    for label, values in reals.items():
+def _tables(tables: Constants) -> tuple[str, int]:
+    """Return the constants as C, and their bytes on the target."""
+    real, parts, size = tables.real, [_macros(tables.real)], 0
+    if isinstance(tables, BcmTables):
+        for label, values in (("first_point", tables.offsets), ("first_square", tables.square_offsets)):
+            parts.append(
+                _array(f"static const unsigned long {label}[CELLS + 1]", [f"{v}UL" for v in values.tolist()])
+            )
+            size += 8 * len(values)
+    for label, values in _reals(tables).items():
         flat = np.ravel(values)
         parts.append(_array(f"static const real {label}", [number(v, real) for v in flat.tolist()]))
         size += (4 if real == "float" else 8) * len(flat)
     return "\n".join(parts), size
+
+
+def _reals(tables: Constants) -> dict[str, np.ndarray]:
+    """Return the arrays of real numbers by their declarators in C."""
+    shared = {
+        "signal_variance[OUTPUTS]": tables.signal_variance,
+        "trust[OUTPUTS]": tables.trust,
+        "doubt[OUTPUTS]": tables.doubt,
+    }
+    if isinstance(tables, TableData):
+        return shared | {
+            "origin[DIMENSION]": tables.origin,
+            "inverse_spacing[DIMENSION]": 1.0 / tables.spacing,
+            "least[OUTPUTS]": tables.least,
+            "coefficients[N0 * N1 * N2 * WIDTH]": tables.coefficients,
+        }
+    shared["inverse_length[DIMENSION]"] = 1.0 / tables.length_scales
+    shared["points[POINTS * DIMENSION]"] = tables.points
+    shared["weights[POINTS * OUTPUTS]"] = tables.weights
+    if isinstance(tables, ProjectionData):
+        return shared | {
+            "reference[DIMENSION]": tables.reference,
+            "whitening[TRIANGLE]": tables.whitening,
+            "spread[OUTPUTS * TRIANGLE]": tables.spread,
+            "absent[OUTPUTS]": tables.absent,
+            "gain_limit[1]": tables.gain_limit,
+        }
+    return shared | {
+        "noise_ratio[OUTPUTS]": tables.noise_ratio,
+        "reference[CELLS * DIMENSION]": tables.reference,
+        "reach[CELLS]": tables.reach,
+        f"eigenvectors[{len(tables.eigenvectors)}]": tables.eigenvectors,
+        "gains[POINTS * OUTPUTS]": tables.gains,
+    }
 
 
 def _macros(real: str) -> str:
@@ -378,26 +410,6 @@ def _macros(real: str) -> str:
     constants = {"ZERO": 0.0, "HALF": 0.5, "ONE": 1.0, "TWO": 2.0, "THREE": 3.0, "FOUR": 4.0, "SIX": 6.0}
     macros += [f"#define {macro} {number(value, real)}" for macro, value in constants.items()]
     return "\n".join(macros) + "\n"
-
-
-def _spline(tables: TableData) -> tuple[str, int]:
-    """Return the constants of a table as C, and their bytes on the target."""
-    real = tables.real
-    reals = {
-        "origin[DIMENSION]": tables.origin,
-        "inverse_spacing[DIMENSION]": 1.0 / tables.spacing,
-        "signal_variance[OUTPUTS]": tables.signal_variance,
-        "least[OUTPUTS]": tables.least,
-        "trust[OUTPUTS]": tables.trust,
-        "doubt[OUTPUTS]": tables.doubt,
-        "coefficients[N0 * N1 * N2 * WIDTH]": tables.coefficients,
-    }
-    size, parts = 0, [_macros(real)]
-    for label, values in reals.items():
-        flat = np.ravel(values)
-        parts.append(_array(f"static const real {label}", [number(v, real) for v in flat.tolist()]))
-        size += (4 if real == "float" else 8) * len(flat)
-    return "\n".join(parts), size
 
 
 def _array(declaration: str, literals: list[str]) -> str:

@@ -12,9 +12,10 @@ import scipy.sparse
 from split_cli.errors import OUR_FAULT, ExportError
 from split_cli.export.casadi_step import memory_step
 from split_cli.export.check import ExportAnswer, Oracle, PredictionCheck, check_predictions
+from split_cli.export.projection import ProjectionData
 from split_cli.export.step_check import StepOracle, Stepper, compare_drives, compare_memory, compare_states
 from split_cli.export.symbolic import NominalGraph
-from split_cli.export.tables import BcmTables, TableData
+from split_cli.export.tables import BcmTables, Constants, TableData
 
 __all__ = [
     "CasadiFunctions",
@@ -24,6 +25,8 @@ __all__ = [
     "committee",
     "generate_c",
     "model_step",
+    "predictor_function",
+    "projection",
     "spline_table",
 ]
 
@@ -51,6 +54,15 @@ class CasadiFunctions:
     valid: casadi.Function | None = None
 
 
+def predictor_function(constants: Constants, name: str) -> casadi.Function:
+    """Return the predictor z -> (mean, variance) over its constants, which are in double."""
+    if isinstance(constants, TableData):
+        return spline_table(constants, name)
+    if isinstance(constants, ProjectionData):
+        return projection(constants, name)
+    return committee(constants, name)
+
+
 def committee(tables: BcmTables, name: str) -> casadi.Function:
     """Return the committee z -> (mean, variance), robust or not, as a graph of a few dozen matrix operations.
 
@@ -70,11 +82,7 @@ def committee(tables: BcmTables, name: str) -> casadi.Function:
     counts = np.diff(tables.offsets)
     absolute = np.repeat(tables.reference, counts, axis=0) / tables.length_scales + tables.points
     z = casadi.MX.sym("z", tables.feature_count)
-    squared = casadi.MX(0.0)
-    for feature in range(tables.feature_count):
-        scaled = z[feature] / float(tables.length_scales[feature])
-        squared = squared + (scaled - casadi.DM(absolute[:, feature])) ** 2
-    correlations = casadi.exp(-0.5 * squared)
+    correlations = _correlations(z, tables.length_scales, absolute)
     turned = casadi.mtimes(_block_diagonal(tables), correlations)
     gathered = _gather(counts)
     mean, variance = [], []
@@ -130,6 +138,42 @@ def spline_table(tables: TableData, name: str) -> casadi.Function:
     variance = certain * left**2 + casadi.DM(tables.doubt) + unknown
     outputs = [trust * learned + unknown, variance]
     return casadi.Function(name, [z], outputs, ["z"], ["mean", "variance"])
+
+
+def projection(constants: ProjectionData, name: str) -> casadi.Function:
+    """Return the projected process z -> (mean, variance) as a dozen matrix operations."""
+    z = casadi.MX.sym("z", constants.feature_count)
+    absolute = constants.reference / constants.length_scales + constants.points
+    c = _correlations(z, constants.length_scales, absolute)
+    count = len(constants.points)
+    rows, columns = np.tril_indices(count)
+    t = casadi.mtimes(_triangle(constants.whitening, rows, columns).T, c)
+    gain = casadi.fmax(1.0 - casadi.dot(t, t), 0.0)
+    shown = casadi.fmin(gain, float(constants.gain_limit[0])) * (1.0 - gain)
+    mean, variance = [], []
+    for output in range(3):
+        # CasADi drops what is multiplied by zero, and with it the answer to a query that is not a number.
+        trust = max(float(constants.trust[output]), 1e-300)
+        mean.append(trust * casadi.dot(casadi.DM(constants.weights[:, output]), c))
+        left = casadi.dot(casadi.mtimes(_triangle(constants.spread[output], rows, columns).T, t), t)
+        share = gain + left - float(constants.absent[output]) * shown
+        certain = max(trust**2, 1e-300) * float(constants.signal_variance[output])
+        variance.append(certain * share + float(constants.doubt[output]))
+    outputs = [casadi.vertcat(*mean), casadi.vertcat(*variance)]
+    return casadi.Function(name, [z], outputs, ["z"], ["mean", "variance"])
+
+
+def _correlations(z: casadi.MX, length_scales: np.ndarray, points: np.ndarray) -> casadi.MX:
+    """Return the correlations of a query with points in length scales, shape (P, 1)."""
+    squared = casadi.MX(0.0)
+    for feature, length in enumerate(length_scales):
+        squared = squared + (z[feature] / float(length) - casadi.DM(points[:, feature])) ** 2
+    return casadi.exp(-0.5 * squared)
+
+
+def _triangle(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> casadi.DM:
+    """Return a lower triangle stored row by row as a sparse matrix."""
+    return _sparse(scipy.sparse.csc_matrix((values, (rows, columns))))
 
 
 def _block_diagonal(tables: BcmTables) -> casadi.DM:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.errors import OUR_FAULT, ExportError
-from split_cli.export.reference import AnyReference, Reference, SplineReference
+from split_cli.export.reference import AnyReference, ProcessReference, Reference, SplineReference
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction import Predictor, make_predictor
 from split_cli.prediction.table import TablePredictor
@@ -161,7 +161,10 @@ def make_oracle(
         reference: AnyReference = SplineReference(table)
         asked: Predictor = TrustedPredictor(table)
     else:
-        reference = Reference(training_set, robust=predictor == "rbcm")
+        if predictor == "projected":
+            reference = ProcessReference(training_set)
+        else:
+            reference = Reference(training_set, robust=predictor == "rbcm")
         asked = make_predictor(predictor, training_set)
     expected = reference.predict(z)
     finite = np.isfinite(z).all(axis=1) & (np.abs(z) < 1e100).all(axis=1)
@@ -171,9 +174,9 @@ def make_oracle(
         float(np.max(np.abs(answered.mean - expected.mean[finite]) / reference.deviation, initial=0.0)),
         float(np.max(np.abs(answered.variance - expected.variance[finite]) / kernel.signal_variance, initial=0.0)),
     )
-    if not error <= TOLERANCE["double"]:
+    if not error <= reference.rounding:
         raise ExportError(
-            f"the predictor {predictor} is {error:.3g} off its own reference, {TOLERANCE['double']:g} is allowed",
+            f"the predictor {predictor} is {error:.3g} off its own reference, {reference.rounding:g} is allowed",
             advice="The noise variance may be too small for points this close; `split verify` the set.",
         )
     rng = np.random.default_rng(7)

@@ -7,7 +7,7 @@ with the rest as JSON text in the array ``metadata``.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,11 @@ import numpy as np
 
 from split_cli.errors import ExportError
 from split_cli.export.check import ExportAnswer
+from split_cli.export.projection import PROJECTION_ARRAYS, ProjectionData, answer_of
 from split_cli.export.provenance import Provenance
+from split_cli.export.tables import Constants, TableData
 from split_cli.files import parse_json
 from split_cli.learning.training_set import TrainingSet
-from split_cli.prediction.table import TablePredictor
 
 __all__ = [
     "DOCUMENT_FORMAT",
@@ -41,6 +42,8 @@ ARRAYS = (
 )  # fmt: skip
 #: What a table adds.
 TABLE_ARRAYS = ("origin", "spacing", "least", "coefficients")
+#: Stands before the names of `PROJECTION_ARRAYS`, which a projected process adds.
+_PREFIX = "projected_"
 
 
 @dataclass(frozen=True)
@@ -64,10 +67,11 @@ def schema_text() -> str:
     return (files("split_cli.export") / "schema" / "split-export.schema.json").read_text(encoding="utf-8")
 
 
-def document_of(
-    training_set: TrainingSet, provenance: Provenance, table: TablePredictor | None = None
-) -> Document:
-    """Return everything a prediction needs, and what it means; of a table its coefficients beside the points."""
+def document_of(training_set: TrainingSet, provenance: Provenance, constants: Constants | None = None) -> Document:
+    """Return everything a prediction needs, and what it means.
+
+    A committee follows from points and kernel; a table and the projected process need their `constants` as well.
+    """
     kernel = training_set.kernel
     sources = {
         "cell_numbers": np.asarray(training_set.cell_numbers, dtype=np.int64),
@@ -107,12 +111,13 @@ def document_of(
     if provenance.memory is not None:
         metadata["memory"] = provenance.memory
     names: tuple[str, ...] = ARRAYS
-    if table is not None:
+    if isinstance(constants, TableData):
+        sources |= {name: getattr(constants, name) for name in TABLE_ARRAYS}
         names += TABLE_ARRAYS
-        spline = table.spline
-        sources |= {"origin": spline.origin, "spacing": spline.spacing, "least": table.least}
-        sources["coefficients"] = spline.coefficients
-        metadata["table"] = asdict(table.error)
+        metadata["table"] = constants.error
+    if isinstance(constants, ProjectionData):
+        sources |= {_PREFIX + name: getattr(constants, name) for name in PROJECTION_ARRAYS}
+        names += tuple(_PREFIX + name for name in PROJECTION_ARRAYS)
     return Document({name: np.ascontiguousarray(sources[name]) for name in names}, metadata)
 
 
@@ -174,7 +179,10 @@ def read_json(path: Path) -> Document:
 
 
 def _names(metadata: dict[str, Any]) -> tuple[str, ...]:
-    return (*ARRAYS, *(TABLE_ARRAYS if "table" in metadata else ()))
+    if "table" in metadata:
+        return (*ARRAYS, *TABLE_ARRAYS)
+    added = PROJECTION_ARRAYS if metadata["predictor"] == "projected" else ()
+    return (*ARRAYS, *(_PREFIX + name for name in added))
 
 
 def _checked(document: Document, path: Path) -> Document:
@@ -221,6 +229,9 @@ def document_answer(document: Document) -> ExportAnswer:
     a = document.arrays
     if "table" in document.metadata:
         return ExportAnswer(lambda z: _table_answer(a, z))
+    if document.metadata["predictor"] == "projected":
+        own = a | {name: a[_PREFIX + name] for name in PROJECTION_ARRAYS}
+        return ExportAnswer(lambda z: _trusted(a, *answer_of(own, z)))
     robust = document.metadata["predictor"] == "rbcm"
     ratio = a["noise_variance"] / a["signal_variance"]
     cells = []

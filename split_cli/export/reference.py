@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from split_cli.export.projection import answer_of, projection_data
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.predictor import Prediction
 from split_cli.prediction.table import TablePredictor
 
-__all__ = ["AnyReference", "Reference", "SplineReference"]
+__all__ = ["AnyReference", "ProcessReference", "Reference", "SplineReference"]
 
 _CHUNK = 256
 
@@ -29,6 +30,8 @@ class Reference:
     ----------
     hessian_step : ndarray, shape (D,)
         Step of differences of the Jacobian: small against the distance on which the committee changes.
+    rounding : float
+        What the predictor may differ by, in signal deviations and variances.
 
     Notes
     -----
@@ -37,6 +40,8 @@ class Reference:
     (rho = s^2/S0) instead of 1/sqrt(rho): 1e-12 at rho = 0.004, 1e-10 at 0.00004, against a computation in
     extended precision. A comparison at 1e-12 needs a reference better than that.
     """
+
+    rounding: float = 1e-12
 
     def __init__(self, training_set: TrainingSet, robust: bool = False) -> None:
         kernel = training_set.kernel
@@ -87,7 +92,7 @@ class Reference:
     def jacobian_by_differences(self, z: np.ndarray) -> np.ndarray:
         """Return the mean's Jacobian by central differences of fourth order, shape (N, 3, D).
 
-        The step is 0.003 of the shortest distance on which the committee changes, sqrt(rho) length scales.
+        The step is 0.003 of the shortest distance on which the mean changes, sqrt(rho) length scales.
         """
         scale = 3e-3 * min(1.0, float(np.sqrt(self._ratio.min())))
         jacobian = np.empty((len(z), 3, z.shape[1]))
@@ -106,6 +111,33 @@ class Reference:
         return size
 
 
+class ProcessReference(Reference):
+    """The projected process from the numbers that are exported, in plain NumPy.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+
+    Notes
+    -----
+    The predictor has them in another form: it takes c.Q c off 1, where entries of Q reach 1e4 as points of gains
+    down to 1e-4 come. Each of its two factors loses four digits; `rounding` allows for that.
+    """
+
+    rounding: float = 1e-8
+
+    def __init__(self, training_set: TrainingSet) -> None:
+        kernel = training_set.kernel
+        self.training_set = training_set
+        self.deviation = np.sqrt(kernel.signal_variance)
+        self._ratio = kernel.noise_variance / kernel.signal_variance
+        self.hessian_step = 1e-3 * np.sqrt(self._ratio.min()) * kernel.length_scales
+        self._numbers = vars(projection_data(training_set))
+
+    def _chunk(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return answer_of(self._numbers, z)
+
+
 class SplineReference:
     """A table evaluated from its coefficients by the Cox-de Boor recursion, axis by axis.
 
@@ -121,6 +153,8 @@ class SplineReference:
     hessian_step : ndarray, shape (3,)
         A hundred-thousandth of the spacing, since second derivatives have kinks at the nodes.
     """
+
+    rounding: float = 1e-12
 
     def __init__(self, table: TablePredictor) -> None:
         self.table, self.training_set = table, table.training_set

@@ -8,11 +8,14 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from split_cli.errors import ExportError
+from split_cli.export.projection import ProjectionData
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.bcm import committee_tables
 from split_cli.prediction.table import TablePredictor
 
-__all__ = ["SKIP_TOLERANCE", "BcmTables", "TableData", "build_tables", "require_usable", "table_data"]
+__all__ = [
+    "SKIP_TOLERANCE", "BcmTables", "Constants", "TableData", "build_tables", "require_usable", "table_data",
+]  # fmt: skip
 
 SKIP_TOLERANCE = {"double": 1e-13, "float": 1e-6}
 """Bound on what skipping far cells may change, in signal deviations (mean) and signal variances."""
@@ -158,6 +161,10 @@ class TableData:
         for name in ("origin", "spacing", "coefficients", "signal_variance", "least", "trust", "doubt"):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
         return digest.hexdigest()
+
+
+#: What an export evaluates.
+Constants = BcmTables | TableData | ProjectionData
 
 
 def table_data(table: TablePredictor, real: str = "double") -> TableData:

@@ -17,10 +17,9 @@ from split_cli.export.c_check import check_c, selftest_source
 from split_cli.export.casadi_function import (
     CasadiFunctions,
     check_casadi,
-    committee,
     generate_c,
     model_step,
-    spline_table,
+    predictor_function,
 )
 from split_cli.export.casadi_step import memory_functions
 from split_cli.export.check import Oracle, PredictionCheck, check_predictions, make_oracle
@@ -38,11 +37,12 @@ from split_cli.export.documents import (
 )
 from split_cli.export.generated_check import check_generated
 from split_cli.export.ggv import limits_over_speed, write_ggv
+from split_cli.export.projection import projection_data
 from split_cli.export.provenance import Provenance
 from split_cli.export.step_check import make_step_oracle
 from split_cli.export.stepped_model import Drives, SteppedModel, roll_drives
 from split_cli.export.symbolic import NominalGraph, build_nominal
-from split_cli.export.tables import BcmTables, TableData, build_tables, require_usable, table_data
+from split_cli.export.tables import Constants, build_tables, require_usable, table_data
 from split_cli.export.validity import valid_function
 from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.learning.training_set import TrainingSet
@@ -63,8 +63,6 @@ __all__ = [
 
 TARGETS = ("c", "casadi", "npz", "json", "ggv")
 PREDICTORS = ("bcm", "rbcm", "table", "projected")
-#: Predictors that are exported as a spline table, and the process it is of.
-TABLES = {"table": "dense", "projected": "projected"}
 MANIFEST = "manifest.json"
 MANIFEST_FORMAT = "split-export-manifest/1"
 CHECK_POINTS = 64
@@ -190,9 +188,9 @@ def write_export(
         provenance = replace(provenance, memory=graph.memory.told())
     require_usable(training_set)
     table = None
-    if plan.predictor in TABLES:
+    if plan.predictor == "table":
         say("filling the table")
-        table = TablePredictor(training_set, of=TABLES[plan.predictor])
+        table = TablePredictor(training_set)
     tables = predictor_tables(training_set, plan.predictor, table)
     say(f"answering {plan.queries} queries in Python")
     oracle = make_oracle(training_set, plan.queries, predictor=plan.predictor, table=table)
@@ -220,7 +218,7 @@ def write_export(
             note = "limits of the vehicle file over speed; nothing learned is in them"
             results.append(TargetResult("ggv", files, None, None, None, None, size, None, note))
         else:
-            document = document_of(training_set, provenance, table)
+            document = document_of(training_set, provenance, tables)
             result = _write_document(document, plan, oracle, target, folder, document_check)
             # What reads back bit for bit predicts the same: npz and json share one comparison.
             document_check = result.check
@@ -243,7 +241,7 @@ def _write_c(
     plan: ExportPlan,
     provenance: Provenance,
     graph: NominalGraph,
-    constants: BcmTables | TableData,
+    constants: Constants,
     oracle: Oracle,
     drives: Drives | None,
     compiler: Compiler | None,
@@ -274,18 +272,20 @@ def _write_c(
 
 def predictor_tables(
     training_set: TrainingSet, predictor: str, table: TablePredictor | None, real: str = "double"
-) -> BcmTables | TableData:
+) -> Constants:
     """Return the constants of a predictor, rounded to `real`; `table` is the table where it is one."""
     if table is not None:
         return table_data(table, real)
+    if predictor == "projected":
+        return projection_data(training_set, real)
     return build_tables(training_set, real, robust=predictor == "rbcm")
 
 
 def casadi_functions(
-    tables: BcmTables | TableData, graph: NominalGraph, name: str, training_set: TrainingSet
+    tables: Constants, graph: NominalGraph, name: str, training_set: TrainingSet
 ) -> CasadiFunctions:
     """Return the predictor, the model step and the valid region as CasADi functions."""
-    predict = spline_table(tables, name) if isinstance(tables, TableData) else committee(tables, name)
+    predict = predictor_function(tables, name)
     step = model_step(predict, graph, f"{name}_step", training_set.plain)
     valid = valid_function(training_set, f"{name}_valid")
     return CasadiFunctions(predict, step, memory_functions(predict, graph, name), valid)

@@ -13,7 +13,10 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.predictor import Prediction, Predictor
 from split_cli.prediction.trusted import TrustedPredictor
 
-__all__ = ["PREDICTORS", "Prediction", "Predictor", "make_predictor"]
+__all__ = ["DEFAULT_PREDICTOR", "PREDICTORS", "Prediction", "Predictor", "make_predictor"]
+
+#: What evaluates, compares and exports a set unless told otherwise (docs/decisions/0030).
+DEFAULT_PREDICTOR = "projected"
 
 #: Name on the command line to module and class; a module is imported when its predictor is made.
 PREDICTORS = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from split_cli.learning.online import OnlineSet
 from split_cli.prediction._process_numba import absorb, answer
 from split_cli.prediction.factorization import most_informative
 
-__all__ = ["MOST_SPANNING", "OnlineProcess", "OnlineProjection"]
+__all__ = ["MOST_SPANNING", "OnlineProcess", "OnlineProjection", "ProcessState"]
 
 #: Points that span the process at most [1]. It bounds memory (12 MB) and time (0.3 ms an update) where length
 #: scales are short; at two cells, 200 points span the valid region of a road car.
@@ -26,6 +27,32 @@ _AT_ONCE = 0.75
 _SLOPE_GAIN = 1e-3
 #: Points that span the variances at most [1]. Their cost goes with the square, and they need no slope.
 _MOST_OF_VARIANCES = 300
+
+
+@dataclass(frozen=True)
+class ProcessState:
+    """What an `OnlineProcess` on U points knows, for whoever evaluates it elsewhere.
+
+    Attributes
+    ----------
+    points : ndarray, shape (U, D)
+        In length scales.
+    inverse : ndarray, shape (U, U)
+        Q, the inverse of the points' correlations.
+    told : ndarray, shape (3, U, U)
+        T, what data have added to the prior's covariance.
+    weights : ndarray, shape (3, U)
+    absent : ndarray, shape (3,)
+        1 - kappa.
+    threshold : float
+    """
+
+    points: np.ndarray
+    inverse: np.ndarray
+    told: np.ndarray
+    weights: np.ndarray
+    absent: np.ndarray
+    threshold: float
 
 
 class OnlineProcess:
@@ -93,6 +120,18 @@ class OnlineProcess:
         points: np.ndarray = self._points[: self.count] * self._scales
         return points
 
+    def known(self) -> ProcessState:
+        """Return a copy of what has been learned so far, its matrices whole."""
+        n = self.count
+        inverse, *told = (
+            np.tril(matrix) + np.tril(matrix, -1).T
+            for matrix in (self._inverse[:n, :n], *(part[:n, :n] for part in self._told))
+        )
+        return ProcessState(
+            self._points[:n].copy(), inverse, np.array(told), self._weights[:, :n].copy(),
+            1.0 - self.unspanned_share, self._threshold,
+        )  # fmt: skip
+
     def span(self, z: np.ndarray) -> None:
         """Choose the first points from features `z`, shape (N, D), before any label is absorbed.
 
@@ -124,11 +163,6 @@ class OnlineProcess:
             self._told, self._threshold, 1.0 - self.unspanned_share, certainty,
         )  # fmt: skip
         return mean, spread * self.kernel.signal_variance, slope / self._scales
-
-    def mean_and_known(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean (N, 3) and the share of the signal variance that is known (N, 3), 0 at the prior."""
-        mean, variance, _ = self.along(z)
-        return mean, 1.0 - variance / self.kernel.signal_variance
 
 
 class OnlineProjection:

@@ -1,4 +1,4 @@
-"""The online process as a predictor: all points of a set in order of time, on the few that span them."""
+"""The online process as a predictor: all points of a set, on the few that span them."""
 
 from __future__ import annotations
 
@@ -15,10 +15,19 @@ __all__ = ["ProjectedPredictor", "process_of"]
 def process_of(
     training_set: TrainingSet, most: int = MOST_SPANNING, threshold: float | None = None
 ) -> OnlineProcess:
-    """Return the online process after the points of a set, in order of time; parameters as of `OnlineProcess`."""
-    process = OnlineProcess(training_set.kernel, most, threshold)
+    """Return the online process after the points of a set, in order of time; parameters as of `OnlineProcess`.
+
+    Where its room is used up on the way, whatever is driven last would find none. The most informative points are
+    then chosen first, from the whole set.
+    """
     order = np.lexsort((training_set.row, training_set.source))
-    process.learn(training_set.z[order], training_set.y[order])
+    z, y = training_set.z[order], training_set.y[order]
+    process = OnlineProcess(training_set.kernel, most, threshold)
+    process.learn(z, y)
+    if process.count == most < training_set.size:
+        process = OnlineProcess(training_set.kernel, most, threshold)
+        process.span(z)
+        process.learn(z, y)
     return process
 
 

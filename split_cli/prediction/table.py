@@ -1,4 +1,4 @@
-"""A process as a table: a tricubic B-spline of its mean and deviation, the same time at any size."""
+"""The dense process as a table: a tricubic B-spline of its mean and deviation, the same time at any size."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from split_cli.errors import SetError
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.batch_process import MOST_INDUCING, BatchProcess
 from split_cli.prediction.factorization import queries
-from split_cli.prediction.online_process import OnlineProcess
 from split_cli.prediction.predictor import Prediction, Predictor
-from split_cli.prediction.projected import process_of
 from split_cli.prediction.spline import Lattice, fit_spline, lattice_over, smooth_step
 
 __all__ = ["DEFAULT_BOUND", "TableError", "TablePredictor"]
@@ -62,7 +60,7 @@ class TableError:
 
 
 class TablePredictor(Predictor):
-    """Mean and deviation of a process, read from a spline; needs three features.
+    """Mean and deviation of the dense process, read from a spline; needs three features.
 
     Parameters
     ----------
@@ -73,8 +71,6 @@ class TablePredictor(Predictor):
         Precision the coefficients are kept in.
     most : int
         Points the dense process is projected on, see `batch_process.BatchProcess`.
-    of : {"dense", "projected"}
-        The process: the dense one, or that of the predictor `projected`.
 
     Attributes
     ----------
@@ -102,17 +98,16 @@ class TablePredictor(Predictor):
         bound: float = DEFAULT_BOUND,
         real: str = "double",
         most: int = MOST_INDUCING,
-        of: str = "dense",
     ) -> None:
         super().__init__(training_set)
         width = len(training_set.features.names)
         if width != 3:
             raise SetError(
-                f"a table needs three features, the set has {width}", advice="Use rbcm, or train with z2."
+                f"a table needs three features, the set has {width}", advice="Use projected, or train with z2."
             )
         if not 0.0 < bound < 1.0:
             raise ValueError(f"bound is {bound!r}, it must lie between 0 and 1")
-        self.bound, self.real, self.most, self.of = bound, real, most, of
+        self.bound, self.real, self.most = bound, real, most
         ratio = training_set.kernel.noise_variance / training_set.kernel.signal_variance
         self.least = np.sqrt(ratio / (training_set.size + ratio))
         self._build()
@@ -148,8 +143,7 @@ class TablePredictor(Predictor):
         Notes
         -----
         Nodes within four length scales of a point that came, left or has another label are filled anew, from the
-        points within four length scales of those nodes. At that distance a correlation is e^-8 = 3e-4. A projected
-        process depends on the order of its labels, so its table is filled anew.
+        points within four length scales of those nodes. At that distance a correlation is e^-8 = 3e-4.
         """
         old, kernel = self.training_set, training_set.kernel
         if not all(
@@ -157,11 +151,9 @@ class TablePredictor(Predictor):
             for name in ("length_scales", "signal_variance", "noise_variance")
         ):
             raise ValueError("the kernel changed: build a new table")
-        if self.of != "dense":
-            return TablePredictor(training_set, self.bound, self.real, self.most, self.of)
         new = object.__new__(TablePredictor)
         Predictor.__init__(new, training_set)
-        new.bound, new.real, new.most, new.of, new.least = self.bound, self.real, self.most, self.of, self.least
+        new.bound, new.real, new.most, new.least = self.bound, self.real, self.most, self.least
         new._follow(self, _changed_points(old, training_set))
         return new
 
@@ -174,7 +166,7 @@ class TablePredictor(Predictor):
             self._values = np.zeros((1, 6))
             self._finish(TableError(self.bound, 0.0, 0.0, 0.0, 0.0, 0), 0)
             return
-        process = process_of(s) if self.of == "projected" else BatchProcess(s.z, s.y, s.kernel, self.most)
+        process = BatchProcess(s.z, s.y, s.kernel, self.most)
         lower, upper = s.z.min(axis=0) - _MARGIN * scales, s.z.max(axis=0) + _MARGIN * scales
         nodes = _FIRST_NODES
         while True:
@@ -197,7 +189,7 @@ class TablePredictor(Predictor):
     def _refit(self) -> None:
         self.spline = fit_spline(self._lattice, self._values, np.float32 if self.real == "float" else np.float64)
 
-    def _fill(self, process: BatchProcess | OnlineProcess, places: np.ndarray, rows: np.ndarray) -> int:
+    def _fill(self, process: BatchProcess, places: np.ndarray, rows: np.ndarray) -> int:
         """Compute values at nodes `rows`, faded to the prior far from points; return how many were computed."""
         s, scales = self.training_set, self.training_set.kernel.length_scales
         lower, upper = s.z.min(axis=0) / scales - _MARGIN, s.z.max(axis=0) / scales + _MARGIN
@@ -211,7 +203,7 @@ class TablePredictor(Predictor):
         self._values[rows[used]] = fade[used, None] * np.column_stack([mean, 1.0 - np.sqrt(1.0 - known)])
         return len(used)
 
-    def _measure(self, process: BatchProcess | OnlineProcess) -> TableError:
+    def _measure(self, process: BatchProcess) -> TableError:
         """Compare the spline with the process at random places near points."""
         self._refit()
         s = self.training_set

@@ -8,6 +8,7 @@ import numpy as np
 
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.trust import Trust
+from split_cli.prediction import DEFAULT_PREDICTOR
 from split_cli.scoring.evaluation import Score
 from split_cli.scoring.noise import NoiseFloor
 from split_cli.scoring.verdict import Comparison
@@ -54,7 +55,7 @@ class EvaluationSettings:
     """
 
     protocol: str = "held-out"
-    predictors: tuple[str, ...] = ("bcm", "rbcm")
+    predictors: tuple[str, ...] = ("bcm", DEFAULT_PREDICTOR)
     features: tuple[str, ...] = ("z2",)
     sizes: tuple[int, ...] = ()
     blocks: int = 10

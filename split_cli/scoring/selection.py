@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from split_cli.prediction import DEFAULT_PREDICTOR
+
 __all__ = ["SelectionSettings", "SetCandidate", "SetSelection", "choose", "relative_error"]
 
 
@@ -33,7 +35,7 @@ class SelectionSettings:
     capacities: tuple[int, ...] = (5, 10, 20)
     thresholds: tuple[float, ...] = (1e-3, 1e-2, 1e-1)
     cell_edges: tuple[float, ...] = (1.0, 2.0)
-    predictor: str = "rbcm"
+    predictor: str = DEFAULT_PREDICTOR
     horizon: float = 0.05
 
 

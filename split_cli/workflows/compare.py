@@ -11,7 +11,7 @@ import numpy as np
 from split_cli.errors import DriveError, SplitError
 from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.logs.drive import Drive, read_drive, untold_inputs
-from split_cli.prediction import make_predictor
+from split_cli.prediction import DEFAULT_PREDICTOR, make_predictor
 from split_cli.scoring.application import correction_from
 from split_cli.scoring.comparison import ModelScore, RunErrors, rank, worse_than
 from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, rollout_starts
@@ -80,7 +80,7 @@ def read_model(text: str) -> ComparedModel:
     ----------
     text : str
         ``car.yaml`` or the name of a vehicle of the library, ``car.split``, ``car.split:full`` for another
-        predictor than rbcm; ``NAME=`` before it gives it a name.
+        predictor than projected; ``NAME=`` before it gives it a name.
 
     Raises
     ------
@@ -92,13 +92,13 @@ def read_model(text: str) -> ComparedModel:
     shown = name if sign else ""
     if ".split" not in path:
         return ComparedModel(shown or Path(path).name, read_vehicle(path))
-    file, _, predictor = path.rpartition(":") if ".split:" in path else (path, "", "rbcm")
+    file, _, predictor = path.rpartition(":") if ".split:" in path else (path, "", DEFAULT_PREDICTOR)
     trained = read_set(file)
     if make_predictor(predictor, trained).needs_context:
         raise SplitError(
             f"{predictor} needs the future of a drive, which no controller knows",
             where=text,
-            advice="Compare bcm, rbcm, grbcm, local, weights, table or full.",
+            advice="Compare projected, bcm, rbcm, grbcm, local, weights, table or full.",
         )
     return ComparedModel(shown or f"{Path(file).name} ({predictor})", trained.vehicle, trained, predictor)
 

@@ -12,6 +12,7 @@ from split_cli.export.targets import TargetResult, plan_export, write_export
 from split_cli.files import atomic_directory, sha256_of_file
 from split_cli.learning.hyperparameters import FEWEST_TO_FIT
 from split_cli.learning.training_set import TrainingSet, read_set
+from split_cli.prediction import DEFAULT_PREDICTOR
 
 __all__ = ["ExportResult", "export_doubts", "export_set"]
 
@@ -59,7 +60,7 @@ def export_set(
     output: str | Path,
     targets: Sequence[str],
     *,
-    predictor: str = "rbcm",
+    predictor: str = DEFAULT_PREDICTOR,
     name: str | None = None,
     real: str = "double",
     queries: int = 10_000,

@@ -23,7 +23,7 @@ from split_cli.plots.pictures import (
     whiteness_chart,
 )
 from split_cli.plots.pictures.tires import LearnedForces
-from split_cli.prediction import make_predictor
+from split_cli.prediction import DEFAULT_PREDICTOR, make_predictor
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.workflows.recordings import RecordingCorrection
 
@@ -94,7 +94,7 @@ def _learned(drive: Drive, vehicle: Vehicle) -> Callable[[], LearnedForces | Non
             return None
         labels = labels.take(thinned(len(labels), _MOST_LEARNED))
         trained = train_in_memory([labels], vehicle)
-        return LearnedForces("SPLIT", labels.row, make_predictor("rbcm", trained).predict(labels.z))
+        return LearnedForces("SPLIT", labels.row, make_predictor(DEFAULT_PREDICTOR, trained).predict(labels.z))
 
     return learn
 

@@ -1,4 +1,4 @@
-"""The robust committee and the table as exports: C, CasADi, npz and json against Python; the valid region."""
+"""Robust committee, table and projected process exported as C, CasADi, npz, json; the valid region."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from split_cli.vehicle.single_track import SingleTrack
 from tests.export.export_support import source_of
 from tests.factories import make_training_set
 
-PREDICTORS = ("rbcm", "table")
+PREDICTORS = ("rbcm", "table", "projected")
 
 
 @pytest.fixture(scope="module")
@@ -90,8 +90,8 @@ def test_casadi_agrees_with_python_derivatives_included(doubtful_set, table, pre
 @pytest.mark.parametrize("predictor", PREDICTORS)
 def test_documents_carry_what_the_predictor_needs(doubtful_set, table, tmp_path, predictor):
     oracle = oracle_of(doubtful_set, predictor, table, count=300)
-    kept = table if predictor == "table" else None
-    document = document_of(doubtful_set, provenance_of(doubtful_set, predictor, "car.split", "a" * 64), kept)
+    constants = predictor_tables(doubtful_set, predictor, table if predictor == "table" else None)
+    document = document_of(doubtful_set, provenance_of(doubtful_set, predictor, "car.split", "a" * 64), constants)
     write_json(document, tmp_path / "car.json")
     write_npz(document, tmp_path / "car.npz")
     for found in (read_json(tmp_path / "car.json"), read_npz(tmp_path / "car.npz")):
@@ -108,23 +108,28 @@ def test_a_table_takes_the_same_time_everywhere_and_has_no_branch_on_a_query(dou
     assert conditions == ["if (jacobian != NULL) {", "if (variance != NULL) {"]
 
 
-def test_the_projected_process_is_exported_as_its_table(doubtful_set, compiler, tmp_path):
-    """All targets agree with the table to rounding, the table with the process to its stated bound."""
-    plan = plan_export(("c", "npz"), "car", "double", 400, "projected")
-    found = write_export(
-        doubtful_set, plan, provenance_of(doubtful_set, "projected", "car.split", "a" * 64), tmp_path
-    )
+def test_the_projected_process_is_exported_with_any_number_of_features(compiler, tmp_path):
+    made = make_training_set(seed=5, points=60, features="z1", length_scale_cells=8.0, noise=0.1)
+    plan = plan_export(("c", "npz"), "car", "double", 200, "projected")
+    found = write_export(made, plan, provenance_of(made, "projected", "car.split", "a" * 64), tmp_path)
     assert all(target.check.mean_error < 1e-12 and target.check.variance_error < 1e-12 for target in found)
-    z = doubtful_set.z + 0.1 * doubtful_set.kernel.length_scales
+    z = made.z + 0.1 * made.kernel.length_scales
     mean, variance = document_answer(read_npz(tmp_path / "car.npz")).predict(z)
-    expected = make_predictor("projected", doubtful_set).predict(z)
-    signal, told = doubtful_set.kernel.signal_variance, json.loads((tmp_path / "manifest.json").read_text())
-    assert told["predictor"] == "projected" and told["table"]["mean"] <= told["table"]["bound"]
-    assert np.abs(mean - expected.mean).max() < told["table"]["bound"] * np.sqrt(signal).max()
-    # The dense process on the same points differs by more than the bound: it is another process that was exported.
-    dense = make_predictor("full", doubtful_set).predict(z)
-    assert np.abs(mean - dense.mean).max() > told["table"]["bound"] * np.sqrt(signal).max()
-    assert np.abs(variance - expected.variance).max() < 0.02 * signal.max()
+    expected = make_predictor("projected", made).predict(z)
+    np.testing.assert_allclose(mean, expected.mean, atol=1e-11)
+    np.testing.assert_allclose(variance, expected.variance, atol=1e-10)
+
+
+def test_the_c_of_the_projected_process_is_loops_over_constants_and_has_no_branch_on_a_query(doubtful_set):
+    """Small and large sets have the same code, which asks only what is wanted."""
+    sets = (doubtful_set, make_training_set(seed=4, points=40, length_scale_cells=4.0, noise=0.1))
+    codes = []
+    for made in sets:
+        text = source_of(made, predictor="projected").source
+        codes.append(text[text.index("static void transposed_times") : text.index("void car_predict")])
+    assert codes[0] == codes[1]
+    conditions = [line.strip() for line in codes[0].splitlines() if line.strip().startswith(("if", "while"))]
+    assert conditions == ["if (variance != NULL) {", "if (jacobian != NULL) {"]
 
 
 def test_the_valid_region_is_that_of_training(doubtful_set, compiler, tmp_path):

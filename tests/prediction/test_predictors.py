@@ -387,6 +387,17 @@ def test_projected_on_every_point_is_the_dense_process(make_set):
     assert np.abs(make_predictor("projected", stored, most=32, threshold=0.0).mean(z) - full.mean).max() > 0.1
 
 
+def test_a_set_that_needs_more_points_than_projected_has_is_spanned_as_a_whole(make_set):
+    """In order of time the first places would take all room, and the last would be left at the prior."""
+    stored = apart(make_set, 32)
+    order = np.lexsort((stored.row, stored.source))
+    late = stored.z[order[-16:]]
+    process = OnlineProcess(stored.kernel, most=24, threshold=0.0)
+    process.learn(stored.z[order], stored.y[order])
+    left = make_predictor("projected", stored, most=24, threshold=0.0).predict(late).variance
+    assert (left.mean(axis=0) < 0.8 * process.along(late)[1].mean(axis=0)).all()
+
+
 @pytest.mark.parametrize(("drawn", "least", "most"), [(True, 0.2, 1.0), (False, 0.0, 0.15)])
 def test_projected_finds_how_much_of_the_unspanned_variance_is_in_the_labels(drawn, least, most):
     """A draw of the kernel's own prior holds what points leave open, a plane holds nothing of it.

@@ -1,0 +1,135 @@
+"""The projected process as numbers to export: points, weights and triangles, without what it learned them from."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.learning.training_set import TrainingSet
+from split_cli.prediction.projected import process_of
+
+__all__ = ["PROJECTION_ARRAYS", "ProjectionData", "answer_of", "projection_data"]
+
+#: The arrays of `ProjectionData` that documents hold beside the set's.
+PROJECTION_ARRAYS = ("reference", "points", "weights", "whitening", "spread", "absent", "gain_limit")
+
+
+@dataclass(frozen=True)
+class ProjectionData:
+    """Constants of the projected process on U points; a query takes the same time everywhere.
+
+    Attributes
+    ----------
+    real : {"double", "float"}
+        Precision the numbers are rounded to (they are stored as float64 all the same).
+    length_scales : ndarray, shape (D,)
+    signal_variance : ndarray, shape (3,)
+        S0.
+    trust : ndarray, shape (3,)
+        tau, the share of the correction that is applied.
+    doubt : ndarray, shape (3,)
+        w, the variance of what is not trusted.
+    reference : ndarray, shape (D,)
+        The middle of the points, in feature units; exactly representable in `real`.
+    points : ndarray, shape (U, D)
+        Relative to the reference, divided by the length scales.
+    weights : ndarray, shape (U, 3)
+    whitening : ndarray, shape (U (U + 1)/2,)
+        Lower triangle of L, row by row, L L^T the inverse of the points' correlations.
+    spread : ndarray, shape (3, U (U + 1)/2)
+        Lower triangle of S, what data have left open along the points, with twice its entries off the diagonal.
+    absent : ndarray, shape (3,)
+        Share of what points do not span that no label shows.
+    gain_limit : ndarray, shape (1,)
+        Gain from which a label's place became a point.
+
+    Notes
+    -----
+    With c the correlations of a query with the points, t = L^T c and gain = 1 - t.t: mean = c.w, and the variance
+    is S0 (gain + t.S t - absent min(gain, limit) (1 - gain)), see `OnlineProcess`. Its matrices Q and T give
+    S = L^-1 (Q + T) L^-T. In this form nothing cancels: t is at most 1 long and S lies between 0 and 1, where
+    c.Q c takes a difference of large numbers.
+    """
+
+    real: str
+    length_scales: np.ndarray
+    signal_variance: np.ndarray
+    trust: np.ndarray
+    doubt: np.ndarray
+    reference: np.ndarray
+    points: np.ndarray
+    weights: np.ndarray
+    whitening: np.ndarray
+    spread: np.ndarray
+    absent: np.ndarray
+    gain_limit: np.ndarray
+
+    @property
+    def feature_count(self) -> int:
+        """D."""
+        return len(self.length_scales)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of every number."""
+        digest = hashlib.sha256(self.real.encode())
+        for name in ("length_scales", "signal_variance", "trust", "doubt", *PROJECTION_ARRAYS):
+            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        return digest.hexdigest()
+
+
+def projection_data(training_set: TrainingSet, real: str = "double") -> ProjectionData:
+    """Return the constants of the predictor `projected` over a set, rounded to `real`."""
+    precision = np.float32 if real == "float" else np.float64
+    kernel, trust = training_set.kernel, training_set.trust
+    known = process_of(training_set).known()
+    places = known.points * kernel.length_scales
+    reference = (0.5 * (places.min(axis=0) + places.max(axis=0))).astype(precision).astype(float)
+    lower = np.linalg.cholesky(known.inverse)
+    half = np.linalg.solve(lower, known.inverse + known.told)
+    spread = np.linalg.solve(lower, half.transpose(0, 2, 1))
+    rows, columns = np.tril_indices(len(lower))
+    reals = {
+        "length_scales": kernel.length_scales,
+        "signal_variance": kernel.signal_variance,
+        "trust": trust.array,
+        "doubt": trust.doubts(kernel.signal_variance),
+        "reference": reference,
+        "points": known.points - reference / kernel.length_scales,
+        "weights": known.weights.T,
+        "whitening": lower[rows, columns],
+        "spread": spread[:, rows, columns] * np.where(rows == columns, 1.0, 2.0),
+        "absent": known.absent,
+        "gain_limit": np.array([known.threshold]),
+    }
+    rounded = {name: np.asarray(value).astype(precision).astype(float) for name, value in reals.items()}
+    return ProjectionData(real=real, **rounded)
+
+
+def answer_of(a: Mapping[str, np.ndarray], z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and latent variance of `ProjectionData` at `z`, shape (N, 3) each, before any trust.
+
+    Parameters
+    ----------
+    a : mapping of str to ndarray
+        `PROJECTION_ARRAYS`, the length scales and the signal variance.
+    z : ndarray, shape (N, D)
+    """
+    count = len(a["points"])
+    rows, columns = np.tril_indices(count)
+    lower, left = np.zeros((count, count)), np.zeros((3, count, count))
+    lower[rows, columns], left[:, rows, columns] = a["whitening"], a["spread"]
+    # An infinite distance is a correlation of zero; a query of 1e300 has one.
+    with np.errstate(over="ignore", under="ignore"):
+        scaled = (z - a["reference"]) / a["length_scales"]
+        away = np.zeros((len(z), count))
+        for feature in range(z.shape[1]):
+            away += (scaled[:, feature, None] - a["points"][:, feature]) ** 2
+        c = np.exp(-0.5 * away)
+    t = c @ lower
+    gain = np.clip(1.0 - np.square(t).sum(axis=1), 0.0, 1.0)[:, None]
+    open_share = np.stack([((t @ matrix) * t).sum(axis=1) for matrix in left], axis=1)
+    shown = np.minimum(gain, a["gain_limit"]) * (1.0 - gain)
+    return c @ a["weights"], a["signal_variance"] * (gain + open_share - a["absent"] * shown)
