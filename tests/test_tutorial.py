@@ -112,7 +112,7 @@ def test_the_pages_c_compiles_and_answers_as_python_does(followed, tmp_path):
     front = steer - np.arctan((vy + vehicle.cg_to_front_axle * r) / vx)
     rear = -np.arctan((vy - vehicle.cg_to_rear_axle * r) / vx)
     np.testing.assert_allclose(z, [front, rear, torque / vehicle.max_torque], rtol=1e-12)
-    told = make_predictor("rbcm", read_set(folder / "car.split")).predict(z[None])
+    told = make_predictor("projected", read_set(folder / "car.split")).predict(z[None])
     # The export's own bounds: 1e-12 of the signal's deviation and variance, both of the order of one tenth.
     np.testing.assert_allclose(mean, told.mean[0], atol=1e-12)
     np.testing.assert_allclose(variance, told.variance[0], atol=1e-12)
