@@ -33,6 +33,7 @@ from split_cli.scoring.evaluation import (
 )
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, informative_sets
+from split_cli.scoring.intervals import interval_warnings
 from split_cli.scoring.report import Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
 from split_cli.scoring.run import EvaluationRun, Trace
@@ -166,6 +167,7 @@ def evaluate(
             *correct.notes,
             *(lag_note(own) for *_, own in contestants if own.found),
             *warnings_of([c for c in comparisons if c.name in settings.predictors]),
+            *(interval_warnings([t for t in traces if t.name == settings.predictors[-1]]) if trained else ()),
         ),
     )
     sets = tuple(own for *_, own in contestants)

@@ -68,7 +68,7 @@ def test_a_candidate_has_the_error_of_sets_trained_by_hand(drive):
         held_out = parts[0].labels.within(parts[0].block % 10 % 3 == fold)
         assert not set(held_out.row) & set(learned.row)
         held_out = held_out.take(np.isfinite(held_out.y).all(axis=1))
-        mean = make_predictor("rbcm", learned).predict(held_out.z).mean
+        mean = make_predictor("projected", learned).predict(held_out.z).mean
         squares, count = squares + np.square(held_out.y - mean).sum(axis=0), count + len(held_out)
         sizes.append(learned.size)
     np.testing.assert_allclose(one.rmse, np.sqrt(squares / count), rtol=1e-9)

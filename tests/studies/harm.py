@@ -74,7 +74,9 @@ def main() -> None:
     parser.add_argument("--parts", default="recordings", help=f"Of {', '.join(PARTS)}, separated by commas.")
     parser.add_argument("--datasets", type=Path, help="Folder with the recordings of others.")
     parser.add_argument("--work", type=Path, help="Folder that keeps drives, sets and judgements.")
-    parser.add_argument("--predictors", default="projected,rbcm", help="Rows show the first; trust is found with rbcm.")
+    parser.add_argument(
+        "--predictors", default="projected,rbcm", help="Rows show the first; trust is found with rbcm."
+    )
     given = parser.parse_args()
     parts, predictors = given.parts.split(","), given.predictors.split(",")
     if unknown := set(parts) - set(PARTS):

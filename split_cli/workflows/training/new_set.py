@@ -97,6 +97,11 @@ def create_set(
             drives.note(
                 f"{whole} drives were held out whole in turn: trust and intervals are for another drive like these"
             )
+        elif empty.trust.origin == "held-out":
+            drives.note(
+                "trust and intervals are for other stretches of the same driving: how another drive differs shows "
+                "from three drives on"
+            )
     else:
         empty, fit = _blank(drives, **settings)
         empty = replace(empty, trust=parse_trust(asked))
