@@ -65,13 +65,13 @@ def test_two_exports_are_the_same_bytes(set_file, tmp_path, monkeypatch):
 
 def test_a_failed_check_leaves_the_old_export_whole(set_file, exported, monkeypatch):
     before = sha256_of_file(exported)
-    right = targets.build_tables
+    right = targets.projection_data
 
     def wrong(training_set, real="double", **options):
         tables = right(training_set, real, **options)
         return replace(tables, weights=tables.weights * (1.0 + 1e-9))
 
-    monkeypatch.setattr(targets, "build_tables", wrong)
+    monkeypatch.setattr(targets, "projection_data", wrong)
     with pytest.raises(ExportError, match="nothing was written"):
         export_set(set_file, exported, ["c"], queries=300)
     assert sha256_of_file(exported) == before

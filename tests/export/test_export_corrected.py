@@ -95,7 +95,7 @@ def test_a_corrected_vehicle_goes_from_training_to_the_controller(corrected, com
     training_set = read_set(folder / "car.split")
     model = SingleTrack(training_set.vehicle)
     z = training_set.features.compute(model, drive)
-    correction = Correction(training_set.features, z, make_predictor("rbcm", training_set).mean)
+    correction = Correction(training_set.features, z, make_predictor("projected", training_set).mean)
     starts = 501 * np.arange(0, 10, 2) + 100
     expected = roll_out(model, drive, starts, 15, WINDOW, correction)
     assert np.abs(expected - roll_out(model, drive, starts, 15, WINDOW)).max() > 0.01
