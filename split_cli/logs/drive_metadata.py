@@ -92,6 +92,12 @@ class DriveMetadata:
             alike.setdefault(kind, []).append(channel)
         return tuple(f"{', '.join(channels)} {kind}" for kind, channels in alike.items())
 
+    @property
+    def lateral_velocity_is_integrated(self) -> bool:
+        """Whether v_y was integrated from a_y: no sensor of velocity shows in it, and what a_y reads does."""
+        kind = str(self.kinds.get("vy", ""))
+        return kind.startswith("derived") and "a_y" in kind
+
     def noise_of(self, channel: str) -> NoiseEstimate | None:
         """Return the noise estimate of a channel, None when ingest made none."""
         return next((estimate for estimate in self.noise if estimate.channel == channel), None)

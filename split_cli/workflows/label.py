@@ -162,6 +162,11 @@ def drive_notes(drive: Drive) -> tuple[str, ...]:
     """Return what a reader of labels should know of a drive's channels, in words."""
     found = stored_findings(drive.metadata.quality)
     told = (f"{drive.name}: ingest found that {'; '.join(found)}",) if found else ()
+    if drive.metadata.lateral_velocity_is_integrated:
+        told = (
+            *told,
+            f"{drive.name}: v_y is integrated from a_y; its label repeats a_y and errors of the integral",
+        )
     kind = str(drive.metadata.kinds.get("T", ""))
     if kind.startswith("derived") and ("a_x" in kind or "dv_x/dt" in kind):
         return (*told, f"{drive.name}: T is {kind}; the longitudinal label then says nothing")

@@ -154,6 +154,19 @@ def test_what_was_derived_from_position_is_late_against_nothing():
     assert late(vy="derived: from X, Y, yaw smoothed by their noise") == {"ax", "ay"}
 
 
+def test_a_lateral_velocity_integrated_from_a_y_tells_no_sensor_of_it_and_no_bank():
+    drive = recording(42)
+    kinds = {"vy": "derived: v_y from a_y - v_x r, held where driving is gentle"}
+    one = prepared(replace(drive, metadata=replace(drive.metadata, kinds=kinds)))
+    every = build_candidates(road_car(), one)
+    told = identifiable(every, [one], road_car())
+    gone = {candidate.term for candidate in every} - {candidate.term for candidate in told}
+    assert gone == {"sensor_lever_arm", "sensor_misalignment", "velocity_bias", "road_bank"}
+    assert not {"ay", "vy", "velocity"} & {candidate.variant for candidate in told if candidate.needs}
+    assert {witness.kind for witness in build_witnesses(one)} >= {"turn", "a_x"}
+    assert "a_y" not in {witness.kind for witness in build_witnesses(one)}
+
+
 def test_what_any_road_does_to_an_accelerometer_is_everyday():
     every = build_candidates(road_car(), prepared(recording(39)))
     both, ahead = (one for one in every if one.label in ("acceleration_bias", "acceleration_bias (ax)"))

@@ -166,8 +166,10 @@ def idle(real: Sequence[Drive], vehicle: Vehicle, rules: Screening = STANDARD.sc
 
 
 def measures(drive: Drive, *channels: str) -> bool:
-    """Return whether channels were recorded, and not derived from others, which they could not contradict."""
+    """Return whether channels were recorded and can contradict others: none was derived from them, nor they."""
     kinds = drive.metadata.kinds
+    if "ay" in channels and drive.metadata.lateral_velocity_is_integrated:
+        return False
     return all(name in drive.columns and not str(kinds.get(name, "")).startswith("derived") for name in channels)
 
 

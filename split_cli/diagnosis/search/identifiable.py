@@ -71,6 +71,11 @@ def limits_of(
         out.append("the steering actuator: the steer angle is a measurement; log the command")
     if any(map(torque_is_derived, drives)):
         out.append("longitudinal effects: torque is derived from acceleration; log the torque command")
+    if any(drive.metadata.lateral_velocity_is_integrated for drive in drives):
+        out.append(
+            "velocity sensors, the bank of the road and slow sideslip: lateral velocity is integrated from a_y; "
+            "record it, or position with a heading"
+        )
     if any(map(torque_is_from_pedals, drives)):
         out.append(
             "drive train and pedal map apart: torque comes from throttle, brake or current by an assumed map, "
@@ -91,7 +96,8 @@ def identifiable(
 
     Places are identifiable only with position, since a distance travelled is nothing but a time; wind only with
     position and yaw. What acts along the car is identifiable only by a torque that was not derived from how the
-    car moved, and what comes of the torque only where that changes. Without position, what a sound car does to a
+    car moved, and what comes of the torque only where that changes. A lateral velocity integrated from a_y shows
+    no sensor of velocity, and not what tilts a_y. Without position, what a sound car does to a
     sensor is no fault of it.
     """
     lacking = set()
@@ -105,6 +111,8 @@ def identifiable(
         lacking.add("witness")
     if any(velocity_is_from_position(one.drive) and not late_against_position(one, policy) for one in real):
         lacking.add("measured velocities")
+    if any(drive.metadata.lateral_velocity_is_integrated for drive in drives):
+        lacking.add("lateral velocity")
     if any(map(torque_is_derived, drives)):
         lacking.add("torque")
     if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle, policy.screening):

@@ -14,7 +14,7 @@ import numpy as np
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["TOLERANCE", "LateralVelocity", "lateral_velocity_from_accelerations"]
+__all__ = ["TOGETHER", "TOLERANCE", "LateralVelocity", "lateral_velocity_from_accelerations"]
 
 TOLERANCE = 0.02
 """Of the direction of the velocity [rad], one standard deviation: the edge of a slip angle's cell. A sample
@@ -29,8 +29,8 @@ _DIRECTION = 2e-3
 """Standard deviation of the direction of travel on a straight [rad]: crossfall of 2.5 % tilts it by as much."""
 _CURVED = 2e-3
 """How far a rear axle departs from proportional slip [rad/(m/s^2)]: a third of what it slips."""
-_TOGETHER = 2.0
-"""Over which the two before are one and the same error [s]: the length of a turn."""
+TOGETHER = 2.0
+"""Over which the two before, and so the derived v_y, keep one error [s]: the length of a turn."""
 _SLIP = 6e-3, 4e-3
 """Slip of a rear axle for its lateral acceleration, mean and deviation [rad/(m/s^2)]: 1 to 6 degrees a g."""
 _BIAS = 1.0
@@ -84,12 +84,11 @@ class LateralVelocity:
         return self.contradicted <= _MOST_CONTRADICTED and abs(self.gain) <= 3.0 * _ROLL
 
     def words(self) -> str:
-        """Return what was estimated and how sure it is."""
+        """Return what was estimated beside it."""
         low, high = self.bias
         return (
-            f"standard deviation {np.median(self.std):.2g} m/s typical, {np.max(self.std):.2g} worst, up to "
-            f"{self.longest:.0f} s without gentle driving; a_y less {low:+.2f} to {high:+.2f} m/s^2, v_x r times "
-            f"{1.0 + self.gain:.3f}, rear slip {1e3 * self.slip:.1f} mrad for 1 m/s^2"
+            f"a_y less {low:+.2f} to {high:+.2f} m/s^2, v_x r times {1.0 + self.gain:.3f}, rear slip "
+            f"{1e3 * self.slip:.1f} mrad for 1 m/s^2, up to {self.longest:.0f} s without gentle driving"
         )
 
 
@@ -140,7 +139,7 @@ def lateral_velocity_from_accelerations(
     unknown = (_UNKNOWN * np.maximum(speed, vehicle.minimum_speed)) ** 2
     mean, deviation, contradicted = _smoother(
         step, np.diff(turned[rows], prepend=0.0), fresh, unknown, held, told, speed * rear[rows],
-        variance * _TOGETHER / np.maximum(step, _STEP),
+        variance * TOGETHER / np.maximum(step, _STEP),
     )  # fmt: skip
     vy, std = np.empty_like(reckoned), np.empty_like(reckoned)
     bounds = [*np.flatnonzero(fresh), len(rows)]

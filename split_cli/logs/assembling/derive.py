@@ -367,18 +367,21 @@ def _run_lateral_velocity_from_accelerations(situation: DerivationInputs) -> Der
             f"--derive {name} needs gentle driving, straight or nearly so, and finds too little",
             advice="Integrated accelerations drift between such moments. Record v_y, the sideslip or a pose.",
         )
-    rest = f"; {1.0 - sure.mean():.0%} of the rows left out, less sure than {TOLERANCE:g} rad"
     if not made.belongs:
         raise MapError(
             f"--derive {name}: a_y contradicts v_x r at {made.contradicted:.0%} of the moments of gentle driving, "
             f"and fits {1.0 + made.gain:.2f} times it",
             advice="Its unit, sign or frame is wrong, it is late against r, or it comes too slowly for this car.",
         )
+    std = made.std[sure]
+    rest = f"; {1.0 - sure.mean():.0%} of the rows left out, less sure than {TOLERANCE:g} rad"
     return Derived(
         {"vy": np.where(sure, made.vy, np.nan), "vy_std": made.std},
-        f"v_y from a_y - v_x r, held where driving is gentle ({made.words()}){rest if not sure.all() else ''}",
-        "v_y is derived from a_y: its label repeats a_y and the tyre forces of the nominal model. Roll and bank "
-        "that follow the turns, a clock between a_y and r, and the accelerometer's place stay in it",
+        "v_y from a_y - v_x r, held where driving is gentle; standard deviation "
+        f"{np.median(std):.2g} m/s typical, {np.max(std):.2g} worst{rest if not sure.all() else ''}",
+        f"v_y is derived from a_y ({made.words()}): its label repeats a_y and the tyre forces of the nominal "
+        "model. Roll and bank that follow the turns, a clock between a_y and r, and the accelerometer's place "
+        "stay in it",
     )
 
 

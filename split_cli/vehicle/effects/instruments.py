@@ -72,7 +72,7 @@ class VelocityBias(_Instrument):
     variants: ClassVar = ("", "step")
     variant_units: ClassVar = {"step": {"angle": "rad", "step": "rad", "at": "s"}}
     neutral: ClassVar = {"angle": 0.0, "drift": 0.0, "step": 0.0}
-    needs: ClassVar = frozenset({"measured position"})
+    needs: ClassVar = frozenset({"measured position", "lateral velocity"})
     mimics: ClassVar = (
         Mimic("sensor_misalignment", "a drift small against the mean", "a longer drive with position"),
         Mimic("road_bank+steer_offset", "constant speed, without position", "position and yaw"),
@@ -274,7 +274,8 @@ class ChannelDelay(_Instrument):
     }  # fmt: skip
     neutral: ClassVar = {"r": 0.0, "vx": 0.0, "vy": 0.0, "ax": 0.0, "ay": 0.0}
     variant_needs: ClassVar = {
-        **{name: frozenset({"witness", "measured velocities"}) for name in ("r", "vx", "vy", "velocity")},
+        **{name: frozenset({"witness", "measured velocities"}) for name in ("r", "vx")},
+        **{name: frozenset({"witness", "measured velocities", "lateral velocity"}) for name in ("vy", "velocity")},
         **{name: frozenset({name}) for name in ("ax", "ay")},
     }
     moves_samples = True

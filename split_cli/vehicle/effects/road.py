@@ -129,6 +129,7 @@ class RoadBank(_Incline):
     """
 
     id = "road_bank"
+    needs: ClassVar = frozenset({"lateral velocity"})
     directions = ("rises to the left", "rises to the right")
     steepest: ClassVar = {"": 0.16, "wave": 0.6, "stretch": 0.6}
     source = (

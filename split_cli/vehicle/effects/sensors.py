@@ -36,6 +36,7 @@ class SensorLeverArm(Term):
 
     id = "sensor_lever_arm"
     variants: ClassVar = ("", "unit")
+    needs: ClassVar = frozenset({"lateral velocity"})
     variant_needs: ClassVar = {"unit": frozenset({"ay"})}
     units: ClassVar = {"dx": "m"}
     neutral: ClassVar = {"dx": 0.0}
@@ -91,6 +92,7 @@ class SensorMisalignment(Term):
     id = "sensor_misalignment"
     units: ClassVar = {"angle": "rad"}
     neutral: ClassVar = {"angle": 0.0}
+    needs: ClassVar = frozenset({"lateral velocity"})
     family = "measurement"
     exported = False
     mimics: ClassVar = (

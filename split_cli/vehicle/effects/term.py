@@ -94,7 +94,8 @@ class Term:
     needs : frozenset of str
         What a recording has to have, to show the term: ``position`` (with yaw), ``measured position``
         (not derived from velocities), ``measured velocities`` (not derived from position), ``torque`` (logged, not
-        derived from how the car moved), ``torque changes``, ``ax`` or ``ay`` (measured), ``witness`` (measured
+        derived from how the car moved), ``torque changes``,
+        ``lateral velocity`` (not integrated from a_y), ``ax`` or ``ay`` (measured), ``witness`` (measured
         position or acceleration to the left).
     variant_needs : mapping of str to frozenset of str
         What a variant needs beside that.
