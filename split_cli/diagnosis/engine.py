@@ -22,6 +22,7 @@ from split_cli.diagnosis.search.baselines import SearchOutcome, ends_beyond, sea
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable, limits_of
+from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.result import Diagnosis, InputFile
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.together import together
@@ -218,7 +219,7 @@ def _compare(case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[
     ways = [
         unnamed.p_value,
         selection.first_p if any(selection.named) or ends_beyond(selection, policy) else 1.0,
-        1.0 if any(selection.named) or selection.partly is None else selection.partly.p_value,
+        1.0 if any(selection.named) else _p_of_a_part(selection),
         line.p_value if line else 1.0,
         autocorrelation.p_value(usual_autocorrelation, policy.self_test)
         if is_autocorrelated(autocorrelation, usual_autocorrelation, policy)
@@ -226,6 +227,11 @@ def _compare(case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[
     ]
     p_value = 0.0 if contradictions else min(1.0, _WAYS * min(ways))
     return _Comparison(outcome, line, p_value, contradictions)
+
+
+def _p_of_a_part(selection: Selection) -> float:
+    partly = selection.partly()
+    return 1.0 if partly is None else partly.p_value
 
 
 def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy) -> Diagnosis:
@@ -282,8 +288,8 @@ def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy) -> Diagnosis:
 
 def _for_a_while(found: _Comparison, named: bool, policy: Policy) -> list[str]:
     """Return what a term explains of a gap without a name in a part of the drive, as sentences."""
-    one = found.outcome.selection.partly
-    if named or one is None or _WAYS * one.p_value >= policy.comparison.level:
+    one = None if named else found.outcome.selection.partly()
+    if one is None or _WAYS * one.p_value >= policy.comparison.level:
         return []
     several = len(found.outcome.structure.objective.evidence) > 1
     return [acting_in_a_part(one.part.term, one.begin, one.end, one.recording + 1 if several else None)]

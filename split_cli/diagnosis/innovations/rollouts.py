@@ -232,13 +232,16 @@ def roll_out_stages(
         return None
     at = np.array(steps) - 1
     z = _FEATURES.compute(extended_model(evidence.vehicle), plain)
-    squared = {}
-    for name, stage in stages.items():
-        drive = _drive(series, stage.terms)
-        model = extended_model(evidence.vehicle, stage.terms)
-        added = _added(stage, z, drive, window)
-        path = roll_out(model, drive, starts, steps[-1], window, added)
-        squared[name] = _squared(path[:, at], drive, starts, window, at)
+    found = {}
+    for names in _of_the_same_terms(stages):
+        terms = stages[names[0]].terms
+        drive = _drive(series, terms)
+        added = _added([stages[name] for name in names], z, drive, window)
+        model = extended_model(evidence.vehicle, terms)
+        path = roll_out(model, drive, np.tile(starts, len(names)), steps[-1], window, added)
+        for name, own in zip(names, np.split(path, len(names)), strict=True):
+            found[name] = _squared(own[:, at], drive, starts, window, at)
+    squared = {name: found[name] for name in stages}
     held_still = hold_velocity(plain, starts, steps[-1], window)
     squared["persistence"] = _squared(held_still[:, at], plain, starts, window, at)
     floor = _noise_alone(evidence, starts, window, at)
@@ -258,20 +261,34 @@ def _drive(series: Series, terms: Sequence[Term]) -> Drive:
     return Drive(series.name, columns, series.drive.segment, series.period, between)
 
 
-def _added(stage: Stage, z: np.ndarray, drive: Drive, window: int) -> Correction | None:
-    if stage.shared is None and stage.correction is None:
+def _of_the_same_terms(stages: Mapping[str, Stage]) -> list[list[str]]:
+    """Return the names of stages whose models are one, which are rolled out together: a step costs little more."""
+    groups: dict[tuple[int, ...], list[str]] = {}
+    for name, stage in stages.items():
+        groups.setdefault(tuple(map(id, stage.terms)), []).append(name)
+    return list(groups.values())
+
+
+def _added(stages: Sequence[Stage], z: np.ndarray, drive: Drive, window: int) -> Correction | None:
+    """Return what stages add to the model they share, each to its part of the starts, one after the other."""
+    if all(stage.shared is None and stage.correction is None for stage in stages):
         return None
-    shared = None if stage.shared is None else stage.shared.ahead(window)
+    shared = [None if stage.shared is None else stage.shared.ahead(window) for stage in stages]
     count = len(Z2.names)
     recorded = z.copy()
     recorded[:, count : count + 3] = np.stack([drive[name] for name in ("vx", "vy", "r")], axis=1)
 
     def residual(at: np.ndarray) -> np.ndarray:
-        rows = np.rint(at[:, -1]).astype(np.int64)
-        out = np.zeros((len(at), 3)) if stage.correction is None else stage.correction.at(at[:, :count], rows)
-        if shared is not None:
-            out = out + shared.at(rows, at[:, count : count + 3])
-        return out
+        out = []
+        for stage, known, own in zip(stages, shared, np.split(at, len(stages)), strict=True):
+            rows = np.rint(own[:, -1]).astype(np.int64)
+            one = np.zeros((len(own), 3))
+            if stage.correction is not None:
+                one = stage.correction.at(own[:, :count], rows)
+            if known is not None:
+                one = one + known.at(rows, own[:, count : count + 3])
+            out.append(one)
+        return np.concatenate(out)
 
     return Correction(_FEATURES, recorded, residual)
 

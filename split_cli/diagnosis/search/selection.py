@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -92,8 +93,9 @@ class Selection:
         sound recording has, or that halves of the simulation differ by as much.
     first : tuple of Fit
         What each term, in each variant that promised most, explains alone, best first.
-    partly : ActingPart or None
-        The term that most surely acts in a part of the drive, whatever acts all along it.
+    partly : callable
+        Returns the term that most surely acts in a part of the drive, or None, whatever acts all along it; worked
+        out when first asked, which is where nothing is named.
     """
 
     base: Fit
@@ -105,7 +107,7 @@ class Selection:
     history: tuple[str, ...] = ()
     first_p: float = 1.0
     first: tuple[Fit, ...] = ()
-    partly: ActingPart | None = None
+    partly: Callable[[], ActingPart | None] = lambda: None
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -177,7 +179,7 @@ def select_terms(
             break
         history += grown.history
         selection = _examined(explore, base, grown.chosen)
-    partly = strongest_part(objective, explore.lines(), base.residuals, variance_inflation)
+    partly = cache(lambda: strongest_part(objective, explore.lines(), base.residuals, variance_inflation))
     return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first), partly=partly)
 
 
