@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -47,6 +50,29 @@ def road_car(**changes: object) -> Vehicle:
     return Vehicle(**{**values, **changes})
 
 
+def remembered(make: Callable[..., Drive]) -> Callable[..., Drive]:
+    """Let a maker of drives make each once in a process, by what it is given; its callers get copies."""
+
+    @lru_cache(maxsize=64)
+    def made(given: bytes) -> Drive:
+        values, named = pickle.loads(given)
+        return make(*values, **named)
+
+    @wraps(make)
+    def maker(*values: object, **named: object) -> Drive:
+        try:
+            drive = made(pickle.dumps((values, named)))
+        except (pickle.PicklingError, AttributeError):  # a function that has no name of its own
+            return make(*values, **named)
+        return replace(
+            drive,
+            columns={name: column.copy() for name, column in drive.columns.items()},
+            segment=drive.segment.copy(),
+        )
+
+    return maker
+
+
 class MissingForce(Term):
     """Forces the nominal model lacks, as a truth to be found: constant ones, and grip lost at the front."""
 
@@ -59,6 +85,7 @@ class MissingForce(Term):
         flow.front.lateral_force = kept * flow.front.lateral_force + self.parameters.get("front_lateral", 0.0)
 
 
+@remembered
 def make_drive(
     seed: int = 0,
     segments: int = 100,

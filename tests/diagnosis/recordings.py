@@ -18,7 +18,7 @@ from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import Situation, integrate_recorded
 from split_cli.vehicle.single_track import SingleTrack
-from tests.factories import make_drive, road_car
+from tests.factories import make_drive, remembered, road_car
 
 #: Standard deviation of a sample of v_x, v_y [m/s] and r [rad/s].
 SIGMA = np.array([0.02, 0.02, 0.004])
@@ -55,6 +55,7 @@ def late(inputs: np.ndarray, delay: float, step: float) -> np.ndarray:
     return np.stack([np.interp(t - delay, t, row) for row in inputs])
 
 
+@remembered
 def driven(
     seed: int,
     terms: Sequence[Term] = (),

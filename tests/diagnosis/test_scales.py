@@ -65,7 +65,7 @@ def test_a_car_that_does_not_turn_tells_no_scale_of_its_yaw_rate():
 
 def test_a_speed_out_of_scale_is_named_beside_a_turned_sensor_and_contradicts_nothing_then():
     """Without position it would be a match or a mass: 3 % of speed are 3 % of every force."""
-    said = diagnose([faulty(recording(83, vx=1.03), angle=0.02)], road_car(), [recording(81)])
+    said = diagnose([faulty(recording(83, vx=1.03), angle=0.02)], road_car())
     findings = {one.term: one for one in said.findings}
     assert said.verdict == "mismatch" and set(findings) == {"speed_scale", "sensor_misalignment"}
     scale = findings["speed_scale"]

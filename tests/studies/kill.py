@@ -120,8 +120,8 @@ def run(folder: Path, arguments: Sequence[str]) -> int:
     return start(folder, arguments).wait()
 
 
-def prepare(folder: Path, names: Collection[str]) -> None:
-    """Write inputs, and an old output of every case of `names`."""
+def prepare(folder: Path, names: Collection[str], made: Callable[[Path, Sequence[str]], int] = run) -> None:
+    """Write inputs, and an old output of every case of `names`; `made` runs a command."""
     from split_cli.workflows.simulate import SimulateSettings, simulate_log
 
     car = road_car()
@@ -155,7 +155,7 @@ def prepare(folder: Path, names: Collection[str]) -> None:
     }
     for name in names:
         for arguments in old[name]:
-            if run(folder, arguments) != 0:
+            if made(folder, arguments) != 0:
                 raise RuntimeError(f"could not prepare: split {' '.join(arguments)}")
 
 

@@ -23,20 +23,22 @@ EXPORT, APPEND = (next(case for case in CASES if case.name == name) for name in 
 def ready(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("kill") / "ready"
     folder.mkdir()
-    prepare(folder, (EXPORT.name, APPEND.name))
+    prepare(folder, (EXPORT.name, APPEND.name), in_this_process)
     return folder
+
+
+def in_this_process(folder: Path, arguments: Sequence[str]) -> int:
+    """Run a command in a folder and return its exit code."""
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:
+        patch.chdir(folder)
+        main(list(arguments))
+    return int(ended.value.code or 0)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [EXPORT, APPEND], ids=lambda case: case.name)
-def test_a_kill_before_any_step_leaves_the_old_or_the_new_output(case, ready, tmp_path, monkeypatch):
-    def again(folder: Path, arguments: Sequence[str]) -> int:
-        monkeypatch.chdir(folder)
-        with pytest.raises(SystemExit) as ended:
-            main(list(arguments))
-        return int(ended.value.code or 0)
-
-    outcome = try_steps(case, ready, tmp_path, again)
+def test_a_kill_before_any_step_leaves_the_old_or_the_new_output(case, ready, tmp_path):
+    outcome = try_steps(case, ready, tmp_path, in_this_process)
     assert not outcome.broken
     assert outcome.old >= 2 and outcome.new >= 1 and outcome.old + outcome.new == outcome.kills
 

@@ -45,7 +45,7 @@ def run(*words: object) -> str:
 
 
 def ways(address: str) -> dict[str, tuple[object, ...]]:
-    return {"one": (), "two": ("--jobs", 2), "cluster": ("--engine", "dask", "--scheduler", address)}
+    return {"one": ("--jobs", 1), "cluster": ("--engine", "dask", "--scheduler", address)}
 
 
 @pytest.mark.slow
@@ -63,28 +63,25 @@ def test_an_evaluation_is_the_same(folder, address, monkeypatch):
     drives = sorted((folder / "in").iterdir())
     reports = []
     for way in ways(address).values():
-        told = run(
-            "evaluate", *drives, "--vehicle", folder / "car.yaml", "--predictor", "bcm,fitc", "--json", *way
-        )
+        told = run("evaluate", *drives, "--vehicle", folder / "car.yaml", "--predictor", "bcm", "--json", *way)
         report = json.loads(told)
         for one in report["scores"]:
             del one["time_per_query"]
         reports.append(report)
     assert reports[0]["rollouts"]
-    assert reports[1] == reports[0] and reports[2] == reports[0]
+    assert reports[1] == reports[0]
 
 
 @pytest.mark.slow
 def test_cases_of_a_proof_are_the_same(tmp_path, address):
-    ways_of_two = {name: way for name, way in ways(address).items() if name != "two"}
-    for name, way in ways_of_two.items():
+    for name, way in ways(address).items():
         told = run(
-            "prove", "generate", tmp_path / name, "--seed", 4, "--cases", 2, "--kinds", "null", "--json", *way
+            "prove", "generate", tmp_path / name, "--seed", 4, "--cases", 1, "--kinds", "null", "--json", *way
         )
-        assert json.loads(told)["cases"] == 2
+        assert json.loads(told)["cases"] == 1
     files = [
         sorted(p.relative_to(tmp_path / name) for p in (tmp_path / name).rglob("*.parquet"))
-        for name in ways_of_two
+        for name in ways(address)
     ]
     assert files[0] == files[1] and files[0]
     for file in files[0]:
@@ -114,7 +111,7 @@ def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
         return pickled(what, *given, **named)
 
     monkeypatch.setattr(cloudpickle, "dumps", dumps)
-    for name, way in (("one", ("--jobs", 1)), ("cluster", ways(address)["cluster"])):
+    for name, way in ways(address).items():
         told[name] = json.loads(run("diagnose", *given, "--out", tmp_path / name, "--json", *way))
         assert (tmp_path / name / "report.html").exists()
     assert told["cluster"] == told["one"]
