@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from split_cli.diagnosis.recording.screening import torque_is_derived
+from split_cli.logs.assembling.dead_reckoning import TOGETHER, TOLERANCE
 from split_cli.logs.assembling.noise import difference_noise
 from split_cli.logs.drive import INPUT_CHANNELS, Drive
 from split_cli.vehicle.effects import Recording, Term, build_terms
@@ -74,8 +75,19 @@ class Series:
 
     @property
     def stated_noise(self) -> np.ndarray:
-        """Noise of v_x, v_y, r, shape (3,); v_x tells nothing where torque was derived from it."""
-        return self.noise * np.array([_WORTHLESS if torque_is_derived(self.drive) else 1.0, 1.0, 1.0])
+        """Noise of v_x, v_y, r, shape (3,).
+
+        Notes
+        -----
+        v_x tells nothing where torque was derived from it. A v_y that was integrated from a_y errs slowly: white
+        noise that leaves means over its correlation time as unsure stands for that, sqrt(2 tau/period) times as
+        large. The filter then takes v_y from the model and the yaw rate.
+        """
+        stated = self.noise * np.array([_WORTHLESS if torque_is_derived(self.drive) else 1.0, 1.0, 1.0])
+        if self.drive.metadata.lateral_velocity_is_integrated:
+            std = self.drive["vy_std"] if "vy_std" in self.drive else TOLERANCE * self.drive["vx"]
+            stated[1] = max(stated[1], np.sqrt(2.0 * TOGETHER / self.period * np.mean(std**2)))
+        return stated
 
     def corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
         """Return measured and smooth velocities with the sensors' faults among `terms` taken off."""
