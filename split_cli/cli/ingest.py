@@ -95,7 +95,10 @@ def _spans(
     help="Estimate and correct delays between channels from kinematic identities.",
 )
 @click.option(
-    "--derive", multiple=True, metavar="NAME", help="Compute a missing channel; docs/ingest.md lists the names."
+    "--derive",
+    multiple=True,
+    metavar="NAME",
+    help="Compute a missing channel. docs/ingest.md lists the names, and so does a wrong one.",
 )
 @click.option(
     "--topic",

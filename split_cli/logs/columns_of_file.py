@@ -105,7 +105,10 @@ class ColumnsOfFile(Mapping[str, np.ndarray]):
                 if at >= last:
                     break
         except (pa.ArrowException, OSError) as error:
-            raise DriveError(f"is damaged ({str(error).splitlines()[0][:160]})", where=str(self.path)) from error
+            reason = str(error).splitlines()[0][:160]
+            raise DriveError(
+                f"is damaged ({reason})", where=str(self.path), advice="Ingest the log again."
+            ) from error
         return out
 
 

@@ -101,7 +101,10 @@ def _with_presets(content: dict[str, Any], where: str, above: tuple[str, ...]) -
     presets = content.pop("preset", None) or []
     presets = [presets] if isinstance(presets, str) else presets
     if not isinstance(presets, list) or not all(isinstance(preset, str) for preset in presets):
-        raise MapError(f"preset is {presets!r}, a name or a list of names was expected", where=where)
+        advice = "`split ingest --list-maps` shows the names."
+        raise MapError(
+            f"preset is {presets!r}, a name or a list of names was expected", where=where, advice=advice
+        )
     if len(set(presets)) < len(presets):
         raise MapError("names a preset twice", where=where, advice="Leave one; the last one overrides the others.")
     base: dict[str, Any] = {}

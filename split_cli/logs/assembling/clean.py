@@ -187,10 +187,12 @@ def clean_series(
     if repeats > 1:
         keep(_first_of_repeats(values, repeats), f"repeat of a held sample ({repeats} of each)")
     if len(time) < 4:
+        dropped = "; ".join(f"{count} {reason}" for reason, count in drops)
+        why = f"Dropped: {dropped}" if dropped else "The recording is nearly empty"
         raise LogError(
             f"{len(time)} usable samples of {series.channel} remain",
             where=series.source,
-            advice="; ".join(f"{count} {reason}" for reason, count in drops) or "The recording is nearly empty.",
+            advice=f"{why}. Map another channel for it.",
         )
     return CleanSeries(
         channel=series.channel,

@@ -129,6 +129,11 @@ class Definitions:
         return self._builtin[ros1]
 
 
+def _endless(type_name: str) -> LogError:
+    what = f"the definition of {type_name!r} contains itself or is nested over {_DEEPEST} deep"
+    return LogError(what, advice="Leave its topic out of the recording, or give its .msg file with --msg-path.")
+
+
 def leaf_paths(fields: Sequence[Field], prefix: str = "") -> Iterator[str]:
     """Yield the addresses of all numeric values: ``pose.position.x``, ``covariance[0]``.
 
@@ -195,7 +200,7 @@ def _count_leaves(type_name: str, known: dict[str, Any], counted: dict[str, int]
     if type_name in counted:
         return counted[type_name]
     if type_name in above or len(above) > _DEEPEST:
-        raise LogError(f"the definition of {type_name!r} contains itself or is nested over {_DEEPEST} deep")
+        raise _endless(type_name)
     total = 0
     for _, (node, content) in known[type_name][1]:
         times = 1
@@ -220,7 +225,7 @@ def _expand(type_name: str, known: dict[str, Any], ros1: bool, depth: int) -> tu
         second = "int32" if ros1 and type_name.endswith("Duration") else "uint32"
         return Field("sec", first), Field("nanosec", second)
     if depth > _DEEPEST:
-        raise LogError(f"the definition of {type_name!r} contains itself or is nested over {_DEEPEST} deep")
+        raise _endless(type_name)
     fields = tuple(_field(name, described, known, ros1, depth) for name, described in known[type_name][1])
     if not fields and not ros1:
         # ROS 2 puts one byte into a message without fields.

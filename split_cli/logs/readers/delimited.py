@@ -277,4 +277,5 @@ def _numbers(texts: Any, decimal: str) -> tuple[np.ndarray, int]:
 
 def _unreadable(path: Path, error: Exception) -> LogError:
     reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-    return LogError(f"cannot be read as delimited text ({reason})", where=path.name)
+    advice = "Export it again, one row a line, the same separator throughout."
+    return LogError(f"cannot be read as delimited text ({reason})", where=path.name, advice=advice)

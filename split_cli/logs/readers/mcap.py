@@ -102,7 +102,7 @@ class McapContainer:
         self.notes: list[ReadNote] = []
         with path.open("rb") as stream:
             if stream.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
-                raise LogError("does not begin like an MCAP file", where=path.name)
+                raise LogError("does not begin like an MCAP file", where=path.name, advice="Copy it again.")
             self._file = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
         contents = self._indexed_contents() or self._scanned_contents()
         self._segments = contents.segments

@@ -75,7 +75,9 @@ class SqliteContainer:
         views = [name for name, kind in kinds.items() if kind != "table"]
         if views:
             raise LogError(
-                f"is no rosbag2 database ({views[0]} is a {kinds[views[0]]}, not a table)", where=self.path.name
+                f"is no rosbag2 database ({views[0]} is a {kinds[views[0]]}, not a table)",
+                where=self.path.name,
+                advice="Give a .db3 that `ros2 bag record` wrote.",
             )
         self._deadline = monotonic() + _QUERY_SECONDS
         self._database.set_progress_handler(lambda: int(monotonic() > self._deadline), 100_000)
@@ -194,7 +196,8 @@ def open_rosbag2_folder(path: Path) -> Container:
             problem = error
             note_once(notes, ReadNote(f"file left out: {error}", path.name))
     if not parts:
-        raise problem or LogError("is a folder without a recording in it", where=str(path))
+        advice = "Give the folder that holds metadata.yaml and the .db3 or .mcap, or name the file."
+        raise problem or LogError("is a folder without a recording in it", where=str(path), advice=advice)
     return ConcatenatedContainer(parts, notes, packed, temporary)
 
 
@@ -217,7 +220,10 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
             ReadNote("metadata.yaml cannot be read: files taken in the order of their numbers", path.name),
         )
         if not present:
-            raise LogError("cannot be read, and there is no storage file", where=str(metadata)) from error
+            advice = "Put the .db3 or .mcap of the recording beside it."
+            raise LogError(
+                "cannot be read, and there is no storage file", where=str(metadata), advice=advice
+            ) from error
         return present, False
     missing = [name for name in names if not (path / name).exists()]
     if missing:
@@ -254,5 +260,5 @@ def _unpacked_file(file: Path, folder: Path) -> Path:
                         )  # fmt: skip
                     plain.write(part)
     except zstandard.ZstdError as error:
-        raise LogError(f"cannot be decompressed ({error})", where=file.name) from error
+        raise LogError(f"cannot be decompressed ({error})", where=file.name, advice="Copy it again.") from error
     return target
