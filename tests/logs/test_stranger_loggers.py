@@ -166,6 +166,25 @@ def test_wheels_of_another_radius_are_no_speed_in_another_unit(planted, tmp_path
     assert "and 28 further columns, kept as recorded: aux_12" in text and "aux_39 " not in text
 
 
+@pytest.mark.parametrize(
+    ("title", "factor", "unit"), [("time_s", 1e3, "ms"), ("time_ms", 1.0, "s"), ("time", 1e6, "us")]
+)
+def test_a_clock_in_another_unit_than_its_name_says_is_told(title, factor, unit, planted, tmp_path):
+    t, c = planted
+    draft = table(tmp_path / "a.csv", {title: t * factor, **{n: c[n] for n in ("X", "Y", "yaw", "vx", "r")}})
+    assert f"unit: {unit}" in draft.time and ("CHECK" in draft.time) == (title != "time")
+
+
+def test_ticks_of_ten_microseconds_are_told_as_the_clock_and_not_as_four_scales(planted, tmp_path):
+    t, c = planted
+    names = ("X", "Y", "yaw", "vx", "r", "ax", "ay")
+    draft = table(tmp_path / "a.csv", {"time": t * 1e5, **{n: c[n] for n in names}})
+    assert "the time counts 10 times too fast" in draft.time
+    assert {draft.of(n).status for n in ("vx", "r", "ay")} <= {"judged", "unsided"}
+    straight = table(tmp_path / "b.csv", {"time": t, **{n: c[n] for n in names}})
+    assert "CHECK" not in straight.time
+
+
 def test_files_of_other_programs_are_named_with_the_way_out(tmp_path):
     for name, head, told in (("a.npz", b"PK\x03\x04", "NumPy"), ("a.xrk", b"<hCNF", "RaceStudio"),
                              ("a.ld", b"@", "i2"), ("a.ibt", b"\x02", "iRacing")):  # fmt: skip

@@ -27,6 +27,9 @@ _BEYOND_PHYSICS = 4.0
 _SAME_AXES = 0.5
 """Added to the cost of one turned sign when all channels of the vehicle, or of the world, have other axes."""
 _OF_THE_BODY = ("vy", "ay", "delta")
+_OVER_TIME = ("r against dyaw/dt", "r against the turning of X, Y", "v_x against the speed of X, Y",
+              "a_x against dv_x/dt - v_y r")  # fmt: skip
+"""Relations to a rate of change, which a wrong clock puts off by one factor."""
 _SHARED = ("vx", "r")
 """Channels that enter several relations; every other one enters one."""
 
@@ -212,6 +215,10 @@ def explain(
     mistakes' costs (negative logarithms of how frequent they are) and of half the squared misfits, each at most
     the cost of a factor that is not known.
     """
+    clock = _clock(relations)
+    if clock is not None:
+        rest = explain([_by_this_clock(r, clock.measured or 1.0) for r in relations], vehicle, plausible)
+        return replace(rest, findings=(clock, *rest.findings), cost=rest.cost + _UNKNOWN)
     beyond = [magnitude for magnitude in plausible if magnitude.cost({}) > 0.0]
     if all(relation.holds for relation in relations) and not beyond:
         return Explanation()
@@ -231,6 +238,33 @@ def explain(
         if m.channel in sure and m.channel not in doubtful and m.factor is not None
     }
     return Explanation(tuple(told), factors, best.cost)
+
+
+def _clock(relations: Sequence[Relation]) -> ConsistencyFinding | None:
+    """Tell a clock that counts too fast or too slow: rates of change are off by one factor, of v_x and of r."""
+    rates = [relation for relation in relations if relation.name in _OVER_TIME and relation.slope.slope > 0.0]
+    if not all(any(channel in relation.powers for relation in rates) for channel in _SHARED) or len(rates) < 3:
+        return None
+    sizes = np.log([relation.slope.slope for relation in rates])
+    common = float(np.median(sizes))
+    widest = max(relation.tolerance for relation in rates)
+    if abs(common) < 3.0 * widest or any(abs(s - common) > r.tolerance for s, r in zip(sizes, rates, strict=True)):
+        return None
+    factor = float(np.exp(common))
+    text = (
+        f"the time counts {max(factor, 1.0 / factor):.4g} times too {'slow' if factor > 1.0 else 'fast'}: "
+        f"{'; '.join(relation.name for relation in rates)} are all {factor:.4g} instead of 1. "
+        "Set the unit of `time:` in the map, or `time: {period: SECONDS}`."
+    )
+    return ConsistencyFinding("scale", "time", text, factor, None)
+
+
+def _by_this_clock(relation: Relation, factor: float) -> Relation:
+    """Return a relation as it is with the time put right."""
+    if relation.name not in _OVER_TIME and relation.leaf != "T":
+        return relation
+    slope = replace(relation.slope, slope=relation.slope.slope / factor)
+    return replace(relation, slope=slope, corrected=None)
 
 
 def _shared_choices(

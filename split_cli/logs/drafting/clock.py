@@ -26,6 +26,8 @@ __all__ = ["clock_of_rows"]
 
 _EVEN = 0.02
 """Of the step from row to row, which 99 of 100 keep where one period describes them [1]."""
+_SHORTEST, _LONGEST = 5e-5, 10.0
+"""Steps between rows of a drive, with margin [s]."""
 _LOST_ROW = 0.5
 """Of the step, beyond which a row is missing: one period would hide the gap [1]."""
 
@@ -68,6 +70,11 @@ def clock_of_rows(
         values = signals[info.name].values
         unit = info.unit if find_unit(info.unit or "") and find_unit(info.unit).si == "s" else stated_unit(info)
         unit = unit if unit in ("s", "ms", "us", "ns", "min") else unit_of_time(values)
+        fits = unit_of_time(values)
+        if fits != unit and not _SHORTEST < float(np.median(np.diff(values))) * find_unit(unit).factor < _LONGEST:
+            told = f"the file says {unit}, but its rows are as far apart as those of a drive in {fits}"
+            line = f"time: {{source: {quoted(info.name)}, unit: {fits}}}   # CHECK: {told}"
+            return (values - np.nanmin(values)) * find_unit(fits).factor, line, True
         others = [i.name for i in rising[1:]]
         also = f"   # also rises: {', '.join(others)}" if others else ""
         line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"

@@ -99,6 +99,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
         chosen = _choose(usable, trial)
     corrected, consistency = _with_rivals_that_fit(*correct(chosen, trial), usable, trial)
     corrected = as_others_turn(as_siblings(corrected, consistency), consistency)
+    line += "".join(f"   # CHECK: {f.text}" for f in consistency.findings if f.channel == "time")
     suggestions = [with_status(s, corrected, consistency) for s in corrected.values()]
     suggestions = [s for s in suggestions if s.channel not in ("delta", "steering_wheel_angle", *_HELPERS)]
     suggestions = [_as_course(s, consistency, trial) if s.channel == "yaw" else s for s in suggestions]
