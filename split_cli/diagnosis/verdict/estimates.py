@@ -51,7 +51,7 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
     if objective.fixed_baseline:
         variance = 2.0 * variance
     wide = float(student.ppf(0.975, max(blocks - J.shape[1], 2)))
-    moved, out, column = moved_between_load_laws(objective, fit), [], 0
+    moved, out, column = moved_between_load_laws(objective, fit).tolist(), [], 0
     for k, part in enumerate(fit.parts):
         size = term_size(objective, fit, k)
         term, residuals = part.term, {}
