@@ -149,6 +149,32 @@ def test_what_is_believed_with_a_fixed_baseline(names, marginalised, p_value, ex
     assert _brings_back(selection, first, STANDARD.selection) is expected
 
 
+def test_a_sure_name_lends_its_sureness_to_no_other(restless):
+    """Of two names one saves much and one some; the fixed baseline confirms none, or the other."""
+    candidates = {one.label: one for one in build_candidates(road_car(), restless.real[0].series)}
+    parts = tuple(
+        Part(candidates[name], {one: 0.01}) for name, one in (("steer_offset", "offset"), ("road_bank", "angle"))
+    )
+    chosen = Fit(parts, 1000.0, np.zeros(0), np.zeros((0, 0)))
+    without = tuple(
+        replace(chosen, parts=parts[1 - k :][:1], cost=1000.0 + saved) for k, saved in ((0, 1e5), (1, 30.0))
+    )
+    none = ((), ())
+    both = Selection(chosen, chosen, without, none, none, (True, True), first_p=0.0)
+    nobody = Selection(chosen, replace(chosen, parts=()), (), (), (), ())
+    objective = fixed_objective(restless)
+
+    def named(second: Selection) -> list[str]:
+        one, other = (
+            SearchOutcome(SimpleNamespace(objective=objective), None, s, None, 1.5) for s in (both, second)
+        )
+        return [term.id for term in settled(one, other, STANDARD.selection).selection.terms]
+
+    assert named(nobody) == ["steer_offset"]
+    confirmed = Selection(chosen, replace(chosen, parts=parts[1:]), (), ((),), ((),), (True,))
+    assert named(confirmed) == ["steer_offset", "road_bank"]
+
+
 @pytest.mark.parametrize(
     ("first", "first_p", "second", "second_p", "expected"),
     [

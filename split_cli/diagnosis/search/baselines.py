@@ -30,6 +30,7 @@ from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.running import with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
+from split_cli.diagnosis.search.term_tests import term_p
 from split_cli.diagnosis.statement.separation import exact_mimics
 
 __all__ = ["SearchOutcome", "ends_beyond", "search", "search_again", "settled"]
@@ -116,8 +117,9 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     """Return what is believed of a search with a marginalised baseline and one with a fixed baseline.
 
     What the second brings back to where the simulation has been is believed; with the values of the first where
-    that named it, too, and is as sure. What the first names in doubt and the second does not confirm has no name.
-    Nor has what would need more than a car has, see `ends_beyond`; then the second is returned, which found it.
+    that named it, too, and is as sure. What the first names in doubt and the second does not confirm has no name,
+    each name by itself: a sure one lends the others nothing. Nor has what would need more than a car has, see
+    `ends_beyond`; then the second is returned, which found it.
     """
     marginalised, fixed = first.selection, again.selection
     confirmed = bool(marginalised.terms) and _ids(marginalised) <= _ids(fixed)
@@ -128,7 +130,9 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     elif surer and ends_beyond(fixed, again.structure.objective.policy):
         kept = again
     elif marginalised.terms and marginalised.first_p >= rules.sure_level:
-        kept = replace(first, selection=_without_names(marginalised))
+        kept = replace(first, selection=_only_named(marginalised, [False] * len(marginalised.named)))
+    elif len(marginalised.terms) > 1:
+        kept = replace(first, selection=_only_named(marginalised, _undoubted(first, _ids(fixed), rules)))
     return replace(kept, objectives=(first.structure.objective, again.structure.objective))
 
 
@@ -172,10 +176,27 @@ def _brings_back(selection: Selection, marginalised: Selection, rules: Selection
     return bool(selection.terms) and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
 
 
-def _without_names(selection: Selection) -> Selection:
-    nuisances = tuple(False for _ in selection.named)
-    nobody = tuple(() for _ in selection.named)
-    return replace(selection, named=nuisances, rivals=nobody, siblings=nobody)
+def _undoubted(first: SearchOutcome, confirmed: set[str], rules: SelectionRules) -> list[bool]:
+    """Return which parts of a search are confirmed by another one, or sure by themselves beside the others."""
+    objective, selection = first.structure.objective, first.selection
+    chosen = selection.chosen
+
+    def is_sure(k: int) -> bool:
+        saved = selection.without[k].cost - chosen.cost
+        p_value = term_p(objective, chosen, k, saved, first.variance_inflation)
+        return p_value * max(len(selection.first), 1) < rules.sure_level
+
+    return [part.candidate.term in confirmed or is_sure(k) for k, part in enumerate(chosen.parts)]
+
+
+def _only_named(selection: Selection, kept: Sequence[bool]) -> Selection:
+    """Return a selection with the names of a choice of its parts alone; the others stay as nuisances."""
+    named = tuple(one and keep for one, keep in zip(selection.named, kept, strict=True))
+    rivals, siblings = (
+        tuple(several if keep else () for several, keep in zip(those, named, strict=True))
+        for those in (selection.rivals, selection.siblings)
+    )
+    return replace(selection, named=named, rivals=rivals, siblings=siblings)
 
 
 def _known(
