@@ -30,7 +30,7 @@ from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.running import with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
-from split_cli.diagnosis.search.term_tests import term_p
+from split_cli.diagnosis.search.term_tests import term_p, witnessed_p
 from split_cli.diagnosis.statement.separation import exact_mimics
 
 __all__ = ["SearchOutcome", "ends_beyond", "search", "search_again", "settled"]
@@ -183,7 +183,10 @@ def _undoubted(first: SearchOutcome, confirmed: set[str], rules: SelectionRules)
 
     def is_sure(k: int) -> bool:
         saved = selection.without[k].cost - chosen.cost
-        p_value = term_p(objective, chosen, k, saved, first.variance_inflation)
+        p_value = min(
+            term_p(objective, chosen, k, saved, first.variance_inflation),
+            witnessed_p(objective, chosen, k, selection.without[k], rules),
+        )
         return p_value * max(len(selection.first), 1) < rules.sure_level
 
     return [part.candidate.term in confirmed or is_sure(k) for k, part in enumerate(chosen.parts)]
