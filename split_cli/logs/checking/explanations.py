@@ -402,9 +402,16 @@ def _told(
     # What every story says is not in doubt.
     doubt = {m: "" if all(m in rival.mistakes for rival in rivals) else alternative for m in best.mistakes}
     found = [_finding(mistake, broken, doubt[mistake], (), reach) for mistake in best.shared]
+    wheels: set[str] = set()
     for leaf in best.leaves:
         if leaf.mistake is not None:
-            found.append(_finding(leaf.mistake, [leaf.relation], doubt[leaf.mistake], leaf.rivals))
+            one = _finding(leaf.mistake, [leaf.relation], doubt[leaf.mistake], leaf.rivals)
+            if leaf.relation.leaf.startswith("wheel_speed"):
+                slope = leaf.relation.slope.slope
+                likewise = f"{one.channel} likewise (slope {slope:.4g}): {leaf.mistake.what}"
+                one = replace(one, text=likewise) if leaf.mistake.what in wheels else one
+                wheels.add(leaf.mistake.what)
+            found.append(one)
         elif leaf.unknown:
             found.append(_unexplained(leaf, alternative))
     left_over = {m.channel: m.high for m in best.mistakes}
