@@ -17,7 +17,7 @@ from split_cli.vehicle.operations import NUMPY, Operations
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import lateral_force, lateral_force_slope
 
-__all__ = ["SingleTrack", "slip_angles"]
+__all__ = ["SingleTrack", "same_curve", "slip_angles"]
 
 #: v_x', v_y', r': arrays or symbols.
 Rates = tuple[Any, Any, Any]
@@ -36,7 +36,8 @@ def slip_angles(
     return delta - ops.atan2(vy + l_f * r, vx), -ops.atan2(vy - l_r * r, vx)
 
 
-def _same_curve(axle: AxleFlow, other: AxleFlow) -> bool:
+def same_curve(axle: AxleFlow, other: AxleFlow) -> bool:
+    """Return whether two axles have the very same coefficients and slip angle, and so one force."""
     return all(getattr(axle, name) is getattr(other, name) for name in ("B", "C", "D", "slip_angle"))
 
 
@@ -96,7 +97,7 @@ class SingleTrack:
             term.tire(flow)
         known_axles = (None, None) if plain is None else (plain.front, plain.rear)
         for axle, known in zip((front, rear), known_axles, strict=True):
-            if known is not None and _same_curve(axle, known):
+            if known is not None and same_curve(axle, known):
                 axle.lateral_force = known.lateral_force
             else:
                 axle.lateral_force = lateral_force(axle.B, axle.C, axle.D, axle.slip_angle, ops)

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from split_cli.diagnosis.innovations.effect_to_noise import effect_to_noise, effects_to_noise_of, windowed
+from split_cli.diagnosis.innovations.effect_to_noise import (
+    effect_to_noise,
+    effects_to_noise_of,
+    products_over_noise,
+    rms_over_noise,
+    windowed,
+)
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.remainder import structure as module
 from split_cli.diagnosis.remainder.flexible import flexible_rows
@@ -60,6 +66,16 @@ class TestMinimumEffect:
             assert np.mean(np.array(p) < level) <= level + 3.0 * spread
 
 
+def test_products_of_functions_tell_the_size_of_any_sum_of_them():
+    rng = np.random.default_rng(3)
+    errors, weights = rng.standard_normal((40, 3, 5)), rng.standard_normal(5)
+    series = SimpleNamespace(stated_noise=SIGMA)
+    products = products_over_noise(series, errors)
+    told = np.sqrt(products @ weights @ weights)
+    np.testing.assert_allclose(told, rms_over_noise(series, errors @ weights), rtol=1e-12)
+    assert not products_over_noise(series, errors[:0]).any()  # a recording of which no row is compared
+
+
 class TestFlexibleFit:
     """A handful of orthonormal columns, each of which is a known effect-to-noise ratio."""
 
@@ -79,7 +95,7 @@ class TestFlexibleFit:
         objective = SimpleNamespace(posterior=None, evidence=(one,), keep=(every >= 0,), policy=policy)
         factor = np.linalg.cholesky(columns.T @ columns * (1.0 + module._RIDGE_SHARE * self.rows)).T
         groups = ("a", "a", "b", "b", "b", "c")
-        return Structure(objective, columns, (windows,), groups, factor)
+        return Structure(objective, columns, (products_over_noise(series, windows),), groups, factor)
 
     def test_saving_freedom_and_effect_to_noise_by_hand(self):
         one = self.structure()

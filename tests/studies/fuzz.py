@@ -46,6 +46,7 @@ class Tally:
     refused: int = 0
     broken: list[str] = field(default_factory=list)
     slowest: float = 0.0
+    grown: int = 0  # by which one input raised the peak memory of its process, at most [bytes]
 
     def add(self, one: Tally) -> None:
         """Take in what became of more inputs."""
@@ -53,6 +54,7 @@ class Tally:
         self.dropped += one.dropped
         self.refused += one.refused
         self.slowest = max(self.slowest, one.slowest)
+        self.grown = max(self.grown, one.grown)
 
 
 class TooLong(BaseException):
@@ -189,8 +191,18 @@ def _try_inputs(
         rng = random.Random(f"{seed} {number}")
         target.write_bytes(mutate(content, rng.choice(others), rng))
         said.send(("begin", number, None))
-        one = Tally()
-        said.send(("end", judge(target, read, one), one))
+        one, before = Tally(), _peak()
+        broken, peak = judge(target, read, one), _peak()
+        # A peak never falls: what an input adds to that of all before it is the input's own.
+        one.grown = peak - before
+        if broken is None and one.grown and peak > MOST_MEMORY:
+            broken = f"memory: {peak / 1e6:.0f} MB, {one.grown / 1e6:.0f} MB more than any input before"
+        said.send(("end", broken, one))
+
+
+def _peak() -> int:
+    """Return the largest resident memory that this process has had [bytes]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _in_a_process(work: Callable, first: int, last: int) -> Iterator[tuple[int, str | None, Tally]]:
@@ -218,7 +230,7 @@ def _in_a_process(work: Callable, first: int, last: int) -> Iterator[tuple[int, 
 def _print_row(kind: str, tally: Tally) -> None:
     count = tally.read + tally.dropped + tally.refused
     row = f"{kind:18} {count:8} {tally.read:8} {tally.dropped:8} {tally.refused:8}"
-    print(f"{row} {len(tally.broken):7} {tally.slowest:9.2f}", flush=True)
+    print(f"{row} {len(tally.broken):7} {tally.slowest:9.2f} {tally.grown / 1e6:9.0f}", flush=True)
 
 
 def main() -> int:
@@ -233,7 +245,8 @@ def main() -> int:
     given = parser.parse_args()
     begin = time.perf_counter()
     if not given.json:
-        print(f"{'kind':18} {'inputs':>8} {'read':>8} {'drops':>8} {'refused':>8} {'broken':>7} {'slowest s':>9}")
+        counts = f"{'kind':18} {'inputs':>8} {'read':>8} {'drops':>8} {'refused':>8}"
+        print(f"{counts} {'broken':>7} {'slowest s':>9} {'most MB':>9}")
     tell = (lambda *_: None) if given.json else _print_row
     shares = SLOW | QUICK if given.quick else SLOW
     tallies = fuzz(given.inputs, given.seed, given.keep, given.only, tell, shares)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import random
 import time
 
@@ -33,6 +34,24 @@ def test_the_judge_sees_a_rule_broken(tmp_path, monkeypatch, read, expected):
     monkeypatch.setattr("tests.studies.fuzz.LONGEST_SECONDS", 0.2)
     found = judge(tmp_path / "x", read, Tally())
     assert (found is None) if expected is None else found.startswith(expected)
+
+
+def test_an_input_that_takes_much_memory_is_kept(tmp_path, monkeypatch):
+    """Of files of one byte, the reader of which takes 64 MB where it was changed."""
+
+    def read(path):
+        return len(b"x" * (1 << 26)) * 0 if path.read_bytes() != b"\x00" else 0
+
+    def one_kind(folder):
+        (folder / "one").write_bytes(b"\x00")
+        return {"one": (folder / "one", read)}
+
+    monkeypatch.setattr("tests.studies.fuzz.seeds", one_kind)
+    monkeypatch.setattr("tests.studies.fuzz.MOST_MEMORY", 1 << 26)
+    (tally,) = fuzz(20, seed=1, keep=tmp_path / "kept").values()
+    assert tally.grown > 1 << 25 and all("memory: " in line for line in tally.broken)
+    kept = [gzip.decompress(path.read_bytes()) for path in (tmp_path / "kept").iterdir()]
+    assert len(kept) == len(tally.broken) and any(content != b"\x00" for content in kept)
 
 
 def test_mutations_are_those_of_the_seed():

@@ -7,9 +7,10 @@ simulation; reality is judged with what the simulation leaves uncertain about th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["SharedDiscrepancy", "build_shared_discrepancy", "tangents"]
+__all__ = ["SharedDiscrepancy", "build_shared_discrepancy", "spread", "tangents"]
 
 # Powers of alpha_f, alpha_r, T and v_x in the smooth functions, even and odd in the slip angles.
 _POWERS = [
@@ -33,6 +34,7 @@ _POWERS = [
 _EVEN, _ODD = ([powers for powers in _POWERS if (powers[0] + powers[1]) % 2 == odd] for odd in (0, 1))
 _SMOOTH_DEVIATION = 0.03  # prior deviation of a smooth function's weight, as a share of an axle's peak
 
+_AT_ONCE = 16  # columns whose rates are in memory at all samples
 _MEMORY_SECONDS = (0.03, 0.1, 0.35)  # for a full-size car; times shrink with the root of length
 
 
@@ -57,16 +59,14 @@ class SharedDiscrepancy:
 
     def columns(self, series: Series) -> np.ndarray:
         """Return what entries add in the middle of samples, shape (N, 3, C) [m/s^2], [m/s^2], [rad/s^2]."""
-        plain, functions = series.rates(extended_model(self.vehicle)), self._functions(series)
-        entries = tangents()
-        first, directions = len(entries), self._directions()
-        out = np.empty((len(series), 3, first + sum(len(some) for _, some in functions)))
-        for k, entry in enumerate(entries):
-            out[:, :, k] = series.rates(self._altered(*entry)) - plain
-        for axis, some in functions:
-            np.multiply(some.T[:, None, :], directions[:, axis, None], out=out[:, :, first : first + len(some)])
-            first += len(some)
-        return out
+        return np.concatenate(list(self.blocks(series)), axis=2)
+
+    def blocks(self, series: Series) -> Iterator[np.ndarray]:
+        """Yield the columns a few at a time, shape (N, 3, c): all of them at once fill memory."""
+        plain = series.rates(extended_model(self.vehicle))
+        for some in _few_of(tangents()):
+            yield np.stack([series.rates(self._altered(*entry)) - plain for entry in some], axis=2)
+        yield from spread(self._functions(series), self._directions())
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return what weights add in the middle of samples, shape (N, 3); terms alter inputs, sensors, tyres
@@ -163,6 +163,25 @@ class SharedDiscrepancy:
             side += [late[0], late[1], late[3], late[2] * a, late[2] * b, late[0] * v]
         both = np.array(side)
         return [(0, np.array(along)), (1, both), (2, both)]
+
+
+def spread(functions: Iterable[tuple[int, Sequence[np.ndarray]]], directions: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield functions as rates, a few at a time, shape (N, 3, c).
+
+    Parameters
+    ----------
+    functions : iterable of (int, sequence of ndarray of shape (N,))
+        With the force they act as: 0 longitudinal, 1 front, 2 rear.
+    directions : ndarray, shape (3, 3)
+        Rates by each force, in columns.
+    """
+    for axis, several in functions:
+        for some in _few_of(several):
+            yield np.stack(some, axis=1)[:, None, :] * directions[:, axis, None]
+
+
+def _few_of(items: Sequence[Any]) -> Iterator[Sequence[Any]]:
+    return (items[k : k + _AT_ONCE] for k in range(0, len(items), _AT_ONCE))
 
 
 def build_shared_discrepancy(vehicle: Vehicle, series: Series) -> SharedDiscrepancy:

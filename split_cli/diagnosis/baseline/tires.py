@@ -16,6 +16,7 @@ from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.flow import AxleFlow
 from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import same_curve
 from split_cli.vehicle.tire import lateral_force
 
 __all__ = ["alters_tires", "at_other_tires"]
@@ -52,7 +53,9 @@ def at_other_tires(rates: np.ndarray, series: Series, vehicle: Vehicle, terms: S
     matrix = vehicle.force_matrix()
     forces = rates @ np.linalg.inv(matrix).T
     for k, axle in ((1, "front"), (2, "rear")):
-        forces[:, k] *= _ratio(getattr(old, axle), getattr(new, axle))
+        before, after = getattr(old, axle), getattr(new, axle)
+        if not same_curve(before, after):
+            forces[:, k] *= _ratio(before, after)
     return forces @ matrix.T
 
 

@@ -10,7 +10,14 @@ from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
 
-__all__ = ["effect_to_noise", "effects_to_noise", "effects_to_noise_of", "rms_over_noise", "windowed"]
+__all__ = [
+    "effect_to_noise",
+    "effects_to_noise",
+    "effects_to_noise_of",
+    "products_over_noise",
+    "rms_over_noise",
+    "windowed",
+]
 
 _HORIZON = 0.05
 
@@ -44,6 +51,15 @@ def rms_over_noise(series: Series, errors: np.ndarray) -> np.ndarray:
     if not len(errors):
         return np.zeros(3)
     return np.sqrt(np.mean(errors**2, axis=0)) / (np.sqrt(2.0) * series.stated_noise)
+
+
+def products_over_noise(series: Series, errors: np.ndarray) -> np.ndarray:
+    """Return mean products of prediction errors (W, 3, Q) over the variance of a difference, shape (3, Q, Q).
+
+    With weights w of the columns, w^T (products) w is the square of what `rms_over_noise` makes of `errors @ w`.
+    """
+    products = np.stack([column.T @ column for column in np.moveaxis(errors, 1, 0)])
+    return products / (2.0 * max(len(errors), 1) * series.stated_noise[:, None, None] ** 2)
 
 
 def effects_to_noise_of(

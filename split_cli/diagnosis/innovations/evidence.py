@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +16,7 @@ from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["ROW_SECONDS", "Evidence", "gather_evidence", "graded_as", "rolling"]
+__all__ = ["ROW_SECONDS", "Evidence", "gather_evidence", "graded_as", "rolling", "whitened_blocks"]
 
 ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000
@@ -104,6 +104,11 @@ def integrated(series: Series, columns: np.ndarray) -> np.ndarray:
     return out
 
 
+def whitened_blocks(series: Series, whitener: Whitener, blocks: Iterable[np.ndarray]) -> np.ndarray:
+    """Return whitened rows of rates that come a few columns at a time, (N, 3, c) each, shape (G, 3, C)."""
+    return np.concatenate([whitener(integrated(series, block)) for block in blocks], axis=2)
+
+
 def gather_evidence(
     vehicle: Vehicle,
     series: Series,
@@ -128,7 +133,6 @@ def gather_evidence(
     )
     rates = series.rates(extended_model(vehicle))
     plain = motion(series, jacobian, series.measured, series.smooth) - integrated(series, rates)
-    columns = integrated(series, discrepancy.columns(series))
     group, at = _row_groups(series)
     rolls = rolling(series, vehicle, rules)
     begins = _begins_anew(series, rolls)
@@ -137,12 +141,14 @@ def gather_evidence(
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
     for _ in range(2):
         whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
-        w = _discrepancy_weights(whitener(plain), whitener(columns), kept)
-        disturbance = _likely_disturbance(series, jacobian, plain - columns @ w, begins, rolls, disturbance)
+        columns = whitened_blocks(series, whitener, discrepancy.blocks(series))
+        w = _discrepancy_weights(whitener(plain), columns, kept)
+        left = plain - integrated(series, discrepancy.rates(series, w))
+        disturbance = _likely_disturbance(series, jacobian, left, begins, rolls, disturbance)
         if least_disturbance is not None:
             disturbance = np.maximum(disturbance, least_disturbance)
     whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
-    u, phi = whitener(plain), whitener(columns)
+    u, phi = whitener(plain), whitened_blocks(series, whitener, discrepancy.blocks(series))
     left = u - phi @ _discrepancy_weights(u, phi, kept)
     weight = _robust_weight(left, rules.huber) * kept
     return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls)
@@ -165,7 +171,7 @@ def graded_as(
         one.whitener.begins,
         one.whitener.group,
     )
-    columns = whitener(integrated(series, discrepancy.columns(series)))
+    columns = whitened_blocks(series, whitener, discrepancy.blocks(series))
     return replace(one, whitener=whitener, plain=whitener(one.left(())), discrepancy=columns)
 
 

@@ -20,6 +20,7 @@ from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.projection import damped
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
+from split_cli.diagnosis.recording.series import values_of
 from split_cli.vehicle.effects import Term
 
 _LEAST_INFORMED = 2e-3
@@ -89,10 +90,6 @@ def _long_run_variance(rows: np.ndarray) -> np.ndarray:
     lags = max(min(LAG_ROWS, len(rows) // 4) - 1, 0)
     shared = bartlett_sum(autocovariances(rows, lags), LAG_ROWS)
     return np.mean(rows**2, axis=0) + np.maximum(shared, 0.0)
-
-
-def _values(terms: Sequence[Term]) -> tuple:
-    return tuple((term.id, term.variant, *sorted(term.parameters.items())) for term in terms)
 
 
 def alters_inputs(term: Term) -> bool:
@@ -210,7 +207,7 @@ class MarginalLikelihood:
     ) -> np.ndarray:
         """Return what is made of terms, as it was made before for the same values of them."""
         known = self.memo.setdefault(what, {})
-        key = _values(terms)
+        key = values_of(terms)
         found = known.get(key)
         if found is None:
             if len(known) >= _REMEMBERED and not for_good:

@@ -106,11 +106,15 @@ class KinematicResiduals:
         """Return displacements ahead and to the left at mid-window, from velocities [m], shape (W,) each."""
         _, velocity = self.series.corrected(terms)
         middle = self.angle[(self.begin + self.end) // 2]
-        sine, cosine = np.sin(self.angle), np.cos(self.angle)
+        sine, cosine = self._direction
         # In the world frame once, then into the car's frame of each window.
         x = self._integral(velocity[:, 0] * cosine - velocity[:, 1] * sine, still)
         y = self._integral(velocity[:, 0] * sine + velocity[:, 1] * cosine, still)
         return _into(middle, x, y)
+
+    @cached_property
+    def _direction(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.sin(self.angle), np.cos(self.angle)
 
     def _integral(self, rate: np.ndarray, still: bool = False) -> np.ndarray:
         return integral(rate, self.begin, self.end, self.series.period, still=still)

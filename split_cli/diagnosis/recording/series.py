@@ -18,8 +18,9 @@ from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["Series", "build_series", "extended_model"]
+__all__ = ["Series", "build_series", "extended_model", "values_of"]
 
+_REMEMBERED = 4  # corrected velocities of a recording, one a thread
 _WINDOWS_SECONDS = (0.05, 0.08, 0.12, 0.18, 0.26, 0.36)
 # A window counts as too long when what it takes away exceeds the noise by more than this.
 _SLACK = 1.04
@@ -64,6 +65,7 @@ class Series:
     place_reference: str = "dead_reckoned"
     # Made anew for a copy with other arrays.
     _plain_flows: dict[int, Flow] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _known_corrected: dict[tuple, tuple] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -91,13 +93,25 @@ class Series:
 
     def corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
         """Return measured and smooth velocities with the sensors' faults among `terms` taken off."""
+        # A sensor's delay is taken into account by the commands' clock, see `SensorDelay`.
+        correcting = [term for term in terms if term.corrects]
+        if not correcting:
+            return self.measured, self.smooth
+        # One explanation is asked for by the model and by every witness in turn.
+        key = values_of(correcting)
+        found = self._known_corrected.get(key)
+        if found is None:
+            if len(self._known_corrected) >= _REMEMBERED:
+                self._known_corrected.clear()
+            self._known_corrected[key] = found = self._corrected(correcting)
+        return found
+
+    def _corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
         measured, smooth = self.measured, self.smooth
         for term in terms:
-            # A sensor's delay is taken into account by the commands' clock, see `SensorDelay`.
-            if term.corrects:
-                noise = measured - smooth
-                smooth = self._apply(term, smooth)
-                measured = smooth + noise if term.moves_samples else self._apply(term, measured)
+            noise = measured - smooth
+            smooth = self._apply(term, smooth)
+            measured = smooth + noise if term.moves_samples else self._apply(term, measured)
         return measured, smooth
 
     def accelerations(self, terms: Sequence[Term]) -> dict[str, np.ndarray]:
@@ -190,6 +204,11 @@ class Series:
             if end - 1 < len(inside):
                 inside[end - 1] = False
         return inside
+
+
+def values_of(terms: Sequence[Term]) -> tuple:
+    """Return what tells terms from others: ids, variants and values."""
+    return tuple((term.id, term.variant, *sorted(term.parameters.items())) for term in terms)
 
 
 def extended_model(vehicle: Vehicle, terms: Sequence[Term] = ()) -> SingleTrack:

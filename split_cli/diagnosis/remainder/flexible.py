@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, scaled_features
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, scaled_features, spread
 from split_cli.diagnosis.innovations.effect_to_noise import windowed
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.recording.series import Series
@@ -40,10 +41,10 @@ class FlexibleRows:
 
 
 def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy) -> FlexibleRows:
-    """Return the functions' rows; group by group, since the rates of all of them fill memory."""
+    """Return the functions' rows; some at a time, since the rates of all of them fill memory."""
     series, vehicle = one.series, one.vehicle
     groups = {
-        "operating point": lambda: discrepancy.columns(series),
+        "operating point": lambda: discrepancy.blocks(series),
         "left against right": lambda: _asymmetric(series, vehicle),
         "memory": lambda: _memory(series, vehicle),
         "time": lambda: _time(series, vehicle),
@@ -51,8 +52,10 @@ def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy) -> FlexibleRows
     }
 
     def rows(name: str) -> FlexibleRows:
-        defects = integrated(series, groups[name]())
-        return FlexibleRows(one.whitener(defects), windowed(series, defects, one.at), (name,) * defects.shape[2])
+        defects = (integrated(series, block) for block in groups[name]())
+        pairs = [(one.whitener(some), windowed(series, some, one.at)) for some in defects]
+        whitened, windows = (np.concatenate(several, axis=2) for several in zip(*pairs, strict=True))
+        return FlexibleRows(whitened, windows, (name,) * whitened.shape[2])
 
     parts = together(rows, groups)
     return FlexibleRows(
@@ -67,14 +70,7 @@ def _forces(vehicle: Vehicle) -> np.ndarray:
     return vehicle.force_matrix() * 0.03 * 0.5 * (vehicle.front_tire.D + vehicle.rear_tire.D)
 
 
-def _spread(functions: dict[int, list[np.ndarray]], vehicle: Vehicle) -> np.ndarray:
-    """Give functions by force channel (0 to 2) their directions, shape (N, 3, Q)."""
-    direction = _forces(vehicle)
-    out = [f[:, None] * direction[:, channel] for channel, fs in functions.items() for f in fs]
-    return np.stack(out, axis=2)
-
-
-def _asymmetric(series: Series, vehicle: Vehicle) -> np.ndarray:
+def _asymmetric(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
     a, b, c, v = np.clip(scaled_features(series, vehicle), -1.5, 1.5).T
     odd, even = [], []
     for i, j, k, m in product(range(4), range(4), range(3), range(3)):
@@ -82,10 +78,10 @@ def _asymmetric(series: Series, vehicle: Vehicle) -> np.ndarray:
             (odd if (i + j) % 2 else even).append(a**i * b**j * c**k * v**m)
     even += [np.abs(a), np.abs(b), np.maximum(c, 0.0), np.maximum(-c, 0.0) * np.abs(b)]
     odd += [a * np.maximum(c, 0.0), a * np.maximum(-c, 0.0)]
-    return _spread({0: odd, 1: even, 2: even}, vehicle)
+    return spread([(0, odd), (1, even), (2, even)], _forces(vehicle))
 
 
-def _memory(series: Series, vehicle: Vehicle) -> np.ndarray:
+def _memory(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
     a, b, c, v = scaled_features(series, vehicle).T
     delta = series.steer_angle / max(float(np.quantile(np.abs(series.steer_angle), 0.99)), 1e-6)
     clock = series.recording
@@ -107,27 +103,22 @@ def _memory(series: Series, vehicle: Vehicle) -> np.ndarray:
     along += [braked, np.gradient(c), np.gradient(delta) * delta]
     front += [braked, np.gradient(delta), np.tanh(np.gradient(delta) / (np.std(np.gradient(delta)) + 1e-12))]
     rear += [braked, np.gradient(b)]
-    return _spread({0: along, 1: front, 2: rear}, vehicle)
+    return spread([(0, along), (1, front), (2, rear)], _forces(vehicle))
 
 
-def _time(series: Series, vehicle: Vehicle) -> np.ndarray:
+def _time(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
     a, b, c, _ = scaled_features(series, vehicle).T
     position = series.t / max(series.t[-1], 1e-9) * (_KNOTS - 1)
     hats = [np.maximum(0.0, 1.0 - np.abs(position - k)) for k in range(_KNOTS)]
     up, down = np.maximum(c, 0.0), np.minimum(c, 0.0)
-    return _spread(
-        {
-            0: [h * f for h in hats for f in (1.0, up, down)],
-            1: [h * f for h in hats for f in (1.0, a)],
-            2: [h * f for h in hats for f in (1.0, b)],
-        },
-        vehicle,
-    )
+    along, front, rear = ([h * f for h in hats for f in some] for some in ((1.0, up, down), (1.0, a), (1.0, b)))
+    return spread([(0, along), (1, front), (2, rear)], _forces(vehicle))
 
 
-def _place(series: Series, vehicle: Vehicle) -> np.ndarray:
+def _place(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
     a, b, _, _ = scaled_features(series, vehicle).T
     angle = 2.0 * np.pi * series.s / (series.lap_length or max(float(series.s.max()), 1.0))
     waves = [f(k * angle) for k in range(1, _HARMONICS + 1) for f in (np.sin, np.cos)]
     few = waves[: 2 * (_HARMONICS // 2)]
-    return _spread({0: waves, 1: waves + [w * a for w in few], 2: waves + [w * b for w in few]}, vehicle)
+    front, rear = (waves + [w * slip for w in few] for slip in (a, b))
+    return spread([(0, waves), (1, front), (2, rear)], _forces(vehicle))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise, rms_over_noise
+from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise, products_over_noise
 from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
@@ -64,15 +64,16 @@ class Structure:
     objective : MarginalLikelihood
     columns : ndarray, shape (R, Q)
         Whitened, the shared discrepancy's part that is still free taken out.
-    windows : tuple of ndarray, shape (G, 3, Q)
-        What each function adds over 0.05 s about each compared row of each recording.
+    sizes : tuple of ndarray, shape (3, Q, Q)
+        Mean products of what any two functions add over 0.05 s about the compared rows of a recording, over the
+        variance of noise, of v_x, v_y and r: quadratic forms of the squared effect-to-noise ratios [1].
     groups : tuple of str
         Group of each column.
     """
 
     objective: MarginalLikelihood
     columns: np.ndarray
-    windows: tuple[np.ndarray, ...]
+    sizes: tuple[np.ndarray, ...]
     groups: tuple[str, ...]
     factor: np.ndarray
 
@@ -83,10 +84,7 @@ class Structure:
         saved = float(score @ weights)
         inverse = np.linalg.inv(self.factor)
         freedom = float(len(score) - _RIDGE_SHARE * len(residuals) * np.sum(inverse**2))
-        size = max(
-            float(rms_over_noise(one.series, part @ weights).max())
-            for one, part in zip(self.objective.evidence, self.windows, strict=True)
-        )
+        size = max(float(np.sqrt(np.maximum(products @ weights @ weights, 0.0).max())) for products in self.sizes)
         # The size is overestimated by what the fit makes of noise.
         size *= np.sqrt(max(1.0 - variance_inflation * freedom / max(saved, 1e-9), 0.0))
         floor = self.allowed(freedom)
@@ -129,8 +127,11 @@ def build_structure(objective: MarginalLikelihood, rows: Sequence[FlexibleRows])
     columns /= scale
     penalty = _RIDGE_SHARE * len(columns)
     factor = np.linalg.cholesky(columns.T @ columns + penalty * np.eye(columns.shape[1])).T
-    windows = tuple(one.windows[mask] / scale for one, mask in zip(rows, objective.keep, strict=True))
-    return Structure(objective, columns, windows, rows[0].groups, factor)
+    sizes = tuple(
+        products_over_noise(one.series, part.windows[mask]) / (scale[:, None] * scale)
+        for one, part, mask in zip(objective.evidence, rows, objective.keep, strict=True)
+    )
+    return Structure(objective, columns, sizes, rows[0].groups, factor)
 
 
 def discrepancy_to_noise(objective: MarginalLikelihood) -> np.ndarray:

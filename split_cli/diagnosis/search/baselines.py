@@ -22,7 +22,7 @@ from split_cli.diagnosis.innovations.case import DiagnosisCase
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs, build_objective
 from split_cli.diagnosis.policy import STANDARD, Policy, SelectionRules
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
-from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
+from split_cli.diagnosis.remainder.flexible import flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, build_structure
 from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import Candidate
@@ -90,9 +90,8 @@ def search(
         case.real, case.posterior, case.discrepancy, case.keep, case.kinematics, policy=policy
     )
     known = _known(case, candidates, reach, policy)
-    rows = [flexible_rows(one, case.discrepancy) for one in case.real]
     progress("naming")
-    first = _search(objective, rows, candidates, known)
+    first = _search(objective, candidates, known)
     if known.ratio <= policy.selection.much_over_noise:
         return first
     progress("naming with a fixed baseline")
@@ -105,12 +104,11 @@ def search_again(
     """Search with a fixed baseline on the rows and with the policy of a marginalised objective."""
     policy = objective.policy
     known = _known(case, candidates, reach, policy, fixed_baseline=True)
-    rows = [flexible_rows(one, case.discrepancy) for one in case.real]
     # The shared discrepancy follows at every step, and costs have more than one valley.
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
     # What is small beside a name is model-form error here, and would share a delay's savings with its like.
     alone = replace(policy, selection=replace(policy.selection, most_nuisances=0))
-    return _search(replace(objective.with_fixed_baseline(), policy=alone), rows, wide, known)
+    return _search(replace(objective.with_fixed_baseline(), policy=alone), wide, known)
 
 
 def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -> SearchOutcome:
@@ -226,12 +224,13 @@ def _known(
 
 def _search(
     objective: MarginalLikelihood,
-    rows: Sequence[FlexibleRows],
     candidates: Sequence[Candidate],
     known: SelfTest,
 ) -> SearchOutcome:
     objective = known.allow(objective)
-    structure = build_structure(objective, rows)
+    structure = build_structure(
+        objective, [flexible_rows(one, objective.discrepancy) for one in objective.evidence]
+    )
     base = nothing(objective)
     variance_inflation = max(
         objective.policy.comparison.variance_inflation, residual_autocorrelation(structure, base.residuals).ratio
