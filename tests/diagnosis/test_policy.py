@@ -71,7 +71,7 @@ def test_every_number_is_read_somewhere():
 # Numbers that stand beside their algorithm: how finely something is computed, told or averaged, or how long a
 # search may take. A new name here is a decision to be looked at; what decides belongs into the policy.
 BESIDE_THEIR_ALGORITHM = {
-    "baseline/discrepancy.py": {"_SMOOTH_DEVIATION"},
+    "baseline/discrepancy.py": {"_SMOOTH_DEVIATION", "_AT_ONCE"},
     "innovations/autocovariance.py": {"LAG_ROWS"},
     "innovations/comparable.py": {"_SMOOTHED_SECONDS"},
     "innovations/evidence.py": {"ROW_SECONDS", "_TUNING_ROWS"},
@@ -83,7 +83,7 @@ BESIDE_THEIR_ALGORITHM = {
     "recording/witnesses.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS", "_LEAST_SPREAD"},
     "recording/scales.py": {"_BLOCKS"},
     "recording/screening.py": {"_SMOOTHED_SECONDS", "_STEP_SECONDS", "_OUTER_SHARE"},
-    "recording/series.py": {"_SLACK", "_WORTHLESS"},
+    "recording/series.py": {"_SLACK", "_WORTHLESS", "_REMEMBERED"},
     "remainder/flexible.py": {"_HARMONICS", "_KNOTS"},
     "remainder/formula.py": {"_ROWS_APART", "_SUBSAMPLES", "_BLOCK_SECONDS"},
     "remainder/location.py": {"_AVERAGE_SECONDS", "_ALIKE", "_FOLDS"},
