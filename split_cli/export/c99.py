@@ -19,6 +19,7 @@ from split_cli.export.provenance import Provenance
 from split_cli.export.straight_line import number, straight_line
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables, Constants, TableData
+from split_cli.learning.trust import kept_share
 
 __all__ = ["CSource", "c_identifier", "c_source", "fill", "memory_parts", "template"]
 
@@ -149,6 +150,7 @@ def c_source(
         "VERSION": provenance.version,
         "TRUST": ", ".join(f"{value:g}" for value in tables.trust.tolist()),
         "LOW_SPEED": f"{graph.low_speed:g}",
+        "KEPT": ", ".join(f"{value:g}" for value in _kept(tables).tolist()),
         "DOUBT": ", ".join(f"{value:g}" for value in tables.doubt.tolist()),
         "TABLES": table_text,
         "PLACE_TIME": f", {name}_real t, {name}_real s" if graph.needs_place_and_time else "",
@@ -368,11 +370,16 @@ def _tables(tables: Constants) -> tuple[str, int]:
     return "\n".join(parts), size
 
 
+def _kept(tables: Constants) -> np.ndarray:
+    return kept_share(tables.trust, tables.doubt, tables.signal_variance)
+
+
 def _reals(tables: Constants) -> dict[str, np.ndarray]:
     """Return the arrays of real numbers by their declarators in C."""
     shared = {
         "signal_variance[OUTPUTS]": tables.signal_variance,
         "trust[OUTPUTS]": tables.trust,
+        "kept[OUTPUTS]": _kept(tables),
         "doubt[OUTPUTS]": tables.doubt,
     }
     if isinstance(tables, TableData):

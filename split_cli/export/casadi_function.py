@@ -16,6 +16,7 @@ from split_cli.export.projection import ProjectionData
 from split_cli.export.step_check import StepOracle, Stepper, compare_drives, compare_memory, compare_states
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables, Constants, TableData
+from split_cli.learning.trust import kept_share
 
 __all__ = [
     "CasadiFunctions",
@@ -99,7 +100,7 @@ def committee(tables: BcmTables, name: str) -> casadi.Function:
         # CasADi drops what is multiplied by zero, and with it the answer to a query that is not a number.
         learned, trust = casadi.dot(m, share) / precision, max(float(tables.trust[output]), 1e-300)
         mean.append(trust * learned)
-        certain = max(trust**2, 1e-300) * float(tables.signal_variance[output])
+        certain = _certain(tables, output)
         variance.append(certain / precision + float(tables.doubt[output]))
     outputs = [casadi.vertcat(*mean), casadi.vertcat(*variance)]
     return casadi.Function(name, [z], outputs, ["z"], ["mean", "variance"])
@@ -134,7 +135,7 @@ def spline_table(tables: TableData, name: str) -> casadi.Function:
     unknown = casadi.if_else(known, 0.0, np.nan)
     learned = value[:3] + unknown
     left = casadi.fmin(casadi.fmax(1.0 - value[3:], casadi.DM(tables.least)), 1.0)
-    trust, certain = casadi.DM(tables.trust), casadi.DM(tables.trust**2 * tables.signal_variance)
+    trust, certain = casadi.DM(tables.trust), casadi.DM([_certain(tables, output) for output in range(3)])
     variance = certain * left**2 + casadi.DM(tables.doubt) + unknown
     outputs = [trust * learned + unknown, variance]
     return casadi.Function(name, [z], outputs, ["z"], ["mean", "variance"])
@@ -157,10 +158,16 @@ def projection(constants: ProjectionData, name: str) -> casadi.Function:
         mean.append(trust * casadi.dot(casadi.DM(constants.weights[:, output]), c))
         left = casadi.dot(casadi.mtimes(_triangle(constants.spread[output], rows, columns).T, t), t)
         share = gain + left - float(constants.absent[output]) * shown
-        certain = max(trust**2, 1e-300) * float(constants.signal_variance[output])
+        certain = _certain(constants, output)
         variance.append(certain * share + float(constants.doubt[output]))
     outputs = [casadi.vertcat(*mean), casadi.vertcat(*variance)]
     return casadi.Function(name, [z], outputs, ["z"], ["mean", "variance"])
+
+
+def _certain(constants: Constants, output: int) -> float:
+    """Return what the share of the variance is multiplied by; never 0, which CasADi would drop with its query."""
+    kept = kept_share(constants.trust, constants.doubt, constants.signal_variance)
+    return max(float(kept[output]), 1e-300) * float(constants.signal_variance[output])
 
 
 def _correlations(z: casadi.MX, length_scales: np.ndarray, points: np.ndarray) -> casadi.MX:

@@ -21,6 +21,7 @@ from split_cli.export.provenance import Provenance
 from split_cli.export.tables import Constants, TableData
 from split_cli.files import parse_json
 from split_cli.learning.training_set import TrainingSet
+from split_cli.learning.trust import kept_share
 
 __all__ = [
     "DOCUMENT_FORMAT",
@@ -98,6 +99,7 @@ def document_of(training_set: TrainingSet, provenance: Provenance, constants: Co
         "outputs": ["vx", "vy", "r"],
         "horizon": provenance.horizon,
         "plain_labels": bool(training_set.plain),
+        "kept": kept_share(sources["trust"], sources["doubt"], sources["signal_variance"]).tolist(),
         "grid": {
             "edges": list(grid.edges),
             "lower": [_finite_or_none(value) for value in grid.lower],
@@ -226,7 +228,8 @@ def require_equal(written: Document, found: Document, what: str) -> None:
 
 def document_answer(document: Document) -> ExportAnswer:
     """Return predictions from the numbers of a document alone: the reader that docs/export.md prints."""
-    a = document.arrays
+    # Exports of before this key answered with the square of the trust.
+    a = document.arrays | {"kept": np.array(document.metadata.get("kept", document.arrays["trust"] ** 2))}
     if "table" in document.metadata:
         return ExportAnswer(lambda z: _table_answer(a, z))
     if document.metadata["predictor"] == "projected":
@@ -259,7 +262,7 @@ def document_answer(document: Document) -> ExportAnswer:
 
 
 def _trusted(a: dict[str, np.ndarray], mean: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return a["trust"] * mean, a["trust"] ** 2 * variance + a["doubt"]
+    return a["trust"] * mean, a["kept"] * variance + a["doubt"]
 
 
 def _table_answer(a: dict[str, np.ndarray], z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,8 @@ CONVENTIONS = {
     "torque": "T is the total torque at the wheels, driving positive [N m]; torque_ratio = T/max_torque",
     "state": "x = [X, Y, yaw, v_x, v_y, r, T, delta], input u = [dT/dt, ddelta/dt]",
     "outputs": "g(z) = residual of [v_x' m/s^2, v_y' m/s^2, r' rad/s^2]; latent variance, without label noise",
-    "trust": "of an output with trust tau and doubt w, mean m and variance v become tau m and tau^2 v + w",
+    "trust": "of an output with trust tau and doubt w, mean m and variance v become tau m and a v + w, "
+    "a = max(tau^2, 1 - w/S0), S0 the variance of the signal",
     "prediction": "x(t + h) = f_h(x, u) + h B Phi g(z), Phi = (1/h) int_0^h exp(A s) ds, A the nominal velocity "
     "Jacobian, B selecting v_x, v_y, r",
     "not_a_number": "a query that is not a number gives not-a-number; an infinite one gives the prior",

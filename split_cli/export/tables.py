@@ -37,7 +37,7 @@ class BcmTables:
     trust : ndarray, shape (3,)
         tau, the share of the correction that is applied.
     doubt : ndarray, shape (3,)
-        w, the variance of what is not trusted: tau^2 times the committee's variance and w are answered.
+        w, the variance of what is not trusted; `learning.trust.Trust` says what is answered.
     offsets : ndarray of int64, shape (C + 1,)
         Points of cell c are rows ``offsets[c]:offsets[c + 1]``.
     reference : ndarray, shape (C, D)

@@ -8,9 +8,15 @@ import numpy as np
 
 from split_cli.learning.kernel import OUTPUTS
 
-__all__ = ["Trust"]
+__all__ = ["Trust", "kept_share"]
 
 ORIGINS = ("full", "given", "held-out", "unjudged")
+
+
+def kept_share(share: np.ndarray, doubt: np.ndarray, signal_variance: np.ndarray) -> np.ndarray:
+    """Return the share a of the process's variance that counts beside the doubt, shape (3,); see `Trust`."""
+    kept: np.ndarray = np.maximum(np.square(share), 1.0 - doubt / signal_variance)
+    return kept
 
 
 @dataclass(frozen=True)
@@ -33,9 +39,11 @@ class Trust:
     Notes
     -----
     With m and v the mean and the latent variance of the process, what is believed is tau m, with the variance
-    tau^2 v + w. The doubt w is what held-out driving shows to be missing, different driving included. Where it was
-    not measured it is (1 - tau^2) S0: the residual is taken as tau times the learned one plus sqrt(1 - tau^2)
-    times another draw from the prior, so that away from the data the prior's variance S0 returns.
+    a v + w. The doubt w is what held-out driving shows to be missing, different driving included. It was measured
+    where there are data; beyond them the prior's variance S0 must return, however little the mean is trusted. So a
+    is 1 - w/S0, and at least tau^2, the share of the variance that the mean believed has. Where w was not measured
+    it is (1 - tau^2) S0, and a is tau^2: the residual is then taken as tau times the learned one plus
+    sqrt(1 - tau^2) times another draw from the prior.
     """
 
     share: tuple[float, float, float]
@@ -83,8 +91,8 @@ class Trust:
         signal_variance : ndarray, shape (3,)
             S0, the prior's.
         """
-        share = self.array
-        return share * mean, share * share * variance + self.doubts(signal_variance)
+        doubts = self.doubts(signal_variance)
+        return self.array * mean, kept_share(self.array, doubts, signal_variance) * variance + doubts
 
     def doubts(self, signal_variance: np.ndarray) -> np.ndarray:
         """Return the variance w of each output, shape (3,), given the prior's."""

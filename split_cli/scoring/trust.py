@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.stats import norm, t
 
+from split_cli.learning.kernel import Kernel
 from split_cli.learning.training_set import TrainingSet
-from split_cli.learning.trust import Trust
+from split_cli.learning.trust import Trust, kept_share
 from split_cli.scoring.evidence import FEWEST_BLOCKS, TrainingDrive, TrustEvidence, held_out_evidence
 
 __all__ = ["best_trust", "doubt_from", "judge_correction", "own_shares"]
@@ -60,7 +61,7 @@ def judge_correction(
     if blocks < FEWEST_BLOCKS:
         return Trust((0.0, 0.0, 0.0), "unjudged", blocks), -np.inf
     share, gain = best_trust(evidence, most)
-    doubt = doubt_from(evidence, share, empty.kernel.noise_variance)
+    doubt = doubt_from(evidence, share, empty.kernel)
     return Trust(tuple(share.tolist()), "held-out", blocks, tuple(doubt.tolist())), gain
 
 
@@ -145,7 +146,7 @@ def own_shares(evidence: Sequence[TrustEvidence]) -> np.ndarray:
     return own
 
 
-def doubt_from(evidence: Sequence[TrustEvidence], share: np.ndarray, noise_variance: np.ndarray) -> np.ndarray:
+def doubt_from(evidence: Sequence[TrustEvidence], share: np.ndarray, kernel: Kernel) -> np.ndarray:
     """Return the variance of what remains wrong beyond the process's and the label noise, shape (3,).
 
     Parameters
@@ -153,8 +154,8 @@ def doubt_from(evidence: Sequence[TrustEvidence], share: np.ndarray, noise_varia
     evidence : sequence of TrustEvidence
     share : ndarray, shape (3,)
         Trust of each output.
-    noise_variance : ndarray, shape (3,)
-        Label noise of the kernel.
+    kernel : Kernel
+        Of the set.
 
     Notes
     -----
@@ -166,15 +167,15 @@ def doubt_from(evidence: Sequence[TrustEvidence], share: np.ndarray, noise_varia
     for part in evidence:
         if part.horizon or part.variance is None or not len(part.error):
             continue
-        tau, noise = share[part.state], noise_variance[part.state]
-        squared = np.square(part.error - part.change @ share)
-        known = tau**2 * part.variance + noise
-        tried = float(np.mean(squared) + np.mean(known)) * np.append(0.0, np.geomspace(1e-4, 4.0, 80))
+        tau, signal = share[part.state], kernel.signal_variance[part.state]
+        squared, noise = np.square(part.error - part.change @ share), kernel.noise_variance[part.state]
+        largest = float(np.mean(squared) + np.mean(tau**2 * part.variance) + noise)
+        tried = largest * np.append(0.0, np.geomspace(1e-4, 4.0, 80))
         missed = np.zeros(len(tried))
-        for level in _LEVELS_OF_INTERVALS:
-            # A label is inside its interval of this level from this variance on.
-            needed = np.sort(squared / norm.ppf(0.5 + 0.5 * level) ** 2 - known)
-            missed += np.square(np.searchsorted(needed, tried, side="right") / len(needed) - level)
+        for number, (doubted, kept) in enumerate(zip(tried, kept_share(tau, tried, signal), strict=True)):
+            ratio = squared / (kept * part.variance + doubted + noise)
+            for level in _LEVELS_OF_INTERVALS:
+                missed[number] += np.square(np.mean(ratio <= norm.ppf(0.5 + 0.5 * level) ** 2) - level)
         doubt[part.state] = tried[int(np.argmin(missed))]
     return doubt
 

@@ -39,6 +39,15 @@ def test_full_trust_changes_no_bit_none_leaves_the_prior_and_a_measured_doubt_is
     np.testing.assert_allclose(measured.apply(mean, variance, SIGNAL)[1], variance + [0.5, 0.0, 0.25])
 
 
+def test_far_from_the_data_the_variance_of_the_prior_returns_however_little_is_trusted():
+    """And where the process knows all, the doubt is left; never less than the share that the mean has."""
+    trust = Trust((0.2, 0.0, 0.9), "held-out", 9, tuple(SIGNAL * [0.3, 0.1, 0.5]))
+    signal = SIGNAL[None]
+    found = trust.apply(np.zeros((1, 3)), signal, SIGNAL)[1][0]
+    np.testing.assert_allclose(found, SIGNAL * [1.0, 1.0, 0.81 + 0.5], rtol=1e-14)
+    np.testing.assert_allclose(trust.apply(np.zeros((1, 3)), 0.0 * signal, SIGNAL)[1][0], trust.doubt)
+
+
 def test_a_doubt_that_is_no_variance_is_refused():
     for doubt in ((1.0, 2.0), (1.0, -1.0, 0.0), (np.inf, 0.0, 0.0)):
         with pytest.raises(ValueError, match="three variances"):

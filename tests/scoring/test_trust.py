@@ -7,6 +7,7 @@ import numpy as np
 from split_cli.learning.cells import empty_set
 from split_cli.learning.features import Z2
 from split_cli.learning.hyperparameters import default_kernel, scatter_variance
+from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import z2_grid
 from split_cli.scoring.evidence import TrainingDrive, TrustEvidence, held_out_evidence, held_out_whole
@@ -54,17 +55,19 @@ def test_a_correction_that_harms_a_third_of_the_driving_is_refused_though_it_gai
 def test_the_doubt_is_the_variance_that_the_process_and_the_noise_do_not_explain():
     rng, count = np.random.default_rng(7), 20_000
     block, variance = np.arange(count) % BLOCKS, rng.uniform(0.05, 0.15, count)
-    noise, doubt, share = np.array([0.1, 0.1, 0.1]), (0.5, 0.0, 0.2), np.array([0.5, 1.0, 0.0])
+    noise, doubt, share = np.array([0.1, 0.1, 0.1]), np.array([0.5, 0.0, 0.2]), np.array([0.5, 1.0, 0.0])
+    kernel = Kernel(np.ones(3), np.ones(3), noise)
+    kept = np.maximum(share**2, 1.0 - doubt)
     parts = []
     for state in range(3):
         change = np.zeros((count, 3))
         change[:, state] = rng.normal(size=count)
-        spread = np.sqrt(share[state] ** 2 * variance + noise[state] + doubt[state])
+        spread = np.sqrt(kept[state] * variance + noise[state] + doubt[state])
         error = share[state] * change[:, state] + spread * rng.normal(size=count)
         rest = (np.zeros(count), block, np.zeros((count, 7)), variance)
         parts.append(TrustEvidence(state, 0.0, error, change, *rest))
     # A variance from 20,000 normal samples is known to 1 %; the tried ones are 14 % apart.
-    np.testing.assert_allclose(doubt_from(parts, share, noise), doubt, atol=0.05)
+    np.testing.assert_allclose(doubt_from(parts, share, kernel), doubt, atol=0.05)
 
 
 def asked_of(*drives):
