@@ -64,7 +64,7 @@ def absorb(
         spanned += c[i] * e[i]
     gain = max(1.0 - spanned, 0.0)
     n = count
-    if gain > threshold and count < room:
+    if (gain > threshold or count == 0) and count < room:  # the first always, also where all is noise
         for d in range(len(z)):
             points[count, d] = z[d]
         n = count + 1

@@ -65,7 +65,8 @@ class OnlineProcess:
         Largest number U of points.
     threshold : float or None
         Gain, as a share of the signal variance, from which a label's place becomes a point. By default the
-        smallest ratio of noise to signal variance: what the points do not span is then below a label's noise.
+        smallest ratio of noise to signal variance: what the points do not span is then below a label's noise. The
+        first label is always a point.
 
     Attributes
     ----------

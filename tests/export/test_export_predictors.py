@@ -120,6 +120,13 @@ def test_the_projected_process_is_exported_with_any_number_of_features(compiler,
     np.testing.assert_allclose(variance, expected.variance, atol=1e-10)
 
 
+def test_a_set_of_noise_alone_is_exported_as_well(doubtful_set):
+    """Where a label's noise is above the signal no gain reaches the threshold, but for the first point."""
+    kernel = replace(doubtful_set.kernel, noise_variance=2.0 * doubtful_set.kernel.signal_variance)
+    oracle = make_oracle(replace(doubtful_set, kernel=kernel), 200, predictor="projected")
+    assert oracle.predictor_error < 1e-12 and np.isfinite(oracle.mean).all()
+
+
 def test_the_c_of_the_projected_process_is_loops_over_constants_and_has_no_branch_on_a_query(doubtful_set):
     """Small and large sets have the same code, which asks only what is wanted."""
     sets = (doubtful_set, make_training_set(seed=4, points=40, length_scale_cells=4.0, noise=0.1))
