@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.browsers import headless
 
 # As the command line does: BLAS threads stall on small matrices when other programs are busy.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -27,6 +30,12 @@ def datasets() -> Path:
     if not folder.is_dir():
         pytest.skip("the foreign recordings are not here (set SPLIT_DATASETS)")
     return folder
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory) -> Iterator:
+    """A headless browser."""
+    yield from headless(tmp_path_factory.mktemp("profile"))
 
 
 @pytest.fixture(scope="session")

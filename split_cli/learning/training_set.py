@@ -21,7 +21,7 @@ from split_cli.learning.set_limits import check_header, check_points
 from split_cli.learning.trust import Trust
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, vehicle_from_mapping, vehicle_to_mapping
 
-__all__ = ["CellPoints", "SetFile", "SetSource", "TrainingSet", "content_digest", "read_set", "write_set"]
+__all__ = ["SetFile", "SetSource", "TrainingSet", "content_digest", "read_set", "write_set"]
 
 SET_FORMAT = "split-set/2"
 _READABLE = (SET_FORMAT, "split-set/1")  # the first one knew no trust: all of it
@@ -175,19 +175,6 @@ class TrainingSet:
 _POINT_FIELDS = ("z", "y", "gamma", "t", "source", "row")
 
 
-@dataclass(frozen=True)
-class CellPoints:
-    """The points of one cell, in slot order; arrays as in `TrainingSet`."""
-
-    number: int
-    z: np.ndarray
-    y: np.ndarray
-    gamma: np.ndarray
-    t: np.ndarray
-    source: np.ndarray
-    row: np.ndarray
-
-
 def write_set(training_set: TrainingSet, path: str | Path) -> None:
     """Write a trained set as an Arrow IPC file, one record batch a non-empty cell, whole or not at all.
 
@@ -267,12 +254,6 @@ class SetFile:
 
     def __exit__(self, *_: object) -> None:
         self._source.close()
-
-    def read_cell(self, index: int) -> CellPoints:
-        """Return cell `index` of the file, 0 to `cell_count` - 1, by reading its batch only."""
-        batch = self._batch(index)
-        columns = _points_from(batch, self.header.features)
-        return CellPoints(int(batch.column("cell")[0].as_py()), **columns)
 
     def read(self) -> TrainingSet:
         """Return the whole set, its content checked."""

@@ -16,6 +16,8 @@ from split_cli.files import parse_json
 __all__ = ["DriveMetadata", "NoiseEstimate", "Source", "metadata_from_schema", "metadata_of_drive", "schema_of"]
 
 _FORMAT = "split-drive/1"
+#: Words of a torque that was derived from the motion.
+_OF_MOTION = ("nominal model", "acceleration", "a_x", "dv_x/dt")
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,12 @@ class DriveMetadata:
         """Whether v_y was integrated from a_y: no sensor of velocity shows in it, and what a_y reads does."""
         kind = str(self.kinds.get("vy", ""))
         return kind.startswith("derived") and "a_y" in kind
+
+    @property
+    def torque_follows_motion(self) -> bool:
+        """Whether T was derived from the motion, not from pedals or a motor: then it says nothing of the car."""
+        kind = str(self.kinds.get("T", ""))
+        return kind.startswith("derived") and any(word in kind for word in _OF_MOTION)
 
     def noise_of(self, channel: str) -> NoiseEstimate | None:
         """Return the noise estimate of a channel, None when ingest made none."""

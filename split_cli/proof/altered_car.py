@@ -21,7 +21,7 @@ from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
 from split_cli.vehicle.windows import substep_count
 
-__all__ = ["ALTERATIONS", "altered_vehicle", "driven_by", "follows_motion", "moved_reference"]
+__all__ = ["ALTERATIONS", "altered_vehicle", "driven_by", "moved_reference"]
 
 #: Speed over the vehicle's minimum speed below which a car moves as recorded: it hardly slips there [1].
 _CREEP = 0.2
@@ -33,8 +33,6 @@ _SLOPE = 0.06
 _EXPLAINED = 0.75
 #: Over how long these forces are averaged: in shorter moments a slope of velocities is mostly noise [s].
 _LASTING = 0.3
-#: Words of a torque that was derived from the motion, and not from pedals or a motor.
-_OF_MOTION = ("nominal model", "acceleration")
 
 
 def _tires(vehicle: Vehicle, change: Callable[[MagicFormula], MagicFormula]) -> Vehicle:
@@ -124,7 +122,7 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     columns = dict(drive.columns)
     vx, vy, r = (np.asarray(drive[name], dtype=float) for name in ("vx", "vy", "r"))
     columns |= {"vy": vy + changed[:, 0], "r": r + changed[:, 1]}
-    if not follows_motion(drive):
+    if not drive.metadata.torque_follows_motion:
         columns["T"] = torque
     if "ax" in columns:
         columns["ax"] = columns["ax"] - (columns["vy"] * columns["r"] - vy * r)
@@ -133,12 +131,6 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     if "yaw" in columns:
         columns |= _moved_path(drive, columns)
     return replace(drive, columns=columns, sha256="")
-
-
-def follows_motion(drive: Drive) -> bool:
-    """Tell whether a drive's torque was derived from its motion: then it says nothing of the car."""
-    how = str(drive.metadata.kinds.get("T", ""))
-    return how.startswith("derived") and any(word in how for word in _OF_MOTION)
 
 
 def moved_reference(drive: Drive, dx: float) -> Drive:

@@ -14,7 +14,7 @@ import numpy as np
 
 from split_cli.errors import DriveError, SplitError
 from split_cli.logs.drive import Drive
-from split_cli.proof.altered_car import ALTERATIONS, altered_vehicle, driven_by, follows_motion, moved_reference
+from split_cli.proof.altered_car import ALTERATIONS, altered_vehicle, driven_by, moved_reference
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from split_cli.vehicle.parameters import Vehicle
 
@@ -129,7 +129,7 @@ def faults_for(drive: Drive, vehicle: Vehicle, only: Sequence[str] | None = None
         If a name in `only` is no fault.
     """
     require_known(only or (), FAULTS)
-    derived = follows_motion(drive)
+    derived = drive.metadata.torque_follows_motion
     found = [InjectedFault("none", "", ())]
     for name, kind in FAULTS.items():
         if (only and name not in only) or (derived and kind.term in _NEEDS_TORQUE):

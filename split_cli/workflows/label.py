@@ -167,7 +167,6 @@ def drive_notes(drive: Drive) -> tuple[str, ...]:
             *told,
             f"{drive.name}: v_y is integrated from a_y; its label repeats a_y and errors of the integral",
         )
-    kind = str(drive.metadata.kinds.get("T", ""))
-    if kind.startswith("derived") and ("a_x" in kind or "dv_x/dt" in kind):
-        return (*told, f"{drive.name}: T is {kind}; the longitudinal label then says nothing")
+    if drive.metadata.torque_follows_motion:
+        return (*told, f"{drive.name}: T is {drive.metadata.kinds['T']}; the longitudinal label then says nothing")
     return told

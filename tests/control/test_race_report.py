@@ -12,7 +12,6 @@ import pytest
 from split_cli.control.path import resampled
 from split_cli.workflows.race_report.page import race_charts, race_page
 from split_cli.workflows.racing.result import Lap, RaceResult
-from tests.browsers import headless
 
 HOSTILE = "</script><script>window.taken = 1</script>"
 
@@ -75,11 +74,6 @@ def test_a_name_cannot_act():
     page = race_page([result], result.path)
     assert HOSTILE not in page
     assert page.count("<script") == 2
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    yield from headless(tmp_path_factory.mktemp("profile"))
 
 
 def test_laps_are_chosen_compared_and_played_in_a_browser(browser, tmp_path):

@@ -40,7 +40,6 @@ from split_cli.workflows.report.page import report_page
 from split_cli.workflows.report.payload import chart_numbers, embedded_json
 from split_cli.workflows.report.sections import all_sections
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, readable
-from tests.browsers import headless
 from tests.diagnosis.recordings import driven, noisy
 from tests.factories import road_car
 
@@ -246,11 +245,6 @@ def test_what_a_verdict_may_not_show():
     assert "drive for 8 s." in undecided and 'id="where"' not in undecided and 'id="help"' not in undecided
     exact = report_page(replace(mismatch(), findings=(), remainder=None, improvement=None))
     assert "No effect of the catalogue was identified." in exact
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    yield from headless(tmp_path_factory.mktemp("profile"))
 
 
 def opened(browser, page: str | Path, folder: Path, width: int = 1180) -> None:

@@ -18,7 +18,6 @@ from split_cli.workflows.report.comparison import comparison_page
 from split_cli.workflows.report.evaluation import evaluation_page
 from split_cli.workflows.report.page import report_page
 from split_cli.workflows.report.recording import recording_page
-from tests.browsers import headless
 from tests.control.test_race_report import race
 from tests.diagnosis.test_report import mismatch
 from tests.factories import make_drive, road_car
@@ -89,11 +88,6 @@ def pages(evaluated) -> dict[str, Callable[[str], str]]:
         "race": _race,
         "compare": _comparison,
     }
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    yield from headless(tmp_path_factory.mktemp("profile"))
 
 
 @pytest.mark.slow

@@ -16,7 +16,6 @@ from split_cli.workflows.pictures import recording_charts
 from split_cli.workflows.recording_report import write_recording_report
 from split_cli.workflows.report.evaluation import evaluation_charts, evaluation_page
 from split_cli.workflows.report.recording import recording_page
-from tests.browsers import headless
 from tests.factories import MissingForce, make_drive, road_car
 
 HOSTILE = "</script><script>window.taken = 1</script>.parquet"
@@ -104,11 +103,6 @@ def test_its_warnings_and_colour_are_those_of_the_headlines_predictor(run):
     assert "But v_y is worse than holding the velocities." in verdict and "a note" not in verdict
     worse = replace(run, report=replace(run.report, verdicts=(lines[0].replace("better", "WORSE"),)))
     assert '<section class="verdict mismatch' in evaluation_page(worse)
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    yield from headless(tmp_path_factory.mktemp("profile"))
 
 
 def test_in_a_browser_no_name_runs_or_hides(run, drive, car, browser, tmp_path):
