@@ -32,6 +32,8 @@ class Reference:
         Step of differences of the Jacobian: small against the distance on which the committee changes.
     rounding : float
         What the predictor may differ by, in signal deviations and variances.
+    accuracy : float
+        What an export in double may differ by, likewise.
 
     Notes
     -----
@@ -42,6 +44,7 @@ class Reference:
     """
 
     rounding: float = 1e-12
+    accuracy: float = 1e-12
 
     def __init__(self, training_set: TrainingSet, robust: bool = False) -> None:
         kernel = training_set.kernel
@@ -120,11 +123,11 @@ class ProcessReference(Reference):
 
     Notes
     -----
-    The predictor has them in another form: it takes c.Q c off 1, where entries of Q reach 1e4 as points of gains
-    down to 1e-4 come. Each of its two factors loses four digits; `rounding` allows for that.
+    A sum is rounded by at most eps times the sizes of its terms (Higham, Accuracy and Stability, section 4.2).
+    The predictor takes c.Q c off 1, and Q = L L^T reaches 1e6 where labels have no noise: `rounding` is 16 eps
+    times the trace of Q.
+    What is exported sums c.w and L^T c: `accuracy` is eps times the larger of sum |w| and 2 |L|.
     """
-
-    rounding: float = 1e-8
 
     def __init__(self, training_set: TrainingSet) -> None:
         kernel = training_set.kernel
@@ -133,6 +136,11 @@ class ProcessReference(Reference):
         self._ratio = kernel.noise_variance / kernel.signal_variance
         self.hessian_step = 1e-3 * np.sqrt(self._ratio.min()) * kernel.length_scales
         self._numbers = vars(projection_data(training_set))
+        lower, weights = self._numbers["whitening"], self._numbers["weights"] / self.deviation
+        eps, squares = np.finfo(float).eps, float(np.square(lower).sum())
+        self.rounding = max(Reference.rounding, 16.0 * eps * squares)
+        terms = max(float(np.abs(weights).sum(axis=0).max()), 2.0 * np.sqrt(squares))
+        self.accuracy = max(Reference.accuracy, eps * terms)
 
     def _chunk(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return answer_of(self._numbers, z)
@@ -155,6 +163,7 @@ class SplineReference:
     """
 
     rounding: float = 1e-12
+    accuracy: float = 1e-12
 
     def __init__(self, table: TablePredictor) -> None:
         self.table, self.training_set = table, table.training_set

@@ -378,6 +378,7 @@ def _write_check_points(oracle: Oracle, drives: Drives | None, path: Path) -> No
         "mean": oracle.mean[rows].tolist(),
         "variance": oracle.variance[rows].tolist(),
         "signal_variance": (oracle.reference.deviation**2).tolist(),
+        "accuracy": oracle.reference.accuracy,
     }
     if drives is not None:
         places = {"u": drives.u, "place_time": drives.place_time, "x": drives.exact}

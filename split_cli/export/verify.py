@@ -169,6 +169,8 @@ def _ask(answer: ExportAnswer, folder: Path, name: str, target: str) -> Verified
             float(np.max(np.abs(mean - points["mean"]) / np.sqrt(scale))),
             float(np.max(np.abs(variance - points["variance"]) / scale)),
         )
-    allowed = 10.0 * TOLERANCE["double"]
+    # What rounding leaves of this set; a file that claims more than single precision loses is not believed.
+    accuracy = float(points.get("accuracy", TOLERANCE["double"]))
+    allowed = 10.0 * (accuracy if 0.0 < accuracy < TOLERANCE["float"] else TOLERANCE["double"])
     detail = f"largest error {worst:.3g} on {len(mean)} stored queries, {allowed:g} is allowed"
     return VerifiedItem(f"{target}: answers", bool(worst <= allowed), detail)

@@ -74,8 +74,8 @@ def interval_warnings(traces: Sequence[Trace]) -> list[str]:
         if found:
             share, factor = found
             told.append(
-                f"WARNING: intervals of {state} are too narrow here: those of 95 % hold {100.0 * share:.0f} % of "
-                f"the labels, and would have to be {factor:.1f} times as wide. This driving differs from that of "
-                "the set by more than its training could show"
+                f"WARNING: intervals of {state} by {traces[0].name} are too narrow here: those of 95 % "
+                f"hold {100.0 * share:.0f} % of the labels, and would have to be {factor:.1f} times as wide. This "
+                "driving differs from that of the set by more than its training could show"
             )
     return told
