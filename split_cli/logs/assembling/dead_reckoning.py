@@ -83,6 +83,13 @@ class LateralVelocity:
         """Whether a_y belongs to v_x r as a car's does: few contradictions, a share that roll can make."""
         return self.contradicted <= _MOST_CONTRADICTED and abs(self.gain) <= 3.0 * _ROLL
 
+    @property
+    def doubt(self) -> str:
+        """What a_y does that no car's does; of moments that are not used, the share says nothing."""
+        if self.contradicted > _MOST_CONTRADICTED:
+            return f"contradicts v_x r at {self.contradicted:.0%} of the moments of gentle driving"
+        return f"fits {1.0 + self.gain:.2f} times v_x r, and no roll of a car's body makes that"
+
     def words(self) -> str:
         """Return what was estimated beside it."""
         low, high = self.bias

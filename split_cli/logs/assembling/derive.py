@@ -369,8 +369,7 @@ def _run_lateral_velocity_from_accelerations(situation: DerivationInputs) -> Der
         )
     if not made.belongs:
         raise MapError(
-            f"--derive {name}: a_y contradicts v_x r at {made.contradicted:.0%} of the moments of gentle driving, "
-            f"and fits {1.0 + made.gain:.2f} times it",
+            f"--derive {name}: a_y {made.doubt}",
             advice="Its unit, sign or frame is wrong, it is late against r, or it comes too slowly for this car.",
         )
     std = made.std[sure]

@@ -207,7 +207,8 @@ def _motion(c: set[str]) -> tuple[str, int] | None:
         return None
     if corner is not None:
         # A wheel's spin is its rate about the lateral axis (CarSim: AVy_L1).
-        spins = {"angular", "lat"} <= c or ("velocity" in c or "wheel" in c) and "angular" not in c
+        other = "angular" in c and c & {"long", "up", "acceleration"}
+        spins = {"angular", "lat"} <= c or ("velocity" in c or "wheel" in c) and not other
         return (f"wheel_speed_{corner}", 3) if spins else None
     turning = "yaw" in c or ("up" in c and bool(c & {"rate", "angular"} or {"angle", "velocity"} <= c))
     if "acceleration" in c:
