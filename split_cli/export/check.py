@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.errors import OUR_FAULT, ExportError
-from split_cli.export.reference import AnyReference, ProcessReference, Reference, SplineReference
+from split_cli.export.reference import CommitteeReference, ProcessReference, Reference, SplineReference
 from split_cli.learning.training_set import TrainingSet
-from split_cli.prediction import Predictor, make_predictor
+from split_cli.prediction import Predictor
+from split_cli.prediction.projected import ProjectedPredictor
 from split_cli.prediction.table import TablePredictor
-from split_cli.prediction.trusted import TrustedPredictor
+from split_cli.prediction.trusted import untrusted
 
 __all__ = [
     "TOLERANCE",
@@ -85,7 +86,7 @@ class Oracle:
     slopes : ndarray, shape (M, 3, D)
     predictor_error : float
         Largest difference of the predictor from the reference, in signal deviations and variances.
-    reference : Reference or SplineReference
+    reference : Reference
     """
 
     z: np.ndarray
@@ -94,7 +95,7 @@ class Oracle:
     slope_z: np.ndarray
     slopes: np.ndarray
     predictor_error: float
-    reference: AnyReference
+    reference: Reference
 
 
 def check_queries(training_set: TrainingSet, count: int) -> np.ndarray:
@@ -136,52 +137,47 @@ def check_queries(training_set: TrainingSet, count: int) -> np.ndarray:
     return np.concatenate(sets)[:count]
 
 
-def make_oracle(
-    training_set: TrainingSet,
-    count: int,
-    real: str = "double",
-    predictor: str = "bcm",
-    table: TablePredictor | None = None,
-) -> Oracle:
+def reference_of(predictor: Predictor) -> Reference:
+    """Return what evaluates a predictor otherwise than its export does."""
+    inner = untrusted(predictor)
+    if isinstance(inner, TablePredictor):
+        return SplineReference(inner)
+    if isinstance(inner, ProjectedPredictor):
+        return ProcessReference(inner)
+    return CommitteeReference(inner.training_set, robust=inner.name == "rbcm")
+
+
+def make_oracle(predictor: Predictor, count: int, real: str = "double") -> Oracle:
     """Answer the queries in Python, and make sure that the predictor gives the same answers.
 
-    Queries are rounded to `real` first, since that is what the export will be asked. `table` is the table in
-    double where the predictor is exported as one.
+    Queries are rounded to `real` first, since that is what the export will be asked.
 
     Raises
     ------
     ExportError
         If the predictor and the reference disagree by more than the tolerance in double.
     """
-    z = check_queries(training_set, count)
+    z = check_queries(predictor.training_set, count)
     if real == "float":
         with np.errstate(over="ignore"):
             z = z.astype(np.float32).astype(float)
-    if table is not None:
-        reference: AnyReference = SplineReference(table)
-        asked: Predictor = TrustedPredictor(table)
-    else:
-        if predictor == "projected":
-            reference = ProcessReference(training_set)
-        else:
-            reference = Reference(training_set, robust=predictor == "rbcm")
-        asked = make_predictor(predictor, training_set)
+    reference = reference_of(predictor)
     expected = reference.predict(z)
     finite = np.isfinite(z).all(axis=1) & (np.abs(z) < 1e100).all(axis=1)
-    answered = asked.predict(z[finite])
-    kernel = training_set.kernel
+    answered = predictor.predict(z[finite])
+    kernel = predictor.training_set.kernel
     error = max(
         float(np.max(np.abs(answered.mean - expected.mean[finite]) / reference.deviation, initial=0.0)),
         float(np.max(np.abs(answered.variance - expected.variance[finite]) / kernel.signal_variance, initial=0.0)),
     )
     if not error <= reference.rounding:
         raise ExportError(
-            f"the predictor {predictor} is {error:.3g} off its own reference, {reference.rounding:g} is allowed",
+            f"the predictor {predictor.name} is {error:.3g} off its reference, {reference.rounding:g} is allowed",
             advice="The noise variance may be too small for points this close; `split verify` the set.",
         )
     rng = np.random.default_rng(7)
     # Far away, a step of a fraction of a length scale is lost in the rounding of z.
-    moderate = np.flatnonzero((np.abs(z) < 1e3 * np.abs(training_set.z).max(axis=0) + 1.0).all(axis=1))
+    moderate = np.flatnonzero((np.abs(z) < 1e3 * np.abs(predictor.training_set.z).max(axis=0) + 1.0).all(axis=1))
     chosen = np.sort(rng.choice(moderate, min(JACOBIAN_QUERIES, len(moderate)), replace=False))
     slopes = reference.jacobian_by_differences(z[chosen])
     return Oracle(z, expected.mean, expected.variance, z[chosen], slopes, error, reference)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.learning.training_set import TrainingSet
-from split_cli.prediction.projected import process_of
+from split_cli.prediction.projected import ProjectedPredictor
 
-__all__ = ["PROJECTION_ARRAYS", "ProjectionData", "answer_of", "projection_data"]
+__all__ = ["PROJECTION_ARRAYS", "ProjectionData", "answer_of", "digest_of", "projection_data"]
 
 #: The arrays of `ProjectionData` that documents hold beside the set's.
 PROJECTION_ARRAYS = ("reference", "points", "weights", "whitening", "spread", "absent", "gain_limit")
@@ -74,17 +73,23 @@ class ProjectionData:
 
     def digest(self) -> str:
         """Return the SHA-256 of every number."""
-        digest = hashlib.sha256(self.real.encode())
-        for name in ("length_scales", "signal_variance", "trust", "doubt", *PROJECTION_ARRAYS):
-            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
-        return digest.hexdigest()
+        names = ("length_scales", "signal_variance", "trust", "doubt", *PROJECTION_ARRAYS)
+        return digest_of(self.real, (getattr(self, name) for name in names))
 
 
-def projection_data(training_set: TrainingSet, real: str = "double") -> ProjectionData:
-    """Return the constants of the predictor `projected` over a set, rounded to `real`."""
+def digest_of(what: str, arrays: Iterable[np.ndarray]) -> str:
+    """Return the SHA-256 of arrays, number by number, after a word that tells what they are."""
+    digest = hashlib.sha256(what.encode())
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def projection_data(predictor: ProjectedPredictor, real: str = "double") -> ProjectionData:
+    """Return the constants of the predictor `projected`, rounded to `real`."""
     precision = np.float32 if real == "float" else np.float64
-    kernel, trust = training_set.kernel, training_set.trust
-    known = process_of(training_set).known()
+    kernel, trust = predictor.training_set.kernel, predictor.training_set.trust
+    known = predictor.process.known()
     places = known.points * kernel.length_scales
     reference = (0.5 * (places.min(axis=0) + places.max(axis=0))).astype(precision).astype(float)
     lower = np.linalg.cholesky(known.inverse)

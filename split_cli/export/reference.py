@@ -1,6 +1,6 @@
-"""The committee in plain NumPy, straight from the trained set: what every export is compared with.
+"""Predictors in plain NumPy: what every export is compared with.
 
-It visits every cell for every query and shares neither tables nor code with the exports.
+That of the committee visits every cell for every query and shares neither tables nor code with the exports.
 """
 
 from __future__ import annotations
@@ -10,59 +10,42 @@ import numpy as np
 from split_cli.export.projection import answer_of, projection_data
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.predictor import Prediction
+from split_cli.prediction.projected import ProjectedPredictor
 from split_cli.prediction.table import TablePredictor
 
-__all__ = ["AnyReference", "ProcessReference", "Reference", "SplineReference"]
+__all__ = ["CommitteeReference", "ProcessReference", "Reference", "SplineReference"]
 
 _CHUNK = 256
 
 
 class Reference:
-    """Mean and latent variance of the Bayesian committee machine, to about 1e-13 of the signal.
+    """Mean and latent variance of a predictor of a set, evaluated otherwise than in an export.
 
     Parameters
     ----------
     training_set : TrainingSet
-    robust : bool
-        Whether an expert counts by half the logarithm of what it has learned (`rbcm`).
 
     Attributes
     ----------
+    deviation : ndarray, shape (3,)
+        Signal deviations.
     hessian_step : ndarray, shape (D,)
         Step of differences of the Jacobian: small against the distance on which the committee changes.
     rounding : float
         What the predictor may differ by, in signal deviations and variances.
     accuracy : float
         What an export in double may differ by, likewise.
-
-    Notes
-    -----
-    Design of the form: S0 - q = S0 - k^T (K + s^2 I)^-1 k is evaluated in the frame of the eigenvectors of the
-    correlation matrix. With an explicit inverse the quadratic form cancels, and rounding grows as 1/rho
-    (rho = s^2/S0) instead of 1/sqrt(rho): 1e-12 at rho = 0.004, 1e-10 at 0.00004, against a computation in
-    extended precision. A comparison at 1e-12 needs a reference better than that.
     """
 
     rounding: float = 1e-12
     accuracy: float = 1e-12
 
-    def __init__(self, training_set: TrainingSet, robust: bool = False) -> None:
+    def __init__(self, training_set: TrainingSet) -> None:
         kernel = training_set.kernel
-        self.training_set, self.robust = training_set, robust
+        self.training_set = training_set
         self.deviation = np.sqrt(kernel.signal_variance)
         self._ratio = kernel.noise_variance / kernel.signal_variance
         self.hessian_step = 1e-3 * np.sqrt(self._ratio.min()) * kernel.length_scales
-        self._groups = []
-        offsets = np.asarray(training_set.offsets)
-        counts = np.diff(offsets)
-        for count in np.unique(counts):
-            rows = offsets[:-1][counts == count, None] + np.arange(count)
-            points = training_set.z[rows]
-            difference = (points[:, :, None, :] - points[:, None, :, :]) / kernel.length_scales
-            values, vectors = np.linalg.eigh(np.exp(-0.5 * np.square(difference).sum(axis=-1)))
-            damped = np.maximum(values, 0.0)[:, :, None] + self._ratio
-            turned = np.einsum("cij,cio->cjo", vectors, training_set.y[rows]) / damped
-            self._groups.append((points, vectors, 1.0 / damped, turned))
 
     def predict(self, z: np.ndarray) -> Prediction:
         """Return mean and latent variance at `z`, shape (N, D), as far as the set is trusted."""
@@ -73,24 +56,8 @@ class Reference:
         return Prediction(*self.training_set.trust.apply(mean, variance, signal))
 
     def _chunk(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        kernel = self.training_set.kernel
-        top, precision = np.zeros((len(z), 3)), np.ones((len(z), 3))
-        for points, vectors, gains, weights in self._groups:
-            squared = np.zeros((len(points), len(z), points.shape[1]))
-            # Queries may be infinite or so large that their square is: both are simply far away.
-            with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-                for feature, scale in enumerate(kernel.length_scales):
-                    squared += np.square((z[None, :, None, feature] - points[:, None, :, feature]) / scale)
-                turned = np.exp(-0.5 * squared) @ vectors
-            for output in range(3):
-                q = (np.square(turned) @ gains[:, :, output, None])[..., 0]
-                m = (turned @ weights[:, :, output, None])[..., 0]
-                least = self._ratio[output] / (points.shape[1] + self._ratio[output])
-                rest = np.maximum(1.0 - q, least)
-                share = (0.5 * np.log(1.0 / rest) if self.robust else 1.0) / rest
-                top[:, output] += (m * share).sum(axis=0)
-                precision[:, output] += (q * share).sum(axis=0)
-        return top / precision, kernel.signal_variance / precision
+        """Return mean and latent variance at a few queries as though the set were fully trusted."""
+        raise NotImplementedError
 
     def jacobian_by_differences(self, z: np.ndarray) -> np.ndarray:
         """Return the mean's Jacobian by central differences of fourth order, shape (N, 3, D).
@@ -114,12 +81,65 @@ class Reference:
         return size
 
 
+class CommitteeReference(Reference):
+    """The Bayesian committee machine straight from the trained set, to about 1e-13 of the signal.
+
+    Parameters
+    ----------
+    training_set : TrainingSet
+    robust : bool
+        Whether an expert counts by half the logarithm of what it has learned (`rbcm`).
+
+    Notes
+    -----
+    Design of the form: S0 - q = S0 - k^T (K + s^2 I)^-1 k is evaluated in the frame of the eigenvectors of the
+    correlation matrix. With an explicit inverse the quadratic form cancels, and rounding grows as 1/rho
+    (rho = s^2/S0) instead of 1/sqrt(rho): 1e-12 at rho = 0.004, 1e-10 at 0.00004, against a computation in
+    extended precision. A comparison at 1e-12 needs a reference better than that.
+    """
+
+    def __init__(self, training_set: TrainingSet, robust: bool = False) -> None:
+        super().__init__(training_set)
+        self.robust, kernel = robust, training_set.kernel
+        self._groups = []
+        offsets = np.asarray(training_set.offsets)
+        counts = np.diff(offsets)
+        for count in np.unique(counts):
+            rows = offsets[:-1][counts == count, None] + np.arange(count)
+            points = training_set.z[rows]
+            difference = (points[:, :, None, :] - points[:, None, :, :]) / kernel.length_scales
+            values, vectors = np.linalg.eigh(np.exp(-0.5 * np.square(difference).sum(axis=-1)))
+            damped = np.maximum(values, 0.0)[:, :, None] + self._ratio
+            turned = np.einsum("cij,cio->cjo", vectors, training_set.y[rows]) / damped
+            self._groups.append((points, vectors, 1.0 / damped, turned))
+
+    def _chunk(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        kernel = self.training_set.kernel
+        top, precision = np.zeros((len(z), 3)), np.ones((len(z), 3))
+        for points, vectors, gains, weights in self._groups:
+            squared = np.zeros((len(points), len(z), points.shape[1]))
+            # Queries may be infinite or so large that their square is: both are simply far away.
+            with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+                for feature, scale in enumerate(kernel.length_scales):
+                    squared += np.square((z[None, :, None, feature] - points[:, None, :, feature]) / scale)
+                turned = np.exp(-0.5 * squared) @ vectors
+            for output in range(3):
+                q = (np.square(turned) @ gains[:, :, output, None])[..., 0]
+                m = (turned @ weights[:, :, output, None])[..., 0]
+                least = self._ratio[output] / (points.shape[1] + self._ratio[output])
+                rest = np.maximum(1.0 - q, least)
+                share = (0.5 * np.log(1.0 / rest) if self.robust else 1.0) / rest
+                top[:, output] += (m * share).sum(axis=0)
+                precision[:, output] += (q * share).sum(axis=0)
+        return top / precision, kernel.signal_variance / precision
+
+
 class ProcessReference(Reference):
     """The projected process from the numbers that are exported, in plain NumPy.
 
     Parameters
     ----------
-    training_set : TrainingSet
+    predictor : ProjectedPredictor
 
     Notes
     -----
@@ -129,13 +149,9 @@ class ProcessReference(Reference):
     What is exported sums c.w and L^T c: `accuracy` is eps times the larger of sum |w| and 2 |L|.
     """
 
-    def __init__(self, training_set: TrainingSet) -> None:
-        kernel = training_set.kernel
-        self.training_set = training_set
-        self.deviation = np.sqrt(kernel.signal_variance)
-        self._ratio = kernel.noise_variance / kernel.signal_variance
-        self.hessian_step = 1e-3 * np.sqrt(self._ratio.min()) * kernel.length_scales
-        self._numbers = vars(projection_data(training_set))
+    def __init__(self, predictor: ProjectedPredictor) -> None:
+        super().__init__(predictor.training_set)
+        self._numbers = vars(projection_data(predictor))
         lower, weights = self._numbers["whitening"], self._numbers["weights"] / self.deviation
         eps, squares = np.finfo(float).eps, float(np.square(lower).sum())
         self.rounding = max(Reference.rounding, 16.0 * eps * squares)
@@ -146,7 +162,7 @@ class ProcessReference(Reference):
         return answer_of(self._numbers, z)
 
 
-class SplineReference:
+class SplineReference(Reference):
     """A table evaluated from its coefficients by the Cox-de Boor recursion, axis by axis.
 
     Parameters
@@ -154,27 +170,17 @@ class SplineReference:
     table : TablePredictor
         In double.
 
-    Attributes
-    ----------
-    training_set : TrainingSet
-    deviation : ndarray, shape (3,)
-    hessian_step : ndarray, shape (3,)
-        A hundred-thousandth of the spacing, since second derivatives have kinks at the nodes.
+    Notes
+    -----
+    `hessian_step` is a hundred-thousandth of the spacing, since second derivatives have kinks at the nodes.
     """
 
-    rounding: float = 1e-12
-    accuracy: float = 1e-12
-
     def __init__(self, table: TablePredictor) -> None:
-        self.table, self.training_set = table, table.training_set
-        kernel = self.training_set.kernel
-        self.deviation = np.sqrt(kernel.signal_variance)
-        self._ratio = kernel.noise_variance / kernel.signal_variance
+        super().__init__(table.training_set)
+        self.table = table
         self.hessian_step = 1e-5 * table.spline.spacing
 
-    def predict(self, z: np.ndarray) -> Prediction:
-        """Return mean and latent variance at `z`, shape (N, 3)."""
-        z = np.asarray(z, dtype=float)
+    def _chunk(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         spline = self.table.spline
         sizes = np.array(spline.coefficients.shape[:3])
         # Nodes so far out that nothing but zeros is met there, for queries that are far or infinite.
@@ -189,8 +195,7 @@ class SplineReference:
             weights = [[_cubic(v - (k + j)) for j in range(4)] for v, k in zip(query, first, strict=True)]
             value[i] = np.einsum("abcw,a,b,c->w", block, *weights)
         left = np.minimum(np.maximum(1.0 - value[:, 3:], self.table.least), 1.0)
-        signal = self.training_set.kernel.signal_variance
-        return Prediction(*self.training_set.trust.apply(value[:, :3], signal * left**2, signal))
+        return value[:, :3], self.training_set.kernel.signal_variance * left**2
 
     def jacobian_by_differences(self, z: np.ndarray) -> np.ndarray:
         """Return the mean's Jacobian by central differences, shape (N, 3, 3).
@@ -205,16 +210,6 @@ class SplineReference:
             change = self.predict(z + step).mean - self.predict(z - step).mean
             jacobian[:, :, feature] = change / (2.0 * step[feature])
         return jacobian
-
-    def jacobian_scale(self) -> np.ndarray:
-        """Return the size a slope can reach, sd/(l sqrt(rho)), shape (3, D)."""
-        scales = self.training_set.kernel.length_scales
-        size: np.ndarray = (self.deviation / np.sqrt(self._ratio))[:, None] / scales
-        return size
-
-
-#: What an export is compared with.
-AnyReference = Reference | SplineReference
 
 
 def _cubic(x: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.errors import OUR_FAULT, ExportError
 from split_cli.export.memory import present
-from split_cli.export.reference import AnyReference
+from split_cli.export.reference import Reference
 from split_cli.export.stepped_model import Drives, SteppedModel, random_memory, roll_drives
 from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
@@ -77,7 +77,7 @@ class StepOracle:
 
 
 def make_step_oracle(
-    graph: NominalGraph, training_set: TrainingSet, reference: AnyReference, dtype: type = np.float64
+    graph: NominalGraph, training_set: TrainingSet, reference: Reference, dtype: type = np.float64
 ) -> StepOracle:
     """Step random states with random memories in Python, and drive from steady where there is a memory.
 

@@ -14,7 +14,7 @@ import scipy.linalg
 
 from split_cli.errors import OUR_FAULT, ExportError
 from split_cli.export.memory import COMMANDS, Memory, exported_model, nothing_kept, present
-from split_cli.export.reference import AnyReference
+from split_cli.export.reference import Reference
 from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
@@ -66,10 +66,10 @@ class SteppedModel:
     ----------
     graph : NominalGraph
     training_set : TrainingSet
-    reference : Reference or SplineReference
+    reference : Reference
     """
 
-    def __init__(self, graph: NominalGraph, training_set: TrainingSet, reference: AnyReference) -> None:
+    def __init__(self, graph: NominalGraph, training_set: TrainingSet, reference: Reference) -> None:
         self.graph, self.training_set, self.reference = graph, training_set, reference
         self.model = exported_model(SingleTrack(training_set.vehicle))
         self.memory = graph.memory or nothing_kept(training_set.horizon)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from split_cli.errors import ExportError
-from split_cli.export.projection import ProjectionData
+from split_cli.export.projection import ProjectionData, digest_of
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.bcm import committee_tables
 from split_cli.prediction.table import TablePredictor
@@ -110,12 +109,12 @@ class BcmTables:
 
     def digest(self) -> str:
         """Return the SHA-256 of every number in the tables."""
-        digest = hashlib.sha256((self.real + (" robust" if self.robust else "")).encode())
-        for name in ("length_scales", "signal_variance", "noise_ratio", "trust", "doubt", "offsets", "reference"):
-            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
-        for name in ("points", "eigenvectors", "gains", "weights", "reach"):
-            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
-        return digest.hexdigest()
+        names = (
+            "length_scales", "signal_variance", "noise_ratio", "trust", "doubt", "offsets",
+            "reference", "points", "eigenvectors", "gains", "weights", "reach",
+        )  # fmt: skip
+        what = self.real + (" robust" if self.robust else "")
+        return digest_of(what, (getattr(self, name) for name in names))
 
 
 @dataclass(frozen=True)
@@ -157,10 +156,8 @@ class TableData:
 
     def digest(self) -> str:
         """Return the SHA-256 of every number in the table."""
-        digest = hashlib.sha256(self.real.encode())
-        for name in ("origin", "spacing", "coefficients", "signal_variance", "least", "trust", "doubt"):
-            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
-        return digest.hexdigest()
+        names = ("origin", "spacing", "coefficients", "signal_variance", "least", "trust", "doubt")
+        return digest_of(self.real, (getattr(self, name) for name in names))
 
 
 #: What an export evaluates.

@@ -42,11 +42,14 @@ from split_cli.export.provenance import Provenance
 from split_cli.export.step_check import make_step_oracle
 from split_cli.export.stepped_model import Drives, SteppedModel, roll_drives
 from split_cli.export.symbolic import NominalGraph, build_nominal
-from split_cli.export.tables import Constants, build_tables, require_usable, table_data
+from split_cli.export.tables import Constants, TableData, build_tables, require_usable, table_data
 from split_cli.export.validity import valid_function
 from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.learning.training_set import TrainingSet
+from split_cli.prediction import Predictor, make_predictor
+from split_cli.prediction.projected import ProjectedPredictor
 from split_cli.prediction.table import TablePredictor
+from split_cli.prediction.trusted import untrusted
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
@@ -187,13 +190,12 @@ def write_export(
     if graph.memory is not None:
         provenance = replace(provenance, memory=graph.memory.told())
     require_usable(training_set)
-    table = None
     if plan.predictor == "table":
         say("filling the table")
-        table = TablePredictor(training_set)
-    tables = predictor_tables(training_set, plan.predictor, table)
+    predictor = make_predictor(plan.predictor, training_set)
+    tables = predictor_tables(predictor)
     say(f"answering {plan.queries} queries in Python")
-    oracle = make_oracle(training_set, plan.queries, predictor=plan.predictor, table=table)
+    oracle = make_oracle(predictor, plan.queries)
     drives = _drives(graph, training_set, oracle)
     compiler = find_compiler()
     results = []
@@ -201,11 +203,8 @@ def write_export(
     for target in plan.targets:
         say(f"writing and verifying {target}")
         if target == "c":
-            if plan.real == "float":
-                oracle_c = make_oracle(training_set, plan.queries, "float", plan.predictor, table)
-            else:
-                oracle_c = oracle
-            constants = predictor_tables(training_set, plan.predictor, table, plan.real)
+            oracle_c = make_oracle(predictor, plan.queries, "float") if plan.real == "float" else oracle
+            constants = predictor_tables(predictor, plan.real)
             results.append(
                 _write_c(training_set, plan, provenance, graph, constants, oracle_c, drives, compiler, folder)
             )
@@ -224,7 +223,7 @@ def write_export(
             document_check = result.check
             results.append(result)
     _write_check_points(oracle, drives, folder / f"{plan.name}_check.json")
-    manifest = _manifest(training_set, plan, provenance, tables.digest(), oracle, table, results, folder)
+    manifest = _manifest(training_set, plan, provenance, tables, oracle, results, folder)
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return tuple(results)
 
@@ -270,15 +269,14 @@ def _write_c(
     )  # fmt: skip
 
 
-def predictor_tables(
-    training_set: TrainingSet, predictor: str, table: TablePredictor | None, real: str = "double"
-) -> Constants:
-    """Return the constants of a predictor, rounded to `real`; `table` is the table where it is one."""
-    if table is not None:
-        return table_data(table, real)
-    if predictor == "projected":
-        return projection_data(training_set, real)
-    return build_tables(training_set, real, robust=predictor == "rbcm")
+def predictor_tables(predictor: Predictor, real: str = "double") -> Constants:
+    """Return the constants of a predictor, rounded to `real`."""
+    inner = untrusted(predictor)
+    if isinstance(inner, TablePredictor):
+        return table_data(inner, real)
+    if isinstance(inner, ProjectedPredictor):
+        return projection_data(inner, real)
+    return build_tables(inner.training_set, real, robust=inner.name == "rbcm")
 
 
 def casadi_functions(
@@ -390,9 +388,8 @@ def _manifest(
     training_set: TrainingSet,
     plan: ExportPlan,
     provenance: Provenance,
-    tables_digest: str,
+    tables: Constants,
     oracle: Oracle,
-    table: TablePredictor | None,
     results: Sequence[TargetResult],
     folder: Path,
 ) -> dict[str, Any]:
@@ -424,9 +421,9 @@ def _manifest(
         "conventions": provenance.conventions,
         **({"memory": provenance.memory} if provenance.memory is not None else {}),
         "trust": list(training_set.trust.share),
-        "tables_sha256": tables_digest,
+        "tables_sha256": tables.digest(),
         "predictor_error": oracle.predictor_error,
-        **({"table": asdict(table.error)} if table is not None else {}),
+        **({"table": tables.error} if isinstance(tables, TableData) else {}),
         "verification": verification,
         "files": {name: sha256_of_file(folder / name) for name in files},
     }

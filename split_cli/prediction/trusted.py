@@ -6,7 +6,7 @@ import numpy as np
 
 from split_cli.prediction.predictor import Prediction, Predictor
 
-__all__ = ["TrustedPredictor"]
+__all__ = ["TrustedPredictor", "untrusted"]
 
 
 class TrustedPredictor(Predictor):
@@ -47,3 +47,8 @@ class TrustedPredictor(Predictor):
         """Return the believed mean's Jacobian, shape (N, 3, D)."""
         believed: np.ndarray = self.training_set.trust.array[:, None] * self.inner.jacobian(z)
         return believed
+
+
+def untrusted(predictor: Predictor) -> Predictor:
+    """Return what answers before trust acts."""
+    return predictor.inner if isinstance(predictor, TrustedPredictor) else predictor

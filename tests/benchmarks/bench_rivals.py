@@ -185,7 +185,7 @@ def exported(name: str, real: str, stream: Stream, table: TablePredictor, compil
     """Time the exported C."""
     s = stream.trained
     graph = build_nominal(SingleTrack(s.vehicle), s.features)
-    tables = predictor_tables(s, name, table if name == "table" else None, real)
+    tables = predictor_tables(table if name == "table" else make_predictor(name, s), real)
     source = c_source(tables, graph, provenance_of(s, name), "car", valid_function(s))
     dtype = np.float32 if real == "float" else np.float64
     with tempfile.TemporaryDirectory() as scratch:

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from split_cli.export.check import Oracle, make_oracle
+from split_cli.export.check import Oracle
 from split_cli.export.compiler import Compiler, find_compiler
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
+from tests.export.export_support import oracle_of
 from tests.factories import make_training_set
 
 
@@ -27,7 +28,7 @@ def z1_set() -> TrainingSet:
 
 @pytest.fixture(scope="session")
 def small_oracle(small_set) -> Oracle:
-    return make_oracle(small_set, 2000)
+    return oracle_of(small_set, 2000)
 
 
 @pytest.fixture(scope="session")

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.export.c99 import CSource, c_source
+from split_cli.export.check import Oracle, make_oracle
 from split_cli.export.compiler import Compiler
 from split_cli.export.provenance import provenance_of
 from split_cli.export.symbolic import build_nominal
 from split_cli.export.targets import predictor_tables
 from split_cli.export.validity import valid_function
 from split_cli.learning.training_set import TrainingSet
-from split_cli.prediction.table import TablePredictor
+from split_cli.prediction import make_predictor
 from split_cli.vehicle.single_track import SingleTrack
 
 #: acados and blasfeo are not here: their few types and calls are stood in for.
@@ -41,10 +42,14 @@ def source_of(
 ) -> CSource:
     """Return the exported C of a set."""
     graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features)
-    table = TablePredictor(training_set) if predictor == "table" else None
-    tables = predictor_tables(training_set, predictor, table, real)
+    tables = predictor_tables(make_predictor(predictor, training_set), real)
     provenance = provenance_of(training_set, predictor)
     return c_source(tables, graph, provenance, name, valid_function(training_set), training_set.plain)
+
+
+def oracle_of(training_set: TrainingSet, queries: int, real: str = "double", predictor: str = "bcm") -> Oracle:
+    """Return what Python answers to the queries of a check."""
+    return make_oracle(make_predictor(predictor, training_set), queries, real)
 
 
 def take_cells(training_set: TrainingSet, cells: int, points: int | None = None) -> TrainingSet:

@@ -14,7 +14,7 @@ from split_cli.errors import ExportError
 from split_cli.export import tables as tables_module
 from split_cli.export.c99 import c_identifier, c_source
 from split_cli.export.c_check import build_driver, check_c, driver_answer
-from split_cli.export.check import check_predictions, make_oracle
+from split_cli.export.check import check_predictions
 from split_cli.export.compiler import STRICT_FLAGS, find_compiler
 from split_cli.export.provenance import provenance_of
 from split_cli.export.straight_line import straight_line
@@ -25,7 +25,7 @@ from split_cli.learning.features import FeatureSet
 from split_cli.vehicle.effects.term import Term
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
-from tests.export.export_support import source_of, take_cells
+from tests.export.export_support import oracle_of, source_of, take_cells
 from tests.factories import make_training_set, road_car
 
 
@@ -34,7 +34,7 @@ def graph_of(training_set):
 
 
 def checked(training_set, compiler, folder, real="double", queries=1000):
-    oracle = make_oracle(training_set, queries, real)
+    oracle = oracle_of(training_set, queries, real)
     return check_c(source_of(training_set, real), graph_of(training_set), training_set, oracle, compiler, folder)
 
 
@@ -76,7 +76,7 @@ def test_plain_labels_are_added_without_phi(small_set, compiler, tmp_path):
     # check_c compares the step with x + f_h + h g; a source that used Phi all the same must fail.
     plain = replace(small_set, plain=True)
     assert checked(plain, compiler, tmp_path).step_error < 1e-11
-    oracle = make_oracle(plain, 500)
+    oracle = oracle_of(plain, 500)
     with pytest.raises(ExportError, match="step|linearisation"):
         check_c(source_of(small_set), graph_of(plain), plain, oracle, compiler, tmp_path)
 
@@ -102,7 +102,7 @@ def test_clean_under_sanitizers(small_set, compiler, tmp_path, real):
         if "sanitize" in str(error) or "lasan" in str(error) or "lubsan" in str(error):
             pytest.skip("the compiler has no sanitizers")
         raise
-    z = make_oracle(small_set, 300, real).z.copy()
+    z = oracle_of(small_set, 300, real).z.copy()
     z[:3, 0], z[3:6, 2] = np.nan, np.inf
     assert np.isnan(driver.answers(0, z, 6)[:3]).all()
     driver.answers(5, z, 9)
@@ -189,7 +189,7 @@ def test_effects_of_the_vehicle_are_in_the_step(compiler, tmp_path):
     valid = valid_function(training_set)
     source = c_source(build_tables(training_set), plain, provenance_of(training_set, "bcm"), "car", valid)
     with pytest.raises(ExportError, match="linearisation|step"):
-        check_c(source, graph_of(training_set), training_set, make_oracle(training_set, 300), compiler, tmp_path)
+        check_c(source, graph_of(training_set), training_set, oracle_of(training_set, 300), compiler, tmp_path)
 
 
 class Headwind(Term):
@@ -251,7 +251,7 @@ def test_a_feature_that_no_state_determines_leaves_the_predictor(compiler, tmp_p
     )
     source = source_of(training_set)
     assert not source.with_step and "car_step" not in source.header
-    oracle = make_oracle(training_set, 300)
+    oracle = oracle_of(training_set, 300)
     found = check_c(source, graph_of(training_set), training_set, oracle, compiler, tmp_path)
     assert found.step_error is None and found.predictions.mean_error < 1e-13
 

@@ -17,14 +17,13 @@ from split_cli.export.casadi_function import (
     generate_c,
     model_step,
 )
-from split_cli.export.check import make_oracle
 from split_cli.export.generated_check import check_generated
 from split_cli.export.step_check import make_step_oracle
 from split_cli.export.symbolic import build_nominal
 from split_cli.export.tables import build_tables
 from split_cli.export.targets import acados_source
 from split_cli.vehicle.single_track import SingleTrack
-from tests.export.export_support import build_acados_caller, take_cells
+from tests.export.export_support import build_acados_caller, oracle_of, take_cells
 
 
 def functions_of(training_set):
@@ -37,7 +36,7 @@ def functions_of(training_set):
 def test_value_jacobian_hessian_and_step_agree(small_set, z1_set, features):
     training_set = small_set if features == "z2" else z1_set
     graph, functions = functions_of(training_set)
-    oracle = make_oracle(training_set, 500)
+    oracle = oracle_of(training_set, 500)
     found, step_error = check_casadi(functions, oracle, make_step_oracle(graph, training_set, oracle.reference))
     assert found.mean_error < 1e-13 and found.variance_error < 1e-14
     assert found.jacobian_error < 1e-9
@@ -48,7 +47,7 @@ def test_the_hessian_at_the_only_point_of_a_cell(small_set):
     # There 1 - q is the least it can be, rho/(1 + rho): a bound of just that gives half the second derivative.
     single = take_cells(small_set, 20, 1)
     _, functions = functions_of(single)
-    oracle = make_oracle(single, 200)
+    oracle = oracle_of(single, 200)
     assert check_hessian(functions.predict, replace(oracle, slope_z=single.z)) < 1e-8
 
 
@@ -57,7 +56,7 @@ def test_a_wrong_function_is_refused(small_set):
     z = casadi.MX.sym("z", 3)
     mean, variance = functions.predict(z)
     bent = casadi.Function("bent", [z], [mean * (1 + 1e-10), variance])
-    oracle = make_oracle(small_set, 500)
+    oracle = oracle_of(small_set, 500)
     with pytest.raises(ExportError, match="mean is"):
         check_casadi(CasadiFunctions(bent, None), oracle, None)
     heavier = build_nominal(SingleTrack(type(small_set.vehicle)(**{**vars(small_set.vehicle), "mass": 1500.1})),
@@ -82,7 +81,7 @@ def test_a_saved_function_answers_the_same(small_set, tmp_path):
 def test_generated_c_agrees(small_set, compiler, tmp_path):
     graph, functions = functions_of(small_set)
     generate_c(functions, "car", tmp_path)
-    oracle = make_oracle(small_set, 500)
+    oracle = oracle_of(small_set, 500)
     scratch = tmp_path / "scratch"
     scratch.mkdir()
     steps = make_step_oracle(graph, small_set, oracle.reference)

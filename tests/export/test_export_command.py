@@ -67,8 +67,8 @@ def test_a_failed_check_leaves_the_old_export_whole(set_file, exported, monkeypa
     before = sha256_of_file(exported)
     right = targets.projection_data
 
-    def wrong(training_set, real="double", **options):
-        tables = right(training_set, real, **options)
+    def wrong(predictor, real="double"):
+        tables = right(predictor, real)
         return replace(tables, weights=tables.weights * (1.0 + 1e-9))
 
     monkeypatch.setattr(targets, "projection_data", wrong)

@@ -14,7 +14,6 @@ from split_cli.errors import ExportError
 from split_cli.export.c_check import check_c
 from split_cli.export.casadi_function import CasadiFunctions, committee, generate_c, model_step
 from split_cli.export.casadi_step import memory_functions
-from split_cli.export.check import make_oracle
 from split_cli.export.compiler import STRICT_FLAGS
 from split_cli.export.documents import document_of, read_json, require_equal, schema_text, write_json
 from split_cli.export.provenance import provenance_of
@@ -40,7 +39,7 @@ from tests.export.effect_cases import (
     manoeuvre,
     silent_set,
 )
-from tests.export.export_support import build_acados_caller, source_of
+from tests.export.export_support import build_acados_caller, oracle_of, source_of
 from tests.factories import make_training_set, road_car
 from tests.optional import needed
 
@@ -291,7 +290,7 @@ def test_a_hand_written_caller_runs_clean_under_sanitizers(exported, compiler, t
 def test_verification_covers_memory_residual_and_linearisation(compiler, tmp_path, real):
     training_set = make_training_set(seed=5, points=150, vehicle=road_car(effects=CASES[ALL]))
     graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features)
-    oracle = make_oracle(training_set, 300, real)
+    oracle = oracle_of(training_set, 300, real)
     found = check_c(source_of(training_set, real), graph, training_set, oracle, compiler, tmp_path)
     assert found.step_error < {"double": 1e-11, "float": 1e-3}[real]
 
@@ -318,7 +317,7 @@ def test_a_wrong_memory_is_caught_before_anything_is_written(compiler, tmp_path,
     wrong = replace(source, source=source.source.replace(before, after))
     graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features)
     with pytest.raises(ExportError, match="nothing was written"):
-        check_c(wrong, graph, training_set, make_oracle(training_set, 100), compiler, tmp_path)
+        check_c(wrong, graph, training_set, oracle_of(training_set, 100), compiler, tmp_path)
 
 
 def test_sensor_terms_correct_recordings_and_leave_no_trace(compiler, tmp_path):

@@ -11,7 +11,7 @@ import pytest
 
 from split_cli.export.c_check import build_driver, check_c
 from split_cli.export.casadi_function import check_casadi
-from split_cli.export.check import check_predictions, make_oracle
+from split_cli.export.check import check_predictions
 from split_cli.export.documents import (
     document_answer,
     document_of,
@@ -31,7 +31,7 @@ from split_cli.learning.trust import Trust
 from split_cli.prediction import make_predictor
 from split_cli.prediction.table import TablePredictor
 from split_cli.vehicle.single_track import SingleTrack
-from tests.export.export_support import source_of
+from tests.export.export_support import oracle_of, source_of
 from tests.factories import make_training_set
 
 PREDICTORS = ("rbcm", "table", "projected")
@@ -44,17 +44,8 @@ def doubtful_set():
     return replace(made, trust=Trust((0.5, 1.0, 0.0), "given"))
 
 
-@pytest.fixture(scope="module")
-def table(doubtful_set):
-    return TablePredictor(doubtful_set)
-
-
-def oracle_of(training_set, predictor, table, real="double", count=700):
-    kept = table if predictor == "table" else None
-    return make_oracle(training_set, count, real, predictor, kept)
-
-
-def test_the_table_s_reference_is_its_predictor(table):
+def test_the_table_s_reference_is_its_predictor(doubtful_set):
+    table = TablePredictor(doubtful_set)
     z = table.training_set.z[:50] + 0.003
     found = SplineReference(table)
     trusted = make_predictor("bcm", table.training_set)
@@ -66,8 +57,8 @@ def test_the_table_s_reference_is_its_predictor(table):
 
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("predictor", PREDICTORS)
-def test_c_agrees_with_python(doubtful_set, table, compiler, tmp_path, predictor, real):
-    oracle = oracle_of(doubtful_set, predictor, table, real)
+def test_c_agrees_with_python(doubtful_set, compiler, tmp_path, predictor, real):
+    oracle = oracle_of(doubtful_set, 700, real, predictor)
     graph = build_nominal(SingleTrack(doubtful_set.vehicle), doubtful_set.features)
     source = source_of(doubtful_set, real, predictor=predictor)
     found = check_c(source, graph, doubtful_set, oracle, compiler, tmp_path)
@@ -77,10 +68,10 @@ def test_c_agrees_with_python(doubtful_set, table, compiler, tmp_path, predictor
 
 
 @pytest.mark.parametrize("predictor", PREDICTORS)
-def test_casadi_agrees_with_python_derivatives_included(doubtful_set, table, predictor):
-    oracle = oracle_of(doubtful_set, predictor, table, count=200)
+def test_casadi_agrees_with_python_derivatives_included(doubtful_set, predictor):
+    oracle = oracle_of(doubtful_set, 200, predictor=predictor)
     graph = build_nominal(SingleTrack(doubtful_set.vehicle), doubtful_set.features)
-    tables = predictor_tables(doubtful_set, predictor, table if predictor == "table" else None)
+    tables = predictor_tables(make_predictor(predictor, doubtful_set))
     functions = casadi_functions(tables, graph, "car", doubtful_set)
     steps = make_step_oracle(graph, doubtful_set, oracle.reference)
     check, step_error = check_casadi(functions, oracle, steps)
@@ -88,9 +79,9 @@ def test_casadi_agrees_with_python_derivatives_included(doubtful_set, table, pre
 
 
 @pytest.mark.parametrize("predictor", PREDICTORS)
-def test_documents_carry_what_the_predictor_needs(doubtful_set, table, tmp_path, predictor):
-    oracle = oracle_of(doubtful_set, predictor, table, count=300)
-    constants = predictor_tables(doubtful_set, predictor, table if predictor == "table" else None)
+def test_documents_carry_what_the_predictor_needs(doubtful_set, tmp_path, predictor):
+    oracle = oracle_of(doubtful_set, 300, predictor=predictor)
+    constants = predictor_tables(make_predictor(predictor, doubtful_set))
     document = document_of(doubtful_set, provenance_of(doubtful_set, predictor, "car.split", "a" * 64), constants)
     write_json(document, tmp_path / "car.json")
     write_npz(document, tmp_path / "car.npz")
@@ -99,7 +90,7 @@ def test_documents_carry_what_the_predictor_needs(doubtful_set, table, tmp_path,
     jsonschema.validate(json.loads((tmp_path / "car.json").read_text()), json.loads(schema_text()))
 
 
-def test_a_table_takes_the_same_time_everywhere_and_has_no_branch_on_a_query(doubtful_set, table):
+def test_a_table_takes_the_same_time_everywhere_and_has_no_branch_on_a_query(doubtful_set):
     """Loops of the evaluation have constant bounds, and no `if` there reads a number."""
     text = source_of(doubtful_set, predictor="table").source
     body = text[text.index("static size_t basis") : text.index("car_predict(")]
@@ -123,7 +114,7 @@ def test_the_projected_process_is_exported_with_any_number_of_features(compiler,
 def test_a_set_of_noise_alone_is_exported_as_well(doubtful_set):
     """Where a label's noise is above the signal no gain reaches the threshold, but for the first point."""
     kernel = replace(doubtful_set.kernel, noise_variance=2.0 * doubtful_set.kernel.signal_variance)
-    oracle = make_oracle(replace(doubtful_set, kernel=kernel), 200, predictor="projected")
+    oracle = oracle_of(replace(doubtful_set, kernel=kernel), 200, predictor="projected")
     assert oracle.predictor_error < 1e-12 and np.isfinite(oracle.mean).all()
 
 
@@ -140,7 +131,7 @@ def test_the_c_of_the_projected_process_is_loops_over_constants_and_has_no_branc
 
 
 def test_the_valid_region_is_that_of_training(doubtful_set, compiler, tmp_path):
-    z = make_oracle(doubtful_set, 3000).z
+    z = oracle_of(doubtful_set, 3000).z
     expected = is_valid(doubtful_set, z)
     assert 0.1 < expected.mean() < 0.9
     driver = build_driver(source_of(doubtful_set), tmp_path, compiler, ("-O0",))

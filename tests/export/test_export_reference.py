@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.export.check import check_queries
-from split_cli.export.reference import Reference
+from split_cli.export.reference import CommitteeReference
 from split_cli.learning.kernel import correlation
 from tests.export.export_support import take_cells
 from tests.factories import make_training_set
@@ -54,7 +54,7 @@ def test_the_reference_equals_extended_precision(noise):
     training_set = take_cells(make_training_set(seed=8, points=3000, noise=noise), 60)
     z = check_queries(training_set, 400)
     z = z[(np.abs(z) < 10.0).all(axis=1)]
-    reference = Reference(training_set)
+    reference = CommitteeReference(training_set)
     found = reference.predict(z)
     mean, variance = committee_in_extended_precision(training_set, z)
     assert np.abs((found.mean - mean) / reference.deviation).max() < 3e-13
@@ -77,7 +77,7 @@ def test_one_cell_is_the_exact_process():
         }
     )
     z = single.z[:3] + 0.01
-    found = Reference(single).predict(z)
+    found = CommitteeReference(single).predict(z)
     kernel = single.kernel
     for output in range(3):
         S0 = kernel.signal_variance[output]

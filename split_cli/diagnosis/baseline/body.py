@@ -18,7 +18,7 @@ from split_cli.vehicle.flow import AxleFlow, Flow
 from split_cli.vehicle.operations import NUMPY
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["alters_body", "at_another_body", "moved_axles"]
+__all__ = ["alters_body", "at_another_body", "moved_axles", "moves_axles", "with_cg_ahead"]
 
 
 def alters_body(term: Term) -> bool:
@@ -29,9 +29,20 @@ def alters_body(term: Term) -> bool:
 def moved_axles(vehicle: Vehicle, terms: Sequence[Term]) -> Vehicle:
     """Return a vehicle with the axles where terms put them; itself where none moves one."""
     moved = _body(vehicle, [term for term in terms if alters_body(term)])
-    if moved.l_f == vehicle.cg_to_front_axle:
+    return with_cg_ahead(vehicle, vehicle.cg_to_front_axle - float(moved.l_f))
+
+
+def moves_axles(vehicle: Vehicle, term: Term) -> bool:
+    """Return whether a term puts the axles elsewhere, by which these slip otherwise."""
+    return moved_axles(vehicle, [term]) is not vehicle
+
+
+def with_cg_ahead(vehicle: Vehicle, ahead: float) -> Vehicle:
+    """Return a vehicle whose CG lies further ahead [m]; itself at 0."""
+    if not ahead:
         return vehicle
-    return replace(vehicle, cg_to_front_axle=float(moved.l_f), cg_to_rear_axle=float(moved.l_r))
+    l_f, l_r = vehicle.cg_to_front_axle - ahead, vehicle.cg_to_rear_axle + ahead
+    return replace(vehicle, cg_to_front_axle=l_f, cg_to_rear_axle=l_r)
 
 
 def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) -> np.ndarray:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from split_cli.diagnosis.baseline.body import at_another_body, moved_axles
+from split_cli.diagnosis.baseline.body import at_another_body, moved_axles, moves_axles
 from split_cli.diagnosis.baseline.tires import at_other_tires
 from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.vehicle.effects import CATALOGUE, Term
@@ -77,7 +77,7 @@ class SharedDiscrepancy:
         """
         there = moved_axles(self.vehicle, terms)
         if there is not self.vehicle:
-            rest = [term for term in terms if moved_axles(self.vehicle, [term]) is self.vehicle]
+            rest = [term for term in terms if not moves_axles(self.vehicle, term)]
             return replace(self, vehicle=there).rates(series, weights, rest)
         _, smooth = series.corrected(terms)
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
@@ -97,13 +97,6 @@ class SharedDiscrepancy:
             for row, direction in zip(out, directions[:, axis], strict=True):
                 row += direction * total
         return self.at_another_car(np.stack(out, axis=1), actual, terms)
-
-    def with_shifted_cg(self, ahead: float) -> SharedDiscrepancy:
-        """Return the dictionary of a car whose CG lies further ahead [m]: the axles slip otherwise."""
-        if not ahead:
-            return self
-        l_f, l_r = self.vehicle.cg_to_front_axle - ahead, self.vehicle.cg_to_rear_axle + ahead
-        return replace(self, vehicle=replace(self.vehicle, cg_to_front_axle=l_f, cg_to_rear_axle=l_r))
 
     def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
         """Return rates (N, 3) with the tyres and the body that terms make of the vehicle's.

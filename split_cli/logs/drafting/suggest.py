@@ -150,14 +150,18 @@ def _as_course(s: Suggestion, verdict: Consistency, trial: Trial) -> Suggestion:
 
 def _changes_with_the_fix(s: Suggestion, trial: Trial) -> bool:
     """Whether a heading is held on the rows of a table on which its latitude is held too, and on few others."""
-    latitude = next((x for x in trial.signals.values() if meanings(RawChannelInfo(x.name, "column", None))[:1] and
-                     meanings(RawChannelInfo(x.name, "column", None))[0].channel == "latitude"), None)  # fmt: skip
+    latitude = next((x for x in trial.signals.values() if _first_meaning(x.name) == "latitude"), None)
     heading = trial.signals.get(s.sources[0])
     if latitude is None or heading is None or len(latitude.values) != len(heading.values):
         return False
     fixes, turns = (np.diff(x.values) != 0.0 for x in (latitude, heading))
     rows = len(fixes)
     return 20 < np.sum(turns) < 0.5 * rows and np.sum(turns & fixes) > 0.9 * np.sum(turns) and np.mean(fixes) < 0.5
+
+
+def _first_meaning(name: str) -> str:
+    """Return the channel that a column's name means first; empty where it means none."""
+    return next((meaning.channel for meaning in meanings(RawChannelInfo(name, "column", None))), "")
 
 
 def _is_bare_topic(info: RawChannelInfo, infos: Sequence[RawChannelInfo]) -> bool:
