@@ -11,7 +11,7 @@ from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale
-from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, torque_is_from_pedals, unfit
+from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.recording.witnesses import is_witness_of_position
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
@@ -168,7 +168,7 @@ def diagnose(
 
 def _of_known_inputs(candidates: Sequence[Candidate], real: Sequence[Drive]) -> list[Candidate]:
     """Return the candidates without those of a torque that came of pedals: its map is a guess."""
-    guessed = any(map(torque_is_from_pedals, real))
+    guessed = any(drive.metadata.torque_is_from_pedals for drive in real)
     return [one for one in candidates if not (guessed and "torque" in one.needs)]
 
 

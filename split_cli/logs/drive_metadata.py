@@ -16,8 +16,8 @@ from split_cli.files import parse_json
 __all__ = ["DriveMetadata", "NoiseEstimate", "Source", "metadata_from_schema", "metadata_of_drive", "schema_of"]
 
 _FORMAT = "split-drive/1"
-#: Words of a torque that was derived from the motion.
-_OF_MOTION = ("nominal model", "acceleration", "a_x", "dv_x/dt")
+#: Words of a torque that was derived from what was asked of the drive train.
+_ASKED = ("throttle", "pedal", "brake", "current", "N m/A")
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,15 @@ class DriveMetadata:
 
     @property
     def torque_follows_motion(self) -> bool:
-        """Whether T was derived from the motion, not from pedals or a motor: then it says nothing of the car."""
+        """Whether T was derived from the motion, or nobody says from what: it cannot contradict it then."""
+        return str(self.kinds.get("T", "")).startswith("derived") and not self.torque_is_from_pedals
+
+    @property
+    def torque_is_from_pedals(self) -> bool:
+        """Whether T was derived from pedals or a motor's current: a command with an assumed map."""
         kind = str(self.kinds.get("T", ""))
-        return kind.startswith("derived") and any(word in kind for word in _OF_MOTION)
+        by_motion = "by the nominal model" in kind
+        return kind.startswith("derived") and not by_motion and any(word in kind for word in _ASKED)
 
     def noise_of(self, channel: str) -> NoiseEstimate | None:
         """Return the noise estimate of a channel, None when ingest made none."""

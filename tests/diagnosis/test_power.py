@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.policy import STANDARD
-from split_cli.diagnosis.recording.screening import cleaned, torque_is_derived, torque_is_from_pedals, unfit
+from split_cli.diagnosis.recording.screening import cleaned, unfit
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.term_tests import effect_to_noise_of_terms
 from split_cli.diagnosis.statement.result import Detectable
@@ -90,7 +90,10 @@ def test_torque_of_pedals_is_not_taken_for_torque_of_motion():
     drive = make_drive(3, 1, 4.0, 0.01)
     by_pedals = "derived: torque from throttle by a map to 900 N m and brake times 1 N m a unit"
     by_motion = "derived: torque from measured a_x by the nominal model of brake_car"
-    for kind, pedals, motion in ((by_pedals, True, False), (by_motion, False, True), ("command", False, False)):
+    unknown = "derived"
+    for kind, pedals, motion in (
+        (by_pedals, True, False), (by_motion, False, True), (unknown, False, True), ("command", False, False),
+    ):  # fmt: skip
         one = replace(drive, metadata=replace(drive.metadata, kinds={"T": kind}))
-        assert torque_is_from_pedals(one) == pedals
-        assert torque_is_derived(one) == motion
+        assert one.metadata.torque_is_from_pedals == pedals
+        assert one.metadata.torque_follows_motion == motion

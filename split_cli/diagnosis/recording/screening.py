@@ -21,13 +21,10 @@ __all__ = [
     "measures",
     "moving",
     "torque_is_constant",
-    "torque_is_derived",
-    "torque_is_from_pedals",
     "unfit",
     "velocity_is_from_position",
 ]
 
-_PEDALS = ("throttle", "pedal", "brake", "current", "N m/A")  # words of a derivation from what was asked for
 _SMOOTHED_SECONDS = 0.2  # over which samples are averaged before they are compared
 _STEP_SECONDS = 0.5  # over which a change of speed is taken
 _OUTER_SHARE = 0.02  # of samples at each end that a range leaves out
@@ -171,19 +168,6 @@ def measures(drive: Drive, *channels: str) -> bool:
     if "ay" in channels and drive.metadata.lateral_velocity_is_integrated:
         return False
     return all(name in drive.columns and not str(kinds.get(name, "")).startswith("derived") for name in channels)
-
-
-def torque_is_derived(drive: Drive) -> bool:
-    """Return whether the torque was computed from the car's motion, which then cannot contradict it."""
-    kind = str(drive.metadata.kinds.get("T", ""))
-    return kind.startswith("derived") and not torque_is_from_pedals(drive)
-
-
-def torque_is_from_pedals(drive: Drive) -> bool:
-    """Return whether the torque was computed from pedals or a motor's current: a command with an assumed map."""
-    kind = str(drive.metadata.kinds.get("T", ""))
-    by_motion = "by the nominal model" in kind
-    return kind.startswith("derived") and not by_motion and any(word in kind for word in _PEDALS)
 
 
 def velocity_is_from_position(drive: Drive) -> bool:
@@ -349,7 +333,7 @@ def _ratios(drive: Drive, vehicle: Vehicle, rules: Screening) -> tuple[float | N
     expected = v["r"] / np.maximum(v["vx"], 1e-3) * (vehicle.wheelbase + understeer * v["vx"] ** 2)
     steering = _ratio(expected[gentle], v["delta"][gentle], rules)
     torque = None
-    if not torque_is_derived(drive) and not torque_is_constant(v["T"][sound], vehicle, rules):
+    if not drive.metadata.torque_follows_motion and not torque_is_constant(v["T"][sound], vehicle, rules):
         along = np.gradient(v["vx"], drive.period) - v["vy"] * v["r"]
         made = vehicle.mass * vehicle.wheel_radius * along
         torque = _ratio(_changes(drive, v["T"], rules)[sound], _changes(drive, made, rules)[sound], rules)

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from split_cli.diagnosis.recording.screening import torque_is_derived
 from split_cli.logs.assembling.dead_reckoning import TOGETHER, TOLERANCE
 from split_cli.logs.assembling.noise import difference_noise
 from split_cli.logs.drive import INPUT_CHANNELS, Drive
@@ -85,7 +84,9 @@ class Series:
         noise that leaves means over its correlation time as unsure stands for that, sqrt(2 tau/period) times as
         large. The filter then takes v_y from the model and the yaw rate.
         """
-        stated = self.noise * np.array([_WORTHLESS if torque_is_derived(self.drive) else 1.0, 1.0, 1.0])
+        stated = self.noise * np.array(
+            [_WORTHLESS if self.drive.metadata.torque_follows_motion else 1.0, 1.0, 1.0]
+        )
         if self.drive.metadata.lateral_velocity_is_integrated:
             std = self.drive["vy_std"] if "vy_std" in self.drive else TOLERANCE * self.drive["vx"]
             stated[1] = max(stated[1], np.sqrt(2.0 * TOGETHER / self.period * np.mean(std**2)))

@@ -12,8 +12,6 @@ from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.screening import (
     measures,
     torque_is_constant,
-    torque_is_derived,
-    torque_is_from_pedals,
     velocity_is_from_position,
 )
 from split_cli.diagnosis.recording.series import Series
@@ -69,14 +67,14 @@ def limits_of(
         out.append("effects of place, wind and velocity sensors: position and yaw are missing; record them")
     if any(drive.metadata.kinds.get("delta") == "measured" for drive in drives):
         out.append("the steering actuator: the steer angle is a measurement; log the command")
-    if any(map(torque_is_derived, drives)):
+    if any(drive.metadata.torque_follows_motion for drive in drives):
         out.append("longitudinal effects: torque is derived from acceleration; log the torque command")
     if any(drive.metadata.lateral_velocity_is_integrated for drive in drives):
         out.append(
             "velocity sensors, the bank of the road and slow sideslip: lateral velocity is integrated from a_y; "
             "record it, or position with a heading"
         )
-    if any(map(torque_is_from_pedals, drives)):
+    if any(drive.metadata.torque_is_from_pedals for drive in drives):
         out.append(
             "drive train and pedal map apart: torque comes from throttle, brake or current by an assumed map, "
             "whose errors may look like drive gain, lag, drag or mass; log the torque command"
@@ -113,7 +111,7 @@ def identifiable(
         lacking.add("measured velocities")
     if any(drive.metadata.lateral_velocity_is_integrated for drive in drives):
         lacking.add("lateral velocity")
-    if any(map(torque_is_derived, drives)):
+    if any(drive.metadata.torque_follows_motion for drive in drives):
         lacking.add("torque")
     if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle, policy.screening):
         lacking.add("torque changes")

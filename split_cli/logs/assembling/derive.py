@@ -22,6 +22,7 @@ __all__ = [
     "Derivation",
     "Derived",
     "derivation_named",
+    "derivations_for",
     "reachable",
     "torque_from_acceleration",
     "torque_from_current",
@@ -462,6 +463,14 @@ DERIVATIONS: dict[str, Derivation] = {
 }
 """In the order in which they run: velocities before what needs them."""
 
+#: Derivations with what they are asked for, the most trustworthy first.
+_CHOICES = (
+    ("lateral-velocity-from-sideslip", {"vy"}),
+    ("velocity-from-pose", {"vx", "vy"}),
+    ("yaw-rate-from-yaw", {"r"}),
+    ("lateral-velocity-from-accelerations", {"vy"}),
+)
+
 
 def derivation_named(name: str) -> Derivation:
     """Return a derivation by name; underscores may stand for hyphens.
@@ -485,3 +494,17 @@ def reachable(recorded: Collection[str]) -> set[str]:
         reached |= step
         step = {made for entry in DERIVATIONS.values() if set(entry.needs) <= reached for made in entry.makes}
     return reached
+
+
+def derivations_for(missing: Collection[str], mapped: Collection[str]) -> list[str]:
+    """Return the derivations that a log asks for, in the order to run them.
+
+    A torque takes nothing that a drive may lack, and stands last.
+    """
+    there, chosen = set(mapped), []
+    for name, wanted in _CHOICES:
+        entry = DERIVATIONS[name]
+        if wanted & set(missing) - there and set(entry.needs) <= there:
+            chosen.append(name)
+            there |= set(entry.makes)
+    return [*chosen, "torque-from-acceleration"] if "T" in missing else chosen

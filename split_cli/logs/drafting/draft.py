@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from split_cli.logs.assembling.conversion import expected_unit
+from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
 from split_cli.signals import REQUIRED_CHANNELS
 
 __all__ = ["UNITS_OF", "Draft", "Suggestion", "quoted", "render_draft"]
@@ -123,24 +124,20 @@ def render_draft(draft: Draft, name: str) -> str:
     return "\n".join(lines)
 
 
+_NOTES = {
+    "torque-from-acceleration": " (it says nothing of the drive train), or from pedals",
+    "lateral-velocity-from-accelerations": " (a_y - v_x r, held where driving is gentle)",
+}
+
+
 def _ways(missing: Sequence[str], mapped: set[str], opened: set[str]) -> list[str]:
     """Return how missing channels can be derived from what is mapped."""
-    ways = []
-    if "T" in missing:
-        ways.append("T: --derive torque-from-acceleration (it says nothing of the drive train), or from pedals.")
-    if "vy" in missing and "sideslip" in mapped:
-        ways.append("vy: --derive lateral-velocity-from-sideslip.")
-    elif {"vx", "vy", "r"} & set(missing) and {"X", "Y", "yaw"} <= mapped:
-        ways.append("vx, vy, r: --derive velocity-from-pose.")
-    elif "vy" in missing and {"vx", "ay"} <= mapped and {"r", "yaw"} & mapped:
-        ways.append(
-            "vy: --derive lateral-velocity-from-accelerations (a_y - v_x r, held where driving is gentle)."
-        )
-    elif "vy" in missing:
+    chosen = derivations_for(missing, mapped)
+    made = {channel for name in chosen for channel in DERIVATIONS[name].makes}
+    ways = [f"{', '.join(DERIVATIONS[name].makes)}: --derive {name}{_NOTES.get(name, '')}." for name in chosen]
+    if "vy" in missing and "vy" not in made:
         ways.append("vy: neither lateral velocity, sideslip, pose nor yaw rate with a_y was found; it takes one.")
-    if "r" in missing and "yaw" in mapped:
-        ways.append("r: --derive yaw-rate-from-yaw.")
-    elif "r" in missing:
+    if "r" in missing and "r" not in made:
         ways.append("r: a gyro or a heading. a_y and the course turn with the path, so sideslip is not in them.")
     if "delta" in missing and not opened & {"delta", "steering_wheel_angle"}:
         ways.append("delta: no steering angle was found. Training and diagnosis need one, measured or commanded.")

@@ -10,6 +10,7 @@ from typing import Any
 
 from split_cli.errors import SplitError
 from split_cli.files import atomic_directory
+from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.workflows.ingesting.ingest import open_logs
@@ -84,21 +85,9 @@ class InitResult:
             steps.append(
                 "Check in a left turn that r and delta are positive: nothing recorded tells left from right."
             )
-        derive, derived = "", {"T"}
-        if "vy" in missing and {"sideslip", "vx"} <= mapped:
-            derive += " --derive lateral-velocity-from-sideslip"
-            derived.add("vy")
-        elif {"vx", "vy", "r"} & set(missing) and {"X", "Y", "yaw"} <= mapped:
-            derive += " --derive velocity-from-pose"
-            derived |= {"vx", "vy", "r"}
-        else:
-            if "r" in missing and "yaw" in mapped:
-                derive += " --derive yaw-rate-from-yaw"
-                derived.add("r")
-            if "vy" in missing and {"vx", "r", "ay"} <= mapped | derived:
-                derive += " --derive lateral-velocity-from-accelerations"
-                derived.add("vy")
-        derive += " --derive torque-from-acceleration" if "T" in missing else ""
+        chosen = derivations_for(missing, mapped)
+        derived = {channel for name in chosen for channel in DERIVATIONS[name].makes}
+        derive = "".join(f" --derive {name}" for name in chosen)
         left = [channel for channel in missing if channel not in derived]
         if left:
             steps.append(f"Map {', '.join(left)} in {self.map_path}: its comments say what was found.")
