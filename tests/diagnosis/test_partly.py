@@ -7,10 +7,19 @@ import pytest
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
+from split_cli.diagnosis.recording.witnesses import build_witnesses
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.partly import most_saved, parts_of_drive, strongest_part
 from split_cli.diagnosis.search.selection import nothing
-from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
+from tests.diagnosis.recordings import (
+    bare_objective,
+    candidates_of,
+    driven,
+    light_evidence,
+    noisy,
+    noisy_objective,
+    prepared,
+)
 
 NAMES = ("steer_gain", "drive_gain", "yaw_inertia", "tire_stiffness", "aero_drag", "steer_offset")
 
@@ -104,3 +113,24 @@ def test_parts_of_a_long_drive_begin_at_every_other_block():
     for w in rng.choice(len(parts.first), 20):
         column, left = (rows[360 * parts.first[w] : 360 * (parts.last[w] + 1)] for rows in (d[:, 0], e))
         assert parts.saved[w, 0] == pytest.approx((column @ left) ** 2 / (column @ column), rel=1e-6)
+
+
+@pytest.mark.parametrize("recorded_twice", [False, True])
+def test_a_late_channel_is_asked_of_a_part_only_where_nothing_witnesses_it(recorded_twice):
+    """A car whose steering is late looks by yaw rate like a late gyroscope; the yaw angle denies it."""
+
+    def late(angles: np.ndarray, step: float) -> np.ndarray:
+        shift = int(round(0.03 / step))
+        return np.concatenate([np.repeat(angles[:, :1], shift, axis=1), angles[:, :-shift]], axis=1)
+
+    series = prepared(noisy(driven(43, steer=late), 9))
+    witnesses = [one for one in build_witnesses(series) if recorded_twice]
+    objective = bare_objective(light_evidence(series), kinematics=witnesses)
+    explore = Explorer(objective, tuple(candidates_of(objective, "channel_delay")), 1.5)
+    lines = [one for one in explore.lines() if "r" in one.part.values]
+    found = strongest_part(objective, lines, nothing(objective).residuals, 1.5)
+    assert lines
+    if recorded_twice:
+        assert found is None
+    else:
+        assert found.part.candidate.term == "channel_delay" and found.p_value < STANDARD.comparison.level

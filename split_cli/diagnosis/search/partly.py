@@ -155,7 +155,7 @@ def strongest_part(
     def asked(line: Tangent) -> tuple[int, list[ActingPart]]:
         one = line.part.candidate
         sizes = [k for k, name in enumerate(line.part.values) if CATALOGUE[one.term].neutral.get(name) is not None]
-        if not sizes:
+        if not sizes or _has_witnesses(objective, line):
             return 0, []
         parts = parts_of_drive(objective, line.slopes[:, sizes], residuals)
         found = []
@@ -172,6 +172,15 @@ def strongest_part(
     tried = sum(count for count, _ in answers)
     best = min((one for _, found in answers for one in found if one), key=lambda one: one.p_value, default=None)
     return None if best is None else replace(best, p_value=min(1.0, best.p_value * tried))
+
+
+def _has_witnesses(objective: MarginalLikelihood, line: Tangent) -> bool:
+    """Return whether a sensor's fault moves what the recording knows twice, which parts leave out.
+
+    Velocities alone are asked in a part. There model-form error looks like a late channel, all along the drive
+    where witnesses deny it.
+    """
+    return line.part.term.corrects and bool(objective.of_witnesses(line.slopes).any())
 
 
 def _stretch(
