@@ -287,12 +287,17 @@ def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy) -> Diagnosis:
 
 
 def _for_a_while(found: _Comparison, named: bool, policy: Policy) -> list[str]:
-    """Return what a term explains of a gap without a name in a part of the drive, as sentences."""
+    """Return what terms explain of a gap without a name in a part of the drive, as sentences.
+
+    A part that is nearly all of the drive is none.
+    """
     one = None if named else found.outcome.selection.partly()
-    if one is None or _WAYS * one.p_value >= policy.comparison.level:
+    if one is None or _WAYS * one.p_value >= policy.comparison.level or one.share > policy.reporting.everywhere:
         return []
     several = len(found.outcome.structure.objective.evidence) > 1
-    return [acting_in_a_part(one.part.term, one.begin, one.end, one.recording + 1 if several else None)]
+    readings = [(each.term, each.parameter, each.estimate) for each in one.readings]
+    most = policy.abstention.most_alternatives
+    return [acting_in_a_part(readings, one.begin, one.end, most, one.recording + 1 if several else None)]
 
 
 def _held_out(case: DiagnosisCase, split: HeldOut) -> list[tuple[Evidence, np.ndarray]]:

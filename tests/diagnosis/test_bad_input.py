@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.recording.screening import cleaned, unfit
+from split_cli.diagnosis.recording.screening import cleaned, idle, unfit
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.identifiable import identifiable
@@ -171,6 +171,28 @@ def test_straight_constant_driving_says_what_would_show_something():
     diagnosis = diagnose([cruising(1)], road_car(), [cruising(2)])
     assert_undecided(diagnosis, "slalom", "torque steps", "coast-down")
     assert_undecided(diagnose([cruising(1)], road_car()), "slalom")
+
+
+def test_straight_driving_with_a_derived_torque_shows_nothing():
+    """A motorway: speed changes, and the torque with it, but it was derived from them, and nothing turns."""
+    drive = cruising(1)
+    wave = np.sin(0.2 * drive["t"])
+    told = altered(drive, vx=drive["vx"] + 3.0 * wave, T=drive["T"] + 200.0 * wave)
+    derived = DriveMetadata(
+        kinds={"T": "derived: torque from measured a_x by the nominal model", "delta": "command"}
+    )
+    assert idle([told], road_car()) == []
+    (reason,) = idle([replace(told, metadata=derived)], road_car())
+    assert "hardly turns" in reason and "derived" in reason and "slalom" in reason
+
+
+@pytest.mark.parametrize(("hardest", "is_told"), [(0.1, False), (6.0, True)])
+def test_a_whole_curve_shows_only_beyond_its_linear_part(real, hardest, is_told):
+    """Up to there it is the stiffness of both axles, which has a name and a range of its own."""
+    share = hardest / float(np.quantile(np.abs(real["vx"] * real["r"]), 0.99))
+    slow = altered(real, **{name: share * real[name] for name in ("vy", "r", "delta")})
+    assert ("friction_scale (curve)" in names_of(slow)) == is_told
+    assert "tire_stiffness" in names_of(slow)
 
 
 @pytest.mark.parametrize("channel", ["vx", "vy", "r", "T", "delta"])

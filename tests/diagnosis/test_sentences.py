@@ -232,16 +232,16 @@ def test_shares_that_do_not_add_up_are_told_with_what_is_left(explained, unnamed
     assert rest is None or f"remaining {rest} has no structure" in said
 
 
-@pytest.mark.parametrize(("term", "variant"), VARIANTS)
-def test_what_acts_in_a_part_is_told_with_when_and_how_much(term, variant):
-    """Parameters without an effect are left out, a share has no unit, and one drive needs no number."""
-    kind = CATALOGUE[term]
-    units = kind.parameter_units(variant)
-    first, *others = units
-    values = {first: 0.85, **{name: kind.neutral.get(name, 2.0) for name in others}}
-    told = acting_in_a_part(kind(values, variant), 24.9, 55.9)
-    assert told.startswith("Between 24.9 and 55.9 s it looks like") and f"({term})" in told
-    assert f"{first} = 0.85" in told and "not all along the drive" in told
-    assert (f"0.850 {units[first]}" in told) == (units[first] != "1")
-    assert not any(f"{name} = " in told for name in others if name in kind.neutral)
-    assert "55.9 s of real drive 2 it" in acting_in_a_part(kind(values, variant), 24.9, 55.9, 2)
+def test_what_acts_in_a_part_is_told_with_its_interval_and_what_else_it_may_be():
+    """A share has no unit, one drive needs no number; where many explain it, or nothing does, no name is given."""
+    gain = ("drive_gain", "brake_gain", ParameterEstimate(0.85, 0.02, "1", (0.81, 0.89)))
+    delay = ("drive_delay", "delay", ParameterEstimate(0.12, 0.01, "s", (0.1, 0.14)))
+    told = acting_in_a_part([gain, delay], 24.9, 55.9, 4)
+    assert told.startswith(
+        "Between 24.9 and 55.9 s it looks like drive gain (drive_gain) with brake_gain = 0.850 (95"
+    )
+    assert "0.810 to 0.890" in told and "not all along the drive" in told and "a lead, not a finding" in told
+    assert "nearly as well there by drive delay (drive_delay) with delay = 0.120 s" in told
+    assert "55.9 s of real drive 2 it" in acting_in_a_part([gain], 24.9, 55.9, 4, 2)
+    assert "many effects" in acting_in_a_part([gain] * 6, 1.0, 20.0, 4)
+    assert "no effect that a real car can have" in acting_in_a_part([], 1.0, 20.0, 4)

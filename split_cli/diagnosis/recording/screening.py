@@ -150,16 +150,32 @@ def moving(drive: Drive, vehicle: Vehicle, rules: Screening = STANDARD.screening
 
 
 def idle(real: Sequence[Drive], vehicle: Vehicle, rules: Screening = STANDARD.screening) -> list[str]:
-    """Return why nothing was excited in the real drives; empty when something was."""
+    """Return why nothing was excited in the real drives; empty when something was.
+
+    A torque that was derived from how the car moved excites nothing along the car: whatever acts there is in it.
+    """
+    derived = any(map(torque_is_derived, real))
     for drive in real:
         steady = _range(drive["vx"]) < rules.still_share * np.mean(drive["vx"])
-        across = np.quantile(np.abs(drive["vx"] * drive["r"]), 1.0 - 0.5 * _OUTER_SHARE)
-        if across > rules.least_acceleration or not (steady and torque_is_constant(drive["T"], vehicle, rules)):
+        along = not (derived or (steady and torque_is_constant(drive["T"], vehicle, rules)))
+        if along or acceleration_across(drive) > rules.least_acceleration:
             return []
+    if derived:
+        most = max(map(acceleration_across, real))
+        return [
+            f"The real drive hardly turns ({most:.2g} m/s^2 across the car; {rules.least_acceleration:g} are "
+            "needed), and its torque is derived from how it moved, so that nothing along the car shows either. A "
+            "slalom would show the steering and the tyres, a logged torque command the drive."
+        ]
     return [
         "The real drive is straight at constant speed and torque. A slalom would show the steering and the tyres, "
         "torque steps the drive, a coast-down drag and resistance."
     ]
+
+
+def acceleration_across(drive: Drive) -> float:
+    """Return the lateral acceleration v_x r that a hundredth of a drive exceeds in size [m/s^2]."""
+    return float(np.quantile(np.abs(drive["vx"] * drive["r"]), 1.0 - 0.5 * _OUTER_SHARE))
 
 
 def measures(drive: Drive, *channels: str) -> bool:

@@ -10,6 +10,7 @@ from split_cli.diagnosis.baseline.discrepancy import features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.screening import (
+    acceleration_across,
     measures,
     torque_is_constant,
     velocity_is_from_position,
@@ -50,19 +51,17 @@ def limits_of(
     z = np.concatenate([features(one.series, vehicle)[one.at] for one in real])
     torque = z[:, 2] * vehicle.max_torque
     speed = z[:, 3]
-    slip = np.quantile(np.abs(z[:, :2]), 0.99, axis=0)
-    peak = [1.0 / tire.B for tire in (vehicle.front_tire, vehicle.rear_tire)]
+    drives = [one.series.drive for one in real]
     if np.ptp(np.quantile(speed, [0.02, 0.98])) < 0.15 * np.mean(speed):
         out.append("drag against rolling resistance: the speed hardly changes; coast down from high speed")
     if torque_is_constant(torque, vehicle, policy.screening):
         out.append("drive gain, lag and delay: the torque hardly changes; drive torque steps")
     elif np.quantile(torque, 0.02) > -0.02 * vehicle.max_brake_torque:
         out.append("brake gain: there is no braking; brake hard once")
-    if max(slip) < 0.004:
+    if max(map(acceleration_across, drives)) < policy.screening.least_acceleration:
         out.append("lateral effects: there are no turns; drive a slalom")
-    elif max(slip[0] / peak[0], slip[1] / peak[1]) < 0.25:
+    elif not _leaves_linear_range([one.series for one in real], vehicle, policy):
         out.append("peak grip: no turn comes near the limit; turn harder")
-    drives = [one.series.drive for one in real]
     if not all(drive.has_position for drive in drives):
         out.append("effects of place, wind and velocity sensors: position and yaw are missing; record them")
     if any(drive.metadata.kinds.get("delta") == "measured" for drive in drives):
@@ -84,6 +83,22 @@ def limits_of(
     return tuple(out)
 
 
+def _leaves_linear_range(real: Sequence[Series], vehicle: Vehicle, policy: Policy) -> bool:
+    """Return whether a hundredth of the drives shows more of a tyre's curve than its nearly linear part.
+
+    Told by the slip angles, on the file's curves, or by the acceleration, of the file's grip: where either is
+    wrong, the other may be right.
+    """
+    linear = policy.screening.gentle_to
+    slip = np.concatenate([features(one, vehicle)[:, :2] for one in real])
+    most = np.quantile(np.abs(slip), 0.99, axis=0)
+    axles = (vehicle.front_tire, vehicle.rear_tire)
+    bent = (tire.C * np.arctan(tire.B * alpha) for tire, alpha in zip(axles, most, strict=True))
+    used = [np.sin(min(one, 0.5 * np.pi)) for one in bent]
+    grip = sum(tire.D for tire in axles) / vehicle.mass
+    return max(*used, max(acceleration_across(one.drive) for one in real) / grip) > linear
+
+
 def identifiable(
     candidates: Sequence[Candidate],
     real: Sequence[Series],
@@ -95,8 +110,9 @@ def identifiable(
     Places are identifiable only with position, since a distance travelled is nothing but a time; wind only with
     position and yaw. What acts along the car is identifiable only by a torque that was not derived from how the
     car moved, and what comes of the torque only where that changes. A lateral velocity integrated from a_y shows
-    no sensor of velocity, and not what tilts a_y. Without position, what a sound car does to a
-    sensor is no fault of it.
+    no sensor of velocity, and not what tilts a_y. Grip that takes the stiffness with it shows where tyres are
+    bent; up to there it is a stiffness, which has a name and a range of its own. Without position, what a sound
+    car does to a sensor is no fault of it.
     """
     lacking = set()
     drives = [one.drive for one in real]
@@ -115,5 +131,7 @@ def identifiable(
         lacking.add("torque")
     if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle, policy.screening):
         lacking.add("torque changes")
+    if not _leaves_linear_range(real, vehicle, policy):
+        lacking.add("hard turns")
     told = [one for one in candidates if not lacking & one.needs]
     return [one.without_witness() for one in told] if "measured position" in lacking else told

@@ -18,12 +18,29 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.remainder.structure import minimum_effect_p, term_allowances
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Part, Tangent
+from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["ActingPart", "Parts", "most_saved", "parts_of_drive", "strongest_part"]
+__all__ = ["ActingPart", "PartReading", "Parts", "most_saved", "parts_of_drive", "strongest_part"]
 
 _MOST_BLOCKS = 240  # of which parts are made, eight minutes in blocks of 2 s: their number grows with its square
+
+
+@dataclass(frozen=True)
+class PartReading:
+    """One parameter of one term that explains a part of the drive.
+
+    Attributes
+    ----------
+    term, parameter : str
+    estimate : ParameterEstimate
+        What it is there, with its interval.
+    """
+
+    term: str
+    parameter: str
+    estimate: ParameterEstimate
 
 
 @dataclass(frozen=True)
@@ -40,6 +57,10 @@ class ActingPart:
         In that recording's time [s].
     p_value : float
         Of an effect no larger than what is allowed, after counting all parts and terms that were asked.
+    share : float
+        Of all rows that are compared, how many lie in it [1].
+    readings : tuple of PartReading
+        What explains this part nearly as well within what a car can have, best first; each term once.
     """
 
     part: Part
@@ -47,6 +68,8 @@ class ActingPart:
     begin: float
     end: float
     p_value: float
+    share: float
+    readings: tuple[PartReading, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -151,11 +174,11 @@ def strongest_part(
     variance_inflation : float
     """
     widened = max(variance_inflation, objective.form_error_inflation)
+    lines = [line for line in lines if not _has_witnesses(objective, line)]
 
-    def asked(line: Tangent) -> tuple[int, list[ActingPart]]:
-        one = line.part.candidate
-        sizes = [k for k, name in enumerate(line.part.values) if CATALOGUE[one.term].neutral.get(name) is not None]
-        if not sizes or _has_witnesses(objective, line):
+    def asked(line: Tangent) -> tuple[int, list[tuple[ActingPart, tuple[int, int]]]]:
+        sizes = _sizes(line)
+        if not sizes:
             return 0, []
         parts = parts_of_drive(objective, line.slopes[:, sizes], residuals)
         found = []
@@ -164,14 +187,80 @@ def strongest_part(
         for column, k in enumerate(sizes):
             saved = np.where(agree[:, column], parts.saved[:, column], 0.0)
             for w in np.argsort(-saved)[: rules.selection.considered]:
-                if saved[w] > widened:
-                    found.append(_stretch(objective, line, k, parts, int(w), column, widened))
+                one = _stretch(objective, line, k, parts, int(w), column, widened) if saved[w] > widened else None
+                if one is not None:
+                    found.append((one, (int(parts.first[w]), int(parts.last[w]))))
         return parts.saved.size, found
 
     answers = together(asked, lines)
     tried = sum(count for count, _ in answers)
-    best = min((one for _, found in answers for one in found if one), key=lambda one: one.p_value, default=None)
-    return None if best is None else replace(best, p_value=min(1.0, best.p_value * tried))
+    every = (one for _, found in answers for one in found)
+    best, blocks = min(every, key=lambda one: one[0].p_value, default=(None, (0, 0)))
+    if best is None:
+        return None
+    readings = _readings(objective, lines, residuals, blocks, widened)
+    return replace(best, p_value=min(1.0, best.p_value * tried), readings=readings)
+
+
+def _sizes(line: Tangent) -> list[int]:
+    """Return which parameters of a line have a value of no effect."""
+    neutral = CATALOGUE[line.part.candidate.term].neutral
+    return [k for k, name in enumerate(line.part.values) if neutral.get(name) is not None]
+
+
+def _readings(
+    objective: MarginalLikelihood,
+    lines: Sequence[Tangent],
+    residuals: np.ndarray,
+    blocks: tuple[int, int],
+    widened: float,
+) -> tuple[PartReading, ...]:
+    """Return what explains a part of the drive but for a fair share as well as the best does, each term once.
+
+    Parameters
+    ----------
+    objective, lines, residuals
+        As for `strongest_part`.
+    blocks : tuple of int
+        The first and the last of the part.
+    widened : float
+        Variance inflation of what a cost is compared with.
+
+    Notes
+    -----
+    An interval takes the larger of two standard errors: of noise, widened by autocorrelation and model-form error,
+    and of the scores block by block (a sandwich). A value that ends at what a car can have explains nothing.
+    """
+    block, rules = _blocks(objective)[0], objective.policy.selection
+    inside = (block >= blocks[0]) & (block <= blocks[1])
+    own, e = block[inside] - blocks[0], residuals[: len(block)][inside]
+    best: dict[str, tuple[float, PartReading]] = {}
+    for line in lines:
+        one, names = line.part.candidate, list(line.part.values)
+        for k in _sizes(line):
+            d = line.slopes[: len(block), k][inside]
+            score, known = np.bincount(own, d * e), np.bincount(own, d * d)
+            if known.sum() <= 0.0:
+                continue
+            steps = float(score.sum() / known.sum())
+            saved = steps * float(score.sum())
+            values = _at(one, line.part.values, names[k], steps)
+            if one.is_everyday(values) or one.at_limit(values):
+                continue
+            scores = float(np.linalg.norm(score - steps * known)) / known.sum()
+            error = max(scores, float(np.sqrt(widened / known.sum()))) * one.ranges[names[k]].step
+            if saved > best.get(one.term, (0.0,))[0]:
+                best[one.term] = saved, _reading(one, names[k], values[names[k]], error, rules.deviations)
+    enough = (1.0 - rules.fair_share) * max((saved for saved, _ in best.values()), default=0.0)
+    ranked = sorted(best.values(), key=lambda pair: -pair[0])
+    return tuple(reading for saved, reading in ranked if saved >= enough)
+
+
+def _reading(one: Candidate, name: str, value: float, error: float, deviations: float) -> PartReading:
+    """Return a value with its interval, inside what a car can have."""
+    limit, unit = one.ranges[name], CATALOGUE[one.term].parameter_units(one.variant)[name]
+    ends = np.clip([value - deviations * error, value + deviations * error], limit.lower, limit.upper)
+    return PartReading(one.term, name, ParameterEstimate(value, error, unit, (float(ends[0]), float(ends[1]))))
 
 
 def _has_witnesses(objective: MarginalLikelihood, line: Tangent) -> bool:
@@ -204,7 +293,8 @@ def _stretch(
     p_value = minimum_effect_p(float(parts.saved[w, column]), 1.0, size, widened, floor, allowance=1.0)
     recording = next(k for k, rows in enumerate(inside) if rows.any())
     t = objective.evidence[recording].series.drive["t"][objective.evidence[recording].at[inside[recording]]]
-    return ActingPart(Part(one, values), recording, float(t[0]), float(t[-1]), p_value)
+    share = sum(int(rows.sum()) for rows in inside) / sum(int(mask.sum()) for mask in objective.keep)
+    return ActingPart(Part(one, values), recording, float(t[0]), float(t[-1]), p_value, share)
 
 
 def _at(one: Candidate, values: Mapping[str, float], name: str, steps: float) -> dict[str, float]:

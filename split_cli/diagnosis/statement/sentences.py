@@ -15,7 +15,7 @@ from split_cli.diagnosis.statement.result import (
 )
 from split_cli.diagnosis.statement.separation import separation
 from split_cli.diagnosis.statement.wording import number, percent, term_with_id, variable_name
-from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
@@ -114,21 +114,42 @@ def separations(term: str, variant: str, alternatives: Sequence[str]) -> tuple[s
     return tuple(separation(term, variant, alternative).words for alternative in alternatives)
 
 
-def acting_in_a_part(term: Term, begin: float, end: float, number_of_drive: int | None = None) -> str:
-    """Return what a term would explain from `begin` to `end` [s] and not all along the drive.
+def acting_in_a_part(
+    readings: Sequence[tuple[str, str, ParameterEstimate]],
+    begin: float,
+    end: float,
+    most: int,
+    number_of_drive: int | None = None,
+) -> str:
+    """Return what terms would explain from `begin` to `end` [s] and not all along the drive.
 
-    `number_of_drive` tells which of several real drives, from 1.
+    Parameters
+    ----------
+    readings : sequence of (str, str, ParameterEstimate)
+        Terms, a parameter of each, and what it is there; best first.
+    begin, end : float
+    most : int
+        Of how many more than one terms no name is given.
+    number_of_drive : int, optional
+        Which of several real drives, from 1.
     """
-    where = f" of real drive {number_of_drive}" if number_of_drive else ""
-    units, neutral = term.parameter_units(term.variant), type(term).neutral
-    own = {name: value for name, value in term.parameters.items() if value != neutral.get(name)}
-    sizes = ", ".join(
-        f"{name} = {number(value, 3)} {units[name]}".removesuffix(" 1") for name, value in own.items()
+    where = (
+        f"Between {number(begin)} and {number(end)} s{f' of real drive {number_of_drive}' * bool(number_of_drive)}"
     )
-    return (
-        f"Between {number(begin)} and {number(end)} s{where} it looks like {term_with_id(term.id)} with {sizes}, "
-        "but not all along the drive."
-    )
+    if not 0 < len(readings) <= most + 1:
+        several = (
+            "many effects explain it as well" if readings else "no effect that a real car can have explains it"
+        )
+        return f"{where} there is a difference that is not there all along the drive; {several}."
+
+    def told(term: str, name: str, one: ParameterEstimate) -> str:
+        low, high = (number(end, 3) for end in one.interval_95)
+        value = f"{name} = {number(one.value, 3)} {one.unit}".removesuffix(" 1")
+        return f"{term_with_id(term)} with {value} (95 %: {low} to {high})"
+
+    first, *others = (told(*one) for one in readings)
+    instead = f" It is explained nearly as well there by {' or by '.join(others)}." if others else ""
+    return f"{where} it looks like {first}, but not all along the drive. This is a lead, not a finding.{instead}"
 
 
 def summarise(

@@ -95,8 +95,8 @@ class Term:
         What a recording has to have, to show the term: ``position`` (with yaw), ``measured position``
         (not derived from velocities), ``measured velocities`` (not derived from position), ``torque`` (logged, not
         derived from how the car moved), ``torque changes``,
-        ``lateral velocity`` (not integrated from a_y), ``ax`` or ``ay`` (measured), ``witness`` (measured
-        position or acceleration to the left).
+        ``lateral velocity`` (not integrated from a_y), ``hard turns`` (beyond the nearly linear part of the tyres'
+        curves), ``ax`` or ``ay`` (measured), ``witness`` (measured position or acceleration to the left).
     variant_needs : mapping of str to frozenset of str
         What a variant needs beside that.
     moves_samples : bool

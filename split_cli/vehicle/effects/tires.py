@@ -46,6 +46,7 @@ _ROLLED = (
 _HEIGHT = (
     "Heydinger et al. (1999), SAE 1999-01-1336: 0.17 to 0.3 wheelbases for cars and light trucks; judgement: 0.5"
 )
+_BENT = {"curve": frozenset({"hard turns"})}
 _STIFF = "judgement: make, pressure and wear change a tyre's stiffness by less than a factor of 1.8"
 _LOADED = "judgement: racing cars carry their weight at 40 m/s, which is 0.25; none has eight times that"
 
@@ -149,6 +150,7 @@ class FrictionScale(Term):
     neutral: ClassVar = {"scale": 1.0}
     discrepancy: ClassVar = (("", "scale", -0.15),)
     variants: ClassVar = ("", "curve")
+    variant_needs: ClassVar = _BENT
     mimics: ClassVar = (
         Mimic(
             "friction_scale+tire_stiffness",
@@ -189,6 +191,7 @@ class FrictionPatch(Term):
     family = "place"
     needs: ClassVar = frozenset({"position"})
     variants: ClassVar = ("", "curve")
+    variant_needs: ClassVar = _BENT
     mimics: ClassVar = (
         Mimic("friction_scale", "turns only inside the stretch", "turns elsewhere"),
         Mimic("grip_fade", "the stretch is passed once", "a second lap"),
@@ -233,6 +236,7 @@ class GripFade(Term):
     neutral: ClassVar = {"final_loss": 0.0}
     family = "time"
     variants: ClassVar = ("", "curve")
+    variant_needs: ClassVar = _BENT
     mimics: ClassVar = (
         Mimic("friction_scale", "tau much shorter than the drive", "hard driving in the first seconds"),
         Mimic("friction_patch", "the stretch is passed once, late", "a second lap"),
