@@ -23,7 +23,7 @@ from split_cli.scoring.rollouts import Correction, roll_out, rollout_starts
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
-    "FEWEST_BLOCKS", "HORIZONS", "MOST_ROWS", "TrainingDrive", "TrustEvidence",
+    "FEWEST_BLOCKS", "HORIZONS", "MOST_ROWS", "WHOLE_DRIVES", "TrainingDrive", "TrustEvidence",
     "held_out_evidence", "held_out_whole",
 ]  # fmt: skip
 
@@ -39,7 +39,7 @@ _MOST_BLOCKS = 24
 FEWEST_BLOCKS = 5
 _FOLDS = 5
 #: From this many drives on each is held out whole: two would leave a fold one drive to learn from.
-_WHOLE_DRIVES = 3
+WHOLE_DRIVES = 3
 _GUARD = 1.0
 _STARTS_A_BLOCK = 10
 #: Rows of recordings that trust is found on at most; of more, drives are taken evenly.
@@ -214,13 +214,13 @@ def _number_blocks(drives: Sequence[TrainingDrive]) -> list[np.ndarray]:
 def held_out_whole(drives: Sequence[TrainingDrive]) -> int:
     """Return how many drives `held_out_evidence` holds out whole; 0 where it holds out blocks of time."""
     judged = sum(bool((block >= 0).any()) for block in _number_blocks(_spread(drives)))
-    return judged if judged >= _WHOLE_DRIVES else 0
+    return judged if judged >= WHOLE_DRIVES else 0
 
 
 def _folds_of(numbered: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Return the fold in which each row is held out, -1 for none; drives too short for a block only teach."""
     judged = [number for number, block in enumerate(numbered) if (block >= 0).any()]
-    if len(judged) < _WHOLE_DRIVES:
+    if len(judged) < WHOLE_DRIVES:
         return [np.where(block >= 0, block % _FOLDS, -1) for block in numbered]
     fold_of = {number: rank % _FOLDS for rank, number in enumerate(judged)}
     return [np.where(block >= 0, fold_of.get(number, -1), -1) for number, block in enumerate(numbered)]

@@ -49,13 +49,34 @@ def too_narrow(error: np.ndarray, deviation: np.ndarray, block: np.ndarray) -> t
 
 
 def interval_warnings(traces: Sequence[Trace]) -> list[str]:
-    """Return a warning for every state whose intervals are too narrow on these drives.
+    """Return a warning for every state whose intervals are too narrow on these drives, by predictor.
 
     Parameters
     ----------
     traces : sequence of Trace
-        Of one predictor, one a drive.
+        Of any predictors; of each, one a drive.
     """
+    narrow = {
+        name: _narrow_states([trace for trace in traces if trace.name == name])
+        for name in dict.fromkeys(trace.name for trace in traces)
+    }
+    told = []
+    for state in STATES:
+        found = {name: states[state] for name, states in narrow.items() if state in states}
+        if not found:
+            continue
+        held = ", ".join(f"{100.0 * share:.0f} % by {name}" for name, (share, _) in found.items())
+        factor = max(factor for _, factor in found.values())
+        told.append(
+            f"WARNING: intervals of {state} are too narrow here: those of 95 % hold {held} of the labels, and "
+            f"would have to be {'up to ' if len(found) > 1 else ''}{factor:.1f} times as wide. This driving "
+            "differs from that of the set by more than its training could show"
+        )
+    return told
+
+
+def _narrow_states(traces: Sequence[Trace]) -> dict[str, tuple[float, float]]:
+    """Return what `too_narrow` says of one predictor on all drives together, by state."""
     parts, first = [], 0
     for trace in traces:
         drive = trace.held.drive
@@ -64,18 +85,8 @@ def interval_warnings(traces: Sequence[Trace]) -> list[str]:
         error = trace.tested.y - trace.prediction.mean
         deviation = np.sqrt(trace.prediction.variance + trace.noise_variance)
         parts.append((error, deviation, block[trace.tested.row]))
-    if not parts:
-        return []
     error, deviation, block = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     finite = np.isfinite(error).all(axis=1)
-    told = []
-    for number, state in enumerate(STATES):
-        found = too_narrow(error[finite, number], deviation[finite, number], block[finite])
-        if found:
-            share, factor = found
-            told.append(
-                f"WARNING: intervals of {state} by {traces[0].name} are too narrow here: those of 95 % "
-                f"hold {100.0 * share:.0f} % of the labels, and would have to be {factor:.1f} times as wide. This "
-                "driving differs from that of the set by more than its training could show"
-            )
-    return told
+    error, deviation, block = error[finite], deviation[finite], block[finite]
+    found = {state: too_narrow(error[:, k], deviation[:, k], block) for k, state in enumerate(STATES)}
+    return {state: narrow for state, narrow in found.items() if narrow}

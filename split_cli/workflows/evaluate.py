@@ -167,7 +167,7 @@ def evaluate(
             *correct.notes,
             *(lag_note(own) for *_, own in contestants if own.found),
             *warnings_of([c for c in comparisons if c.name in settings.predictors]),
-            *(interval_warnings([t for t in traces if t.name == settings.predictors[-1]]) if trained else ()),
+            *(interval_warnings([t for t in traces if t.name in settings.predictors]) if trained else ()),
         ),
     )
     sets = tuple(own for *_, own in contestants)

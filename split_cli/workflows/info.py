@@ -65,9 +65,11 @@ def _numbers(parameters: Mapping[str, float]) -> str:
 def _trained_set(path: Path) -> FileDescription:
     from split_cli.learning.region import valid_cell_count
     from split_cli.learning.training_set import read_set
+    from split_cli.scoring.evidence import WHOLE_DRIVES
 
     trained = read_set(path)
     kernel = trained.kernel
+    lone = trained.trust.origin == "held-out" and len(trained.sources) < WHOLE_DRIVES
     facts = [
         ("vehicle", f"{trained.vehicle.name} (sha256 {trained.vehicle.digest()[:12]})"),
         ("features", ", ".join(trained.features.names)),
@@ -80,6 +82,7 @@ def _trained_set(path: Path) -> FileDescription:
         ("cell edges", ", ".join(f"{edge:g}" for edge in trained.grid.edges)),
         ("label interval", f"{trained.horizon:g} s"),
         ("trust", trained.trust.words()),
+        *([("intervals", _ONE_DRIVE)] if lone else []),
         *((f"found beyond the file: {effect.term}", _numbers(effect.parameters)) for effect in trained.found),
         ("length scales", ", ".join(f"{v:.4g}" for v in kernel.length_scales) + f" ({kernel.origin})"),
         ("signal deviation", ", ".join(f"{v:.4g}" for v in np.sqrt(kernel.signal_variance))),
@@ -168,6 +171,7 @@ def _yaml(path: Path) -> FileDescription:
     return FileDescription(str(path), "vehicle", tuple(facts))
 
 
+_ONE_DRIVE = "of other stretches of the same driving; how another drive differs shows from three drives on"
 _READS = "Name a drive, a trained set, labels, a vehicle file, a map, a diagnosis or an export."
 
 

@@ -23,7 +23,7 @@ import platform  # noqa: E402
 import subprocess  # noqa: E402
 import tempfile  # noqa: E402
 import time  # noqa: E402
-from dataclasses import asdict  # noqa: E402
+from dataclasses import asdict, replace  # noqa: E402
 from functools import partial  # noqa: E402
 from pathlib import Path  # noqa: E402
 
@@ -63,6 +63,7 @@ int main(int argc, char **argv)
 {
     const long count = atol(argv[1]);
     const int slopes = argc > 2 && atoi(argv[2]);
+    const int certain = argc > 3 && atoi(argv[3]);
     @NAME@_real *z = malloc((size_t)count * 3 * sizeof *z);
     @NAME@_real out[15];
     double empty[1001];
@@ -78,7 +79,7 @@ int main(int argc, char **argv)
         for (long k = 0; k < count; ++k) {
             struct timespec a, b;
             clock_gettime(CLOCK_THREAD_CPUTIME_ID, &a);
-            @NAME@_evaluate(z + 3 * k, out, out + 3, slopes ? out + 6 : NULL);
+            @NAME@_evaluate(z + 3 * k, out, certain ? NULL : out + 3, slopes ? out + 6 : NULL);
             clock_gettime(CLOCK_THREAD_CPUTIME_ID, &b);
             const double all = 1e9 * (double)(b.tv_sec - a.tv_sec) + (double)(b.tv_nsec - a.tv_nsec);
             printf("%.0f %.3g\\n", all - empty[500], (double)out[0]);
@@ -181,8 +182,8 @@ def python_predictor(name: str, stream: Stream, full: np.ndarray) -> Row:
                **accuracy(asked.mean, asked.variance, stream, full), megabytes=memory)  # fmt: skip
 
 
-def exported(name: str, real: str, stream: Stream, table: TablePredictor, compiler: Compiler) -> Row:
-    """Time the exported C."""
+def exported(name: str, real: str, stream: Stream, table: TablePredictor, compiler: Compiler) -> list[Row]:
+    """Time the exported C: mean and variance, these with the Jacobian, and mean and Jacobian alone."""
     s = stream.trained
     graph = build_nominal(SingleTrack(s.vehicle), s.features)
     tables = predictor_tables(table if name == "table" else make_predictor(name, s), real)
@@ -198,14 +199,16 @@ def exported(name: str, real: str, stream: Stream, table: TablePredictor, compil
         seconds = time.perf_counter() - begin
         compiler.build([compiled, folder / "timer.c"], folder / "timer", ["-std=gnu99", "-O2"])
         measured = []
-        for slopes in ("0", "1"):
-            command = [str(folder / "timer"), str(len(stream.queries)), slopes]
+        for asked in ("00", "10", "11"):
+            command = [str(folder / "timer"), str(len(stream.queries)), *asked]
             given = np.ascontiguousarray(stream.queries, dtype=dtype).tobytes()
             text = subprocess.run(command, input=given, capture_output=True, check=True).stdout.split()
             measured += percentiles([1e-9 * float(t) for t in text[::2][len(stream.queries) :]])
         sizes = section_bytes(compiled) or (0, 0)
-    return Row(f"{name} (C, {real})", len(stream.z), s.size, None, None, None, *measured,
-               megabytes=source.table_bytes / 1e6, code_kb=sizes[0] / 1e3, compile_s=seconds)  # fmt: skip
+    size, title = len(stream.z), f"{name} (C, {real})"
+    whole = Row(title, size, s.size, None, None, None, *measured[:4],
+                megabytes=source.table_bytes / 1e6, code_kb=sizes[0] / 1e3, compile_s=seconds)  # fmt: skip
+    return [whole, Row(f"{title}, without variance", size, s.size, None, None, None, None, None, *measured[4:])]
 
 
 # ---- rivals ----------------------------------------------------------------------------------------------------
@@ -346,7 +349,7 @@ def measure(
             found.append(printed_update(stream))
         if size <= 5000:
             found.append(iol_update(stream, 300, full))
-        names = ["bcm", "rbcm"] + (["full", "weights", "local", "grbcm"] if dense else [])
+        names = ["bcm", "rbcm", "projected"] + (["full", "weights", "local", "grbcm"] if dense else [])
         found += [python_predictor(name, stream, full) for name in names]
         asked = table.predict(stream.queries)
         singles = [q[None] for q in stream.queries]
@@ -355,8 +358,9 @@ def measure(
                          **accuracy(asked.mean, asked.variance, stream, full),
                          megabytes=table.nbytes / 1e6))  # fmt: skip
         if compiler is not None:
-            for name, real in (("bcm", "double"), ("rbcm", "double"), ("table", "double"), ("table", "float")):
-                found.append(exported(name, real, stream, table, compiler))
+            for name, real in (("bcm", "double"), ("rbcm", "double"), ("projected", "double"),
+                               ("projected", "float"), ("table", "double"), ("table", "float")):  # fmt: skip
+                found += exported(name, real, stream, table, compiler)
             if size <= 1000:
                 found.append(casadi_full(stream, compiler))
         if log_gp is not None:
@@ -382,7 +386,10 @@ def _median(rows: list[Row]) -> Row:
         values = [getattr(row, name) for row in rows]
         return values[0] if not isinstance(values[0], float) else float(np.median(values))
 
-    return Row(**{name: of(name) for name in asdict(rows[0])})
+    typical = Row(**{name: of(name) for name in asdict(rows[0])})
+    medians = ("update_p50", "query_p50", "jacobian_p50")
+    times = [[getattr(row, name) for row in rows] for name in medians if getattr(typical, name)]
+    return replace(typical, spread=max((max(t) - min(t)) / np.median(t) for t in times) if times else None)
 
 
 def machine() -> dict:
@@ -406,8 +413,8 @@ def table_text(rows: list[Row]) -> str:
     base = {row.size: row.query_p50 for row in rows if row.name == "bcm (C, double)"}
     lines = [
         "| size | contestant | update p50/p99 us | query p50/p99 us | over bcm in C | with Jacobian p50/p99 us "
-        "| RMSE | from full | NLPD | in 95 % | MB | build s |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+        "| spread | RMSE | from full | NLPD | in 95 % | MB | build s |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         ratio = row.query_p50 / base[row.size] if row.query_p50 and base.get(row.size) else None
@@ -416,7 +423,8 @@ def table_text(rows: list[Row]) -> str:
             for pair in ((row.update_p50, row.update_p99), (row.query_p50, row.query_p99),
                          (row.jacobian_p50, row.jacobian_p99))
         ]  # fmt: skip
-        parts = [str(row.size), row.name, pairs[0], pairs[1], cell(ratio), pairs[2], cell(row.rmse),
+        parts = [str(row.size), row.name, pairs[0], pairs[1], cell(ratio), pairs[2],
+                 "" if row.spread is None else f"{100.0 * row.spread:.0f} %", cell(row.rmse),
                  cell(row.from_full), cell(row.nlpd), cell(row.coverage_95), cell(row.megabytes),
                  cell(row.build_s)]  # fmt: skip
         lines.append("| " + " | ".join(parts) + " |")

@@ -19,7 +19,10 @@ SLOW_QUERIES = 40
 
 @dataclass(frozen=True)
 class Row:
-    """What one contestant did at one size; times in microseconds, None where it has no such thing."""
+    """What one contestant did at one size; times in microseconds, None where it has no such thing.
+
+    `spread` is the range of a median over repeats, as a share of it, where that is largest.
+    """
 
     name: str
     size: int
@@ -38,6 +41,7 @@ class Row:
     megabytes: float | None = None
     code_kb: float | None = None
     compile_s: float | None = None
+    spread: float | None = None
 
 
 @dataclass(frozen=True)

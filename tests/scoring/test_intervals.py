@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from split_cli.scoring.intervals import too_narrow
+from split_cli.scoring.intervals import interval_warnings, too_narrow
 
 BLOCKS, ROWS = 20, 60
 
@@ -33,3 +36,28 @@ def test_blocks_count_and_not_samples():
     assert too_narrow(error, 0.3 * deviation, block) is not None
     few = block < 3
     assert too_narrow(error[few], 0.3 * deviation[few], block[few]) is None
+
+
+def traces_of(name, deviation, seed):
+    """Return what a predictor said of a drive whose errors have the deviations 1, 2, 1."""
+    random, rows = np.random.default_rng(seed), np.arange(BLOCKS * ROWS)
+    drive = type("Drive", (dict,), {"segment": np.zeros(len(rows), dtype=int)})(t=0.1 * rows)
+    error = random.normal(size=(len(rows), 3)) * (1.0, 2.0, 1.0)
+    told = SimpleNamespace(mean=np.zeros((len(rows), 3)), variance=np.full((len(rows), 3), 0.5 * deviation**2))
+    tested = SimpleNamespace(y=error, row=rows)
+    noise = np.full(3, 0.5 * deviation**2)
+    held = SimpleNamespace(drive=drive)
+    return SimpleNamespace(name=name, held=held, tested=tested, prediction=told, noise_variance=noise)
+
+
+def test_each_predictor_that_is_shown_is_judged_by_its_own_intervals():
+    narrow, right, wide = (traces_of(name, d, 3) for name, d in (("bcm", 0.5), ("rbcm", 1.0), ("projected", 2.0)))
+    assert interval_warnings([wide]) == [] and interval_warnings([]) == []
+    assert [text.split()[3] for text in interval_warnings([right, wide])] == ["v_y"]
+    told = interval_warnings([narrow, right, wide])
+    assert [text.split()[3] for text in told] == ["v_x", "v_y", "r"]
+    # Of v_y 38 % lie inside 0.5 * 1.96 / 2 and 67 % inside 1.96 / 2 deviations; four times as wide would be right.
+    found = re.search(r"hold (\d+) % by bcm, (\d+) % by rbcm of the labels.* up to ([\d.]+) times", told[1])
+    shares = [float(part) for part in found.groups()]
+    assert shares == pytest.approx([37.6, 67.3, 4.0], rel=0.06) and "projected" not in told[1]
+    assert "rbcm" not in told[0]

@@ -20,6 +20,7 @@ from split_cli.scoring.torque_lag import fit_torque_lag
 from split_cli.scoring.trust import best_trust
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.workflows.evaluate import evaluate
+from split_cli.workflows.info import describe_file
 from split_cli.workflows.training.train import TrainSettings, train_set
 from tests.factories import MissingForce, make_drive, make_training_set, road_car
 
@@ -107,6 +108,8 @@ def test_training_puts_the_lag_into_the_set_and_says_so(trained):
     assert any("late" in note and "--lag none" in note for note in result.notes)
     # Nothing but noise is left, and nothing of it is believed.
     assert made.trust.share[0] <= 0.1
+    facts = dict(describe_file(folder / "car.split").facts)
+    assert facts["intervals"].startswith("of other stretches of the same driving")
     plain = train_set(
         [folder / "late.parquet"], folder / "car.yaml", folder / "plain.split", TrainSettings(lag="none")
     )
