@@ -17,7 +17,7 @@ import numpy as np
 
 from split_cli.errors import LogError
 
-__all__ = ["LONG", "GrowingColumn", "let_go", "room", "set_aside"]
+__all__ = ["LONG", "GrowingColumn", "let_go", "mapped_file", "room", "set_aside"]
 
 LONG = 2**19
 """Values from which on a column is set aside [1]: 4 MB; shorter ones cost less in memory than in files."""
@@ -62,8 +62,21 @@ def room(count: int) -> np.ndarray:
         return np.full(count, np.nan)
 
 
+def mapped_file(file: BinaryIO) -> mmap.mmap:
+    """Return the content of a file for reading; what was read of it is let go of with the columns.
+
+    Raises
+    ------
+    ValueError
+        If it is empty.
+    """
+    mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    _maps.add(mapped)
+    return mapped
+
+
 def let_go() -> None:
-    """Release the memory of every column that was set aside; its values come back when they are read."""
+    """Release the memory of every mapped file and column that was set aside; it comes back when it is read."""
     for mapped in list(_maps):
         with contextlib.suppress(OSError, ValueError, AttributeError):  # no such call on every system
             mapped.madvise(mmap.MADV_DONTNEED)
@@ -123,9 +136,10 @@ def _told_of_a_full_disk() -> Iterator[None]:
 
 
 def _is_aside(values: np.ndarray) -> bool:
-    return isinstance(values.base, mmap.mmap) or (
-        isinstance(values.base, memoryview) and isinstance(values.base.obj, mmap.mmap)
-    )
+    base = values.base
+    while isinstance(base, np.ndarray):
+        base = base.base
+    return isinstance(base, mmap.mmap) or (isinstance(base, memoryview) and isinstance(base.obj, mmap.mmap))
 
 
 def _mapped(file: BinaryIO, dtype: np.dtype, *, writable: bool = False) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import re
 import tempfile
 from pathlib import Path
@@ -13,8 +14,11 @@ import pytest
 
 from split_cli.errors import LogError
 from split_cli.logs import scratch
+from split_cli.logs.readers import can, mcap, messages
 from split_cli.logs.scratch import GrowingColumn, let_go, room, set_aside
 from split_cli.workflows.ingesting.ingest import IngestSettings, ingest_logs
+from tests.optional import needed
+from tests.studies import long_logs
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
@@ -125,3 +129,55 @@ def test_a_long_recording_makes_the_same_drive(tmp_path, monkeypatch, kind):
         drives.append((tmp_path / f"{name}.parquet").read_bytes())
         assert result.rows > 1000
     assert drives[0] == drives[1]
+
+
+@pytest.mark.parametrize(
+    "kind", ["ros2.mcap", "outside.mcap", "bag", "db3", "mat", "7.3.mat", "mf4", "blf", "log"]
+)
+def test_a_long_log_of_any_format_makes_the_same_drive(tmp_path, monkeypatch, kind):
+    """Read a batch, a chunk, a variable or a frame at a time, and its columns outside memory, or all at once."""
+    for module in {"mf4": ("asammdf",), "blf": ("can", "cantools"), "log": ("can", "cantools")}.get(kind, ()):
+        needed(module)
+    t = np.arange(0.0, 12.0, 0.01)
+    driven = {"t": t, "vx": 10 + np.sin(t), "vy": 0.1 * np.cos(t), "r": 0.1 * np.sin(2 * t),
+              "T": np.round(t) * 10.0, "delta": 0.05 * np.sin(2 * t)}  # fmt: skip
+    log, form = tmp_path / f"log.{kind}", kind.replace("outside", "ros2")
+    long_logs.write_log(form, log, long_logs.Lap(driven), 2000)
+    if kind == "outside.mcap":
+        log.write_bytes(without_chunks(log.read_bytes()))
+    given = long_logs.arguments_of(form, tmp_path)
+    options = dict(zip(given[::2], map(Path, given[1::2]), strict=True))
+    maps, databases = ([options[key]] if key in options else [] for key in ("--map", "--dbc"))
+    drives = []
+    for name in ("short", "long"):
+        if name == "long":
+            for module, bound, size in (
+                (scratch, "LONG", 100), (scratch, "PIECE", 64), (messages, "_BATCH_BYTES", 5000),
+                (messages, "_FLUSH_BYTES", 20_000), (mcap, "_PIECE", 10_000), (can, "_SAMPLES_HELD", 70),
+            ):  # fmt: skip
+                monkeypatch.setattr(module, bound, size)
+        out = tmp_path / f"{name}.parquet"
+        (result,) = ingest_logs(
+            [log], out, maps=maps, vehicle_path=SAMPLES / "road_car.yaml", message_paths=databases
+        ).results
+        assert 1900 < result.rows < 2100
+        drives.append(out.read_bytes())
+    assert drives[0] == drives[1]
+
+
+def without_chunks(content: bytes) -> bytes:
+    """Return an MCAP file with its messages outside of chunks and without an index."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    stream = io.BytesIO()
+    writer = Writer(stream, use_chunking=False, enable_data_crcs=True)
+    writer.start()
+    channels = {}
+    for schema, channel, message in make_reader(io.BytesIO(content)).iter_messages():
+        if channel.id not in channels:
+            known = writer.register_schema(schema.name, schema.encoding, schema.data)
+            channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, known)
+        writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+    writer.finish()
+    return stream.getvalue()

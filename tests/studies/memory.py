@@ -1,8 +1,9 @@
 """Peak memory and time of commands on ever longer recordings.
 
 Example: ``python -m tests.studies.memory --rows 100000,1000000 --do label,train,ingest-parquet``. The recording is
-a lap of the samples, repeated with different sensor noise. ``learn`` offers labels made at random to a set: no
-drive is read. Prints a row a command: rows, peak resident memory, wall and processor time, and the time a row.
+a lap of the samples, repeated with different sensor noise, as a log of any kind of `tests.studies.long_logs`
+(``ingest-bag``). ``learn`` offers labels made at random to a set: no drive is read. Prints a row a command: rows,
+peak resident memory, wall and processor time, and the time a row.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ import tempfile
 import time
 from pathlib import Path
 
+from tests.studies.long_logs import Lap, arguments_of, write_log
+
 ROOT = Path(__file__).parents[2]
 CAR = ROOT / "sample_logs" / "road_car.yaml"
 LAP = ROOT / "sample_logs" / "road_handling_moderate.mcap"
-_NOISE = {"vx": 0.02, "vy": 0.01, "r": 0.002}
 _MEASURED = """
 import resource, sys
 from {module} import {function}
@@ -28,67 +30,31 @@ finally:
     peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
     print("measured", int(peak.split()[1]) * 1024, used.ru_utime + used.ru_stime, file=sys.stderr)
 """
-MCAP_MAP = "channels:\n" + "".join(
-    f"  {name}: {{source: /car/{name}}}\n" for name in ("vx", "vy", "r", "T", "delta")
-)
 LEARNERS_BATCH = 100_000
 
 
-def make_drive(path: Path, rows: int, kind: str) -> None:
-    """Write a recording of `rows` rows: a ``drive`` of ours, or a ``parquet``, ``csv`` or ``mcap`` log of it."""
+def make_log(path: Path, rows: int, kind: str) -> None:
+    """Write a recording of `rows` rows: a ``drive`` of ours, or a log of one of `long_logs.KINDS`."""
     import numpy as np
     import pyarrow as pa
-    import pyarrow.csv
     import pyarrow.parquet
 
     from split_cli.workflows.ingesting.ingest import ingest_logs
 
-    lap = path.with_name("lap.parquet")
-    if not lap.exists():
-        ingest_logs([LAP], lap, maps=["split_sim"], vehicle_path=CAR)
-    table = pa.parquet.read_table(lap)
-    columns = {name: table[name].to_numpy() for name in table.column_names if name != "segment"}
-    length, duration = table.num_rows, float(columns["t"][-1]) + 1.0
-    if kind == "mcap":
-        return _write_mcap(path, rows, columns, duration)
-    rng = np.random.default_rng(rows)
-    schema = table.schema if kind == "drive" else pa.schema([pa.field(name, pa.float64()) for name in columns])
-    text = kind == "csv"
-    writer = pa.csv.CSVWriter(path, schema) if text else pa.parquet.ParquetWriter(path, schema, compression="zstd")
-    with writer:
-        for number in range(-(-rows // length)):
-            count = min(length, rows - number * length)
-            part = {name: values[:count].copy() for name, values in columns.items()}
-            part["t"] += number * duration
-            for name, sigma in _NOISE.items():
-                part[name] += rng.normal(0.0, sigma, count)
-            if kind == "drive":
-                part["segment"] = np.full(count, number, dtype=np.int32)
-            writer.write_table(pa.table([pa.array(part[name]) for name in schema.names], schema=schema))
+    source = path.with_name("lap.parquet")
+    if not source.exists():
+        ingest_logs([LAP], source, maps=["split_sim"], vehicle_path=CAR)
+    table = pa.parquet.read_table(source)
+    lap = Lap({name: table[name].to_numpy() for name in table.column_names if name != "segment"})
+    if kind != "drive":
+        return write_log(kind, path, lap, rows)
+    with pa.parquet.ParquetWriter(path, table.schema, compression="zstd") as writer:
+        for number, part in enumerate(lap.parts(rows)):
+            part["segment"] = np.full(len(part["t"]), number, dtype=np.int32)
+            writer.write_table(
+                pa.table([pa.array(part[name]) for name in table.schema.names], schema=table.schema)
+            )
     return None
-
-
-def _write_mcap(path: Path, rows: int, columns: dict, duration: float) -> None:
-    """Write JSON messages, one a row: the slowest encoding, and the largest."""
-    import json
-
-    from mcap.writer import Writer
-
-    names = [name for name in columns if name != "t"]
-    length = len(columns["t"])
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        fields = {name: {"type": "number"} for name in names}
-        kind = json.dumps({"type": "object", "properties": fields}).encode()
-        schema = writer.register_schema("Car", "jsonschema", kind)
-        channel = writer.register_channel("/car", "json", schema)
-        for row in range(rows):
-            lap, at = divmod(row, length)
-            stamp = int(1e9 * (columns["t"][at] + lap * duration))
-            message = json.dumps({name: round(float(columns[name][at]), 6) for name in names}).encode()
-            writer.add_message(channel, stamp, message, stamp)
-        writer.finish()
 
 
 def learn(count: int) -> None:
@@ -119,7 +85,7 @@ def measure(what: str, rows: int, folder: Path) -> tuple[int, float, float]:
     kind = what.removeprefix("ingest-") if what.startswith("ingest-") else "drive"
     log = folder / f"{rows}.{'parquet' if kind == 'drive' else 'log.' + kind}"
     if what != "learn" and not log.exists():
-        make_drive(log, rows, kind)
+        make_log(log, rows, kind)
     car = str(CAR)
     arguments = {
         "label": ["label", str(log), "--vehicle", car, "-o", str(folder / "labels.parquet")],
@@ -128,9 +94,8 @@ def measure(what: str, rows: int, folder: Path) -> tuple[int, float, float]:
         "diagnose": ["diagnose", "--real", str(log), "--vehicle", car, "--out", str(folder / "diagnosis")],
         "learn": [],
     }.get(what, ["ingest", str(log), "--vehicle", car, "-o", str(folder / "out.parquet")])
-    if kind == "mcap":
-        (folder / "mcap.yaml").write_text(MCAP_MAP)
-        arguments += ["--map", str(folder / "mcap.yaml")]
+    if kind != "drive":
+        arguments += arguments_of(kind, folder)
     module, function, given = ("tests.studies.memory", "learn", str(rows)) if what == "learn" else (
         "split_cli.cli.main", "main", repr(arguments))  # fmt: skip
     code = _MEASURED.format(module=module, function=function, arguments=given)

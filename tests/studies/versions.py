@@ -58,7 +58,8 @@ def main() -> int:
             cwd=ROOT, capture_output=True, text=True, check=False,
         )  # fmt: skip
         lines = (done.stdout.strip() or done.stderr.strip()).splitlines()
-        print("\n".join(lines[-1:] if done.returncode == 0 else lines[-40:]))
+        counts = [line for line in lines if " passed" in line]
+        print("\n".join(counts[-1:] if done.returncode == 0 else lines[-40:]))
         return done.returncode
 
 

@@ -7,7 +7,6 @@ index is used rather than the one at the end, which a killed recorder never wrot
 from __future__ import annotations
 
 import bz2
-import mmap
 import struct
 from collections import Counter
 from collections.abc import Iterator
@@ -21,7 +20,8 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.budget import most_bytes_out
-from split_cli.logs.readers.messages import MessageBatch, Stream
+from split_cli.logs.readers.messages import MessageBatch, Stream, in_batches
+from split_cli.logs.scratch import let_go, mapped_file
 
 __all__ = ["BAG1_MAGIC", "Bag1Container"]
 
@@ -64,7 +64,7 @@ class Bag1Container:
         self._connections: dict[int, tuple[str, str, bytes]] = {}
         self._first_time: int | None = None
         with path.open("rb") as stream:
-            self._file = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+            self._file = mapped_file(stream)
         self._survey()
         counts: Counter[int] = sum((chunk.counts for chunk in self._chunks), Counter())
         self.streams = [
@@ -82,14 +82,9 @@ class Bag1Container:
         for chunk in self._chunks:
             if keys.isdisjoint(chunk.counts):
                 continue
-            found = {key: MessageBatch(key, [], [], []) for key in keys}
-            for key, time, payload in self._messages(chunk):
-                if key in found:
-                    batch = found[key]
-                    batch.log_times.append(time)
-                    batch.publish_times.append(time)
-                    batch.payloads.append(bytes(payload))
-            yield from (batch for batch in found.values() if batch.payloads)
+            yield from in_batches(
+                (key, time, time, bytes(payload)) for key, time, payload in self._messages(chunk) if key in keys
+            )
 
     def _survey(self) -> None:
         """Find the chunks and connections, without decompressing what has an index of its own."""
@@ -108,6 +103,7 @@ class Bag1Container:
                 for key, time, _ in self._messages(chunk):
                     chunk.counts[key] += 1
                     self._see(time)
+                let_go()
 
     def _take_in(self, header: dict[bytes, bytes], start: int, stop: int) -> None:
         kind = _operation(header)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 from array import array
 from collections import Counter
@@ -18,10 +19,13 @@ from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, nearest_column
 from split_cli.logs.readers.blf import is_cut_blf
 from split_cli.logs.readers.probe import probe
+from split_cli.logs.scratch import GrowingColumn, set_aside
 
 __all__ = ["DATABASE_SUFFIXES", "is_can_log", "open_can", "read_databases"]
 
 DATABASE_SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
+_SAMPLES_HELD = 2**14
+"""Of one signal [1], before they go to its column."""
 _LONGEST_TEXT = 1000
 """Of what a database quotes [characters]; the longest names have 128."""
 _CANDUMP = re.compile(rb"^\s*\(\d+\.\d+\)\s+\w+\s+[0-9A-Fa-f]{3,8}#", re.MULTILINE)
@@ -140,9 +144,7 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
         raise LogError("is a CAN log", where=path.name, advice="pip install 'split-cli[can]'") from error
     database = read_databases(databases)
     by_id = {message.frame_id: message for message in database.messages}
-    # Arrays of doubles: a list of numbers takes four times their memory.
-    times: dict[str, array[float]] = {}
-    decoded: dict[str, array[float]] = {}
+    decoded: dict[str, _Samples] = {}
     unknown: Counter[int] = Counter()
     unfit: Counter[str] = Counter()
     cut = is_cut_blf(path)
@@ -163,8 +165,10 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
                 for signal, value in values.items():
                     if isinstance(value, int | float):
                         name = f"/{message.name}/{signal}"
-                        times.setdefault(name, array("d")).append(frame.timestamp)
-                        decoded.setdefault(name, array("d")).append(float(value))
+                        samples = decoded.get(name)
+                        if samples is None:
+                            samples = decoded[name] = _Samples()
+                        samples.append(frame.timestamp, float(value))
     except LogError:
         raise
     except Exception as error:  # python-can passes on what damaged blocks lead to
@@ -189,7 +193,38 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
             where=path.name,
             advice=f"Frames have the ids {seen}. Is it the DBC of this car and this bus?",
         )
-    return _recording(path, database, times, decoded, notes)
+    return _recording(path, database, decoded, notes)
+
+
+class _Samples:
+    """Times and values of one signal, frame by frame."""
+
+    def __init__(self) -> None:
+        # Arrays of doubles: a list of numbers takes four times their memory.
+        self._held = array("d"), array("d")
+        self._columns = GrowingColumn(), GrowingColumn()
+        self.first = math.nan
+
+    def append(self, time: float, value: float) -> None:
+        """Add one."""
+        times, values = self._held
+        times.append(time)
+        values.append(value)
+        if math.isnan(self.first):
+            self.first = time
+        if len(times) == _SAMPLES_HELD:
+            self._hand_over()
+
+    def finished(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return times [s] and values, shapes (N,)."""
+        self._hand_over()
+        time, values = self._columns
+        return time.finished(), values.finished()
+
+    def _hand_over(self) -> None:
+        for held, column in zip(self._held, self._columns, strict=True):
+            column.append(np.array(held))
+            del held[:]
 
 
 class _Unread(logging.Handler):
@@ -220,15 +255,14 @@ def _unread_lines() -> Iterator[_Unread]:
 def _recording(
     path: Path,
     database: Any,
-    times: dict[str, array[float]],
-    decoded: dict[str, array[float]],
+    decoded: dict[str, _Samples],
     notes: list[ReadNote],
 ) -> RawRecording:
     units = {f"/{m.name}/{s.name}": s.unit for m in database.messages for s in m.signals}
-    origin = min(stamps[0] for stamps in times.values())
-    signals = {
-        name: RawSignal(name, np.array(times[name]) - origin, np.array(values), units.get(name) or None)
-        for name, values in decoded.items()
-    }
+    origin = min(samples.first for samples in decoded.values())
+    signals = {}
+    for name, samples in decoded.items():
+        time, values = samples.finished()
+        signals[name] = RawSignal(name, set_aside(time - origin), values, units.get(name) or None)
     infos = [RawChannelInfo(name, "can", len(s.values), s.unit) for name, s in signals.items()]
     return _CanRecording(path, origin, signals, infos, notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Iterator, Sequence
@@ -11,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
+from split_cli.logs import scratch
 from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, column_name_and_unit, note_once
 from split_cli.logs.readers.budget import refuse_unpacked_size
 from split_cli.logs.readers.mat5_structure import check_mat5
+from split_cli.logs.scratch import set_aside
 
 __all__ = ["open_mat", "open_mat_hdf5"]
 
@@ -39,24 +42,55 @@ def open_mat(path: Path) -> RawRecording:
     LogError
         If it is damaged or holds no vector that can be read.
     """
-    from scipy.io import loadmat
     from scipy.io.matlab import MatlabOpaque
 
     check_mat5(path)
+    leaves: list[tuple[str, np.ndarray]] = []
+    objects: list[str] = []
     try:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            content = loadmat(path, struct_as_record=False, squeeze_me=False, chars_as_strings=True)
+            for key, value in _variables(path):
+                if isinstance(value, MatlabOpaque):
+                    objects.append(key)
+                else:
+                    leaves += [(name, _aside(values)) for name, values in _leaves(key, value, 0)]
     except Exception as error:  # SciPy's reader raises a dozen kinds on damaged files
         raise _damaged(path, error) from error
     # SciPy only warns where it takes numbers for others, cannot read a variable or meets one a second time.
     lost = [str(warning.message) for warning in said if not issubclass(warning.category, DeprecationWarning)]
     if any("byte ordering" in text for text in lost):
         raise _damaged(path, ValueError("numbers in an order of bytes that no PC writes"))
-    variables = {key: value for key, value in content.items() if not key.startswith("__")}
-    objects = [key for key, value in variables.items() if isinstance(value, MatlabOpaque)]
-    leaves = [leaf for key, value in variables.items() if key not in objects for leaf in _leaves(key, value, 0)]
     return _recording(path, leaves, objects, len(lost))
+
+
+def _variables(path: Path) -> Iterator[tuple[str, Any]]:
+    """Yield the variables, of a long recording some at a time: all at once would take its whole size in memory."""
+    from scipy.io import loadmat, whosmat
+
+    listed = [(name, math.prod(shape)) for name, shape, _ in whosmat(path)]
+    batches: list[list[str] | None] = [None]
+    if sum(size for _, size in listed) >= scratch.LONG and len(dict(listed)) == len(listed):
+        batches, room = [], 0
+        for name, size in listed:
+            if room <= 0:
+                batches.append([])
+                room = scratch.LONG
+            batches[-1].append(name)
+            room -= size
+    for names in batches:
+        content = loadmat(
+            path, struct_as_record=False, squeeze_me=False, chars_as_strings=True, variable_names=names
+        )
+        yield from ((key, value) for key, value in content.items() if not key.startswith("__"))
+
+
+def _aside(values: np.ndarray) -> np.ndarray:
+    """Return a long array as numbers outside memory, others as they are."""
+    if values.size < scratch.LONG or values.dtype.kind not in "biuf":
+        return values
+    with np.errstate(over="ignore"):
+        return set_aside(np.asarray(values, dtype=np.float64)).reshape(values.shape)
 
 
 def open_mat_hdf5(path: Path) -> RawRecording:
@@ -176,7 +210,7 @@ def _collect_hdf5(
                 # A fill value stands for any number of values that are stored nowhere.
                 refuse_unpacked_size(item.nbytes, item.id.get_storage_size(), f"variable {name}", where)
                 # HDF5 keeps the order of dimensions of the writer, MATLAB's is the reverse.
-                leaves.append((_with_unit(name, unit), np.atleast_2d(np.asarray(item[()])).T))
+                leaves.append((_with_unit(name, unit), _aside(np.atleast_2d(np.asarray(item[()])).T)))
 
 
 def _text_hdf5(item: Any) -> str:
@@ -290,13 +324,13 @@ def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """Yield a vector as itself and a matrix as the vectors along its longer side."""
     with np.errstate(over="ignore"):
         # Of a damaged long double; what is infinite is dropped and counted later.
-        values = np.array(values, dtype=np.float64)
+        values = np.asarray(values, dtype=np.float64)
     if min(values.shape) == 1 or values.ndim == 1:
         yield name, values.ravel()
         return
     along = values if values.shape[0] >= values.shape[1] else values.T
     for index in range(min(along.shape[1], _MOST_COLUMNS)):
-        yield f"{name}[{index}]", along[:, index].copy()
+        yield f"{name}[{index}]", set_aside(along[:, index].copy())
 
 
 def _damaged(path: Path, error: Exception) -> LogError:

@@ -6,7 +6,6 @@ what stands before a damage nor hands over payloads fast enough.
 
 from __future__ import annotations
 
-import mmap
 import struct
 import zlib
 from collections import Counter
@@ -26,7 +25,8 @@ from mcap.opcode import Opcode
 from split_cli.errors import LogError
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.budget import most_bytes_out
-from split_cli.logs.readers.messages import MessageBatch, Stream
+from split_cli.logs.readers.messages import MessageBatch, Stream, in_batches
+from split_cli.logs.scratch import let_go, mapped_file
 
 __all__ = ["MCAP_MAGIC", "McapContainer"]
 
@@ -37,6 +37,8 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 _CHUNK = struct.Struct("<QQQII")
 _MESSAGE_BYTES = 22
 _FOOTER_BYTES = _RECORD.size + 20
+_PIECE = 32 << 20
+"""Of what stands outside of chunks [bytes]: read at once, and let go of."""
 _HIGHEST_OPCODE = 0x0F
 _PARSE_ERRORS = (McapError, struct.error, ValueError, MemoryError, OverflowError)
 
@@ -103,7 +105,7 @@ class McapContainer:
         with path.open("rb") as stream:
             if stream.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 raise LogError("does not begin like an MCAP file", where=path.name, advice="Copy it again.")
-            self._file = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+            self._file = mapped_file(stream)
         contents = self._indexed_contents() or self._scanned_contents()
         self._segments = contents.segments
         if not contents.counts or contents.first_time is None:
@@ -129,17 +131,13 @@ class McapContainer:
     def batches(self, keys: frozenset[int]) -> Iterator[MessageBatch]:
         """Yield the messages of the streams `keys`; see `Container.batches`."""
         for segment in self._segments:
-            if segment.channels is not None and keys.isdisjoint(segment.channels):
-                continue
-            content = self._content(segment)
-            found: dict[int, MessageBatch] = {key: MessageBatch(key, [], [], []) for key in keys}
-            for key, log_time, publish_time, start, stop in self._messages(content, segment):
-                batch = found.get(key)
-                if batch is not None:
-                    batch.log_times.append(log_time)
-                    batch.publish_times.append(publish_time)
-                    batch.payloads.append(bytes(content[start:stop]))
-            yield from (batch for batch in found.values() if batch.payloads)
+            if segment.channels is None or not keys.isdisjoint(segment.channels):
+                content = self._content(segment)
+                yield from in_batches(
+                    (key, log_time, publish_time, bytes(content[start:stop]))
+                    for key, log_time, publish_time, start, stop in self._messages(content, segment)
+                    if key in keys
+                )
 
     # --- what the file says of itself ---
 
@@ -217,6 +215,10 @@ class McapContainer:
                     break
                 unknown += opcode > _HIGHEST_OPCODE
                 outside.stop = end
+                if end - outside.start > _PIECE:
+                    contents.segments.append(outside)
+                    outside = _Segment(end, end, False)
+                    let_go()
         except _DamageError as damage:
             position, opcode = damage.args
             self._note(f"the file is cut off or damaged at byte {position}: read up to there")
@@ -238,7 +240,11 @@ class McapContainer:
 
     def _check_data_section(self, begin: int, end: int) -> None:
         expected = struct.unpack("<I", self._file[begin : begin + 4])[0] if end - begin >= 4 else 0
-        if expected and zlib.crc32(memoryview(self._file)[: begin - _RECORD.size]) != expected:
+        found = 0
+        for start in range(0, begin - _RECORD.size if expected else 0, _PIECE):
+            found = zlib.crc32(self._file[start : min(start + _PIECE, begin - _RECORD.size)], found)
+            let_go()
+        if found != expected:
             self._note("the checksum of the whole recording does not match")
 
     def _note(self, what: str, count: int = 1) -> None:
@@ -252,6 +258,7 @@ class McapContainer:
             present[key] += 1
             contents.see(log_time)
         contents.counts += present
+        let_go()
         return replace(segment, channels=frozenset(present))
 
     # --- segments ---

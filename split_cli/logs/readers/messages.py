@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -16,11 +16,14 @@ from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.objects import JsonDecoder, ProtobufDecoder
 from split_cli.logs.readers.payloads import Columns, PayloadDecoder
 from split_cli.logs.readers.serialized import SerializedDecoder
-from split_cli.logs.scratch import GrowingColumn, set_aside
+from split_cli.logs.scratch import GrowingColumn, let_go, set_aside
 
-__all__ = ["Container", "MessageBatch", "MessageRecording", "Stream"]
+__all__ = ["Container", "MessageBatch", "MessageRecording", "Stream", "in_batches"]
 
 _FLUSH_BYTES = 32 << 20
+_BATCH_BYTES = 1 << 20
+_BYTES_OF_A_MESSAGE = 128
+"""Beside its payload [bytes]: the objects that hold it and its two times."""
 _SCHEMAS_OF_ENCODING = {"cdr": ("ros2msg", "ros2idl", "omgidl"), "ros1": ("ros1msg",)}
 
 
@@ -60,6 +63,27 @@ class MessageBatch:
     log_times: list[int]
     publish_times: list[int]
     payloads: list[bytes]
+
+
+def in_batches(messages: Iterable[tuple[int, int, int, bytes]]) -> Iterator[MessageBatch]:
+    """Yield messages (stream, log time, publish time, payload) by stream, about a megabyte at a time.
+
+    A file may hold all its messages in one chunk, or outside of any.
+    """
+    found: dict[int, MessageBatch] = {}
+    waiting = 0
+    for key, log_time, publish_time, payload in messages:
+        batch = found.get(key)
+        if batch is None:
+            batch = found[key] = MessageBatch(key, [], [], [])
+        batch.log_times.append(log_time)
+        batch.publish_times.append(publish_time)
+        batch.payloads.append(payload)
+        waiting += len(payload)
+        if waiting > _BATCH_BYTES:
+            yield from found.values()
+            found, waiting = {}, 0
+    yield from found.values()
 
 
 class Container(Protocol):
@@ -179,10 +203,11 @@ class MessageRecording:
         waiting = 0
         for batch in self._container.batches(frozenset(by_key)):
             pending[batch.key].append(batch)
-            waiting += sum(map(len, batch.payloads))
+            waiting += sum(map(len, batch.payloads)) + _BYTES_OF_A_MESSAGE * len(batch.payloads)
             if waiting > _FLUSH_BYTES:
                 self._flush(pending, by_key, wanted, samples)
                 waiting = 0
+                let_go()
         self._flush(pending, by_key, wanted, samples)
         return samples
 

@@ -17,6 +17,7 @@ from split_cli.errors import LogError
 from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, ReadNote, note_once
 from split_cli.logs.readers.probe import probe
+from split_cli.logs.scratch import set_aside
 from split_cli.signals import find_unit
 
 __all__ = ["list_samples", "open_mf4"]
@@ -100,15 +101,23 @@ def open_mf4(path: Path, databases: Sequence[Path] = ()) -> RawRecording:
     units = {info.name: info.unit for info in infos}
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
+        clocks: dict[int, np.ndarray] = {}
         with _without_prints():
-            return {name: _signal(file, path, name, places[name], units[name], notes) for name in names}
+            return {name: _signal(file, path, name, places[name], units[name], notes, clocks) for name in names}
 
     return LazyTableRecording(path.name, path, infos, load, notes=notes)
 
 
 def _signal(
-    file: Any, path: Path, name: str, place: tuple[int, int], unit: str | None, notes: list[ReadNote]
+    file: Any,
+    path: Path,
+    name: str,
+    place: tuple[int, int],
+    unit: str | None,
+    notes: list[ReadNote],
+    clocks: dict[int, np.ndarray],
 ) -> RawSignal:
+    """Return a channel; those of one group share the clock that `clocks` holds for it."""
     group, index = place
     try:
         found = file.get(group=group, index=index, ignore_invalidation_bits=True)
@@ -139,7 +148,9 @@ def _signal(
                 notes,
                 ReadNote("samples marked invalid, read as missing", f"{path.name}, {name}", int(invalid.sum())),
             )
-    return RawSignal(name, np.array(found.timestamps, dtype=np.float64), values, unit)
+    if group not in clocks:
+        clocks[group] = set_aside(np.array(found.timestamps, dtype=np.float64))
+    return RawSignal(name, clocks[group], set_aside(values), unit)
 
 
 def _places(file: Any) -> dict[str, tuple[int, int]]:
