@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -28,6 +28,7 @@ __all__ = [
     "note_once",
     "seconds_and_nanoseconds",
     "time_column",
+    "turned",
     "unit_of_time",
 ]
 
@@ -35,7 +36,7 @@ TIME_COLUMNS = (
     "t", "time", "timestamp", "timestamps", "time_s", "time_sec", "t_s", "time_ms", "t_ms", "time_ns", "time_us",
     "timestamp_ns", "timestamp_us", "timestamp_ms", "elapsed_time", "sec", "seconds", "__time", "%time",
     "ts", "ts_ms", "ts_us", "ts_ns", "gps_tow", "tow", "itow", "gps_itow", "gps_time", "time_of_week", "sow",
-    "logmonotime", "tempo",
+    "logmonotime", "tempo", "timeus",
     "zeit", "zeit_s", "zeit_ms", "zeitstempel", "时间", "时间戳", "temps", "tiempo",
     "unix_time", "epoch", "utc", "utc_time",
     "time_utc", "elapsed", "elapsed_s", "elapsed_ms", "datetime", "date_time", "date/time", "stamp",
@@ -100,6 +101,11 @@ class RawSignal:
     time: np.ndarray | None
     values: np.ndarray
     unit: str | None = None
+
+
+def turned(signal: RawSignal) -> RawSignal:
+    """Return a column with its rows in reverse order."""
+    return replace(signal, values=signal.values[::-1])
 
 
 class RawRecording(Protocol):
@@ -236,7 +242,7 @@ def counts_rows(name: str) -> bool:
 def unit_of_time(values: np.ndarray) -> str:
     """Return the unit of a clock that states none: samples of a drive are 0.2 ms to 1.5 s apart."""
     steps = np.diff(values[np.isfinite(values)])
-    step = float(np.median(steps)) if len(steps) else 1.0
+    step = abs(float(np.median(steps))) if len(steps) else 1.0
     sizes = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     return next((unit for unit, size in sizes.items() if 2e-4 < step * size < 1.5), "s")
 

@@ -14,7 +14,7 @@ from split_cli.signals import CHANNELS
 
 __all__ = [
     "CleanSeries", "Drop", "clean_series", "clock_resets", "isolated_spikes", "join_clock_resets",
-    "longest_repeat",
+    "longest_repeat", "newest_first",
 ]  # fmt: skip
 
 _RESET_WINDOW = 10
@@ -112,6 +112,12 @@ def join_clock_resets(
         for channel, parts in series.items()
     }
     return joined, tuple(said)
+
+
+def newest_first(time: np.ndarray) -> bool:
+    """Tell whether a table's rows stand in reverse order: nearly every step of its time is backward."""
+    step = np.diff(time[np.isfinite(time)])
+    return len(step) > 10 and float(np.mean(step < 0.0)) > 0.95
 
 
 def clock_resets(time: np.ndarray, largest_step_back: float) -> list[int]:

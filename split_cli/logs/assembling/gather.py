@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.errors import LogError, MapError, nearest_names
+from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.conversion import ConversionNotes, Converter, RawSeries, expected_unit
 from split_cli.logs.map_entries import ChannelMap, SignalMap, SignalSource
-from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column
+from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column, turned
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
@@ -112,6 +113,10 @@ def gather(
     found, absent = resolver.without_absent_elements(found, signals, needed)
     skipped += absent
     common, origin, words = _common_time(signals, time_column, signal_map, recording, notes)
+    if common is not None and newest_first(common):
+        # Views: what is turned round takes no memory.
+        common, signals = common[::-1], {n: s if s.time is not None else turned(s) for n, s in signals.items()}
+        notes.conversions.append("rows in reverse order, the newest first: turned round")
     common = None if common is None else set_aside(common)
     converter = Converter(recording.name, signal_map, wheel_radius, notes)
     # A signal goes with its last use, so that a long recording is not held twice.

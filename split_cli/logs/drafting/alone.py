@@ -15,6 +15,8 @@ __all__ = ["read_acceleration", "read_pedal", "read_sideslip", "read_torque", "r
 
 _LEAST_OF_A_CAR = 50.0
 """Mass times wheel radius of the lightest car that a person drives: 250 kg on wheels of 0.2 m [kg m]."""
+_MOST_OF_A_LORRY = 4e4
+"""Mass times wheel radius of 60 t on wheels of 0.6 m, with margin [kg m]."""
 _AT_REST = 0.1
 """Speed below which a car stands, noise of its sensor included [m/s]."""
 _REST_SECONDS = 3.0
@@ -49,9 +51,15 @@ def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -
     if slope.slope < 0.0:
         s, size = replace(s, scale=-s.scale), f"its sign is turned; {size}"
     too_small = abs(slope.slope) < _LEAST_OF_A_CAR and float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0
-    status = "assumed" if two or s.unit is None or too_small else "judged"
+    beyond = abs(slope.slope) > _MOST_OF_A_LORRY
+    if beyond:
+        told = f"the file says {s.foreign_unit!r}, which is no known unit; " if s.foreign_unit else ""
+        return replace(s, status="open", reason=f"{told}{size}: more than any lorry's. Give its `scale:`")
+    status = "assumed" if two or s.unit is None or s.foreign_unit or too_small else "judged"
     unit = s.unit or "N m"
     told = "" if s.unit else "unit not stated"
+    if s.foreign_unit:
+        told = f"the file says {s.foreign_unit!r}, which is no known unit; {unit} assumed"
     size += ": too small for a car, is it the engine's?" if too_small else ""
     return replace(s, status=status, unit=unit, reason="; ".join(filter(None, (of_two, told, size))))
 

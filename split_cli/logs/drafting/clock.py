@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.gather import row_rate_from_yaw
 from split_cli.logs.drafting.draft import quoted
 from split_cli.logs.drafting.naming import spelled_without_unit, stated_unit, words_of
@@ -28,6 +29,8 @@ _EVEN = 0.02
 """Of the step from row to row, which 99 of 100 keep where one period describes them [1]."""
 _SHORTEST, _LONGEST = 5e-5, 10.0
 """Steps between rows of a drive, with margin [s]."""
+_COUNTED = 1e-3
+"""Of the step: what a logger counts for itself, not measures, keeps its step that closely [1]."""
 _LOST_ROW = 0.5
 """Of the step, beyond which a row is missing: one period would hide the gap [1]."""
 
@@ -60,18 +63,22 @@ def clock_of_rows(
     timed = [i for i in infos if re.search("time|stamp", i.name, re.IGNORECASE) and not counts_rows(i.name)]
     clocks = [found] if found is not None else timed
     clocks = clocks or [i for i in infos if getattr(find_unit(stated_unit(i) or ""), "si", "") == "s"]
-    rising = [i for i in clocks if i.name in signals and _rises(signals[i.name].values)]
-    rising = rising or [i for i in timed if i.name in signals and _rises(signals[i.name].values)]
+    rising = [i for i in clocks if i.name in signals and _counts(signals[i.name].values)]
+    rising = rising or [i for i in timed if i.name in signals and _counts(signals[i.name].values)]
     if not rising:
         # Whatever it is called: what counts evenly since 1970 is a clock.
         rising = [i for i in infos if i.name in signals and _counts_since_1970(signals[i.name].values)]
+    rising = rising or _first_that_counts(infos, signals)
     if rising and row_rate is None:
         info = rising[0]
         values = signals[info.name].values
         unit = info.unit if find_unit(info.unit or "") and find_unit(info.unit).si == "s" else stated_unit(info)
         unit = unit if unit in ("s", "ms", "us", "ns", "min") else unit_of_time(values)
         fits = unit_of_time(values)
-        if fits != unit and not _SHORTEST < float(np.median(np.diff(values))) * find_unit(unit).factor < _LONGEST:
+        if (
+            fits != unit
+            and not _SHORTEST < abs(float(np.median(np.diff(values)))) * find_unit(unit).factor < _LONGEST
+        ):
             told = f"the file says {unit}, but its rows are as far apart as those of a drive in {fits}"
             line = f"time: {{source: {quoted(info.name)}, unit: {fits}}}   # CHECK: {told}"
             return (values - np.nanmin(values)) * find_unit(fits).factor, line, True
@@ -119,6 +126,28 @@ def _from_steps(infos: Sequence[RawChannelInfo], recording: RawRecording) -> tup
 def _rises(values: np.ndarray) -> bool:
     step = np.diff(values[np.isfinite(values)])
     return len(step) > 10 and np.mean(step > 0) > 0.95
+
+
+def _counts(values: np.ndarray) -> bool:
+    """Whether a column counts up, or down where the newest row stands first."""
+    return _rises(values) or newest_first(values)
+
+
+def _first_that_counts(infos: Sequence[RawChannelInfo], signals: Mapping[str, RawSignal]) -> list[RawChannelInfo]:
+    """Return the first column if it rises in steps all alike, whatever it is called: no measured position does.
+
+    Steps of 1 number the rows, and a column in another unit than of time is a distance.
+    """
+    info = next((i for i in infos if i.type_name != "text"), None)
+    if info is None or info.name not in signals or counts_rows(info.name):
+        return []
+    other = stated_unit(info) is not None and getattr(find_unit(stated_unit(info)), "si", "") != "s"
+    values = signals[info.name].values
+    step = np.diff(values[np.isfinite(values)])
+    if other or not _rises(values) or "distance" in info.name.lower() or abs(float(step[0]) - 1.0) < _COUNTED:
+        return []
+    even = float(np.ptp(step)) < _COUNTED * float(step.mean()) + 1e-9 * float(np.max(np.abs(values)))
+    return [info] if even else []
 
 
 def _counts_since_1970(values: np.ndarray) -> bool:

@@ -26,6 +26,7 @@ _SIBLINGS = {
 }  # fmt: skip
 _SYMBOLS = {"ax": "a_x against", "ay": "a_y against", "r": "r against", "vx": "v_x against"}
 """How checks that judge a channel begin."""
+_STATED = "; unit as the file says"
 _ANGLE_OF_RATE = {"deg/s": "deg", "rad/s": "rad", "deg": "deg/s", "rad": "rad/s"}
 
 
@@ -153,7 +154,7 @@ def as_others_turn(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[
     judged = {channel for r in verdict.relations if r.holds for channel in r.powers}
     told = "taken as right-positive, since r is"
     return {
-        c: replace(s, scale=-s.scale, status="assumed", reason=told)
+        c: replace(s, scale=-s.scale, status="assumed", reason=f"{told}{_STATED if s.status == 'stated' else ''}")
         if c in ("vy", "ay", "sideslip") and c not in judged and s.scale > 0.0
         else s
         for c, s in chosen.items()
@@ -200,5 +201,7 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
     if s.foreign_unit and not s.unit:
         assumed = f"the file says {s.foreign_unit!r}, which is no known unit; {unit} assumed"
     tried = next((u for u in verdict.unjudged if u.check.startswith(_SYMBOLS.get(s.channel, "-"))), None)
+    if s.reason.endswith(_STATED):
+        told, assumed = "", s.reason
     judge = f"not judged ({tried.check}: {tried.reason})" if tried is not None else "nothing judges it"
     return replace(s, unit=unit, reason=f"{told}{assumed}, and {judge}")

@@ -78,6 +78,8 @@ class Draft:
         Message types that cannot be read, for want of a definition.
     left : str
         What decides which side is left; empty where nothing does.
+    hints : tuple of str
+        What to do with a file of another form than a column for each signal.
     """
 
     suggestions: tuple[Suggestion, ...]
@@ -85,6 +87,7 @@ class Draft:
     unused: tuple[str, ...]
     undefined: tuple[str, ...] = ()
     left: str = ""
+    hints: tuple[str, ...] = ()
 
     def of(self, channel: str) -> Suggestion | None:
         """Return what is said of a channel, None when nothing is."""

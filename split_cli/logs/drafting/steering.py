@@ -220,7 +220,17 @@ def _road_wheel(s: Any, columns: Mapping[str, np.ndarray], vehicle: Vehicle | No
         return replace(s, status="judged", reason=reason, **turned)
     if size >= _SHORTEST_STEERING_WHEEL:
         return replace(s, status="open", reason=_ratio(reach, s.unit, vehicle))
-    return replace(s, status="open", reason=f"{size:.3g} m of angle over curvature is neither wheelbase nor ratio")
+    return replace(s, status="open", reason=_between(reach, s.unit))
+
+
+def _between(reach: float, unit: str) -> str:
+    """Say of a size that a small car's steering wheel has, or a lorry's road wheels, what to write for each."""
+    sign = "-" if reach < 0 else ""
+    return (
+        f"{abs(reach):.3g} m of angle over curvature: more than a wheelbase, little for a steering wheel. "
+        f"If it is the steering wheel's, {{source: ..., unit: {unit}, scale: {sign}1/RATIO}}, its ratio being "
+        "that over the wheelbase; if the road wheels', leave the scale out"
+    )
 
 
 def _without_unit(

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.errors import SplitError
+from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.checking.checks import ACROSS
 from split_cli.logs.checking.consistency import Consistency
@@ -23,8 +24,9 @@ from split_cli.logs.drafting.alone import (
 from split_cli.logs.drafting.axes import without_other_axes, without_the_world
 from split_cli.logs.drafting.clock import clock_of_rows
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
-from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, render_draft
+from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.fields import field_candidates
+from split_cli.logs.drafting.form import hints_on_the_form
 from split_cli.logs.drafting.hand import what_tells_left, without_a_side
 from split_cli.logs.drafting.naming import (
     Meaning,
@@ -44,6 +46,7 @@ from split_cli.logs.raw import (
     RawRecording,
     RawSignal,
     time_column,
+    turned,
 )
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
@@ -79,6 +82,10 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     triples = names_of_triples(infos)
     signals = _read(recording, candidates, triples)
     time, line, known = clock_of_rows(recording, infos, signals, candidates, row_rate)
+    candidates = [c for c in candidates if f"source: {quoted(c.sources[0])}," not in line]
+    if time is not None and newest_first(time):
+        time, signals = time[::-1], {n: s if s.time is not None else turned(s) for n, s in signals.items()}
+        line += "   # rows in reverse order: turned round"
     candidates = along_the_car(candidates, triples, signals, time)
     trial = Trial(signals, time, vehicle, known)
     trial.wheel_torques = [c for c in candidates if c.channel == "wheel_torque"]
@@ -124,7 +131,8 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     told = what_tells_left({s.channel: s for s in suggestions if s.status != "open"})
     if not told:
         suggestions = [without_a_side(s) for s in suggestions]
-    return Draft(tuple([*suggestions, *dict.fromkeys(opened)]), line, unused, tuple(undefined), told)
+    hints = hints_on_the_form(recording, infos)
+    return Draft(tuple([*suggestions, *dict.fromkeys(opened)]), line, unused, tuple(undefined), told, hints)
 
 
 def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehicle: Vehicle | None = None) -> str:
@@ -282,6 +290,7 @@ def _read(
     if not recording.clocks:
         names |= {info.name for info in listed if re.search("time|stamp|^t$", info.name, re.IGNORECASE)}
         names |= {info.name for info in [time_column(listed)] if info is not None}
+        names |= {info.name for info in listed if info.type_name != "text" and info is listed[0]}
         names |= {info.name for info in listed if getattr(find_unit(stated_unit(info) or ""), "si", "") == "s"}
     text = {info.name for info in listed if info.type_name == "text"}
     known = {info.name for info in listed}

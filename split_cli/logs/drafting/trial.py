@@ -111,6 +111,8 @@ class Trial:
         beyond = self._beyond_the_globe(candidate)
         if beyond:
             return beyond
+        if candidate.channel == "ax" and float(np.min(finite)) == 0.0:
+            return "rests at 0 and is never negative, while every car brakes: a pedal"
         unit = find_unit(candidate.unit) if candidate.unit else None
         if candidate.by_convention:
             unit = None  # a driver may keep another

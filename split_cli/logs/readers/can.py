@@ -1,4 +1,4 @@
-"""Logs of CAN frames (BLF, ASC, candump, TRC, MF4 bus logging), decoded with a user's DBC (extra ``can``)."""
+"""Logs of CAN frames (BLF, ASC, candump, TRC, tables, MF4 bus logging), decoded with a DBC (extra ``can``)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import re
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from split_cli.errors import LogError
 from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, nearest_column
 from split_cli.logs.readers.blf import is_cut_blf
+from split_cli.logs.readers.frames_csv import frames_of, is_table_of_frames
 from split_cli.logs.readers.probe import probe
 from split_cli.logs.scratch import GrowingColumn, set_aside
 
@@ -36,7 +37,7 @@ def is_can_log(path: Path, head: bytes) -> bool:
     """Tell a log of CAN frames by its first bytes."""
     if head.startswith(b"LOGG") or head.startswith(b";$FILEVERSION"):
         return True
-    return bool(_ASC.search(head)) or bool(_CANDUMP.match(head))
+    return bool(_ASC.search(head)) or bool(_CANDUMP.match(head)) or is_table_of_frames(head)
 
 
 def load_database(path: Path) -> Any:
@@ -139,7 +140,7 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
             advice="Give it with --dbc FILE.dbc; it comes from the car's maker or from opendbc.",
         )
     try:
-        import can
+        import can  # noqa: F401
     except ImportError as error:
         raise LogError("is a CAN log", where=path.name, advice="pip install 'split-cli[can]'") from error
     database = read_databases(databases)
@@ -149,8 +150,11 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
     unfit: Counter[str] = Counter()
     cut = is_cut_blf(path)
     try:
-        with _unread_lines() as unread, can.LogReader(str(path)) as reader:
+        with _unread_lines() as unread, _frames(path) as reader:
             for frame in reader:
+                if frame is None:
+                    unread.count += 1
+                    continue
                 if frame.is_error_frame or frame.is_remote_frame:
                     continue
                 message = by_id.get(frame.arbitration_id)
@@ -225,6 +229,20 @@ class _Samples:
         for held, column in zip(self._held, self._columns, strict=True):
             column.append(np.array(held))
             del held[:]
+
+
+@contextmanager
+def _frames(path: Path) -> Iterator[Iterable[Any]]:
+    """Open the frames of a log, by python-can where it knows the form."""
+    import can
+
+    with path.open("rb") as stream:
+        head = stream.read(1024)
+    if is_table_of_frames(head):
+        yield frames_of(path)
+        return
+    with can.LogReader(str(path)) as reader:
+        yield reader
 
 
 class _Unread(logging.Handler):

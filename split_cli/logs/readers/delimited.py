@@ -21,7 +21,7 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
-from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, sniff, unwrapped
+from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_grouped, sniff, unwrapped
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
@@ -101,7 +101,15 @@ def _is_text(sniffed: Sniffed, index: int) -> bool:
     return bool(cells) and 2 * numeric < len(cells)
 
 
+def _ungrouped(cell: str) -> str:
+    """Return a number without what stands between its thousands: its last mark that is no digit is the decimal."""
+    whole, mark, part = re.fullmatch(r"(.*)([.,])(\d+)", cell.strip()).groups()
+    return re.sub(r"[^\d+-]", "", whole) + mark + part
+
+
 def _number(cell: str, decimal: str) -> float:
+    if is_grouped(cell, decimal):
+        cell = _ungrouped(cell)
     try:
         # Python takes 1_5 for 15; no logger writes that.
         return float(cell.replace(decimal, ".") if decimal != "." else cell) if "_" not in cell else float("nan")
@@ -270,6 +278,11 @@ def _numbers(texts: Any, decimal: str) -> tuple[np.ndarray, int]:
         return pc.fill_null(pc.cast(plain, pa.float64()), float("nan")).to_numpy(zero_copy_only=False), 0
     except pa.ArrowInvalid:
         cells = text.to_pylist()
+        if any(cell is not None and is_grouped(cell, decimal) for cell in cells):
+            # Then a mark between three digits parts thousands in the cells without a decimal too.
+            other = {",": ".", ".": ","}[decimal]
+            whole = re.compile(rf"[+-]?\d{{1,3}}([{other}' \u00a0\u202f]\d{{3}})+")
+            cells = [cell and (re.sub(r"[^\d+-]", "", cell) if whole.fullmatch(cell) else cell) for cell in cells]
         values = np.array([np.nan if cell is None else _number(cell, decimal) for cell in cells])
         missing = np.flatnonzero(np.isnan(values))
         return values, sum(cells[row] is not None and cells[row] not in EMPTY_CELLS for row in missing)

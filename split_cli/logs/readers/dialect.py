@@ -13,7 +13,7 @@ from pathlib import Path
 from split_cli.errors import LogError
 from split_cli.signals import find_unit
 
-__all__ = ["EMPTY_CELLS", "KNOWN_FORMATS", "Dialect", "Sniffed", "sniff", "unwrapped"]
+__all__ = ["EMPTY_CELLS", "KNOWN_FORMATS", "Dialect", "Sniffed", "is_grouped", "sniff", "unwrapped"]
 
 KNOWN_FORMATS = (
     "Known are MCAP, rosbag2, ROS 1 bag, CSV, VBO, Parquet, Feather, MAT, MF4, "
@@ -34,6 +34,13 @@ _MARKS = (
 )
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _NUMBER_WITH_COMMA = re.compile(r"^[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d+)?$")
+_GROUPED = {
+    ".": re.compile(r"^[+-]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*\.\d+$"),
+    ",": re.compile(r"^[+-]?\d{1,3}([.' \u00a0\u202f])\d{3}(\1\d{3})*,\d+$"),
+}
+"""Numbers with a mark between thousands, by the decimal mark: 1.234,5 and 1'234.5."""
+_TYPE = re.compile(r"[fiu]\d{1,2}|(u?int|float)(8|16|32|64)?|double|single|real", re.IGNORECASE)
+"""Of a column's values, in a row under the titles, as ETAS writes it (f8)."""
 _WORD = re.compile(r"[^\W\d]")
 _UNIT_LIKE = re.compile(r"^[\[(]?[#A-Za-z°µ%/*^·.\-\d² ]{0,12}[\])]?$")
 
@@ -204,7 +211,12 @@ def _split(line: str, separator: str) -> list[str]:
 
 def _is_number(cell: str, decimal: str) -> bool:
     pattern = _NUMBER if decimal == "." else _NUMBER_WITH_COMMA
-    return pattern.match(cell.strip()) is not None
+    return pattern.match(cell.strip()) is not None or is_grouped(cell, decimal)
+
+
+def is_grouped(cell: str, decimal: str) -> bool:
+    """Tell whether a cell is a number with marks between its thousands, as spreadsheets write it."""
+    return _GROUPED[decimal].match(cell.strip()) is not None
 
 
 def _holds_values(row: list[str], decimal: str) -> bool:
@@ -301,8 +313,9 @@ def _rejoined(row: list[str], width: int) -> list[str]:
 
 def _is_title_row(row: list[str], width: int) -> bool:
     titles = [cell.strip() for cell in row if cell.strip()]
-    # One column more or less: exports disagree on a separator at the end of the line.
-    return abs(len(row) - width) <= 1 and len(titles) >= max(1, width // 2)
+    # One column more or less: exports disagree on a separator at the end of the line. A row of types names none.
+    alike = all(_TYPE.fullmatch(title) for title in titles)
+    return abs(len(row) - width) <= 1 and len(titles) >= max(1, width // 2) and not alike
 
 
 def _is_unit_row(row: list[str], width: int) -> bool:

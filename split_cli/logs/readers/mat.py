@@ -25,7 +25,8 @@ _MOST_COLUMNS = 64
 _TIME_NAMES = ("time", "Time", "t", "tout")
 _TIME_FIELD = re.compile(r"(?:t|time|timestamps?|stamp|tout)(?:_?(s|sec|ms|us|ns))?", re.IGNORECASE)
 _UNIT_FIELDS = ("unit", "units")
-_VALUE_FIELDS = (".Value", ".Values", ".value", ".values")
+_TITLED_FIELDS = (".Value", ".Values", ".value", ".values")
+_VALUE_FIELDS = (*_TITLED_FIELDS, ".data", ".Data")
 _VALUE_NAMES = ("signals.values", "values", "data", "Data")
 
 
@@ -272,7 +273,7 @@ def _of_one_value(arrays: dict[str, np.ndarray], clocks: dict[str, np.ndarray]) 
         fields.setdefault(name.split(" [")[0].rpartition(".")[0], []).append(name)
     titles: dict[str, str | None] = {}
     for structure, names in fields.items():
-        value = next((name for name in names if name.split(" [")[0].endswith(_VALUE_FIELDS)), None)
+        value = next((name for name in names if name.split(" [")[0].endswith(_TITLED_FIELDS)), None)
         if structure and value in clocks and len(names) == 2 and min(arrays[value].shape) == 1:
             unit = value.partition(" [")[2]
             titles |= {name: f"{structure} [{unit}" if unit and name == value else None for name in names}

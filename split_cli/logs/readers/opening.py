@@ -24,6 +24,14 @@ _FOREIGN_MAGIC = (
     (b"\x28\xb5\x2f\xfd", "compressed with zstd", "Unpack it first with `zstd -d`."),
     (b"PK\x03\x04", "a zip archive or a spreadsheet", "Unpack it, or export it as CSV."),
     (b"BZh", "compressed with bzip2", "Unpack it first."),
+    (
+        b"\xa3\x95\x80\x80",
+        "an ArduPilot log",
+        "Convert it to a CSV for each message with mavlogdump, for --together.",
+    ),
+    (b"|CF,", "an imc FAMOS file", "Export it as CSV or MAT."),
+    (b"CM-ERG", "a result of CarMaker", "Export it as CSV or MAT."),
+    (b"<?xml", "XML", "Export it as CSV."),
 )
 _OTHERS = {
     **dict.fromkeys((".xrk", ".xrz", ".drk"), ("an AiM recording", "Export it from RaceStudio as CSV.")),
@@ -31,6 +39,8 @@ _OTHERS = {
     ".ibt": ("an iRacing telemetry file", "Export it as CSV, for instance through MoTeC i2."),
     ".rcz": ("a RaceChrono session", "Export it from the app as CSV v3."),
     ".tdms": ("a TDMS file", "Export it as CSV or MAT."),
+    ".erg": ("a result of CarMaker", "Export it as CSV or MAT."),
+    ".fit": ("a FIT file", "Export it as CSV."),
     ".npz": ("an archive of NumPy arrays", "Save the arrays as the columns of one table, CSV or Parquet."),
     ".npy": ("a NumPy array", "Save its columns with their names, as CSV or Parquet."),
     **dict.fromkeys((".pkl", ".pickle"), ("a pickle of Python", "Save it as Parquet or CSV.")),

@@ -97,7 +97,8 @@ class JointRecording:
 
 def _own_clock(part: RawRecording, infos: Sequence[RawChannelInfo]) -> bool:
     """Whether a table's signals carry their own times, as those of MATLAB's structures do."""
-    read = part.read([info.name for info in infos if info.type_name == "vector"][:1])
+    vectors = [info.name for info in infos if info.type_name == "vector"][:1]
+    read = part.read(vectors) if vectors else {}
     return any(signal.time is not None for signal in read.values())
 
 

@@ -71,6 +71,7 @@ class InitResult:
         check = [s.channel for s in self.draft.suggestions if s.status == "assumed"]
         if not mapped:
             return (
+                *self.draft.hints,
                 f"No channel was recognised. See what the log holds: split ingest {self.log} --list",
                 f"Write the channels into {self.map_path}; docs/formats.md, Signal map, shows how.",
             )

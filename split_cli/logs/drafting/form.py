@@ -1,0 +1,52 @@
+"""What to do with a table that has another form than a column, with a title, for each signal."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from split_cli.logs.raw import RawChannelInfo, RawRecording
+
+__all__ = ["hints_on_the_form"]
+
+_NAMES = (
+    "signal",
+    "channel",
+    "name",
+    "variable",
+    "parameter",
+    "topic",
+    "key",
+    "field",
+    "_field",
+    "metric",
+    "sensor",
+)
+_VALUES = ("value", "_value", "val", "data", "reading", "measurement")
+
+
+def hints_on_the_form(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> tuple[str, ...]:
+    """Return how to rewrite a table without titles, or one with a signal's name and value in each row.
+
+    Parameters
+    ----------
+    recording : RawRecording
+    infos : sequence of RawChannelInfo
+        Its channels.
+    """
+    if infos and all(re.fullmatch(r"column\d+", info.name) for info in infos):
+        return (
+            f"{recording.name} has no row of titles: write one as its first line, with units, for instance "
+            "`time [s],vx [m/s],yaw_rate [deg/s]`, and start again.",
+        )
+    texts = {info.name.strip().lower(): info.name for info in infos if info.type_name == "text"}
+    numbers = {info.name.strip().lower(): info.name for info in infos if info.type_name != "text"}
+    name = next((texts[n] for n in _NAMES if n in texts), None)
+    value = next((numbers[n] for n in _VALUES if n in numbers), None)
+    if name is None or value is None:
+        return ()
+    time = next((i.name for i in infos if "time" in i.name.lower() or i.name == "t"), "time")
+    return (
+        f"{recording.name} holds one value a row, with its name in {name!r}. Write a column for each name: in "
+        f"pandas, table.pivot_table(index={time!r}, columns={name!r}, values={value!r}).to_csv('wide.csv').",
+    )
