@@ -154,7 +154,7 @@ def idle(real: Sequence[Drive], vehicle: Vehicle, rules: Screening = STANDARD.sc
 
     A torque that was derived from how the car moved excites nothing along the car: whatever acts there is in it.
     """
-    derived = any(map(torque_is_derived, real))
+    derived = any(drive.metadata.torque_follows_motion for drive in real)
     for drive in real:
         steady = _range(drive["vx"]) < rules.still_share * np.mean(drive["vx"])
         along = not (derived or (steady and torque_is_constant(drive["T"], vehicle, rules)))
