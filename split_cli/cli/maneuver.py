@@ -26,8 +26,9 @@ __all__ = ["command"]
 @click.option(
     "--start-set",
     type=existing_file,
-    metavar="FILE",
-    help="Trained set to drive with; without one, the nominal model.",
+    metavar="PATH",
+    help="Trained set to drive with, or a folder of `split export --target casadi`, whose function the "
+    "controller evaluates; without one, the nominal model.",
 )
 @click.option("--predictor", default="bcm", show_default=True, help="Predictor that evaluates the set.")
 @click.option(

@@ -51,8 +51,9 @@ __all__ = ["command"]
 @click.option(
     "--start-set",
     type=existing_file,
-    metavar="FILE",
-    help="Trained set to start from. Without one, lap 0 is nominal and the kernel is fitted to it.",
+    metavar="PATH",
+    help="Trained set to start from, or for learner none a folder of `split export --target casadi`, whose "
+    "function the controller evaluates. Without one, lap 0 is nominal and the kernel is fitted to it.",
 )
 @click.option(
     "--predictor",

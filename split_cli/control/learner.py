@@ -169,19 +169,19 @@ class LabellingLearner(Learner):
 
 
 class NoLearner(LabellingLearner):
-    """Learns nothing; its residual is none, or that of a fixed predictor.
+    """Learns nothing; its residual is none, or a fixed one.
 
     Parameters
     ----------
     header : TrainingSet
         Vehicle, features and region by which errors are reported.
-    predictor : str or None
-        Name of what evaluates the header's points; None where they are not to be used.
+    residual : Residual, optional
+        None by default.
     """
 
-    def __init__(self, header: TrainingSet, predictor: str | None = None) -> None:
+    def __init__(self, header: TrainingSet, residual: Residual | None = None) -> None:
         super().__init__(header)
-        self.residual = NoResidual() if predictor is None else PredictorResidual(header, predictor)
+        self.residual = residual or NoResidual()
 
     def begin_lap(self, name: str, start_time: float) -> None:
         """Do nothing: no set grows."""

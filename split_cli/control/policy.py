@@ -42,6 +42,7 @@ __all__ = [
     "SLIP_DIFFERENCE_SLACK",
     "SLOWEST",
     "STEER_RATE",
+    "TOLD",
     "TORQUE_RATE",
     "TRACK_SLACK",
     "WIDER",
@@ -159,6 +160,10 @@ side for another reason."""
 
 GRIP_DOUBT = 4.0
 """By how much, times the labels' variance, a sum of squares may exceed the least [1]: two standard deviations."""
+
+TOLD = 0.5
+"""Share of what there is to know from which an exported function tells an axle's force [1]: it knows more than it
+lacks."""
 
 TABLE_POINTS, TABLE_BOUND = 400, 0.02
 """Points that span the process a race's table is filled from [1], and the table's error in signal deviations [1].

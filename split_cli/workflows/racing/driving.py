@@ -8,6 +8,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from split_cli.control.exported import ExportedResidual
 from split_cli.control.grip import PeakShift, learned_grip, tells_peaks
 from split_cli.control.learner import Learner, NoLearner
 from split_cli.control.limits import nominal_share
@@ -27,6 +28,7 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.racing.closed_loop import World, body_width
 from split_cli.workflows.racing.entry import (
     check_car,
+    check_exported,
     check_predictor,
     check_settings,
     check_start,
@@ -107,7 +109,11 @@ class Race:
         torque = settings.max_torque or vehicle.max_torque
         self.actuators = Actuators(min(torque, vehicle.max_torque), vehicle.max_brake_torque)
         self.start_set: TrainingSet | None = None
-        if settings.start_set is not None:
+        self.exported: ExportedResidual | None = None
+        if settings.start_set is not None and FilePath(settings.start_set).is_dir():
+            self.exported = ExportedResidual(FilePath(settings.start_set), vehicle)
+            check_exported(self.exported, settings)
+        elif settings.start_set is not None:
             self.start_set = read_set(settings.start_set)
             check_trusted(self.start_set, vehicle, settings.start_set)
             check_predictor(settings.predictor, self.start_set.features)
@@ -120,6 +126,11 @@ class Race:
         self.kept: str | None = None
         self.lines, self.crossing, self.until = 0, 0.0, 0.0
 
+    @property
+    def begins_nominal(self) -> bool:
+        """Whether nothing is known before, so that the nominal model drives lap 0."""
+        return self.start_set is None and self.exported is None
+
     def begin(self) -> None:
         """Put the car on the run-up to the first line, and find a first plan."""
         warm_up()
@@ -130,7 +141,7 @@ class Race:
         )  # fmt: skip
         if self.start_set is None:
             self.header = blank_header(self.vehicle, self.mpcc)
-            self.learner: Learner = NoLearner(self.header)
+            self.learner: Learner = NoLearner(self.header, self.exported)
         else:
             self.header = self.start_set
             self.learner = make_learner(s, self.start_set)
@@ -138,7 +149,7 @@ class Race:
         if self.model.not_compiled:
             self.notes.append(f"the model's functions are interpreted, not compiled: {self.model.not_compiled}")
         first = self.mpcc
-        if self.start_set is None:
+        if self.begins_nominal:
             share = nominal_share(self.vehicle) if s.first_share is None else s.first_share
             first = replace(first, limits=replace(first.limits, p_ellipse=share, p_unknown=None))
         self.controller = Mpcc(self.model, self.path, self.actuators, first, self.width, s.tightening)
@@ -147,6 +158,8 @@ class Race:
         self.controller.begin(self.model.steady_states(self.world.measured), self.start)
         if self.start_set is not None:
             self._learn_grip(self.start_set.z, self.start_set.y)
+        elif self.exported is not None and s.learn_grip:
+            self._take_grip(self.exported.grip(self.vehicle, first.limits.alpha_max))
         self.rates = self.controller.plan.u[0, :2].copy()
         self.memory = self.model.steady_states(self.world.measured)[8:]
 
@@ -166,7 +179,7 @@ class Race:
                 advice="The nominal model asks for more than the road gives: lower --p-ellipse-lap0 or "
                 "--max-speed, or tell the grip by --told-grip.",
             )  # fmt: skip
-        if self.start_set is None:
+        if self.begins_nominal:
             self.say("lap 0, nominal")
             self._lap(0)
             if s.learner != "none" and not self.ended:
@@ -207,6 +220,7 @@ class Race:
         """Give the peaks to the slip limits, and to the residual as its prior mean."""
         self.controller.grip = grip
         told = self.mpcc.limits.guarded and tells_peaks(self.vehicle, self.header.features)
+        told = told and self.exported is None  # what was exported is the whole residual, nothing is added to it
         self.learner.residual.rest_on(PeakShift(self.vehicle, self.header.features, grip) if told else None)
 
     def _lap(self, number: int) -> None:

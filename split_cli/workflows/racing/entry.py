@@ -7,6 +7,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from split_cli.control.exported import ExportedResidual
 from split_cli.control.path import Path, read_centerline
 from split_cli.errors import SetError, SplitError, nearest_names
 from split_cli.learning.features import FeatureSet, parse_features
@@ -19,7 +20,15 @@ from split_cli.vehicle.parameters import Vehicle, vehicle_to_mapping
 from split_cli.workflows.racing.closed_loop import path_of
 from split_cli.workflows.racing.settings import LEARNERS, RaceSettings
 
-__all__ = ["check_car", "check_predictor", "check_settings", "check_start", "check_trusted", "find_path"]
+__all__ = [
+    "check_car",
+    "check_exported",
+    "check_predictor",
+    "check_settings",
+    "check_start",
+    "check_trusted",
+    "find_path",
+]
 
 LARGEST_LABEL = 30.0
 """Three times gravity [m/s^2]: no tyre force, and so no model of one, is wrong by more."""
@@ -190,6 +199,26 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
         raise SetError(
             f"holds labels up to {huge:.3g} m/s^2: no car's model is wrong by more than three times gravity",
             where=str(where), advice="Check the recordings it was trained on with `split evaluate`.",
+        )  # fmt: skip
+
+
+def check_exported(exported: ExportedResidual, settings: RaceSettings) -> None:
+    """Refuse an export that a race cannot be driven with.
+
+    Raises
+    ------
+    SplitError
+        If a learner is asked for, or the export has other features than z2.
+    """
+    if settings.learner != "none":
+        raise SplitError(
+            f"is an export, from which the learner {settings.learner} cannot go on",
+            where=str(settings.start_set), advice="Use --learner none, or name the set itself.",
+        )  # fmt: skip
+    if not exported.features.is_z2:
+        raise SplitError(
+            f"has the features {', '.join(exported.features.names)}, and a race drives with exports of z2 alone",
+            where=str(settings.start_set), advice="Name the set itself, or use `split maneuver`.",
         )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from split_cli.control.exported import ExportedResidual
 from split_cli.control.grip import PeakShift, learned_grip, tells_peaks
 from split_cli.control.learner import learning_region
 from split_cli.control.limits import Limits, nominal_share
@@ -45,7 +46,7 @@ class ManeuverSettings:
     scenario : str
     car : str
     start_set : path or None
-        A trained set; the nominal model alone without one.
+        A trained set, or the folder of its export; the nominal model alone without one.
     predictor : str
         Evaluates the set.
     speeds : tuple of float
@@ -245,6 +246,10 @@ def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Residual, s
     """Return the residual, what it is called, and the tyres' peaks that its labels tell, shape (2,)."""
     if settings.start_set is None:
         return NoResidual(), "nominal", np.ones(2)
+    if FilePath(settings.start_set).is_dir():
+        exported = ExportedResidual(FilePath(settings.start_set), vehicle)
+        grip = exported.grip(vehicle, settings.limits(vehicle).alpha_max) if settings.guarded else np.ones(2)
+        return exported, f"export {exported.name} ({exported.predictor})", grip
     training_set = read_set(settings.start_set)
     check_trusted(training_set, vehicle, settings.start_set)
     check_predictor(settings.predictor, training_set.features)

@@ -32,7 +32,7 @@ class RaceSettings:
     learner : str
         none, iol or split.
     start_set : path or None
-        What is known before; lap 0 is left out then.
+        What is known before, a set or the folder of its export; lap 0 is left out then.
     max_speed : float
         [m/s]
     max_torque : float or None

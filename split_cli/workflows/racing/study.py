@@ -7,6 +7,7 @@ import numpy as np
 from split_cli.control.iol_learner import IolLearner
 from split_cli.control.learner import Learner, NoLearner, SplitLearner, learning_region
 from split_cli.control.mpcc import MpccSettings
+from split_cli.control.residual import PredictorResidual
 from split_cli.learning.cells import empty_set
 from split_cli.learning.features import Z2, parse_features
 from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fit_kernel, scatter_variance
@@ -65,7 +66,7 @@ def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]
 def make_learner(settings: RaceSettings, training_set: TrainingSet) -> Learner:
     """Return the learner that the settings name, beginning with `training_set`."""
     if settings.learner == "none":
-        return NoLearner(training_set, settings.predictor)
+        return NoLearner(training_set, PredictorResidual(training_set, settings.predictor))
     if settings.learner == "split":
         return SplitLearner(training_set, settings.predictor)
     return IolLearner(training_set, printed=settings.printed_iol)

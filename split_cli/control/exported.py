@@ -1,0 +1,107 @@
+"""The residual of an export's CasADi file: what a controller has that knows nothing of this program."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import casadi
+import numpy as np
+
+from split_cli.control.generated import Batch, compiled
+from split_cli.control.grip import learned_grip
+from split_cli.control.policy import TOLD
+from split_cli.control.residual import Residual, ResidualValues
+from split_cli.errors import ExportError, SetError
+from split_cli.export.verify import read_manifest
+from split_cli.learning.features import FeatureSet
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["ExportedResidual"]
+
+
+class ExportedResidual(Residual):
+    """What ``NAME.casadi`` of an export says, and its derivative by CasADi; nothing else of the set is read.
+
+    Parameters
+    ----------
+    folder : Path
+        Of `split export --target casadi`.
+    vehicle : Vehicle
+        Which the controller drives with.
+    damped : bool
+        As of `PredictorResidual`.
+
+    Raises
+    ------
+    ExportError
+        If there is no export with CasADi's functions.
+    SetError
+        If the export is of another vehicle.
+
+    Notes
+    -----
+    The prior's variance is what the function answers infinitely far from its points.
+    """
+
+    def __init__(self, folder: Path, vehicle: Vehicle, damped: bool = True) -> None:
+        manifest = read_manifest(folder)
+        self.name, self.predictor, self.damped = manifest["name"], manifest["predictor"], damped
+        file = folder / f"{self.name}.casadi"
+        if not file.is_file():
+            raise ExportError(
+                f"holds no CasADi function: {file.name} is missing", where=str(folder),
+                advice="Export the set with --target casadi.",
+            )  # fmt: skip
+        if manifest["vehicle_digest"] != vehicle.digest():
+            raise SetError(
+                f"was exported for another vehicle than {vehicle.name}", where=str(folder),
+                advice="Name the vehicle file the set was trained with, or export a set of this vehicle.",
+            )  # fmt: skip
+        try:
+            predict = casadi.Function.load(str(file))
+        except RuntimeError as error:
+            raise ExportError(
+                "is damaged: CasADi cannot read it", where=str(file), advice="Export the set again."
+            ) from error
+        self.features = FeatureSet(tuple(manifest["features"]))
+        z = casadi.MX.sym("z", predict.size1_in(0))
+        mean, variance = predict(z)
+        outputs = [casadi.densify(one) for one in (mean, variance, casadi.jacobian(mean, z))]
+        self._function, self.not_compiled = compiled(casadi.Function("exported", [z], outputs))
+        self._prior = predict(np.full(predict.size1_in(0), np.inf))[1].full().ravel()
+        self._batches: dict[int, Batch] = {}
+
+    def of_data(self, z: np.ndarray) -> ResidualValues:
+        """Return mean, slope and variance at features `z`, shape (N, D)."""
+        if len(z) not in self._batches:
+            self._batches[len(z)] = Batch(self._function, len(z))
+        mean, variance, slope = self._batches[len(z)](z)
+        mean, variance = mean[:, :, 0], variance[:, :, 0]
+        knowledge = np.clip(1.0 - variance / self._prior, 0.0, 1.0)
+        if self.damped:
+            slope = slope * knowledge[:, :, None]
+        return ResidualValues(mean, slope, variance, knowledge)
+
+    def grip(self, vehicle: Vehicle, largest: float) -> np.ndarray:
+        """Return the peak of front and rear over the vehicle file's, shape (2,), as the function tells it.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+        largest : float
+            Slip angle up to which it is asked [rad]; the other features are zero.
+
+        Notes
+        -----
+        `learned_grip` of its answers in place of labels, where it knows most of v_y and r.
+        """
+        names = self.features.names
+        if not {"alpha_f", "alpha_r"} <= set(names):
+            return np.ones(2)
+        angles = np.linspace(-largest, largest, 41)
+        z = np.zeros((len(angles) ** 2, len(names)))
+        pairs = np.meshgrid(angles, angles)
+        z[:, names.index("alpha_f")], z[:, names.index("alpha_r")] = (one.ravel() for one in pairs)
+        found = self.of_data(z)
+        known = (found.knowledge[:, 1:] > TOLD).all(axis=1)
+        return learned_grip(vehicle, self.features, z[known], found.mean[known])

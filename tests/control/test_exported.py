@@ -1,0 +1,92 @@
+"""Driving with an export's CasADi function alone: it says what its set says, and a car is driven by it."""
+
+from __future__ import annotations
+
+import json
+import runpy
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from split_cli.control.exported import ExportedResidual
+from split_cli.control.residual import PredictorResidual
+from split_cli.errors import ExportError, SetError, SplitError
+from split_cli.learning.training_set import read_set
+from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.export import export_set
+from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
+from split_cli.workflows.racing.race import run_race
+from split_cli.workflows.racing.settings import RaceSettings
+from tests.control.test_closed_loop import CAR, ROOT, invoke, ring
+
+WET = ManeuverSettings(grip=0.5, seed=3)
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory) -> tuple[Path, Path]:
+    """A set of one lane change on a wet road, and the folder of its export."""
+    folder = tmp_path_factory.mktemp("exported")
+    run_maneuvers(replace(WET, speeds=(12.0,)), CAR, set_output=folder / "wet.split")
+    export_set(
+        folder / "wet.split", folder / "controller", ["casadi"], predictor="projected", queries=200, insist=True
+    )
+    return folder / "wet.split", folder / "controller"
+
+
+@pytest.mark.parametrize("damped", [True, False])
+def test_the_exported_function_says_what_the_set_says(learned, damped):
+    """CasADi's derivative of the file stands against the predictor's own."""
+    trained, folder = learned
+    training_set = read_set(trained)
+    z = training_set.z[::7] + 0.01
+    expected = PredictorResidual(training_set, "projected", damped).of_data(z)
+    found = ExportedResidual(folder, read_vehicle(CAR), damped).of_data(z)
+    for name in ("mean", "slope", "variance", "knowledge"):
+        value = getattr(expected, name)
+        scale = float(np.abs(value).max())
+        np.testing.assert_allclose(getattr(found, name), value, rtol=1e-7, atol=1e-8 * scale, err_msg=name)
+    assert found.knowledge.max() > 0.5
+
+
+def test_an_export_passes_where_the_file_of_a_dry_road_does_not(learned):
+    _, folder = learned
+    fast = replace(WET, speeds=(15.0,))
+    (nominal,) = run_maneuvers(fast, CAR).runs
+    (exported,) = run_maneuvers(replace(fast, start_set=folder), CAR).runs
+    assert nominal.hit > 2 and exported.hit < nominal.hit and exported.deviation < 0.5 * nominal.deviation
+
+
+def test_a_lap_is_driven_with_an_export(learned, tmp_path):
+    done = invoke(
+        "race", "--vehicle", CAR, "--track", str(ring(tmp_path)), "--laps", "1", "--max-speed", "10", "--learner",
+        "none", "--start-set", str(learned[1]), "--json",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    (lap,) = json.loads(done.stdout)["laps"]
+    assert not lap["ended"] and lap["outside"] == 0.0 and lap["failures"] == 0
+
+
+def test_what_is_no_export_of_this_car_is_refused(learned, tmp_path):
+    folder = learned[1]
+    other = replace(read_vehicle(CAR), mass=1000.0)
+    with pytest.raises(SetError, match="another vehicle"):
+        ExportedResidual(folder, other)
+    with pytest.raises(SplitError, match="learner split cannot go on"):
+        run_race(RaceSettings(learner="split", start_set=folder), CAR)
+    damaged = shutil.copytree(folder, tmp_path / "damaged")
+    (damaged / "wet.casadi").write_bytes(b"not a function")
+    with pytest.raises(ExportError, match="CasADi cannot read it"):
+        ExportedResidual(damaged, read_vehicle(CAR))
+    (damaged / "wet.casadi").unlink()
+    with pytest.raises(ExportError, match=r"wet\.casadi is missing"):
+        ExportedResidual(damaged, read_vehicle(CAR))
+
+
+def test_the_documented_controller_steers_by_the_exported_step_alone(learned):
+    """At a speed where tyres are nearly linear it holds the line through the cones."""
+    recipe = runpy.run_path(str(ROOT / "docs" / "recipes" / "lane_change_mpc.py"))
+    done = recipe["simulated_car"](learned[1], "wet", 12.0, seed=1, grip=0.5)
+    assert done.hit == 0 and done.deviation < 0.4
