@@ -125,6 +125,8 @@ _COMPILED = tuple((channel, weight, re.compile(pattern)) for channel, weight, pa
 _MAKERS = {"esp", "abs", "ecu", "can", "imu", "ins", "gps", "vbox", "obd", "ego", "odom", "mti", "oxts", "ff"}
 """Words in front that say which device measured."""
 _COMMAND_WORDS = {"cmd", "command", "ref", "target", "desired", "goal", "setpoint", "request", "reference"}
+_COMMAND_IN_FRONT = "des"
+"""Short for desired, in front of what is desired; elsewhere it is a French or German article."""
 
 
 def words_of(name: str) -> list[str]:
@@ -243,6 +245,6 @@ def meanings(info: RawChannelInfo) -> tuple[Meaning, ...]:
         read = read_concepts(tokens_of(bare))
         if read is not None:
             found[read[0]] = read[1]
-    if _COMMAND_WORDS & set(words):
+    if _COMMAND_WORDS & set(words) or words[:1] == [_COMMAND_IN_FRONT]:
         found = {c: w for c, w in found.items() if c in ("delta", "T", "throttle", "brake", "brake_pressure")}
     return tuple(Meaning(c, w) for c, w in sorted(found.items(), key=lambda entry: -entry[1]))
