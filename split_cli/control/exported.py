@@ -76,11 +76,7 @@ class ExportedResidual(Residual):
         if len(z) not in self._batches:
             self._batches[len(z)] = Batch(self._function, len(z))
         mean, variance, slope = self._batches[len(z)](z)
-        mean, variance = mean[:, :, 0], variance[:, :, 0]
-        knowledge = np.clip(1.0 - variance / self._prior, 0.0, 1.0)
-        if self.damped:
-            slope = slope * knowledge[:, :, None]
-        return ResidualValues(mean, slope, variance, knowledge)
+        return ResidualValues.told(mean[:, :, 0], slope, variance[:, :, 0], self._prior, self.damped)
 
     def grip(self, vehicle: Vehicle, largest: float) -> np.ndarray:
         """Return the peak of front and rear over the vehicle file's, shape (2,), as the function tells it.

@@ -40,6 +40,14 @@ class ResidualValues:
     variance: np.ndarray
     knowledge: np.ndarray
 
+    @classmethod
+    def told(
+        cls, mean: np.ndarray, slope: np.ndarray, variance: np.ndarray, prior: np.ndarray, damped: bool
+    ) -> ResidualValues:
+        """Return what a predictor says, given its `prior` variance, (3,); `damped` as of `PredictorResidual`."""
+        knowledge = np.clip(1.0 - variance / prior, 0.0, 1.0)
+        return cls(mean, slope * knowledge[:, :, None] if damped else slope, variance, knowledge)
+
     def stages(self, which: slice) -> ResidualValues:
         """Return the residual at some of the features."""
         return ResidualValues(self.mean[which], self.slope[which], self.variance[which], self.knowledge[which])
@@ -138,11 +146,7 @@ class PredictorResidual(Residual):
             return ResidualValues(nothing.mean, nothing.slope, variance, nothing.knowledge)
         predictor = self.predictor.at(z)
         found = predictor.predict(z)
-        slope = predictor.jacobian(z)
-        knowledge = np.clip(1.0 - found.variance / self._prior, 0.0, 1.0)
-        if self.damped:
-            slope = slope * knowledge[:, :, None]
-        return ResidualValues(found.mean, slope, found.variance, knowledge)
+        return ResidualValues.told(found.mean, predictor.jacobian(z), found.variance, self._prior, self.damped)
 
 
 class OnlineResidual(Residual):
@@ -171,7 +175,4 @@ class OnlineResidual(Residual):
     def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return mean, slope and variance at features `z`, shape (N, D)."""
         mean, variance, slope = self.known.along(z)
-        knowledge = np.clip(1.0 - variance / self._prior, 0.0, 1.0)
-        if self.damped:
-            slope = slope * knowledge[:, :, None]
-        return ResidualValues(mean, slope, variance, knowledge)
+        return ResidualValues.told(mean, slope, variance, self._prior, self.damped)

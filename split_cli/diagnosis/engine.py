@@ -295,9 +295,8 @@ def _for_a_while(found: _Comparison, named: bool, policy: Policy) -> list[str]:
     if one is None or _WAYS * one.p_value >= policy.comparison.level or one.share > policy.reporting.everywhere:
         return []
     several = len(found.outcome.structure.objective.evidence) > 1
-    readings = [(each.term, each.parameter, each.estimate) for each in one.readings]
     most = policy.abstention.most_alternatives
-    return [acting_in_a_part(readings, one.begin, one.end, most, one.recording + 1 if several else None)]
+    return [acting_in_a_part(one.readings, one.begin, one.end, most, one.recording + 1 if several else None)]
 
 
 def _held_out(case: DiagnosisCase, split: HeldOut) -> list[tuple[Evidence, np.ndarray]]:

@@ -103,9 +103,16 @@ class RawSignal:
     unit: str | None = None
 
 
-def turned(signal: RawSignal) -> RawSignal:
-    """Return a column with its rows in reverse order."""
-    return replace(signal, values=signal.values[::-1])
+def turned(time: np.ndarray, signals: Mapping[str, RawSignal]) -> tuple[np.ndarray, dict[str, RawSignal]]:
+    """Return the rows of a table in reverse order; signals with times of their own stay as they are.
+
+    Views: what is turned round takes no memory.
+    """
+    columns = {
+        name: signal if signal.time is not None else replace(signal, values=signal.values[::-1])
+        for name, signal in signals.items()
+    }
+    return time[::-1], columns
 
 
 class RawRecording(Protocol):

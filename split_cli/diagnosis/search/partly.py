@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +28,7 @@ __all__ = ["ActingPart", "PartReading", "Parts", "most_saved", "parts_of_drive",
 _MOST_BLOCKS = 240  # of which parts are made, eight minutes in blocks of 2 s: their number grows with its square
 
 
-@dataclass(frozen=True)
-class PartReading:
+class PartReading(NamedTuple):
     """One parameter of one term that explains a part of the drive.
 
     Attributes

@@ -114,8 +114,7 @@ def gather(
     skipped += absent
     common, origin, words = _common_time(signals, time_column, signal_map, recording, notes)
     if common is not None and newest_first(common):
-        # Views: what is turned round takes no memory.
-        common, signals = common[::-1], {n: s if s.time is not None else turned(s) for n, s in signals.items()}
+        common, signals = turned(common, signals)
         notes.conversions.append("rows in reverse order, the newest first: turned round")
     common = None if common is None else set_aside(common)
     converter = Converter(recording.name, signal_map, wheel_radius, notes)

@@ -84,7 +84,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     time, line, known = clock_of_rows(recording, infos, signals, candidates, row_rate)
     candidates = [c for c in candidates if f"source: {quoted(c.sources[0])}," not in line]
     if time is not None and newest_first(time):
-        time, signals = time[::-1], {n: s if s.time is not None else turned(s) for n, s in signals.items()}
+        time, signals = turned(time, signals)
         line += "   # rows in reverse order: turned round"
     candidates = along_the_car(candidates, triples, signals, time)
     trial = Trial(signals, time, vehicle, known)
