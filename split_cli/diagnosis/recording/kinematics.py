@@ -16,9 +16,10 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from split_cli.diagnosis.recording.series import Series
+from split_cli.diagnosis.recording.windows import changes, integrals, ways
 from split_cli.vehicle.effects import Term
 
-__all__ = ["KinematicResiduals", "build_kinematics", "common_habit", "integral", "quiet"]
+__all__ = ["KinematicResiduals", "build_kinematics", "common_habit", "integral", "quiet_change"]
 
 _WINDOW_SECONDS = 0.5
 _EDGE_SECONDS = 0.1
@@ -92,10 +93,9 @@ class KinematicResiduals:
 
         A fault is no noise: were it counted in the spread, a large one would hide itself.
         """
-        change = quiet(self.series.corrected(())[1][:, 1], self.series.period)
-        return np.stack(
-            [self.causes[:, 1] * self.series.t[self.begin], change[self.end] - change[self.begin]], axis=1
-        )
+        v_y = self.series.corrected(())[1][:, 1]
+        change = quiet_change(v_y, self.begin, self.end, self.series.period)
+        return np.stack([self.causes[:, 1] * self.series.t[self.begin], change], axis=1)
 
     def select(self, windows: np.ndarray) -> KinematicResiduals:
         """Return these windows alone."""
@@ -108,9 +108,9 @@ class KinematicResiduals:
         middle = self.angle[(self.begin + self.end) // 2]
         sine, cosine = self._direction
         # In the world frame once, then into the car's frame of each window.
-        x = self._integral(velocity[:, 0] * cosine - velocity[:, 1] * sine, still)
-        y = self._integral(velocity[:, 0] * sine + velocity[:, 1] * cosine, still)
-        return _into(middle, x, y)
+        period = self.series.period
+        x, y = ways(velocity, sine, cosine, self.begin, self.end, _edge(period) if still else 0)
+        return _into(middle, x * period, y * period)
 
     @cached_property
     def _direction(self) -> tuple[np.ndarray, np.ndarray]:
@@ -150,9 +150,12 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
 
 def integral(rate: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float, *, still: bool) -> np.ndarray:
     """Return the integral of a rate over windows, shape (W,), made as quiet as positions are where `still`."""
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))]) * period
-    total = quiet(total, period) if still else total
-    return total[end] - total[begin]
+    return integrals(rate, begin, end, _edge(period) if still else 0) * period
+
+
+def quiet_change(values: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float) -> np.ndarray:
+    """Return by how much values, made quiet, change over windows, shape (W,)."""
+    return changes(values, begin, end, _edge(period))
 
 
 def _edge(period: float) -> int:

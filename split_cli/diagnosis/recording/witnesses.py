@@ -19,7 +19,7 @@ from split_cli.diagnosis.recording.kinematics import (
     build_kinematics,
     common_habit,
     integral,
-    quiet,
+    quiet_change,
 )
 from split_cli.diagnosis.recording.screening import measures
 from split_cli.diagnosis.recording.series import Series
@@ -76,10 +76,7 @@ class Witness:
     def causes(self) -> np.ndarray:
         """Return what a scale, a bias and a delay of the instrument would leave, shape (W, 3)."""
         _, made, rate = self._compared(())
-        rate = quiet(rate, self.series.period)
-        return np.stack(
-            [made, (self.end - self.begin) * self.series.period, rate[self.end] - rate[self.begin]], axis=1
-        )
+        return np.stack([made, (self.end - self.begin) * self.series.period, self._change(rate)], axis=1)
 
     def select(self, windows: np.ndarray) -> Witness:
         """Return these windows alone."""
@@ -98,9 +95,10 @@ class Witness:
         felt = self.series.accelerations(terms)[_CHANNELS[self.kind]]
         # In a turn the velocities' own axes turn: a_x = v_x' - v_y r and a_y = v_y' + v_x r.
         changing, turning = (v_x, -v_y * r) if self.kind == "a_x" else (v_y, v_x * r)
-        changing = quiet(changing, self.series.period)
-        made = changing[self.end] - changing[self.begin] + self._integral(turning)
-        return self._integral(felt), made, felt
+        return self._integral(felt), self._change(changing) + self._integral(turning), felt
+
+    def _change(self, values: np.ndarray) -> np.ndarray:
+        return quiet_change(values, self.begin, self.end, self.series.period)
 
     def _integral(self, rate: np.ndarray) -> np.ndarray:
         return integral(rate, self.begin, self.end, self.series.period, still=True)

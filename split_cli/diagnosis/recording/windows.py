@@ -1,0 +1,69 @@
+"""What rates add over short windows of a recording, compiled: every step of a search for a sensor's fault asks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = ["changes", "integrals", "ways"]
+
+
+def integrals(rate: np.ndarray, begin: np.ndarray, end: np.ndarray, edge: int = 0) -> np.ndarray:
+    """Return sums of a rate over windows by the trapezoidal rule, shape (W,), in units of rate times samples.
+
+    Parameters
+    ----------
+    rate : ndarray, shape (N,)
+    begin, end : ndarray of int64, shape (W,)
+        First and last row of every window.
+    edge : int
+        The sum is the mean of those of windows moved by up to so many rows, held at the recording's ends.
+    """
+    return _integrals(np.ascontiguousarray(rate), begin, end, edge)
+
+
+def changes(values: np.ndarray, begin: np.ndarray, end: np.ndarray, edge: int) -> np.ndarray:
+    """Return by how much values (N,) change over windows, shape (W,); see `integrals` for the edge."""
+    return _changes(np.ascontiguousarray(values), begin, end, edge)
+
+
+def ways(
+    velocity: np.ndarray, sine: np.ndarray, cosine: np.ndarray, begin: np.ndarray, end: np.ndarray, edge: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ways in the world's x and y over windows, shape (W,) each, in velocity times samples.
+
+    The edge is that of `integrals`.
+
+    `velocity` has v_x and v_y in its first columns, shape (N, 2 or more); `sine` and `cosine`, (N,), are of yaw.
+    """
+    return _ways(np.ascontiguousarray(velocity), sine, cosine, begin, end, edge)
+
+
+@njit(cache=True, nogil=True)
+def _changes(values, begin, end, edge):
+    last = len(values) - 1
+    out = np.empty(len(begin))
+    for w in range(len(begin)):
+        total = 0.0
+        for k in range(-edge, edge + 1):
+            total += values[min(max(end[w] + k, 0), last)] - values[min(max(begin[w] + k, 0), last)]
+        out[w] = total / (2 * edge + 1)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _integrals(rate, begin, end, edge):
+    total = np.empty(len(rate))
+    total[0] = 0.0
+    for k in range(1, len(rate)):
+        total[k] = total[k - 1] + 0.5 * (rate[k] + rate[k - 1])
+    return _changes(total, begin, end, edge)
+
+
+@njit(cache=True, nogil=True)
+def _ways(velocity, sine, cosine, begin, end, edge):
+    x, y = np.empty(len(velocity)), np.empty(len(velocity))
+    for k in range(len(velocity)):
+        x[k] = velocity[k, 0] * cosine[k] - velocity[k, 1] * sine[k]
+        y[k] = velocity[k, 0] * sine[k] + velocity[k, 1] * cosine[k]
+    return _integrals(x, begin, end, edge), _integrals(y, begin, end, edge)
