@@ -10,6 +10,7 @@ import numpy as np
 from split_cli.logs.checking.checks import LEAST_CORRELATION
 from split_cli.logs.checking.kinematics import Kinematics, Slope, fit_slope
 from split_cli.logs.drafting.draft import Suggestion
+from split_cli.logs.drafting.wheels import told_of_a_part
 
 __all__ = ["read_acceleration", "read_pedal", "read_sideslip", "read_torque", "read_wheel", "without_the_tilted"]
 
@@ -36,32 +37,35 @@ _MOST_SHARE, _MOST_PERCENT = 1.2, 120.0
 
 def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
     """Say whether T goes with the acceleration; how much per m/s^2 shows a torque of the engine or of one axle."""
-    two = len(s.sources) == 2
-    of_two = "sum of two wheels: those of the other axle may drive or brake too" if two else ""
+    of_part = told_of_a_part(s.sources)
     if s.status == "open" or not {"vx", "T"} <= set(columns):
-        return replace(s, status="assumed", reason=f"{of_two}{s.reason}") if two and s.status == "stated" else s
+        if of_part and s.status == "stated":
+            return replace(s, status="assumed", reason=f"{of_part}{s.reason}")
+        return s
     k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
     carried = k.of("vy r", lambda: columns["vy"] * columns["r"]) if {"vy", "r"} <= set(columns) else 0.0
     slope = fit_slope(k.signal("T"), k.rate("vx") - carried, k.moving)
     if slope is None or abs(slope.correlation) < LEAST_CORRELATION:
         how = "cannot be judged" if slope is None else f"correlate by {slope.correlation:.2f} only"
         told = f"T and dv_x/dt {how}: is it the torque at the wheels?"
-        return replace(s, status="assumed", reason="; ".join(filter(None, (of_two, told))))
+        return replace(s, status="assumed", reason="; ".join(filter(None, (of_part, told))))
     size = f"{abs(slope.slope):.3g} N m for 1 m/s^2, which should be mass times wheel radius"
     if slope.slope < 0.0:
         s, size = replace(s, scale=-s.scale), f"its sign is turned; {size}"
     too_small = abs(slope.slope) < _LEAST_OF_A_CAR and float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0
+    if too_small:
+        told = f"{size}: too small for a car, so of the engine? `scale:` with ratio times efficiency makes it T"
+        return replace(s, status="open", reason=told)
     beyond = abs(slope.slope) > _MOST_OF_A_LORRY
     if beyond:
         told = f"the file says {s.foreign_unit!r}, which is no known unit; " if s.foreign_unit else ""
         return replace(s, status="open", reason=f"{told}{size}: more than any lorry's. Give its `scale:`")
-    status = "assumed" if two or s.unit is None or s.foreign_unit or too_small else "judged"
+    status = "assumed" if of_part or s.unit is None or s.foreign_unit else "judged"
     unit = s.unit or "N m"
     told = "" if s.unit else "unit not stated"
     if s.foreign_unit:
         told = f"the file says {s.foreign_unit!r}, which is no known unit; {unit} assumed"
-    size += ": too small for a car, is it the engine's?" if too_small else ""
-    return replace(s, status=status, unit=unit, reason="; ".join(filter(None, (of_two, told, size))))
+    return replace(s, status=status, unit=unit, reason="; ".join(filter(None, (of_part, told, size))))
 
 
 def read_pedal(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:

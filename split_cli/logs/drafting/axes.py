@@ -50,14 +50,20 @@ def without_the_world(
     if not found:
         return []
     reasons = {channel: found[channel].split(". Nothing")[0] for channel in ("vx", "vy")}
-    for channel, velocity in (("ax", "vx"), ("ay", "vy")):
-        pair = [trial.column(chosen[c]) if c in chosen else None for c in (channel, velocity)]
-        if pair[0] is None or pair[1] is None:
+    velocity = [trial.column(chosen[c]) for c in ("vx", "vy")]
+    if any(v is None for v in velocity):
+        changes = {}
+    else:
+        changes = _changes(*(_smooth(v, trial.rate) for v in velocity), trial.rate)
+    for channel, (of_the_world, of_the_car) in changes.items():
+        column = trial.column(chosen[channel]) if channel in chosen else None
+        if column is None:
             continue
-        change = np.gradient(_smooth(pair[1], trial.rate), 1.0 / trial.rate)
-        slope = fit_slope(_smooth(pair[0], trial.rate), change, np.isfinite(change))
-        if slope is not None and abs(slope.correlation) > _GOES_WITH:
-            reasons[channel] = f"the change of {chosen[velocity].sources[0]}: along the axes of the world"
+        # On a winding straight road both look alike: only what goes better with the world is of it.
+        world, own = (_correlation(_smooth(column, trial.rate), change) for change in (of_the_world, of_the_car))
+        if world > max(_GOES_WITH, own):
+            source = chosen[{"ax": "vx", "ay": "vy"}[channel]].sources[0]
+            reasons[channel] = f"the change of {source}: along the axes of the world"
     told = []
     for channel, reason in reasons.items():
         sources = chosen[channel].sources
@@ -66,6 +72,21 @@ def without_the_world(
             del usable[channel]
         told.append(Suggestion(channel, sources, status="open", reason=reason))
     return told
+
+
+def _changes(east: np.ndarray, north: np.ndarray, rate: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return what accelerations of the world, and of the car, are for a velocity along the world's axes."""
+    speed, course = np.hypot(east, north), np.unwrap(np.arctan2(north, east))
+    along, across = np.gradient(speed, 1.0 / rate), speed * np.gradient(course, 1.0 / rate)
+    return {
+        "ax": (np.gradient(east, 1.0 / rate), along),
+        "ay": (np.gradient(north, 1.0 / rate), across),
+    }
+
+
+def _correlation(values: np.ndarray, motion: np.ndarray) -> float:
+    slope = fit_slope(values, motion, np.isfinite(motion))
+    return 0.0 if slope is None else abs(slope.correlation)
 
 
 def _smooth(values: np.ndarray, rate: float) -> np.ndarray:

@@ -14,7 +14,7 @@ from split_cli.signals import REQUIRED_CHANNELS
 __all__ = ["UNITS_OF", "Draft", "Suggestion", "quoted", "render_draft"]
 
 UNITS_OF = {"sideslip": "rad", "latitude": "rad", "longitude": "rad", "wheel_torque": "N m", "course": "rad",
-            "engine_torque": "N m"}  # fmt: skip
+            "engine_torque": "N m", "axle_torque": "N m"}  # fmt: skip
 _NO_LEFT = (
     "CHECK left and right: the signs above are as recorded, and nothing recorded tells the sides apart",
     "(no satellite fix, east and north, or compass). In a left turn r and delta must be positive.",

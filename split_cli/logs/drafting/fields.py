@@ -7,17 +7,18 @@ from collections.abc import Sequence
 
 from split_cli.logs.raw import RawChannelInfo
 
-__all__ = ["field_candidates"]
+__all__ = ["field_candidates", "is_of_a_command"]
 
 _FIELDS: tuple[tuple[str, str, str], ...] = (
     ("X", r"(.*\.)?(position|translation)\.x", ""),
     ("Y", r"(.*\.)?(position|translation)\.y", ""),
     ("yaw", r"((.*\.)?(orientation|rotation))\.w", "yaw_from_quaternion"),
+    # Before the velocities: accel.linear.x is none.
+    ("ax", r"(.*\.)?(linear_acceleration|accel(eration)?)(\.linear)?\.x", ""),
+    ("ay", r"(.*\.)?(linear_acceleration|accel(eration)?)(\.linear)?\.y", ""),
     ("vx", r"(.*\.)?(twist\.)?linear\.x|(.*\.)?longitudinal_velocity|(.*\.)?(velocity|vel)\.x", ""),
     ("vy", r"(.*\.)?(twist\.)?linear\.y|(.*\.)?lateral_velocity|(.*\.)?(velocity|vel)\.y", ""),
     ("r", r"(.*\.)?angular(_velocity)?\.z|(.*\.)?heading_rate|(.*\.)?gyro\.z", ""),
-    ("ax", r"(.*\.)?(linear_acceleration|accel(eration)?)(\.linear)?\.x", ""),
-    ("ay", r"(.*\.)?(linear_acceleration|accel(eration)?)(\.linear)?\.y", ""),
     ("delta", r"(.*\.)?steering_(tire_)?angle", ""),
     ("latitude", r"(.*\.)?latitude", ""),
     ("longitude", r"(.*\.)?longitude", ""),
@@ -42,12 +43,17 @@ def field_candidates(infos: Sequence[RawChannelInfo]) -> list[tuple[str, tuple[s
         for channel, pattern, convert in _FIELDS:
             if not re.fullmatch(pattern, field):
                 continue
-            if _COMMANDS.search(topic) and channel not in _OF_A_COMMAND:
+            if is_of_a_command(topic) and channel not in _OF_A_COMMAND:
                 continue
             address = info.name[:-2] if convert else info.name
             found.append((channel, (address,), convert))
             break
     return [*found, *_quaternions_in_columns(infos, found)]
+
+
+def is_of_a_command(topic: str) -> bool:
+    """Tell whether a topic's name says that its messages are commands: what they hold was asked for."""
+    return _COMMANDS.search(topic) is not None
 
 
 def _topic_and_field(info: RawChannelInfo) -> tuple[str, str] | None:

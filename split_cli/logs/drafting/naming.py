@@ -11,7 +11,8 @@ from split_cli.logs.raw import RawChannelInfo
 from split_cli.signals import find_unit
 
 __all__ = [
-    "Meaning", "is_command", "meanings", "named_by_axis", "spelled_without_unit", "stated_unit", "words_of",
+    "COMMANDED", "Meaning", "is_command", "meanings", "named_by_axis", "spelled_without_unit", "stated_unit",
+    "words_of",
 ]  # fmt: skip
 
 _UNIT_WORDS = {
@@ -125,6 +126,8 @@ _COMPILED = tuple((channel, weight, re.compile(pattern)) for channel, weight, pa
 _MAKERS = {"esp", "abs", "ecu", "can", "imu", "ins", "gps", "vbox", "obd", "ego", "odom", "mti", "oxts", "ff"}
 """Words in front that say which device measured."""
 _COMMAND_WORDS = {"cmd", "command", "ref", "target", "desired", "goal", "setpoint", "request", "reference"}
+COMMANDED = ("delta", "T", "throttle", "brake", "brake_pressure")
+"""Channels that a driver or a controller asks for: a command of any other one is no measurement of it."""
 _COMMAND_IN_FRONT = "des"
 """Short for desired, in front of what is desired; elsewhere it is a French or German article."""
 
@@ -215,6 +218,12 @@ def is_command(name: str) -> bool:
     return "command" in concepts_of(tokens_of(name))[0]
 
 
+def _said_by_unit(info: RawChannelInfo) -> list[str]:
+    """Return the word that a unit stands for where the name leaves it out: M_Rad_VL in N m is a torque."""
+    unit = find_unit(stated_unit(info) or "")
+    return ["torque"] if unit is not None and unit.si == "N m" else []
+
+
 def meanings(info: RawChannelInfo) -> tuple[Meaning, ...]:
     """Return the channels that the name of a signal fits, the clearest first."""
     if info.name.strip() == "T":
@@ -242,9 +251,13 @@ def meanings(info: RawChannelInfo) -> tuple[Meaning, ...]:
         if any(expression.fullmatch(spelling) for spelling in spellings):
             found[channel] = max(found.get(channel, 0), weight)
     if not found:
-        read = read_concepts(tokens_of(bare))
+        read = read_concepts([*tokens_of(bare), *_said_by_unit(info)])
         if read is not None:
             found[read[0]] = read[1]
+    if {"wheel_torque", "T"} & set(found):
+        of_all = concepts_of(tokens_of(bare))[0]
+        if "brake" in of_all and "drive" not in of_all:
+            found = {}  # its group says so: Brake.Trq_FL
     if _COMMAND_WORDS & set(words) or words[:1] == [_COMMAND_IN_FRONT]:
-        found = {c: w for c, w in found.items() if c in ("delta", "T", "throttle", "brake", "brake_pressure")}
+        found = {c: w for c, w in found.items() if c in COMMANDED}
     return tuple(Meaning(c, w) for c, w in sorted(found.items(), key=lambda entry: -entry[1]))

@@ -25,10 +25,11 @@ from split_cli.logs.drafting.axes import without_other_axes, without_the_world
 from split_cli.logs.drafting.clock import clock_of_rows
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
-from split_cli.logs.drafting.fields import field_candidates
+from split_cli.logs.drafting.fields import field_candidates, is_of_a_command
 from split_cli.logs.drafting.form import hints_on_the_form
 from split_cli.logs.drafting.hand import what_tells_left, without_a_side
 from split_cli.logs.drafting.naming import (
+    COMMANDED,
     Meaning,
     is_command,
     meanings,
@@ -41,6 +42,7 @@ from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.drafting.triples import along_the_car, names_of_triples
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
+from split_cli.logs.drafting.wheels import PARTS, sums_of_torques, torques_alike
 from split_cli.logs.raw import (
     RawChannelInfo,
     RawRecording,
@@ -56,7 +58,7 @@ __all__ = ["Draft", "Suggestion", "draft_map", "render_draft", "suggest_map"]
 _MOST_RIVALS = 4
 _CLOSE = 0.95
 """Mean correlation of a channel with what the others say, from which on no rival is tried [1]."""
-_HELPERS = ("latitude", "longitude", "wheel_torque", "engine_torque", "course")
+_HELPERS = ("latitude", "longitude", *PARTS, "engine_torque", "course")
 """Meanings that make channels of the drive and are none."""
 
 
@@ -88,7 +90,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
         line += "   # rows in reverse order: turned round"
     candidates = along_the_car(candidates, triples, signals, time)
     trial = Trial(signals, time, vehicle, known)
-    trial.wheel_torques = [c for c in candidates if c.channel == "wheel_torque"]
+    trial.torques = torques_alike(candidates)
     opened: list[Suggestion] = []
     usable: dict[str, list[TrialCandidate]] = {}
     for candidate in candidates:
@@ -200,8 +202,11 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
         if info == time or info.type_name == "text" or info.name in by_field:
             continue
         unit = stated_unit(info)
+        asked = info.name.startswith("/") and is_of_a_command(info.name.rpartition("/")[0])
         for meaning in meanings(axes.get(info.name, info)):
             channel = meaning.channel
+            if asked and channel not in COMMANDED:
+                continue
             si = getattr(find_unit(unit), "si", None) if unit else None
             if channel == "brake" and si == "Pa":
                 channel = "brake_pressure"
@@ -264,9 +269,7 @@ def _fixes(found: Sequence[TrialCandidate]) -> list[TrialCandidate]:
     if len(first) == 2:
         pair = (first["latitude"].sources[0], first["longitude"].sources[0])
         made += [TrialCandidate("X", pair, 2, "m", "local_x"), TrialCandidate("Y", pair, 2, "m", "local_y")]
-    wheels = [c for c in found if c.channel == "wheel_torque"]
-    if len(wheels) in (2, 4):
-        made.append(TrialCandidate("T", tuple(c.sources[0] for c in wheels), 4, wheels[0].unit, "sum"))
+    made += sums_of_torques(found)
     sides = {side: c for c in found if c.channel == "delta" for side in ("fl", "fr", "left", "right")
              if side in concepts_of(tokens_of(c.sources[0]))[0] and not is_command(c.sources[0])}  # fmt: skip
     for left, right in (("fl", "fr"), ("left", "right")):

@@ -81,7 +81,7 @@ class Trial:
     ) -> None:
         self.signals, self.vehicle, self.time_is_known = signals, vehicle, time_is_known
         self.time = None if time is None else _without_restarts(time)
-        self.wheel_torques: list[TrialCandidate] = []
+        self.torques: list[list[TrialCandidate]] = []
         self._sound: dict[str, np.ndarray] = {}
         stamps = [self.time if s.time is None else s.time for s in signals.values()]
         stamps = [t for t in stamps if t is not None and np.isfinite(t).sum() > 20]
@@ -104,8 +104,9 @@ class Trial:
         finite = values[np.isfinite(values)]
         if len(finite) < 20:
             return "nearly empty"
-        if candidate.channel == "wheel_torque" and len(self.wheel_torques) not in (2, 4):
-            return f"torque of {len(self.wheel_torques)} wheel(s): those of two or four wheels make T"
+        alike = next((len(group) for group in self.torques if candidate in group), 0)
+        if candidate.channel == "wheel_torque" and alike not in (2, 4):
+            return f"torque of {alike} wheel(s): those of two or four wheels make T"
         if np.ptp(finite) == 0.0:
             return f"never changes ({finite[0]:g})"
         beyond = self._beyond_the_globe(candidate)

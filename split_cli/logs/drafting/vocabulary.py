@@ -11,7 +11,7 @@ import re
 import unicodedata
 from functools import lru_cache
 
-__all__ = ["concepts_of", "read_concepts", "tokens_of"]
+__all__ = ["concepts_of", "place_and_rest", "read_concepts", "tokens_of"]
 
 _WORDS: dict[str, str] = {
     "velocity": (
@@ -19,7 +19,7 @@ _WORDS: dict[str, str] = {
         "geschw fahrgeschwindigkeit 车速 速度"
     ),
     "acceleration": (
-        "a acc accel accelerometer acceleration "
+        "a acc acl accel accelerometer acceleration "
         "accelerations beschleunigung beschl gforce aceleracion accelerazione 加速度"
     ),
     "rate": (
@@ -35,7 +35,7 @@ _WORDS: dict[str, str] = {
     "up": "z vert vertical up hoch",
     "linear": "linear lin",
     "steer": "steer steered steering str strg lenk 转向 lenkung braquage direccion sterzo sterzata",
-    "handwheel": "handwheel lenkrad stw swa sw msw volant volante 方向盘 转向盘",
+    "handwheel": "handwheel lws lenkrad stw swa sw msw volant volante 方向盘 转向盘",
     "wheel": "wheel wheels whl whls roadwheel roue roues rueda ruedas ruota ruote 轮 车轮",
     "road": "road tire tyre",
     "torque": "torque torques trq tq moment mom drehmoment couple par coppia 转矩 扭矩 力矩",
@@ -56,8 +56,8 @@ _WORDS: dict[str, str] = {
     "fr": "fr rf r1 vr wfr cfr",
     "rl": "rl lr l2 hl wrl crl",
     "rr": "rr r2 hr wrr crr",
-    "front": "front vorn vorne 前",
-    "rear": "rear hinten 后",
+    "front": "front frnt vorn vorne vorder vorderachse va 前",
+    "rear": "rear hinten hinter hinterachse ha 后",
     "left": "left links 左",
     "right": "right rechts 右",
     "command": (
@@ -109,7 +109,7 @@ _AXES = ("x", "y", "z")
 def tokens_of(name: str) -> list[str]:
     """Return the words of a name in lower case; compounds of known words are parted, others stay whole."""
     folded = re.sub(r"[ÄÖÜ]", lambda m: {"Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}[m[0]], name).translate(_FOLD)
-    folded = re.sub(r"(?i)(?<![a-z])g[-_ ]force", "gforce", folded)
+    folded = re.sub(r"(?i)(?<![a-z])g[-_ ]?force", "gforce", folded)
     folded = "".join(ch for ch in unicodedata.normalize("NFKD", folded) if not unicodedata.combining(ch))
     found: list[str] = []
     for piece in re.findall(r"[A-Za-z0-9]+|[\u4e00-\u9fff]+", folded):
@@ -175,6 +175,14 @@ def concepts_of(words: list[str]) -> tuple[set[str], int]:
     return concepts, len(words) - len(known)
 
 
+def place_and_rest(name: str) -> tuple[str, tuple[str, ...]]:
+    """Return the wheel or axle that a name is of, empty where it says none, and its other words."""
+    words = tokens_of(name)
+    place = next(iter(sorted(concepts_of(words)[0] & {*_CORNERS, "front", "rear"})), "")
+    rest = tuple(w for w in words if _CONCEPT.get(w) not in (*_CORNERS, "front", "rear", *_SIDES))
+    return place, rest
+
+
 def read_concepts(words: list[str]) -> tuple[str, int] | None:
     """Return the channel that a name's words fit and how clearly (3 clear, 1 vague); None where none.
 
@@ -194,7 +202,16 @@ def read_concepts(words: list[str]) -> tuple[str, int] | None:
     channel, weight = found
     if channel == "vx" and weight == 1 and {"n", "e", "d", "u"} & set(words):
         return None  # along north, east, down or up
-    inputs = ("delta", "steering_wheel_angle", "T", "wheel_torque", "throttle", "brake", "brake_pressure")
+    inputs = (
+        "delta",
+        "steering_wheel_angle",
+        "T",
+        "wheel_torque",
+        "axle_torque",
+        "throttle",
+        "brake",
+        "brake_pressure",
+    )
     if "command" in concepts and channel not in inputs:
         return None
     return channel, max(weight - min(unknown, 2), 1)
@@ -254,12 +271,14 @@ def _input(c: set[str]) -> tuple[str, int] | None:
     if "torque" in c:
         if c <= {"torque", "engine"} and "engine" in c:
             return "engine_torque", 3
-        if c & {"steer", "handwheel", "engine", "yaw"}:
+        if c & {"steer", "handwheel", "yaw"} or ("engine" in c and not c & {"wheel", "road"}):
             return None  # the driver's hand, or before the gearbox
         if "brake" in c and "drive" not in c:
             return None
         if corner is not None:
             return "wheel_torque", 3
+        if c & {"front", "rear"}:
+            return "axle_torque", 3
         return "T", 3 if c & {"wheel", "drive"} else 2
     if c & {"rate", "velocity", "acceleration", "slip"}:
         return None

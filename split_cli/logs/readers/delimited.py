@@ -25,7 +25,7 @@ from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_gro
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
-__all__ = ["open_delimited"]
+__all__ = ["open_delimited", "seconds_of"]
 
 _TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 _BLOCK_BYTES = 4 << 20
@@ -117,7 +117,7 @@ def _number(cell: str, decimal: str) -> float:
         folded = cell.lower()
         if folded in _TRUE or folded in _FALSE:
             return float(folded in _TRUE)
-        return _seconds(cell)
+        return seconds_of(cell)
 
 
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+)?)(?:\s*([AaPp])\.?[Mm]\.?)?$")
@@ -130,7 +130,7 @@ _OF_A_PROGRAM = re.compile(
 _DATE = re.compile(r"(\d{1,4})([./-])(\d{1,2})\2(\d{1,4})[ T]+(.+)$")
 
 
-def _seconds(cell: str) -> float:
+def seconds_of(cell: str) -> float:
     """Return a time written in words as seconds, else NaN.
 
     ISO 8601 counts from 1970, in UTC where it names no zone. A date in another order does so too; its day comes
@@ -171,7 +171,7 @@ def _seconds(cell: str) -> float:
             moment = datetime(year + 2000 if year < 100 else year, month, day, tzinfo=UTC)
         except ValueError:
             return float("nan")
-        return moment.timestamp() + _seconds(dated[5].strip())
+        return moment.timestamp() + seconds_of(dated[5].strip())
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 

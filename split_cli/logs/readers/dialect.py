@@ -16,7 +16,7 @@ from split_cli.signals import find_unit
 __all__ = ["EMPTY_CELLS", "KNOWN_FORMATS", "Dialect", "Sniffed", "is_grouped", "sniff", "unwrapped"]
 
 KNOWN_FORMATS = (
-    "Known are MCAP, rosbag2, ROS 1 bag, CSV, VBO, Parquet, Feather, MAT, MF4, "
+    "Known are MCAP, rosbag2, ROS 1 bag, CSV, JSON lines, VBO, Parquet, Feather, MAT, MF4, "
     "and with --dbc also BLF, ASC, TRC and candump."
 )
 EMPTY_CELLS = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--")
@@ -42,7 +42,9 @@ _GROUPED = {
 _TYPE = re.compile(r"[fiu]\d{1,2}|(u?int|float)(8|16|32|64)?|double|single|real", re.IGNORECASE)
 """Of a column's values, in a row under the titles, as ETAS writes it (f8)."""
 _WORD = re.compile(r"[^\W\d]")
-_UNIT_LIKE = re.compile(r"^[\[(]?[#A-Za-z°µ%/*^·.\-\d² ]{0,12}[\])]?$")
+_UNIT_LIKE = re.compile(r"^[\[(]?[#A-Za-z°µ%/*^·.'\-\d² ]{0,12}[\])]?$")
+_PATTERN_OF_A_TIME = re.compile(r"(?=.*([hHms]{1,2}|[YyJ]{2,4}))[hHmsfSDdTtMYyJ0#.,:/\- ]{5,}")
+"""What a spreadsheet writes as the unit of a clock or a date: hh:mm:ss,000 and TT.MM.JJJJ."""
 
 
 @dataclass(frozen=True)
@@ -320,7 +322,7 @@ def _is_title_row(row: list[str], width: int) -> bool:
 
 def _is_unit_row(row: list[str], width: int) -> bool:
     cells = [cell.strip() for cell in row]
-    filled = [cell for cell in cells if cell]
+    filled = [cell for cell in cells if cell and not _PATTERN_OF_A_TIME.fullmatch(cell)]
     if abs(len(row) - width) > 1 or not filled or not all(_UNIT_LIKE.match(cell) for cell in filled):
         return False
     # AiM writes # where a channel has no unit; a sign is never a channel's name.

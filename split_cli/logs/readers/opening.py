@@ -12,7 +12,9 @@ from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.dialect import KNOWN_FORMATS
 from split_cli.logs.readers.guard import GuardedRecording, guarded
+from split_cli.logs.readers.json_rows import is_json, open_json
 from split_cli.logs.readers.messages import Container, MessageRecording
+from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
 
 __all__ = ["open_recording"]
 
@@ -149,6 +151,10 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         from split_cli.logs.readers.vbo import open_vbo
 
         return open_vbo(path)
+    if is_pi_toolbox(head):
+        return open_pi_toolbox(path)
+    if is_json(head):
+        return open_json(path)
     # Version 4 has no magic number; its reader tells whether it is one.
     if head.startswith(b"MATLAB 5.0 MAT-file") or (path.suffix.lower() == ".mat" and not _is_hdf5(head)):
         from split_cli.logs.readers.mat import open_mat
