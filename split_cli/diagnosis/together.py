@@ -9,12 +9,14 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
-__all__ = ["apart", "cores", "handing_out", "together", "use_threads"]
+__all__ = ["apart", "apart_with", "cores", "handing_out", "together", "use_threads"]
 
 _Item = TypeVar("_Item")
 _Out = TypeVar("_Out")
+_Held = TypeVar("_Held")
 
 _MOST = 4  # beyond it Python's lock is what is waited for
 _threads = 0
@@ -51,12 +53,18 @@ def handing_out(apply: Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[
 def apart(function: Callable[[_Item], _Out], items: Iterable[_Item]) -> list[_Out]:
     """Return the function of each item, in order, as `together` does; for pieces that are worth a journey.
 
-    What they return is plain, and nothing they alter is needed: both may have been copied.
+    What they return is plain, and nothing they alter is needed: both may have been copied. What every piece needs,
+    and many calls share, travels once where the function is a `functools.partial` of it: see `apart_with`.
     """
     items = list(items)
     if _apply is None or len(items) < 2:
         return together(function, items)
     return list(_apply(function, items))
+
+
+def apart_with(held: _Held, function: Callable[[_Held, _Item], _Out], items: Iterable[_Item]) -> list[_Out]:
+    """Return ``function(held, item)`` of each item as `apart` does; `held` travels once for all calls with it."""
+    return apart(partial(function, held), items)
 
 
 def cores() -> int:

@@ -16,7 +16,7 @@ from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
-from split_cli.diagnosis.together import cores
+from split_cli.diagnosis.together import cores, use_threads
 from split_cli.errors import SplitError
 
 __all__ = ["HERE", "Engine", "open_engine"]
@@ -25,6 +25,8 @@ _T = TypeVar("_T")
 _R = TypeVar("_R")
 _AHEAD = 2
 """Items handed out beyond those being worked on, per worker [1]; judgement: enough that no worker waits."""
+_HELD = 2
+"""Objects kept on every worker for further calls [1]; judgement: a diagnosis searches twice at most."""
 _MOST_UNASKED = 4
 """Processes that are started where nobody says how many [1]; judgement: each holds a recording in memory."""
 
@@ -196,15 +198,33 @@ def _dask(jobs: int, scheduler: str | None) -> Iterator[Engine]:
             ) from error
         workers = len(client.scheduler_info(n_workers=-1)["workers"])
         name = f"Dask, {workers} workers"
-        yield Engine(name, workers, lambda function, items: _on_cluster(client, function, items), True)
+        held = _Held(client)
+        yield Engine(name, workers, lambda function, items: _on_cluster(client, held, function, items), True)
 
 
-def _on_cluster(client: Any, function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
+class _Held:
+    """What functions are first called with, on every worker: it travels once for all calls, not with each."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._known: list[tuple[Any, Any]] = []
+
+    def __call__(self, held: Any) -> Any:
+        """Return a future of an object; few are kept, since each lies in every worker's memory."""
+        for known, future in self._known:
+            if known is held:
+                return future
+        future = self._client.scatter([held], broadcast=True, hash=False)[0]
+        self._known = [*self._known[-_HELD + 1 :], (held, future)]
+        return future
+
+
+def _on_cluster(client: Any, held: _Held, function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
     """Yield results in order with a bounded number of items under way, so that memory here does not grow."""
     workers = max(len(client.scheduler_info(n_workers=-1)["workers"]), 1)
     waiting: list[Any] = []
     rest = iter(items)
-    carried = _carried(client, function)
+    carried = _carried(client, held, function)
 
     def hand_out() -> None:
         for item in rest:
@@ -222,8 +242,11 @@ def _on_cluster(client: Any, function: Callable[[Any], Any], items: Sequence[Any
         yield result
 
 
-def _carried(client: Any, function: Callable[[Any], Any]) -> tuple[Any, ...]:
+def _carried(client: Any, held: _Held, function: Callable[[Any], Any]) -> tuple[Any, ...]:
     """Return a function with what it is called with first; what a local one holds travels once, not each time."""
+    if isinstance(function, partial):
+        (first,) = function.args
+        return _call_with, held(first), function.func
     if "<locals>" not in function.__qualname__:
         return (function,)
     import cloudpickle
@@ -231,10 +254,13 @@ def _carried(client: Any, function: Callable[[Any], Any]) -> tuple[Any, ...]:
     return _call, client.scatter(cloudpickle.dumps(function), broadcast=True, hash=False)
 
 
+def _call_with(held: Any, function: Callable[[Any, Any], Any], item: Any) -> Any:
+    use_threads(1)
+    return function(held, item)
+
+
 def _call(pickled: bytes, item: Any) -> Any:
     import cloudpickle
-
-    from split_cli.diagnosis.together import use_threads
 
     use_threads(1)
     return cloudpickle.loads(pickled)(item)

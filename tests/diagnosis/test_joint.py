@@ -9,7 +9,7 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, Prior, fit_parts, fit_with_prior
 from split_cli.diagnosis.search.joint import (
     _blocks,
-    _fit_of_everything,
+    _everything_from,
     _worth,
     all_at_once,
     cheapest_first,
@@ -58,7 +58,7 @@ def test_a_valley_that_lies_far_from_no_effect_is_begun_in():
     explore, base = Explorer(objective, tuple(candidates), VARIANCE_INFLATION), nothing(objective)
     delay = next(one for one in candidates if one.term == "steer_delay")
     begun = fit_parts(objective, [Part(delay, {"delay": 0.25})])
-    far, near = (_fit_of_everything(explore, one)[0].cost for one in (base, begun))
+    far, near = (fit_with_prior(objective, *_everything_from(explore, one))[0].cost for one in (base, begun))
     assert far > 10.0 * near
     found = {part.candidate.term: part.values for part in all_at_once(explore, base, begun).parts}
     assert found["steer_delay"]["delay"] == pytest.approx(0.25, abs=0.001)

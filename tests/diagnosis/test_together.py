@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import pickle
 import threading
 
+import numpy as np
 import pytest
 
 from split_cli.diagnosis import together as module
-from split_cli.diagnosis.together import together, use_threads
+from split_cli.diagnosis.together import apart_with, handing_out, together, use_threads
+from split_cli.vehicle.effects import CATALOGUE
+from tests.diagnosis.recordings import driven, noisy_objective
 
 
 @pytest.fixture(params=[1, 3])
@@ -64,3 +68,21 @@ class Pool:
         pass
 
     map = staticmethod(map)
+
+
+def test_what_travels_forgets_what_it_found_by_ids():
+    """Another process gives the ids of objects to others, where remembered rows would be found."""
+    here = noisy_objective(driven(41, []), 3)
+    drag = CATALOGUE["aero_drag"]({"drag": 0.1})
+    left = here.residual([drag])
+    here.memo["kinematics", id(here)] = {}
+    there = pickle.loads(pickle.dumps(here))
+    assert here.memo and not there.memo
+    assert here.evidence[0].series._plain_flows and not there.evidence[0].series._plain_flows
+    assert np.array_equal(there.residual([drag]), left)
+
+
+def test_what_is_held_comes_first():
+    assert apart_with(10, lambda held, item: held - item, [3, 4]) == [7, 6]
+    with handing_out(lambda function, items: [function.func(*function.args, item) for item in reversed(items)]):
+        assert apart_with(10, lambda held, item: held - item, [3, 4]) == [6, 7]

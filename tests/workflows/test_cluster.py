@@ -11,9 +11,10 @@ from click.testing import CliRunner
 from split_cli.cli.main import group
 from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows import engine
 from tests.factories import MissingForce, make_drive, road_car
 
-cloudpickle = pytest.importorskip("cloudpickle")
+pytest.importorskip("cloudpickle")
 distributed = pytest.importorskip("distributed")
 
 
@@ -104,17 +105,17 @@ def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
         samples / "road_car.yaml",
     )
     told, travelled = {}, []
-    pickled = cloudpickle.dumps
+    carried = engine._carried
 
-    def dumps(what, *given, **named):
-        travelled.append(getattr(what, "__qualname__", ""))
-        return pickled(what, *given, **named)
+    def carry(client, held, function):
+        travelled.append(getattr(function, "func", function).__qualname__)
+        return carried(client, held, function)
 
-    monkeypatch.setattr(cloudpickle, "dumps", dumps)
+    monkeypatch.setattr(engine, "_carried", carry)
     for name, way in ways(address).items():
         told[name] = json.loads(run("diagnose", *given, "--out", tmp_path / name, "--json", *way))
         assert (tmp_path / name / "report.html").exists()
     assert told["cluster"] == told["one"]
-    for name in ("self_test", "smallest_named"):
-        assert any(function.startswith(name) for function in travelled)
+    for name in ("self_test", "smallest_named", "_fitted", "refitted"):
+        assert any(function.startswith(name) for function in travelled), name
     assert told["one"]["verdict"] != "undecided" and told["one"]["detectable"]

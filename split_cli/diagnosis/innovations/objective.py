@@ -171,6 +171,10 @@ class MarginalLikelihood:
     policy: Policy = STANDARD
     memo: dict = field(default_factory=dict, repr=False, compare=False)
 
+    def __getstate__(self) -> dict:
+        # What is remembered is found by ids of objects, which another process gives to others.
+        return {**self.__dict__, "memo": {}}
+
     def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:
         """Return the kept, weighted elements of rows (G, 3, ...) of all recordings, shape (R, ...)."""
         kept = [np.compress(keep, part, axis=0) for part, keep in zip(rows, self.keep, strict=True)]

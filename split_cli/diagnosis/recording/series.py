@@ -66,6 +66,10 @@ class Series:
     _plain_flows: dict[int, Flow] = field(default_factory=dict, init=False, repr=False, compare=False)
     _known_corrected: dict[tuple, tuple] = field(default_factory=dict, init=False, repr=False, compare=False)
 
+    def __getstate__(self) -> dict:
+        # Flows are found by ids of vehicles, which another process gives to others.
+        return {**self.__dict__, "_plain_flows": {}, "_known_corrected": {}}
+
     def __len__(self) -> int:
         return len(self.t)
 

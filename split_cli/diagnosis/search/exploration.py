@@ -17,12 +17,13 @@ from split_cli.diagnosis.search.fitting import (
     Tangent,
     effect_everywhere,
     fit_parts,
+    refitted,
     scan_places,
     tangent,
 )
 from split_cli.diagnosis.search.form_error import free_to_form_error, saved_beside_form_error
 from split_cli.diagnosis.statement.separation import look_alike
-from split_cli.diagnosis.together import together
+from split_cli.diagnosis.together import apart_with, together
 
 __all__ = ["Explorer", "nearest_start"]
 
@@ -143,18 +144,8 @@ class Explorer:
 
     def _fits(self, current: Fit, starts: dict[str, list[tuple[float, Part]]]) -> list[Fit]:
         """Return fits of promises, with the second start of a variant where it promises more."""
-        settled = int(any(alters_inputs(one.term) for one in current.parts))
-
-        def fitted(promises: list[tuple[float, Part]]) -> list[Fit]:
-            fits: list[Fit] = []
-            for promised, part in promises:
-                # Another start may have kept more than this one promises.
-                if len(fits) < 2 and all(fit.cost >= promised for fit in fits):
-                    parts = (*current.parts, part)
-                    fits.append(fit_parts(self.objective, parts, refreshes=settled, known=current))
-            return fits
-
-        fits = [fit for several in together(fitted, starts.values()) for fit in several]
+        found = apart_with(self.objective, _fitted, [(current, promises) for promises in starts.values()])
+        fits = [fit for several in found for fit in several]
         return sorted((fit for fit in fits if not self._is_everywhere(fit.parts[-1])), key=self.price)
 
     def _followed(self, fits: Sequence[Fit]) -> list[Fit]:
@@ -163,13 +154,13 @@ class Explorer:
         for fit in fits:
             best.setdefault(fit.parts[-1].candidate.label, fit)
 
-        def followed(fit: Fit) -> Fit:
-            altering = any(alters_inputs(term) for term in fit.terms)
-            return fit_parts(self.objective, fit.parts, known=fit) if altering else fit
-
         # Only what may win is worth following with the shared discrepancy.
         first, rest = list(best.values())[: self.rules.followed], list(best.values())[self.rules.followed :]
-        found = sorted([*together(followed, first), *rest], key=self.price)
+        altering = [k for k, fit in enumerate(first) if any(alters_inputs(term) for term in fit.terms)]
+        moved = apart_with(self.objective, refitted, [(first[k].parts, first[k]) for k in altering])
+        for k, fit in zip(altering, moved, strict=True):
+            first[k] = fit
+        found = sorted([*first, *rest], key=self.price)
         relatives = {fit.parts[-1].candidate.label: fit for fit in self._relatives(found, first)}
         others = [fit for fit in found if fit.parts[-1].candidate.label not in relatives]
         return sorted([*others, *relatives.values()], key=self.price)
@@ -190,7 +181,7 @@ class Explorer:
             if one.label not in done and one.term not in taken and one.starts and look_alike(own.term.id, one.term)
         ]
         parts = [part for part in parts if alters_inputs(part.term)]
-        return together(lambda part: fit_parts(self.objective, (*others, part), known=found[0]), parts)
+        return apart_with(self.objective, refitted, [((*others, part), found[0]) for part in parts])
 
     def _is_everywhere(self, part: Part) -> bool:
         """Return whether a stretch covers so much of the track that it is none, or a term is another one."""
@@ -200,6 +191,18 @@ class Explorer:
             return False
         reach, most = part.candidate.ranges["s_end"].upper, self.objective.policy.reporting.everywhere
         return (part.values["s_end"] - part.values["s_start"]) % reach > most * reach
+
+
+def _fitted(objective: MarginalLikelihood, asked: tuple[Fit, list[tuple[float, Part]]]) -> list[Fit]:
+    """Return fits of the starts of one variant beside an explanation."""
+    current, promises = asked
+    settled = int(any(alters_inputs(one.term) for one in current.parts))
+    fits: list[Fit] = []
+    for promised, part in promises:
+        # Another start may have kept more than this one promises.
+        if len(fits) < 2 and all(fit.cost >= promised for fit in fits):
+            fits.append(fit_parts(objective, (*current.parts, part), refreshes=settled, known=current))
+    return fits
 
 
 def nearest_start(candidate: Candidate, part: Part) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
@@ -11,6 +11,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.together import apart_with
 from split_cli.vehicle.descent import Descent, Slopes, descend
 from split_cli.vehicle.effects import Term
 
@@ -23,7 +24,9 @@ __all__ = [
     "effect_everywhere",
     "fit_parts",
     "fit_with_prior",
+    "fits_without",
     "raw_slopes",
+    "refitted",
     "scan_places",
     "tangent",
 ]
@@ -116,6 +119,18 @@ def fit_parts(
     for _ in range(refreshes):
         fit = _fit(objective, fit.parts, objective.shift(fit.terms), _ITERATIONS, known=fit)
     return fit
+
+
+def refitted(objective: MarginalLikelihood, asked: tuple[Sequence[Part], Fit]) -> Fit:
+    """Return `fit_parts` of parts beside what is known of them: a piece of work that may travel."""
+    parts, known = asked
+    return fit_parts(objective, parts, known=known)
+
+
+def fits_without(objective: MarginalLikelihood, fit: Fit, numbers: Iterable[int]) -> list[Fit]:
+    """Return an explanation refitted without each of some of its parts in turn."""
+    fewer = [fit.parts[:k] + fit.parts[k + 1 :] for k in numbers]
+    return apart_with(objective, refitted, [(parts, fit) for parts in fewer])
 
 
 def fit_with_prior(

@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Fit, fit_parts
+from split_cli.diagnosis.search.fitting import Fit, fits_without
 from split_cli.diagnosis.search.form_error import saved_beside_form_error
 from split_cli.diagnosis.search.term_tests import (
     is_apart_from_itself,
@@ -157,10 +157,7 @@ def _goes_too_far(chosen: Fit, further: Fit) -> bool:
 def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
     history = []
     while len(fit.parts) > 1:
-        reduced = [
-            fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :], known=fit)
-            for k in range(len(fit.parts) - 1)
-        ]
+        reduced = fits_without(explore.objective, fit, range(len(fit.parts) - 1))
         best = min(reduced, key=explore.price)
         if explore.price(best) > explore.price(fit):
             break

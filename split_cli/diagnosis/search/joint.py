@@ -7,14 +7,16 @@ part from the beginning, held by the prior of what a car of this size can have; 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Fit, Part, Prior, fit_parts, fit_with_prior
+from split_cli.diagnosis.search.fitting import Fit, Part, Prior, fit_parts, fit_with_prior, fits_without
+from split_cli.diagnosis.together import apart_with
 from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = ["all_at_once", "cheapest_first", "promised_by_all", "without_needless"]
@@ -60,8 +62,8 @@ def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
     """
     placed = tuple(part for part in current.parts if part.candidate.located)
     begun = fit_parts(explore.objective, placed) if placed else nothing
-    fit, curvature = _fit_of_everything(explore, begun)
-    beside, its_curvature = _fit_of_everything(explore, current)
+    begins = [_everything_from(explore, one) for one in (begun, current)]
+    (fit, curvature), (beside, its_curvature) = apart_with(explore.objective, _fit_from, begins)
     if beside.cost < fit.cost - explore.rules.price * explore.variance_inflation:
         fit, curvature = beside, its_curvature
     kept = _not_needless(explore, fit.parts, curvature)
@@ -76,8 +78,8 @@ def without_needless(explore: Explorer, fit: Fit) -> Fit:
     Only those whose leaving costs least by straight lines are tried.
     """
     while len(fit.parts) > 1:
-        parts, tried = fit.parts, cheapest_first(explore, fit)[:_TRIED]
-        reduced = [fit_parts(explore.objective, parts[:k] + parts[k + 1 :], known=fit) for k in tried]
+        tried = cheapest_first(explore, fit)[:_TRIED]
+        reduced = fits_without(explore.objective, fit, tried)
         best = min(reduced, key=explore.price)
         if explore.price(best) > explore.price(fit):
             break
@@ -93,16 +95,16 @@ def cheapest_first(explore: Explorer, fit: Fit) -> list[int]:
     return [int(k) for k in np.argsort([one for one, _ in worth])]
 
 
-def _fit_of_everything(explore: Explorer, current: Fit) -> tuple[Fit, np.ndarray]:
-    """Return the fit of all terms that begins at an explanation, under their priors, and its curvature."""
-    parts = _everything(explore, current)
-    priors = [_prior(part.candidate, explore.rules.deviations) for part in parts]
-    return fit_with_prior(explore.objective, parts, priors)
+def _fit_from(
+    objective: MarginalLikelihood, begin: tuple[Sequence[Part], Sequence[Mapping[str, Prior]]]
+) -> tuple[Fit, np.ndarray]:
+    return fit_with_prior(objective, *begin)
 
 
-def _everything(explore: Explorer, current: Fit) -> tuple[Part, ...]:
-    """Return the parts of an explanation and all other terms, each in its most promising variant, near none."""
-    return (*current.parts, *(_near_none(one.part) for one in explore.first_lines(current)))
+def _everything_from(explore: Explorer, current: Fit) -> tuple[list[Part], list[dict[str, Prior]]]:
+    """Return an explanation's parts and all other terms, each in its most promising variant, near none; priors."""
+    parts = [*current.parts, *(_near_none(one.part) for one in explore.first_lines(current))]
+    return parts, [_prior(part.candidate, explore.rules.deviations) for part in parts]
 
 
 def _near_none(part: Part) -> Part:

@@ -13,7 +13,7 @@ from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exchange import is_better_beside_form_error, joined, merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Fit, fit_parts
+from split_cli.diagnosis.search.fitting import Fit, fit_parts, fits_without
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
 from split_cli.diagnosis.search.forward import (
     Found,
@@ -316,10 +316,10 @@ def _better_beside_form_error(explore: Explorer, selection: Selection) -> tuple[
 
 def without_parts(objective: MarginalLikelihood, base: Fit, fit: Fit) -> tuple[Fit, ...]:
     """Return an explanation refitted without each of its parts; `base` is the one without any."""
-    several = len(fit.parts) > 1
-    return tuple(
-        fit_parts(objective, fit.parts[:k] + fit.parts[k + 1 :], known=fit) if several else base
-        for k in range(len(fit.parts))
+    return (
+        tuple(fits_without(objective, fit, range(len(fit.parts))))
+        if len(fit.parts) > 1
+        else (base,) * len(fit.parts)
     )
 
 
