@@ -65,7 +65,7 @@ def diagnose_files(
     held : sequence of str
         Inputs (T, delta) that keep their value between samples, whatever the files say.
     engine : Engine
-        A cluster does self-tests, fits of the search and the sizes of silent effects; the result does not depend on it.
+        A cluster does self-tests, fits of the search and sizes of silent effects; the result is the same.
     progress, note : callable
         Called with the name of each step, and with what a reader should know of the inputs.
     """

@@ -8,6 +8,7 @@ import sqlite3
 import struct
 import subprocess
 import sys
+import time
 import zlib
 from pathlib import Path
 
@@ -169,6 +170,64 @@ def test_a_view_that_never_ends_is_no_table_of_messages(tmp_path):
         )
     with pytest.raises(LogError, match="messages is a view"):
         open_recording(path)
+
+
+def bag_of_one_message(path, column="data BLOB NOT NULL") -> int:
+    """Write a rosbag2 database of one message in pages of 512 bytes; return the page of its table."""
+    with sqlite3.connect(path) as database:
+        database.execute("PRAGMA page_size = 512")
+        database.execute("CREATE TABLE topics(id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
+        database.execute(
+            f"CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, {column})"
+        )
+        database.execute("CREATE TABLE spare(x BLOB)")
+        database.execute("INSERT INTO topics VALUES (1, '/a', 'std_msgs/msg/Float64', 'cdr')")
+        data = ("", "") if "AS" in column else (", data", ", zeroblob(12)")
+        database.execute(f"INSERT INTO messages(topic_id, timestamp{data[0]}) VALUES (1, 1{data[1]})")
+        database.executemany("INSERT INTO spare VALUES (?)", [(b"x" * 400,)] * 40)
+        (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+    return root
+
+
+def test_a_tree_of_pages_that_unfolds_is_cut_by_the_work_that_reading_it_is(tmp_path):
+    """Sixteen pages, each with forty times the next one as its child: 10^25 rows in 20 kB."""
+    path, page = tmp_path / "endless.db3", 512
+    root = bag_of_one_message(path)
+    content = bytearray(path.read_bytes())
+    last = len(content) // page
+    content[(last - 1) * page :] = content[(root - 1) * page : root * page]
+    child = last
+    for number in [*range(last - 1, last - 16, -1), root]:
+        cells = b"".join(struct.pack(">IB", child, 1) for _ in range(40))
+        begin = page - len(cells)
+        pointers = b"".join(struct.pack(">H", begin + 5 * k) for k in range(40))
+        head = struct.pack(">BHHHBI", 5, 0, 40, begin, 0, child) + pointers
+        content[(number - 1) * page : number * page] = head.ljust(begin, b"\0") + cells
+        child = number
+    path.write_bytes(content)
+    began = time.process_time()
+    with pytest.raises(LogError, match="damaged, or no rosbag2"):
+        open_recording(path)
+    assert time.process_time() - began < 5.0
+
+
+def test_messages_that_are_computed_are_none(tmp_path):
+    bag_of_one_message(tmp_path / "made.db3", "data BLOB AS (zeroblob(900000000))")
+    with pytest.raises(LogError, match="messages is computed"):
+        open_recording(tmp_path / "made.db3")
+
+
+def test_the_bound_of_work_leaves_room_for_the_smallest_messages(tmp_path, monkeypatch):
+    from split_cli.logs.readers import rosbag2
+
+    monkeypatch.setattr(rosbag2, "_STEPS", 0)
+    bag_of_one_message(tmp_path / "many.db3")
+    with sqlite3.connect(tmp_path / "many.db3") as database:
+        row = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)"
+        database.executemany(row, ((k, struct.pack("<Id", 256, k)) for k in range(2, 20_001)))
+    read = open_recording(tmp_path / "many.db3")
+    (signal,) = read.channels()
+    assert len(read.read([signal.name])[signal.name].values) == 20_000
 
 
 _NEXT = list(zip("abcdefgh", "bcdefghi", strict=True))

@@ -8,7 +8,6 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from time import monotonic
 from typing import Any
 from urllib.parse import quote
 
@@ -31,10 +30,13 @@ _LARGEST_METADATA = 16 << 20
 _UNPACKED_AT_ONCE = 1 << 22
 _SMALL_FILE = 64 << 20
 """What any file may unpack into [bytes]; judgement, as for a chunk."""
+_LARGEST_VALUE = 1_000_000_000  # SQLite's own [bytes]
 _MOST_RATIO = 60
 """Bytes out for a byte in, of a whole file [1]; judgement: recordings of a car that stands reach 20."""
-_QUERY_SECONDS = 10.0
-"""A query of topics or counts may take [s]; judgement: a bag of 100 GB on a slow disk answers within it."""
+_STEPS, _STEPS_A_BYTE, _STEPS_AT_ONCE = 1_000_000, 4, 10_000
+"""Steps of SQLite's machine that a query may take [1], and for a byte of the file; judgement: a message takes 12
+steps and 20 bytes at least. A bound of work holds on a busy disk, too, where one of time refuses sound files."""
+_BYTES_AT_ONCE = 1 << 22
 _STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
@@ -57,7 +59,7 @@ class SqliteContainer:
         uri = f"file:{quote(str(path.resolve()))}?mode=ro" + ("" if pending else "&immutable=1")
         try:
             self._database = sqlite3.connect(uri, uri=True)
-            self._refuse_endless_queries()
+            self._refuse_what_no_recorder_writes()
             self.streams = self._read_streams()
             first = self._database.execute("SELECT MIN(timestamp) FROM messages").fetchone()[0]
         except sqlite3.Error as error:
@@ -68,22 +70,41 @@ class SqliteContainer:
             raise LogError("holds no message", where=path.name, advice="Record it again.")
         self.origin = first
 
-    def _refuse_endless_queries(self) -> None:
-        """Demand real tables, since a view may go on for ever, and bound the time of a single step."""
-        query = "SELECT name, type FROM sqlite_master WHERE name IN ('messages', 'topics')"
-        kinds = dict(self._database.execute(query))
-        views = [name for name, kind in kinds.items() if kind != "table"]
-        if views:
-            raise LogError(
-                f"is no rosbag2 database ({views[0]} is a {kinds[views[0]]}, not a table)",
-                where=self.path.name,
-                advice="Give a .db3 that `ros2 bag record` wrote.",
+    def _refuse_what_no_recorder_writes(self) -> None:
+        """Demand tables with values of their own, since others may go on for ever, and bound work and sizes."""
+        pending = self.path.with_name(self.path.name + "-wal")
+        size = self.path.stat().st_size + (pending.stat().st_size if pending.exists() else 0)
+        self._most_steps = _STEPS + _STEPS_A_BYTE * size
+        self._begin()
+        self._database.set_progress_handler(self._goes_on_for_ever, _STEPS_AT_ONCE)
+        # No message is larger than the file it lies in; one that is computed may be.
+        self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(_SMALL_FILE, min(size, _LARGEST_VALUE)))
+        names = ("messages", "topics", "message_definitions")
+        query = f"SELECT name, type, sql FROM sqlite_master WHERE name IN {names}"
+        for name, kind, made in self._database.execute(query).fetchall():
+            computed = kind == "table" and any(
+                row[6] for row in self._database.execute(f"PRAGMA table_xinfo({name})")
             )
-        self._deadline = monotonic() + _QUERY_SECONDS
-        self._database.set_progress_handler(lambda: int(monotonic() > self._deadline), 100_000)
+            if kind != "table" or computed or re.match(r"\s*CREATE\s+VIRTUAL", str(made), re.IGNORECASE):
+                what = "computed" if kind == "table" else f"a {kind}, not a table"
+                raise LogError(
+                    f"is no rosbag2 database ({name} is {what})",
+                    where=self.path.name,
+                    advice="Give a .db3 that `ros2 bag record` wrote.",
+                )
+
+    def _begin(self) -> None:
+        self._steps = 0
+
+    def _goes_on_for_ever(self) -> bool:
+        self._steps += _STEPS_AT_ONCE
+        return self._steps > self._most_steps
 
     def _read_streams(self) -> list[Stream]:
-        query = self._database.execute
+        def query(text: str) -> sqlite3.Cursor:
+            self._begin()
+            return self._database.execute(text)
+
         definitions: dict[str, tuple[str, bytes]] = {}
         if query("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
             for type_name, encoding, text in query(
@@ -102,13 +123,12 @@ class SqliteContainer:
         """Yield the messages of the streams `keys`; see `Container.batches`."""
         chosen = ",".join(str(int(key)) for key in keys)
         try:
-            self._deadline = monotonic() + _QUERY_SECONDS
+            self._begin()
             cursor = self._database.execute(
                 f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({chosen})"
             )
-            while rows := cursor.fetchmany(_ROWS_AT_ONCE):
+            while rows := _some(cursor):
                 yield from self._sorted(rows)
-                self._deadline = monotonic() + _QUERY_SECONDS
         except sqlite3.Error as error:
             note_once(self.notes, ReadNote(f"the database is damaged ({error}): read up to there", self.path.name))
 
@@ -126,6 +146,18 @@ class SqliteContainer:
         if odd:
             note_once(self.notes, ReadNote("rows that hold no message, left out", self.path.name, odd))
         yield from (replace(batch, key=key) for key, batch in found.items())
+
+
+def _some(cursor: sqlite3.Cursor) -> list[tuple[Any, Any, Any]]:
+    """Return the next rows of a query, some megabytes of messages at most or a single one."""
+    rows: list[tuple[Any, Any, Any]] = []
+    size = 0
+    for row in cursor:
+        rows.append(row)
+        size += len(row[2]) if isinstance(row[2], bytes | str) else 0
+        if len(rows) == _ROWS_AT_ONCE or size > _BYTES_AT_ONCE:
+            break
+    return rows
 
 
 class ConcatenatedContainer:
