@@ -220,7 +220,7 @@ def test_messages_that_are_computed_are_none(tmp_path):
 def test_the_bound_of_work_leaves_room_for_the_smallest_messages(tmp_path, monkeypatch):
     from split_cli.logs.readers import rosbag2
 
-    monkeypatch.setattr(rosbag2, "_STEPS", 0)
+    monkeypatch.setattr(rosbag2, "FREE_STEPS", 0)
     bag_of_one_message(tmp_path / "many.db3")
     with sqlite3.connect(tmp_path / "many.db3") as database:
         row = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)"

@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.main import group
+from split_cli.diagnosis.together import handing_out
 from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
-from split_cli.workflows import engine
 from tests.factories import MissingForce, make_drive, road_car
 
 pytest.importorskip("cloudpickle")
@@ -105,13 +105,15 @@ def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
         samples / "road_car.yaml",
     )
     told, travelled = {}, []
-    carried = engine._carried
 
-    def carry(client, held, function):
-        travelled.append(getattr(function, "func", function).__qualname__)
-        return carried(client, held, function)
+    def noting(apply):
+        def noted(function, items):
+            travelled.append(getattr(function, "func", function).__qualname__)
+            return apply(function, items)
 
-    monkeypatch.setattr(engine, "_carried", carry)
+        return handing_out(noted)
+
+    monkeypatch.setattr("split_cli.workflows.diagnose.handing_out", noting)
     for name, way in ways(address).items():
         told[name] = json.loads(run("diagnose", *given, "--out", tmp_path / name, "--json", *way))
         assert (tmp_path / name / "report.html").exists()

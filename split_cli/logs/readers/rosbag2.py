@@ -33,7 +33,7 @@ _SMALL_FILE = 64 << 20
 _LARGEST_VALUE = 1_000_000_000  # SQLite's own [bytes]
 _MOST_RATIO = 60
 """Bytes out for a byte in, of a whole file [1]; judgement: recordings of a car that stands reach 20."""
-_STEPS, _STEPS_A_BYTE, _STEPS_AT_ONCE = 1_000_000, 4, 10_000
+FREE_STEPS, _STEPS_A_BYTE, _STEPS_AT_ONCE = 1_000_000, 4, 10_000
 """Steps of SQLite's machine that a query may take [1], and for a byte of the file; judgement: a message takes 12
 steps and 20 bytes at least. A bound of work holds on a busy disk, too, where one of time refuses sound files."""
 _BYTES_AT_ONCE = 1 << 22
@@ -74,7 +74,7 @@ class SqliteContainer:
         """Demand tables with values of their own, since others may go on for ever, and bound work and sizes."""
         pending = self.path.with_name(self.path.name + "-wal")
         size = self.path.stat().st_size + (pending.stat().st_size if pending.exists() else 0)
-        self._most_steps = _STEPS + _STEPS_A_BYTE * size
+        self._most_steps = FREE_STEPS + _STEPS_A_BYTE * size
         self._begin()
         self._database.set_progress_handler(self._goes_on_for_ever, _STEPS_AT_ONCE)
         # No message is larger than the file it lies in; one that is computed may be.
