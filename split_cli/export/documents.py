@@ -7,6 +7,7 @@ with the rest as JSON text in the array ``metadata``.
 from __future__ import annotations
 
 import json
+from collections.abc import Container
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -20,16 +21,20 @@ from split_cli.export.projection import PROJECTION_ARRAYS, ProjectionData, answe
 from split_cli.export.provenance import Provenance
 from split_cli.export.tables import Constants, TableData
 from split_cli.files import parse_json
+from split_cli.learning.kernel import Kernel
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import kept_share
+from split_cli.prediction.projected import learning_order, process_of_labels
 
 __all__ = [
     "DOCUMENT_FORMAT",
     "Document",
     "document_answer",
     "document_of",
+    "other_than_set",
     "read_json",
     "read_npz",
+    "relearned_error",
     "require_equal",
     "schema_text",
     "write_json",
@@ -45,6 +50,12 @@ ARRAYS = (
 TABLE_ARRAYS = ("origin", "spacing", "least", "coefficients")
 #: Stands before the names of `PROJECTION_ARRAYS`, which a projected process adds.
 _PREFIX = "projected_"
+#: In which order a projected process learned the points; exports of before have none.
+_ORDER = f"{_PREFIX}order"
+_INTEGERS = ("cell_numbers", "offsets", _ORDER)
+
+
+_AT_ONCE = 1024  # queries
 
 
 @dataclass(frozen=True)
@@ -119,7 +130,8 @@ def document_of(training_set: TrainingSet, provenance: Provenance, constants: Co
         metadata["table"] = constants.error
     if isinstance(constants, ProjectionData):
         sources |= {_PREFIX + name: getattr(constants, name) for name in PROJECTION_ARRAYS}
-        names += tuple(_PREFIX + name for name in PROJECTION_ARRAYS)
+        sources[_ORDER] = learning_order(training_set).astype(np.int64)
+        names += (*(_PREFIX + name for name in PROJECTION_ARRAYS), _ORDER)
     return Document({name: np.ascontiguousarray(sources[name]) for name in names}, metadata)
 
 
@@ -151,7 +163,7 @@ def read_npz(path: Path) -> Document:
     try:
         with np.load(path, allow_pickle=False) as content:
             metadata = parse_json(str(content["metadata"]))
-            arrays = {name: content[name] for name in _names(metadata)}
+            arrays = {name: content[name] for name in _names(metadata, content.files)}
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise ExportError(
             f"is not a whole npz export ({error})", where=str(path), advice="Export the set again."
@@ -168,10 +180,9 @@ def read_json(path: Path) -> Document:
     """Read what `write_json` wrote; raises as `read_npz` does."""
     try:
         content = parse_json(path.read_text(encoding="utf-8"))
-        integers = ("cell_numbers", "offsets")
         arrays = {
-            name: np.array(content.pop(name), dtype=np.int64 if name in integers else np.float64)
-            for name in _names(content)
+            name: np.array(content.pop(name), dtype=np.int64 if name in _INTEGERS else np.float64)
+            for name in _names(content, content)
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ExportError(
@@ -180,11 +191,12 @@ def read_json(path: Path) -> Document:
     return _checked(Document(arrays, content), path)
 
 
-def _names(metadata: dict[str, Any]) -> tuple[str, ...]:
+def _names(metadata: dict[str, Any], present: Container[str]) -> tuple[str, ...]:
     if "table" in metadata:
         return (*ARRAYS, *TABLE_ARRAYS)
-    added = PROJECTION_ARRAYS if metadata["predictor"] == "projected" else ()
-    return (*ARRAYS, *(_PREFIX + name for name in added))
+    if metadata["predictor"] != "projected":
+        return ARRAYS
+    return (*ARRAYS, *(_PREFIX + name for name in PROJECTION_ARRAYS), *([_ORDER] if _ORDER in present else []))
 
 
 def _checked(document: Document, path: Path) -> Document:
@@ -198,6 +210,7 @@ def _checked(document: Document, path: Path) -> Document:
     fits = fits and a["signal_variance"].shape == a["noise_variance"].shape == a["trust"].shape == (3,)
     fits = fits and a["doubt"].shape == (3,)
     fits = fits and a["offsets"].shape == (cells + 1,) and a["offsets"][0] == 0 and a["offsets"][-1] == points
+    fits = fits and np.array_equal(np.sort(a.get(_ORDER, np.arange(points))), np.arange(points))
     if not (fits and (np.diff(a["offsets"]) > 0).all()):
         raise ExportError(
             f"is not a whole export of format {DOCUMENT_FORMAT}", where=str(path), advice="Export the set again."
@@ -259,6 +272,39 @@ def document_answer(document: Document) -> ExportAnswer:
         return _trusted(a, top / precision, a["signal_variance"] / precision)
 
     return ExportAnswer(predict)
+
+
+def relearned_error(document: Document, queries: np.ndarray) -> float | None:
+    """Return how far a projected process is from one that learns the document's points again.
+
+    That is the largest error of the mean in signal deviations, and of the variance in signal variances, at the
+    points and at `queries`, shape (N, D). None where nothing is to be learned, or the order is not told.
+    """
+    a = document.arrays
+    if _ORDER not in a:
+        return None
+    order = a[_ORDER]
+    kernel = Kernel(a["length_scales"], a["signal_variance"], a["noise_variance"])
+    process = process_of_labels(kernel, a["z"][order], a["y"][order])
+    own = a | {name: a[_PREFIX + name] for name in PROJECTION_ARRAYS}
+    worst = [0.0]
+    everywhere = np.concatenate([a["z"], queries])
+    for first in range(0, len(everywhere), _AT_ONCE):
+        z = np.ascontiguousarray(everywhere[first : first + _AT_ONCE])
+        mean, variance = answer_of(own, z)
+        again, its_variance = process.along(z)[:2]
+        worst += [float((np.abs(mean - again) / np.sqrt(kernel.signal_variance)).max())]
+        worst += [float((np.abs(variance - its_variance) / kernel.signal_variance).max())]
+    return float(np.max(worst))
+
+
+def other_than_set(document: Document, training_set: TrainingSet) -> list[str]:
+    """Return the names of the arrays that are not those of a set, number by number."""
+    kernel = training_set.kernel
+    of_set = {name: getattr(training_set, name) for name in ("cell_numbers", "offsets", "z", "y", "gamma")}
+    of_set |= {name: getattr(kernel, name) for name in ("length_scales", "signal_variance", "noise_variance")}
+    of_set |= {"trust": training_set.trust.array, "doubt": training_set.trust.doubts(kernel.signal_variance)}
+    return [name for name, values in of_set.items() if not np.array_equal(values, document.arrays[name])]
 
 
 def _trusted(a: dict[str, np.ndarray], mean: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

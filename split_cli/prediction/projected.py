@@ -4,28 +4,40 @@ from __future__ import annotations
 
 import numpy as np
 
+from split_cli.learning.kernel import Kernel
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.factorization import queries
 from split_cli.prediction.online_process import MOST_SPANNING, OnlineProcess
 from split_cli.prediction.predictor import Prediction, Predictor
 
-__all__ = ["ProjectedPredictor", "process_of"]
+__all__ = ["ProjectedPredictor", "learning_order", "process_of", "process_of_labels"]
 
 
 def process_of(
     training_set: TrainingSet, most: int = MOST_SPANNING, threshold: float | None = None
 ) -> OnlineProcess:
-    """Return the online process after the points of a set, in order of time; parameters as of `OnlineProcess`.
+    """Return the online process after the points of a set, in order of time; parameters as of `OnlineProcess`."""
+    order = learning_order(training_set)
+    return process_of_labels(training_set.kernel, training_set.z[order], training_set.y[order], most, threshold)
+
+
+def learning_order(training_set: TrainingSet) -> np.ndarray:
+    """Return the numbers of a set's points in order of time, drive after drive, shape (N,)."""
+    return np.lexsort((training_set.row, training_set.source))
+
+
+def process_of_labels(
+    kernel: Kernel, z: np.ndarray, y: np.ndarray, most: int = MOST_SPANNING, threshold: float | None = None
+) -> OnlineProcess:
+    """Return the online process after labels `y` at `z`, one after the other.
 
     Where its room is used up on the way, whatever is driven last would find none. The most informative points are
     then chosen first, from the whole set.
     """
-    order = np.lexsort((training_set.row, training_set.source))
-    z, y = training_set.z[order], training_set.y[order]
-    process = OnlineProcess(training_set.kernel, most, threshold)
+    process = OnlineProcess(kernel, most, threshold)
     process.learn(z, y)
-    if process.count == most < training_set.size:
-        process = OnlineProcess(training_set.kernel, most, threshold)
+    if process.count == most < len(z):
+        process = OnlineProcess(kernel, most, threshold)
         process.span(z)
         process.learn(z, y)
     return process

@@ -144,6 +144,67 @@ def test_an_export_whose_numbers_changed(folder):
     assert failed(folder / "export") == {"json: answers"}
 
 
+def forged_export(folder: Path, change) -> Path:
+    """Change the numbers of an export's json, and enter the file's new digest in the manifest."""
+    export, path = folder / "export", folder / "export" / "a.json"
+    told = json.loads(path.read_text())
+    change(told)
+    path.write_text(json.dumps(told))
+    entered = json.loads((export / "manifest.json").read_text())
+    entered["files"][path.name] = sha256_of_file(path)
+    (export / "manifest.json").write_text(json.dumps(entered))
+    return export
+
+
+def test_a_label_of_a_projected_export_that_taught_it_nothing(folder):
+    def change(told):
+        told["y"][7][1] += 0.01
+
+    assert failed(forged_export(folder, change)) == {"json: answers"}
+    detail = {i.check: i.detail for i in verify(folder / "export").items}
+    assert "learns its points again" in detail["json: answers"]
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_projected_export_of_before_has_no_order(folder, beside):
+    """Then its points are compared with the set, where that lies beside it."""
+
+    def change(told):
+        del told["projected_order"]
+        told["y"][7][1] += 1e-9
+
+    export = forged_export(folder, change)
+    if not beside:
+        (folder / "a.split").unlink()
+    assert failed(export) == ({"json: points"} if beside else set())
+
+
+def test_answers_that_the_set_does_not_give(folder):
+    """A forger who changes all of an export alike has not changed the set beside it."""
+
+    def change(told):
+        del told["projected_order"]
+        told["projected_weights"] = [[2.0 * one for one in row] for row in told["projected_weights"]]
+
+    check = folder / "export" / "a_check.json"
+    stored = json.loads(check.read_text())
+    stored["mean"] = [[2.0 * one for one in row] for row in stored["mean"]]
+    check.write_text(json.dumps(stored))
+    manifest = folder / "export" / "manifest.json"
+    entered = json.loads(manifest.read_text())
+    entered["files"][check.name] = sha256_of_file(check)
+    manifest.write_text(json.dumps(entered))
+    assert failed(forged_export(folder, change)) == {"set: answers"}
+
+
+@pytest.mark.parametrize("order", [[0, 0], [-1], [0.5], "x", None])
+def test_an_order_that_is_none(folder, order):
+    def change(told):
+        told["projected_order"] = order
+
+    assert failed(forged_export(folder, change)) == {"json: answers"}
+
+
 def changed_value(diagnosis: Path) -> None:
     told = json.loads((diagnosis / "diagnosis.json").read_text())
     told["findings"][0]["parameters"]["gain"]["value"] += 0.001

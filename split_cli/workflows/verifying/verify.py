@@ -70,22 +70,27 @@ def _folder(path: Path) -> Verification:
     # An export's checks need CasADi, which takes a second to import and is not needed for sets.
     from split_cli.export.verify import verify_folder
 
-    items = [*verify_folder(path)]
-    return Verification(str(path), "export", (*items, *_set_of_export(path)))
+    items = verify_folder(path)
+    whole = all(one.passed is not False for one in items)
+    return Verification(str(path), "export", (*items, *_set_of_export(path, whole)))
 
 
-def _set_of_export(folder: Path) -> tuple[VerifiedItem, ...]:
-    """Compare the set that lies in or beside an export with the digest in its manifest; empty where none does."""
-    from split_cli.export.verify import read_manifest
+def _set_of_export(folder: Path, whole: bool) -> tuple[VerifiedItem, ...]:
+    """Compare an export with the set that lies in or beside it, by its digest and number by number.
+
+    Empty where none does; numbers are compared only where the export is `whole`.
+    """
+    from split_cli.export.verify import read_manifest, verify_against_set
 
     told = read_manifest(folder).get("set")
     name, digest = (str(told.get("name", "")), told.get("sha256")) if isinstance(told, dict) else ("", None)
     beside = [p / Path(name).name for p in (folder, folder.parent) if (p / Path(name).name).is_file()]
     if not name or not digest or not beside:
         return ()
-    same = any(sha256_of_file(path) == digest for path in beside)
+    same = [path for path in beside if sha256_of_file(path) == digest]
     good = f"{name} beside it is the one that was exported"
-    return (_item("trained set", same, good, f"{name} beside it is another one: export it again"),)
+    told = _item("trained set", bool(same), good, f"{name} beside it is another one: export it again")
+    return (told, *(verify_against_set(folder, read_set(same[0])) if same and whole else ()))
 
 
 def _is_arrow(path: Path) -> bool:
