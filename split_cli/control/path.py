@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path as FilePath
 
 import numpy as np
 
 from split_cli.errors import SplitError
-from split_cli.files import read_text
 
-__all__ = ["Path", "PathPoint", "check_path", "contour_and_lag", "read_centerline", "resampled"]
+__all__ = ["Path", "PathPoint", "check_path", "contour_and_lag", "resampled"]
 
 
 @dataclass(frozen=True)
@@ -168,94 +166,6 @@ def resampled(
     return Path(name, float(s[1]), xy[:, 0], xy[:, 1], direction, curvature, *widths, closed)
 
 
-_MOST_BYTES = 16 << 20
-"""Of a centre line's file [bytes]; judgement: the longest circuit at 1 m takes 2 MB."""
-_LONGEST_LAP = 100_000.0
-"""Of a centre line [m]; judgement: four times the Nuerburgring."""
-_CENTERLINE = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
-
-
-def read_centerline(path: str | FilePath) -> Path:
-    """Read a closed centre line in the form of the TUM racetrack database.
-
-    Columns ``x_m,y_m,w_tr_right_m,w_tr_left_m``, split by commas or semicolons. A header, with or without a ``#``
-    before it, may name them in another order and beside others; without one this order is taken.
-
-    Raises
-    ------
-    SplitError
-        If the file is missing, lacks columns, has numbers that are not finite or fewer than 8 points, if a point
-        lies far from the others, or if the line is not closed.
-    """
-    path = FilePath(path)
-    advice = f"A centre line has the columns {','.join(_CENTERLINE)}."
-    if not path.is_file():
-        raise SplitError("there is no such file, and no track of that name", where=str(path), advice=advice)
-    try:
-        lines = read_text(path, _MOST_BYTES).removeprefix("\ufeff").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise SplitError(f"cannot be read ({error})", where=str(path), advice=advice) from error
-    names: tuple[str, ...] = _CENTERLINE
-    rows, numbers = [], []
-    for number, line in enumerate(lines, 1):
-        parts = [part.strip() for part in line.strip().lstrip("#").replace(";", ",").split(",")]
-        if "x_m" in parts:
-            names = tuple(parts)
-            missing = [name for name in _CENTERLINE if name not in names]
-            if missing:
-                raise SplitError(f"has no column {', '.join(missing)}", where=str(path), advice=advice)
-        if "x_m" in parts or not line.strip() or line.strip().startswith("#"):
-            continue
-        rows.append(_centerline_row(parts, names, f"row {number} is {line.strip()[:60]!r}", path, advice))
-        numbers.append(number)
-    table = np.array(rows).reshape(-1, 4)
-    if len(table) > 1 and np.linalg.norm(table[0, :2] - table[-1, :2]) < 1e-6:
-        table = table[:-1]
-    if len(table) < 8:
-        raise SplitError(f"holds {len(table)} points, 8 or more are needed", where=str(path), advice=advice)
-    step = np.linalg.norm(np.diff(table[:, :2], axis=0, append=table[:1, :2]), axis=1)
-    far, same = int(np.argmax(step)), int(np.argmin(step))
-    if step[same] < 1e-9:
-        raise SplitError(
-            f"row {numbers[same]} and the next are the same point",
-            where=str(path),
-            advice="Remove one of the two rows.",
-        )
-    if step[far] > 20.0 * np.median(step):
-        last = far == len(table) - 1
-        where = "between its last point and its first" if last else f"after row {numbers[far]}"
-        raise SplitError(
-            f"has a gap of {step[far]:.1f} m {where}, where {np.median(step):.2g} m are usual", where=str(path),
-            advice="A track is a closed line." if last else "Remove the point that lies apart, or fill the gap.",
-        )  # fmt: skip
-    length = float(step.sum())
-    if not length <= _LONGEST_LAP:
-        raise SplitError(
-            f"is {length:.3g} m long, at most {_LONGEST_LAP:.0f} m were expected", where=str(path),
-            advice="Give coordinates in metres.",
-        )  # fmt: skip
-    spacing = min(0.5, length / 400.0)
-    return resampled(path.stem, table[:, :2], table[:, 3], table[:, 2], closed=True, spacing=spacing)
-
-
-def _centerline_row(
-    parts: list[str], names: tuple[str, ...], told: str, path: FilePath, advice: str
-) -> list[float]:
-    """Return x, y and the widths to the right and to the left of one row [m]."""
-    try:
-        values = [float(part) for part in parts]
-    except ValueError:
-        values = []
-    if len(values) != len(names) or not np.isfinite(values).all():
-        raise SplitError(told, where=str(path), advice=advice)
-    chosen = [values[names.index(name)] for name in _CENTERLINE]
-    if min(chosen[2:]) <= 0.0:
-        raise SplitError(
-            f"{told}: a width is not positive", where=str(path), advice="Give both widths in metres, above 0."
-        )
-    return chosen
-
-
 def check_path(path: Path, width: float) -> None:
     """Refuse a track on which a car of `width` [m] cannot drive.
 
@@ -270,7 +180,7 @@ def check_path(path: Path, width: float) -> None:
         raise SplitError(
             f"is {room[tightest]:.2f} m wide at {tightest * path.spacing:.0f} m, the car is {width:.2f} m",
             where=path.name,
-            advice="Widen the track or name a narrower car with --width.",
+            advice="Give widths in metres, widen the track, or name a narrower car with --width.",
         )
     inner = np.where(path.curvature > 0.0, path.left, path.right) * np.abs(path.curvature)
     fold = int(np.argmax(inner))

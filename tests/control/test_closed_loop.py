@@ -21,6 +21,7 @@ from split_cli.learning.features import parse_features
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.region import Grid, Region, z2_grid
 from split_cli.learning.training_set import read_set, write_set
+from split_cli.learning.trust import Trust
 from split_cli.logs.drive import read_drive
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing.driving import next_deviation
@@ -120,6 +121,8 @@ def test_a_cone_is_hit_when_the_body_reaches_it():
         ({"track": "small", "width": 9.0}, "wide at"),
         ({"told_grip": 0.0}, "positive"),
         ({"max_torque": -5.0}, "positive"),
+        ({"max_torque": 51.0}, "rolling resistance alone takes 52 N m"),
+        ({"max_speed": 0.8}, "more than 1 m/s"),
         ({"seed": -1}, "from 0"),
         ({"features": "alpha_f,warp"}, "warp"),
         ({"features": "alpha_f,alpha_r,drive_lag.torque"}, "drive_lag.torque"),
@@ -195,6 +198,26 @@ def test_a_set_of_another_vehicle_is_refused(tmp_path):
             raise refused.exception
 
 
+def test_a_set_whose_correction_is_not_to_be_trusted_is_refused():
+    car = read_vehicle(CAR)
+    region, kernel = Region.of(car), Kernel(np.ones(3), np.ones(3), np.ones(3))
+    trained = empty_set(car, parse_features("z2"), region, z2_grid(car, region), kernel, horizon=0.05)
+    check_trusted(trained, car, "a.split")
+    trust = Trust((0.0, 0.0, 0.3), "held-out")
+    check_trusted(replace(trained, trust=trust), car, "a.split")
+    for origin, says in (("held-out", "helped no output"), ("unjudged", "too short to judge")):
+        with pytest.raises(SplitError, match=says):
+            check_trusted(replace(trained, trust=Trust((0.0, 0.0, 0.0), origin)), car, "a.split")
+
+
+def test_a_lap_may_take_as_long_as_its_bends_ask_whatever_the_largest_speed(tmp_path):
+    """Eight times as long as at 300 m/s, and 10 s, was once all the time there was."""
+    track = str(ring(tmp_path, 40.0, 20.0))
+    result = run_race(RaceSettings(track=track, learner="none", laps=0, max_speed=300.0, max_torque=300.0), CAR)
+    assert not result.laps[0].ended
+    assert result.laps[0].time > 10.0 + 8.0 * result.length / 300.0
+
+
 def test_a_set_of_a_vehicle_that_differs_in_late_digits_is_refused_in_words():
     car = read_vehicle(CAR)
     region, kernel = Region.of(car), Kernel(np.ones(3), np.ones(3), np.ones(3))
@@ -215,6 +238,6 @@ def test_learners_are_compared_in_one_report(tmp_path):
     # Nothing is known in lap 0, so both drive the same one.
     assert first["time"] == pytest.approx(second["time"], abs=1e-9)
     page = report.read_text()
-    assert "none, lap 0" in page and "split, lap 0" in page
+    assert "nominal, lap 0" in page and "split, lap 0" in page
     both = invoke("race", "--vehicle", CAR, "--learner", "none", "--learner", "split", "-o", "x.parquet")
     assert both.exit_code == 2 and "name one" in both.output

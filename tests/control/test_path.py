@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from split_cli.control.path import check_path, contour_and_lag, read_centerline, resampled
+from split_cli.control.centerline import read_centerline
+from split_cli.control.path import check_path, contour_and_lag, resampled
 from split_cli.errors import SplitError
 
 RADIUS = 30.0
@@ -82,6 +83,26 @@ def test_a_centre_line_of_a_stranger_follows_its_header(tmp_path):
         read_centerline(file)
 
 
+@pytest.mark.parametrize(
+    "written",
+    [
+        lambda row: row.replace(",", " "),
+        lambda row: row.replace(",", "\t"),
+        lambda row: row.replace(",", ";").replace(".", ","),
+        lambda row: ",".join(f'"{part}"' for part in row.split(",")),
+    ],
+    ids=["blanks", "tabs", "decimal commas", "quotes"],
+)
+def test_a_centre_line_is_the_same_however_its_numbers_are_set_apart(tmp_path, written):
+    files = [tmp_path / name for name in ("ring.csv", "other.csv")]
+    header = "# x_m,y_m,w_tr_right_m,w_tr_left_m\n"
+    for file, rows in zip(files, (RING, [written(row) for row in RING]), strict=True):
+        file.write_text(header + "\n".join(rows))
+    one, other = (read_centerline(file) for file in files)
+    for name in ("x", "y", "left", "right", "curvature"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
 RING = [f"{50 * np.cos(a):.3f},{50 * np.sin(a):.3f},3,5" for a in np.arange(120) * np.pi / 60]
 
 
@@ -97,6 +118,9 @@ RING = [f"{50 * np.cos(a):.3f},{50 * np.sin(a):.3f},3,5" for a in np.arange(120)
         ([f"{i},0,-1,2" for i in range(9)], "width"),
         ([f"{5e6 * np.cos(a)},{5e6 * np.sin(a)},3,5" for a in np.arange(120) * np.pi / 60], "m long"),
         (["#" * 17_000_000], "larger than 16 MB"),
+        ([f"{0.05 * np.cos(a)},{0.05 * np.sin(a)},3,5" for a in np.arange(120) * np.pi / 60], "not in kilometres"),
+        (RING[:60] + RING[50:], "turns back on itself at row 61"),
+        (RING + RING[:4], "ends beyond its first point"),
     ],
 )
 def test_a_centre_line_file_that_is_none_says_where(tmp_path, rows, says):

@@ -69,6 +69,21 @@ def test_the_best_lap_is_compared_with_the_best_nominal_one():
     assert "20.11 s (split, lap 1), 10.0 % less than the best nominal one" in page
 
 
+def test_the_best_clean_lap_of_each_learner_is_shown_at_first():
+    """With one learner its first lap beside it; a lap off the track is not clean, however fast."""
+    learned = race()
+    off = replace(learned, laps=(learned.laps[0], replace(learned.laps[1], outside=0.3), learned.laps[2]))
+    races = [replace(learned, learner="none", laps=learned.laps[:1], traces=learned.traces[:1]), learned, off]
+    for given, shown in (([learned], [0, 1]), (races, [0, 2, 6])):
+        numbers = json.loads(
+            re.search(r'id="numbers">(.*?)</script>', race_page(given, learned.path), flags=re.S).group(1)
+        )
+        assert [k for k, lap in enumerate(numbers["laps"]) if lap["shown"]] == shown
+        for chart in race_charts(given):
+            assert [k for k, line in enumerate(chart.series) if line.shown] == shown
+    assert numbers["laps"][0]["name"] == "nominal, lap 0"
+
+
 def test_a_name_cannot_act():
     result = race(HOSTILE)
     page = race_page([result], result.path)

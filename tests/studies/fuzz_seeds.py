@@ -13,7 +13,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from split_cli.control.path import read_centerline
+from split_cli.control.centerline import read_centerline
 from split_cli.learning.features import parse_features
 from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.label_file import read_labels

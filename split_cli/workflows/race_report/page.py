@@ -43,7 +43,7 @@ def race_page(races: Sequence[RaceResult], path: Path) -> str:
     -----
     Names are escaped wherever they stand, and a content security policy admits only the page's own script.
     """
-    learners = ", ".join(dict.fromkeys(race.learner for race in races))
+    learners = ", ".join(dict.fromkeys(_called(race) for race in races))
     charts = race_charts(races)
     package = files("split_cli.workflows.race_report")
     body = Template(package.joinpath("race.html").read_text("utf-8")).substitute(
@@ -59,11 +59,11 @@ def race_page(races: Sequence[RaceResult], path: Path) -> str:
 def race_charts(races: Sequence[RaceResult]) -> list[Chart]:
     """Return what an engineer compares along the lap and over time, and the accelerations, a series a lap.
 
-    The nominal lap and the best one are shown at first. Gaps are to the first lap, at the same place.
+    Of several learners the best clean lap of each is shown at first; of one, its first lap and its best. Gaps are
+    to the first lap, at the same place.
     """
     laps = _laps(races)
-    clean = [k for k, (_, lap, _) in enumerate(laps) if lap.clean]
-    first = {0, min(clean, key=lambda k: laps[k][1].time) if clean else len(laps) - 1}
+    first = _first(races)
     series: dict[str, list[ChartLine]] = {name: [] for name in ("gap", *_ALONG, "gg")}
     for k, (name, _, trace) in enumerate(laps):
         role, shown = ROLES[k % len(ROLES)], k in first
@@ -86,14 +86,30 @@ def race_charts(races: Sequence[RaceResult]) -> list[Chart]:
     ]  # fmt: skip
 
 
+def _called(race: RaceResult) -> str:
+    return "nominal" if race.learner == "none" else race.learner
+
+
 def _laps(races: Sequence[RaceResult]) -> list[tuple[str, Lap, np.ndarray]]:
     several = len(races) > 1
     return [
-        (f"{race.learner}, lap {lap.number}" if several else f"lap {lap.number}", lap, trace)
+        (f"{_called(race)}, lap {lap.number}" if several else f"lap {lap.number}", lap, trace)
         for race in races
         for lap, trace in zip(race.laps, race.traces, strict=True)
         if len(trace)
     ]
+
+
+def _first(races: Sequence[RaceResult]) -> set[int]:
+    """Return which of `_laps` are shown before anything is chosen."""
+    begin, found = 0, set()
+    for race in races:
+        laps = _laps([race])
+        clean = [k for k, (_, lap, _) in enumerate(laps) if lap.clean]
+        if laps:
+            found.add(begin + (min(clean, key=lambda k: laps[k][1].time) if clean else len(laps) - 1))
+        begin += len(laps)
+    return found if len(races) > 1 else found | {0}
 
 
 def _headline(races: Sequence[RaceResult]) -> str:
@@ -146,11 +162,11 @@ def _numbers(races: Sequence[RaceResult], path: Path) -> dict[str, Any]:
     sine, cosine = np.sin(path.direction), np.cos(path.direction)
     left = np.stack([path.x - path.left * sine, path.y + path.left * cosine], axis=1)[::every]
     right = np.stack([path.x + path.right * sine, path.y - path.right * cosine], axis=1)[::every]
-    laps = []
-    for name, lap, trace in _laps(races):
+    laps, first = [], _first(races)
+    for k, (name, lap, trace) in enumerate(_laps(races)):
         s = trace[:, 1] - np.floor((trace[0, 1] + 0.5 * path.length * 0.01) / path.length) * path.length
         laps.append({
-            "name": name, "time": lap.time, "outside": round(lap.outside, 2),
+            "name": name, "time": lap.time, "outside": round(lap.outside, 2), "shown": k in first,
             "t": _rounded(trace[:, 0] - trace[0, 0], 2), "s": _rounded(s, 1),
             "x": _rounded(trace[:, 2], 2), "y": _rounded(trace[:, 3], 2), "yaw": _rounded(trace[:, 4], 3),
             "v": _rounded(trace[:, 5], 2), "ax": _rounded(trace[:, 10], 2), "ay": _rounded(trace[:, 11], 2),

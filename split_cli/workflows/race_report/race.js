@@ -5,8 +5,7 @@
   const named = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const find = (id) => document.getElementById(id);
   const slider = find("time"), clock = find("clock"), play = find("play"), pace = find("pace"), status = find("status");
-  const best = race.laps.reduce((a, lap, k) => (lap.time !== null && !lap.outside && (a < 0 || lap.time < race.laps[a].time) ? k : a), -1);
-  const chosen = new Set([0, best < 0 ? race.laps.length - 1 : best].filter((k) => k >= 0));
+  const chosen = new Set([...race.laps.keys()].filter((k) => race.laps[k].shown));
   const role = (k) => roles[k % roles.length];
   const colour = (k) => named(role(k));
   const dashes = (k) => (k < roles.length ? [] : [8, 4]); // a colour that comes again is dashed
@@ -68,18 +67,19 @@
   const track = find("track"), ground = race.left.concat(race.right);
   const onTrack = frame(track, ground.map((p) => p[0]), ground.map((p) => p[1]), true, 16);
   function drawTrack() {
-    const pen = track.getContext("2d");
+    const pen = track.getContext("2d"), grown = Math.max(1, track.width / (track.clientWidth || track.width)); // in a narrow window
     pen.clearRect(0, 0, track.width, track.height);
-    for (const border of [race.left, race.right]) line(pen, border.map(([x, y]) => onTrack(x, y)), named("soft"), 1.5, true);
+    for (const border of [race.left, race.right]) line(pen, border.map(([x, y]) => onTrack(x, y)), named("soft"), 1.5 * grown, true);
     for (const k of laps()) {
       const lap = race.laps[k];
-      line(pen, lap.x.map((x, i) => onTrack(x, lap.y[i])), colour(k), 1.4, false, dashes(k));
+      line(pen, lap.x.map((x, i) => onTrack(x, lap.y[i])), colour(k), 1.4 * grown, false, dashes(k));
     }
     for (const k of laps()) {
       const lap = race.laps[k], place = at(lap, now), [x, y] = onTrack(value(lap.x, place), value(lap.y, place));
       pen.save();
       pen.translate(x, y);
       pen.rotate(-value(lap.yaw, place));
+      pen.scale(grown, grown);
       pen.fillStyle = colour(k);
       pen.fillRect(-9, -4.5, 18, 9);
       pen.fillStyle = named("ground");
@@ -120,5 +120,6 @@
   });
   slider.addEventListener("input", () => { stop(); setTime(Number(slider.value)); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawTrack);
+  addEventListener("resize", drawTrack);
   setTime(0);
 })();

@@ -32,6 +32,7 @@ from split_cli.workflows.racing.entry import (
     check_predictor,
     check_settings,
     check_start,
+    check_torque,
     check_trusted,
     find_path,
 )
@@ -106,8 +107,9 @@ class Race:
         self.start = -min(RUN_UP_SHARE * self.path.length, LONGEST_RUN_UP)
         check_start(self.path, self.start, self.width, settings.settings.margin)
         self.mpcc = replace(settings.settings, max_speed=settings.max_speed)
-        torque = settings.max_torque or vehicle.max_torque
-        self.actuators = Actuators(min(torque, vehicle.max_torque), vehicle.max_brake_torque)
+        torque = min(settings.max_torque or vehicle.max_torque, vehicle.max_torque)
+        check_torque(vehicle, torque)
+        self.actuators = Actuators(torque, vehicle.max_brake_torque)
         self.start_set: TrainingSet | None = None
         self.exported: ExportedResidual | None = None
         if settings.start_set is not None and FilePath(settings.start_set).is_dir():
@@ -135,7 +137,7 @@ class Race:
         """Put the car on the run-up to the first line, and find a first plan."""
         warm_up()
         s = self.settings
-        speed = min(0.5 * s.max_speed, self._speed_at_start())
+        speed = min(0.5 * s.max_speed, self._careful_speed(-np.linspace(0.0, -self.start, 200)))
         self.world = World(
             self.car, self.path, speed, self.start, s.grip, None if s.exact_sensors else s.seed
         )  # fmt: skip
@@ -163,9 +165,8 @@ class Race:
         self.rates = self.controller.plan.u[0, :2].copy()
         self.memory = self.model.steady_states(self.world.measured)[8:]
 
-    def _speed_at_start(self) -> float:
-        """Return a speed at which the run-up's tightest bend takes half the grip [m/s]."""
-        s = -np.linspace(0.0, min(RUN_UP_SHARE * self.path.length, LONGEST_RUN_UP), 200)
+    def _careful_speed(self, s: np.ndarray) -> float:
+        """Return a speed at which the tightest bend at places `s` [m] takes half the grip [m/s]."""
         bend = np.abs(self.path.at(s).curvature).max()
         tire = min(self.vehicle.front_tire.D, self.vehicle.rear_tire.D)
         return float(np.sqrt(0.5 * self.settings.grip * 2.0 * tire / self.vehicle.mass / max(bend, 1e-4)))
@@ -174,10 +175,17 @@ class Race:
         """Drive the run-up, lap 0 where nothing is known, and the laps."""
         s = self.settings
         if self._drive(record=None) is None:
+            bend = 1.0 / np.abs(self.path.curvature).max()
+            lock = self.vehicle.wheelbase / np.tan(self.actuators.max_steer)
+            advice = (
+                "The nominal model asks for more than the road gives: lower --p-ellipse-lap0 or --max-speed, or "
+                "tell the grip by --told-grip."
+            )
+            if bend < lock:
+                advice = f"Full lock gives a radius of {lock:.1f} m, and the tightest bend has {bend:.1f} m."
             raise SplitError(
                 f"the car did not reach the line of the first lap: {self.ended}", where=self.path.name,
-                advice="The nominal model asks for more than the road gives: lower --p-ellipse-lap0 or "
-                "--max-speed, or tell the grip by --told-grip.",
+                advice=advice,
             )  # fmt: skip
         if self.begins_nominal:
             self.say("lap 0, nominal")
@@ -258,7 +266,8 @@ class Race:
         """Drive until the progress reaches `until`; return the time of crossing [s], None when the lap ended."""
         world, h = self.world, self.mpcc.step
         s = self.path.project(*world.exact[:2], self.controller.plan.x[0, -2])
-        deadline = world.t + 10.0 + 8.0 * (self.until - s) / self.settings.max_speed
+        careful = min(self.settings.max_speed, self._careful_speed(np.linspace(s, self.until, 2000)))
+        deadline = world.t + 10.0 + 3.0 * (self.until - s) / careful
         while True:
             before, t_before = s, world.t
             try:

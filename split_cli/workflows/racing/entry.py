@@ -7,8 +7,10 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from split_cli.control.centerline import read_centerline
 from split_cli.control.exported import ExportedResidual
-from split_cli.control.path import Path, read_centerline
+from split_cli.control.path import Path
+from split_cli.control.policy import SLOWEST
 from split_cli.errors import SetError, SplitError, nearest_names
 from split_cli.learning.features import FeatureSet, parse_features
 from split_cli.learning.kernel_file import read_kernel
@@ -26,6 +28,7 @@ __all__ = [
     "check_predictor",
     "check_settings",
     "check_start",
+    "check_torque",
     "check_trusted",
     "find_path",
 ]
@@ -97,6 +100,11 @@ def _check_numbers(settings: RaceSettings) -> None:
     for name, value in positive:
         if not 0.0 < value < 1e6:
             raise SplitError(f"is {value:g}, a positive number was expected", where=name)
+    if settings.max_speed <= SLOWEST:
+        raise SplitError(
+            f"is {settings.max_speed:g} m/s, where the controller's model is not valid; more than {SLOWEST:g} m/s "
+            "was expected", where="--max-speed",
+        )  # fmt: skip
     shares = [
         ("--p-ellipse", limits.p_ellipse),
         ("--p-ellipse-lap0", settings.first_share),
@@ -129,6 +137,22 @@ def check_car(vehicle: Vehicle, car: CarParameters) -> None:
         raise SplitError(
             f"{car.name} has a wheelbase of {car.wheelbase:.2f} m, the vehicle file {vehicle.name} says "
             f"{vehicle.wheelbase:.2f} m", where="--car", advice="Name the vehicle file of the car that is driven.",
+        )  # fmt: skip
+
+
+def check_torque(vehicle: Vehicle, most: float) -> None:
+    """Refuse a largest driving torque [N m] that does not overcome the rolling resistance.
+
+    Raises
+    ------
+    SplitError
+        Saying what the resistance takes.
+    """
+    needed = (vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear) * vehicle.wheel_radius
+    if most <= needed:
+        raise SplitError(
+            f"is {most:g} N m, and rolling resistance alone takes {needed:.0f} N m", where="--max-torque",
+            advice="Raise it, so that the car can keep its speed.",
         )  # fmt: skip
 
 
@@ -179,7 +203,8 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
     Raises
     ------
     SetError
-        If it is of another vehicle, holds plain differences, or labels beyond what any model gets wrong.
+        If it is of another vehicle, holds plain differences, labels beyond what any model gets wrong, or a
+        correction that is not to be applied to any output.
     """
     if training_set.nominal_vehicle.digest() != vehicle.digest():
         name = training_set.vehicle.name
@@ -199,6 +224,13 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
         raise SetError(
             f"holds labels up to {huge:.3g} m/s^2: no car's model is wrong by more than three times gravity",
             where=str(where), advice="Check the recordings it was trained on with `split evaluate`.",
+        )  # fmt: skip
+    if not any(training_set.trust.share):
+        told = "its drives were too short to judge it" if training_set.trust.origin == "unjudged" else (
+            "it helped no output on held-out driving")  # fmt: skip
+        raise SetError(
+            f"holds a correction that is not to be trusted: {told}. The nominal model alone would drive",
+            where=str(where), advice="Train on longer or harder drives, or leave out --start-set.",
         )  # fmt: skip
 
 
