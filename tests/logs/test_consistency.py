@@ -48,7 +48,9 @@ def test_a_sound_drive_has_no_findings(seed):
 
 
 def test_delays_of_an_ordinary_logger_are_not_called_faults(drive):
-    assert judged(drive, delays={"r": 0.1, "ax": 0.15, "X": 0.2, "Y": 0.2, "delta": 0.1}).findings == ()
+    told = judged(drive, delays={"r": 0.1, "ax": 0.15, "X": 0.2, "Y": 0.2, "delta": 0.1}).findings
+    assert {finding.check for finding in told} == {"delay"}
+    assert next(f for f in told if f.channel == "ax").measured == pytest.approx(0.15, abs=0.02)
 
 
 @pytest.mark.parametrize(

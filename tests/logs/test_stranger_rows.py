@@ -116,6 +116,24 @@ def test_a_row_of_units_may_hold_the_pattern_of_a_clock_and_units_with_hyphens(p
     assert draft.of("ay").unit == "g" and draft.of("T").unit == "N m" and draft.of("delta").convert == "pair_mean"
 
 
+def test_a_column_of_names_beside_the_numbers_of_a_parquet_file_is_left_alone(planted, driven, tmp_path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    t, c = driven
+    stamps = pa.array((1.7e15 + np.round(t * 1e6)).astype("int64"), pa.timestamp("us", "Europe/Berlin"))
+    table = {
+        "recorded_at": stamps,
+        "vehicle_id": pa.array(["A7"] * len(t)).dictionary_encode(),
+        "driver": ["X"] * len(t),
+    }
+    table |= {"speed_mps": c["vx"].astype(np.float32), "v_lat_mps": c["vy"], "yaw_rate_dps": c["r"] * DEG,
+              "road_wheel_angle_deg": c["delta"] * DEG, "wheel_torque_nm": c["T"]}  # fmt: skip
+    pq.write_table(pa.table(table), tmp_path / "log.parquet")
+    draft = ingested(tmp_path / "log.parquet", planted, tmp_path)
+    assert draft.time.startswith("time: {source: recorded_at")
+
+
 def torques(driven, **shares) -> TableRecording:
     t, c = driven
     columns = {"t": t, "vx": c["vx"], "vy": c["vy"], "yaw_rate": c["r"]}

@@ -31,6 +31,7 @@ from split_cli.logs.assembling.synchronize import (
 from split_cli.logs.assembling.trim import trim
 from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
+from split_cli.logs.checking.late import late_channels
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
 from split_cli.logs.map_entries import SignalMap, TimeBase
 from split_cli.logs.raw import Clock, RawRecording
@@ -161,6 +162,10 @@ def assemble_drive(
         checked = drive.stretch(first, first + MOST_CHECKED)
         minutes = len(checked) * grid.period / 60.0
         warnings.append(f"channels were checked against each other on the middle {minutes:.3g} minutes")
+    consistency = check_consistency(checked, vehicle, kinds, _certain(signal_map))
+    if not settings.estimate_delays:
+        late = late_channels(checked, vehicle, kinds, consistency.findings)
+        consistency = replace(consistency, findings=(*consistency.findings, *late))
     quality = QualityReport(
         channels=tuple(qualities),
         segments=len(slices_of(grid.segment)),
@@ -168,7 +173,7 @@ def assemble_drive(
         recorded=max(float(part.time[-1] - part.time[0]) for c in needed for part in channels.clean[c]),
         origin=gathered.origin + float(grid.time[0]),
         clock=gathered.clock,
-        consistency=check_consistency(checked, vehicle, kinds, _certain(signal_map)),
+        consistency=consistency,
         delays=estimates,
         assumed=(*_assumed_before(before), *gathered.assumed),
         contradictions=gathered.contradictions,

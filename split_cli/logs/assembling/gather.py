@@ -13,13 +13,15 @@ from split_cli.errors import LogError, MapError, nearest_names
 from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.conversion import ConversionNotes, Converter, RawSeries, expected_unit
 from split_cli.logs.map_entries import ChannelMap, SignalMap, SignalSource
-from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column, turned
+from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column, turned, unit_of_time
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
 __all__ = ["Gathered", "gather", "row_rate_from_yaw", "topic_of"]
 
 _TIME_ADVICE = "Name the column as `time: {source: ..., unit: ...}`, or give `time: {period: SECONDS}`."
+_SLOWEST = 2.0
+"""Step of a table's rows from which on a wrong unit of time is likelier than so slow a recording [s]."""
 _SUFFIXES = {
     "yaw_from_quaternion": ("x", "y", "z", "w"),
     "local_x": ("latitude", "longitude"),
@@ -335,11 +337,13 @@ def _common_time(
     # Subtract before the conversion: nanoseconds since 1970 lose nothing then.
     time = convert_to_si(raw.values - first, unit or "s", where=recording.name)
     step = float(np.median(np.abs(np.diff(time[finite])))) if finite.sum() > 1 else 0.0
-    if step > 10.0:
+    if step > _SLOWEST:
+        fits = unit_of_time(raw.values[finite])
         raise LogError(
-            f"samples of {column!r} are {step:.3g} s apart",
+            f"samples of {column!r} are {step:.3g} s apart, its unit being taken as {unit or 's'}",
             where=recording.name,
-            advice=f"Its unit was taken as {unit or 's'}; set `time: {{source: {column}, unit: ns}}` or as it is.",
+            advice=f"No drive is recorded so: it is probably in {fits}. "
+            f"Set `time: {{source: {column}, unit: {fits}}}`.",
         )
     return time, float(convert_to_si(np.array([first]), unit or "s")[0]), f"column {column}"
 

@@ -155,6 +155,10 @@ def _mode(channel: str, entry: ChannelMap, part: CleanSeries) -> str:
     return CHANNELS[channel].kind
 
 
+_DENSE, _SHORT = 5e-4, 2.0
+"""Step of the rows and length of a log that together are no drive: the clock counts too slow [s]."""
+
+
 def lay_grid(channels: Channels, rate: float | None, where: str) -> tuple[SampleClock, int]:
     """Return the drive's clock over what all needed channels cover, and the rows of stretches too short to keep.
 
@@ -188,6 +192,14 @@ def lay_grid(channels: Channels, rate: float | None, where: str) -> tuple[Sample
                 [(float(part.time[a]), float(part.time[b - 1]) + reach) for a, b in runs_of(part.time, gap)]
             )
     slowest = slowest or max(_true_period(p, channels.gap) for c in channels.needed for p in channels.clean[c])
+    ends = [end for span in spans for run in span for end in run]
+    lasts = max(ends, default=0.0) - min(ends, default=0.0)
+    if slowest < _DENSE and lasts < _SHORT:
+        raise LogError(
+            f"lasts {lasts:.3g} s, with rows {slowest:.3g} s apart: no drive is recorded like that",
+            where=where,
+            advice="The time is probably in s, not in ms or us. Set its unit in the entry `time:` of the map.",
+        )
     period = _period(slowest, rate, where)
     grid, left_out = make_grid(spans, period)
     if not len(grid.index):

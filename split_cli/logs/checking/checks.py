@@ -27,6 +27,12 @@ _GRAVITY = 9.80665
 _GRIP_MARGIN = 1.1
 """Over the sum of both D: banking of 5 degrees or a cresting road gives as much [1]."""
 _GRIP_SECONDS = 1.0
+_FAR_BETTER = 0.25
+"""Variance that a place of v_y leaves, of what a factor leaves, from which on it is a place [1]."""
+_LEAST_ARM = 0.15
+"""Of the wheelbase, below which a place is not told from the CG [1]."""
+_CROOKED = 0.015
+"""Road-wheel angle on straights that is no play of the steering [rad]: 13 deg of a steering wheel."""
 _SIGN_ONLY = 5.0
 """Tolerance of a relation whose size says nothing."""
 NOT_RECORDED = "derived: nothing"
@@ -66,6 +72,7 @@ class Checks:
         self.derived = {channel for channel, kind in kinds.items() if kind.startswith("derived")}
         self.absent = {channel for channel in self.derived if kinds[channel] == NOT_RECORDED}
         self.pose_fits = True
+        self.arm = 0.0
         self.relations: list[Relation] = []
         self.unjudged: list[Unjudged] = []
         self._sideslip: tuple[np.ndarray, np.ndarray] | None = None
@@ -268,6 +275,8 @@ class Checks:
         found = []
         if self.usable("vy"):
             found += self._vy_on_straights(straight, float(np.nanmedian(vx[straight])))
+        if self.usable("delta") and self.vehicle is not None:
+            found += self._delta_on_straights(straight)
         if self.usable("ay"):
             plain = float(np.nanmedian(k.signal("ay")[straight]))
             rest = k.signal("ay") - k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
@@ -287,6 +296,19 @@ class Checks:
                     )
                 )
         return found
+
+    def _delta_on_straights(self, straight: np.ndarray) -> list[ConsistencyFinding]:
+        k, car = self.k, self.vehicle
+        rest = k.signal("delta") - car.wheelbase * k.signal("r") / k.signal("vx")
+        bias, error = _median_of(rest[straight])
+        if abs(bias) < _CROOKED or abs(bias) < 4.0 * error:
+            return []
+        text = (
+            f"delta reads {bias:+.4f} +- {error:.4f} rad ({np.degrees(bias):+.2f} deg) on straights: a sensor "
+            "that is not at zero, or a car that needs it to go straight. "
+            f"An `offset:` of {-bias:.4f} rad takes it off, written in the entry's unit; it counts after `scale:`."
+        )
+        return [ConsistencyFinding("bias on straights", "delta", text, bias, error)]
 
     def _vy_on_straights(self, straight: np.ndarray, speed: float) -> list[ConsistencyFinding]:
         # A hundredth of a radian of sideslip from rest of turning: v_y of a place at most 2 m from the CG.
@@ -370,11 +392,55 @@ class Checks:
             return False
         count = len(self.relations)
         sideslip, path = self.k.sideslip(), self.k.path_across()
+        self.arm = self._arm_of_path(path)
+        if self.arm:
+            vx = self.k.columns["vx"]
+            carried = self.k.of("r/vx", lambda: self.k.columns["r"] / np.where(np.abs(vx) > 0.0, vx, np.nan))
+            sideslip = sideslip + self.arm * carried
         told = len(self.unjudged)
         self.relate(ACROSS, sideslip, path, {"vy": 1, "vx": -1}, 0.3)
         del self.unjudged[told:]
         self.relations[count:] = [replace(relation, of_the_world=True) for relation in self.relations[count:]]
         return len(self.relations) > count
+
+    def _arm_of_path(self, path: np.ndarray) -> float:
+        """Return how far behind the CG v_y is measured [m], by the path across yaw; 0 where that tells no place.
+
+        Taken only where a place explains v_y far better than a factor does, and lies within the car's reach.
+        """
+        if self.vehicle is None or not self.usable("r"):
+            return 0.0
+        k = self.k
+        vy, r, across = k.signal("vy"), k.signal("r"), k.signal("vx") * np.tan(path)
+        use = k.moving & np.isfinite(vy * r * across) & (np.abs(path) < 0.5)
+        if np.count_nonzero(use) < 300:
+            return 0.0
+        vy, r, across = (v[use] - np.median(v[use]) for v in (vy, r, across))
+        if not (np.ptp(r) > 0.0 and np.ptp(across) > 0.0):
+            return 0.0
+        arm = float((across - vy) @ r / (r @ r))
+        factor = float(vy @ across / (across @ across))
+        by_place, by_factor = float(np.var(vy + arm * r - across)), float(np.var(vy - factor * across))
+        likely = by_place < _FAR_BETTER * min(by_factor, float(np.var(vy - across)))
+        reach = self.vehicle.wheelbase
+        return arm if likely and _LEAST_ARM * reach < abs(arm) < reach else 0.0
+
+    def wheel_sides(self) -> list[ConsistencyFinding]:
+        """Compare right less left wheel speed with r: in a left turn the right wheels are faster."""
+        found = []
+        for left, right in (("wheel_speed_fl", "wheel_speed_fr"), ("wheel_speed_rl", "wheel_speed_rr")):
+            if not self.usable(left, right, "r"):
+                continue
+            slope = fit_slope(self.k.signal(right) - self.k.signal(left), self.k.signal("r"), self.k.moving)
+            if slope is None or slope.correlation > -LEAST_CORRELATION:
+                continue
+            text = (
+                f"{right} less {left} against r: slope {slope.slope:.3g} m, correlation {slope.correlation:.3f}, "
+                "while the wheels outside a turn are faster: left and right wheels are exchanged, or r and all "
+                "that has a side is right-positive. Exchange their sources, or set `frame: frd`."
+            )
+            found.append(ConsistencyFinding("swapped", left, text, slope.slope, slope.error))
+        return found
 
     def _sideslip_sign(self) -> None:
         """Relate the sign of v_y to that of r: p and q of the steady sideslip are both positive."""
@@ -395,6 +461,16 @@ class Checks:
 
         The rear tyres need the slip m l_f v_x r/(L C_r), so q > 0; at the CG p is l_r.
         """
+        if self.arm:
+            at = "the rear axle" if self.arm > 0.0 else "the front axle"
+            axle = self.vehicle.cg_to_rear_axle if self.arm > 0.0 else -self.vehicle.cg_to_front_axle
+            near = abs(self.arm - axle) < 0.3 * abs(axle)
+            place = at.removeprefix("the ").replace(" ", "_") if near else f"{{x: {-self.arm:.2f}, y: 0.0}}"
+            text = (
+                f"v_y is measured {abs(self.arm):.2f} m {'behind' if self.arm > 0.0 else 'ahead of'} the CG, by "
+                f"the path across yaw{f': near {at}' if near else ''}. Set `position: {place}`."
+            )
+            return [ConsistencyFinding("place", "vy", text, self.vehicle.cg_to_rear_axle - self.arm, None)]
         fit = self._sideslip_fit()
         if fit is None:
             return []

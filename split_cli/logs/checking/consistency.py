@@ -88,6 +88,10 @@ def check_consistency(
         new = [finding for finding in again.findings if finding.channel not in named]
         found += [_after(finding, shared) for finding in new]
         factors |= {c: f for c, f in again.factors.items() if c not in factors and c not in ("vx", "r")}
+    if any(f.channel == "time" and f.check == "sign" for f in found):
+        # Whatever needs a rate of change is judged when the rows are in order.
+        told, unjudged = tuple([*constant, *found]), tuple(dict.fromkeys(checks.unjudged))
+        return Consistency(told, _plain(checks), unjudged, factors, explanation.cost)
     if factors:
         corrected = Checks(_corrected(drive.columns, factors, vy_judged), drive, vehicle, kinds, certain)
         corrected.unjudged, finer = finer.unjudged, corrected
@@ -101,6 +105,8 @@ def check_consistency(
             as_it_is = {**finer.k.columns, "vy": drive.columns["vy"]}
             placed = Checks(as_it_is, drive, vehicle, kinds, certain).sideslip_place() and placed
         findings += [*finer.straight_line(), *placed, *finer.grip()]
+    if "r" not in wrong:
+        findings += finer.wheel_sides()
     if not {"X", "Y", "yaw"} & wrong:
         useless = [*velocity_across(finer), *velocity_along(finer)]
         findings += [*direction_of_travel(finer, not useless), *useless, *yaw_is_course(finer)]
@@ -108,9 +114,12 @@ def check_consistency(
     along = {finding.channel for finding in exchanged}
     findings = [f for f in findings if f in exchanged or f.channel not in along or f.check == "constant"]
     unjudged = dict.fromkeys([*checks.unjudged, *finer.unjudged])
-    # The functions were for the search; results travel between processes.
-    relations = tuple(replace(relation, corrected=None) for relation in checks.relations)
-    return Consistency(_with_compass(findings), relations, tuple(unjudged), factors, explanation.cost)
+    return Consistency(_with_compass(findings), _plain(checks), tuple(unjudged), factors, explanation.cost)
+
+
+def _plain(checks: Checks) -> tuple[Relation, ...]:
+    """Return the relations without functions: these were for the search, and results travel between processes."""
+    return tuple(replace(relation, corrected=None) for relation in checks.relations)
 
 
 def _after(finding: ConsistencyFinding, shared: Mapping[str, float]) -> ConsistencyFinding:

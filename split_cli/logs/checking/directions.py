@@ -21,7 +21,11 @@ def look_swapped(checks: Checks) -> bool:
     vx, vy = checks.k.columns["vx"], checks.k.columns["vy"]
     if not np.nanmean(vy**2) > 4.0 * np.nanmean(vx**2):
         return False
-    return not checks.usable("X", "Y") or _agreement(np.abs(vy), checks.k.ground_speed()) > 0.8
+    if checks.usable("X", "Y"):
+        return _agreement(np.abs(vy), checks.k.ground_speed()) > 0.8
+    # A car travels one way: in another unit v_y is larger too, but to both sides.
+    one_way = [abs(np.nanmean(v)) / np.sqrt(np.nanmean(v**2)) if np.any(v) else 0.0 for v in (vx, vy)]
+    return bool(one_way[1] > one_way[0])
 
 
 def swap_finding(checks: Checks) -> ConsistencyFinding:

@@ -30,6 +30,10 @@ _OF_THE_BODY = ("vy", "ay", "delta")
 _OVER_TIME = ("r against dyaw/dt", "r against the turning of X, Y", "v_x against the speed of X, Y",
               "a_x against dv_x/dt - v_y r")  # fmt: skip
 """Relations to a rate of change, which a wrong clock puts off by one factor."""
+_REVERSING = _OVER_TIME[:2] + _OVER_TIME[3:]
+"""Of these the ones that change their sign where time runs backwards; a speed does not."""
+_LEAST_REVERSED = 3
+"""Relations with the opposite sign that are told as one mistake [1]: two may be two turned channels."""
 _SHARED = ("vx", "r")
 """Channels that enter several relations; every other one enters one."""
 
@@ -215,6 +219,11 @@ def explain(
     mistakes' costs (negative logarithms of how frequent they are) and of half the squared misfits, each at most
     the cost of a factor that is not known.
     """
+    backwards = _backwards(relations)
+    if backwards is not None:
+        turned = [_by_this_clock(r, -1.0) if r.name in _REVERSING or r.leaf == "T" else r for r in relations]
+        rest = explain(turned, vehicle, plausible)
+        return replace(rest, findings=(backwards, *rest.findings), cost=rest.cost + _UNKNOWN)
     clock = _clock(relations)
     if clock is not None:
         rest = explain([_by_this_clock(r, clock.measured or 1.0) for r in relations], vehicle, plausible)
@@ -238,6 +247,21 @@ def explain(
         if m.channel in sure and m.channel not in doubtful and m.factor is not None
     }
     return Explanation(tuple(told), factors, best.cost)
+
+
+def _backwards(relations: Sequence[Relation]) -> ConsistencyFinding | None:
+    """Tell rows that run backwards: every rate of change has the opposite sign, along the car and in turning."""
+    rates = [r for r in relations if r.name in _REVERSING or r.leaf == "T"]
+    along = any(r.leaf in ("ax", "T") for r in rates)
+    turning = any("r" in r.powers for r in rates)
+    one = all(r.slope.slope < 0.0 and abs(np.log(-r.slope.slope)) <= r.tolerance for r in rates)
+    if len(rates) < _LEAST_REVERSED or not (along and turning and one):
+        return None
+    text = (
+        f"the rows run backwards in time: {'; '.join(r.name for r in rates)} all have the opposite sign. "
+        "Write them in the other order, the oldest first, and ingest again; turn no sign."
+    )
+    return ConsistencyFinding("sign", "time", text, -1.0, None)
 
 
 def _clock(relations: Sequence[Relation]) -> ConsistencyFinding | None:

@@ -65,6 +65,7 @@ _SIGNS = {
     "hand": ("are mirrored: X and Y exchanged", "exchange their sources"),
 }
 _SPEED_UNITS = ((3.6, "km/h"), (1 / 0.44704, "mph"), (1 / 0.514444, "kn"))
+_RARE_SPEED_UNITS = ((1 / 0.3048, "ft/s"), (100.0, "cm/s"), (1000.0, "mm/s"))
 _LENGTH_UNITS = ((1 / 0.3048, "ft"), (1e-3, "km"), (100.0, "cm"), (1000.0, "mm"))
 _STEERING_RATIOS = (8.0, 25.0)
 """Of steering wheel to road wheel, from racing cars to lorries [1]."""
@@ -84,6 +85,8 @@ def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
     if channel in ("vx", "vy") or channel.startswith("wheel_speed"):
         for factor, unit in _SPEED_UNITS:
             known += _unit(channel, factor, unit)
+        for factor, unit in _RARE_SPEED_UNITS:
+            known += _factor(channel, factor, f"is in {unit}", f"set `unit: {unit}`", RARE, unit)
         twice = "was converted from km/h although it is in m/s"
         known += _factor(channel, 1.0 / 3.6, twice, "set `unit: m/s`", RARE, "m/s")
     if channel.startswith("wheel_speed") and vehicle is not None:
@@ -94,6 +97,8 @@ def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
         known.append(Mistake(channel, *_RADIUS_RATIOS, False, what, remedy, 4.0))
     if channel in ("ax", "ay"):
         known += _unit(channel, 1.0 / STANDARD_GRAVITY, "g", turned=True)
+        for factor, unit in ((1 / 0.3048, "ft/s^2"), (1000.0, "mm/s^2")):
+            known += _factor(channel, factor, f"is in {unit}", f"set `unit: {unit}`", RARE, unit)
         twice = "was converted from g although it is in m/s^2"
         known += _factor(channel, STANDARD_GRAVITY, twice, "set `unit: m/s^2`", RARE, "m/s^2")
     if channel == "X":
@@ -102,6 +107,7 @@ def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
     if channel == "delta":
         known += _steering_wheel()
     if channel == "T":
+        known += _factor("T", 1e-3, "is in kN m", "set `unit: kN m`", COMMON, "kN m")
         what = "is the torque of engine or motor, or of one wheel"
         known.append(Mistake("T", 1 / 20.0, 1 / 2.5, False, what, "scale it to the sum at the wheels", 4.0))
     return known

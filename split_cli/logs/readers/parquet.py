@@ -83,7 +83,7 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
         unit = stated.decode() if stated else unit
         if _is_time(column.type):
             unit = "s"  # `column_values` gives seconds, whatever the name or the field says
-        infos.append(RawChannelInfo(name, str(column.type), rows, unit))
+        infos.append(RawChannelInfo(name, "text" if _is_text(column.type) else str(column.type), rows, unit))
     units = {info.name: info.unit for info in infos}
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
@@ -106,6 +106,13 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
         return {name: RawSignal(name, None, values[name], units[name]) for name in names}
 
     return LazyTableRecording(path.name, path, infos, load, notes=notes)
+
+
+def _is_text(kind: Any) -> bool:
+    import pyarrow as pa
+
+    value = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return pa.types.is_string(value) or pa.types.is_large_string(value) or pa.types.is_binary(value)
 
 
 def _is_time(kind: Any) -> bool:

@@ -1,0 +1,102 @@
+"""Channels that are late by so much that a model would learn it: told without being asked, and not corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
+from split_cli.logs.checking.explanations import ConsistencyFinding
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.parameters import Vehicle
+
+__all__ = ["late_channels"]
+
+_LATE = 0.08
+"""Delay from which on it is told [s]: twice what filters of usual sensors, and their clocks, differ by."""
+_SURE = 6.0
+"""Of a delay, in its standard errors, from which on it is told: systematic errors are as large as several."""
+_STEP = 0.04
+"""Between the rows that are looked at [s]: half of the shortest delay that is told."""
+_ROWS = 1500
+"""Looked at, from the middle of the drive: a minute [1]."""
+_MOST = 3
+"""Channels that are told [1]; with more than that something else is wrong."""
+_HELD = 0.3
+"""Share of rows that repeat the one before, from which on a channel is one of steps [1]."""
+_UNTRUSTED = ("scale", "sign", "swapped", "world", "constant", "course")
+
+
+def late_channels(
+    drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str, str], known: Sequence[ConsistencyFinding]
+) -> list[ConsistencyFinding]:
+    """Return a finding for each measured channel that is late or early by more than `_LATE`.
+
+    Parameters
+    ----------
+    drive : Drive
+    vehicle : Vehicle, optional
+        Needed for the steer angle.
+    kinds : mapping of str to str
+        Derived channels have no clock of their own; a command that the car precedes is one that came late.
+    known : sequence of ConsistencyFinding
+        A channel that is already told wrong is not looked at, and nothing is where v_x, r or the place of v_y is.
+    """
+    wrong = {finding.channel for finding in known if finding.check in _UNTRUSTED}
+    if {"vx", "r", "time"} & wrong or any(f.check == "place" for f in known):
+        return []
+    stride = max(1, round(_STEP / drive.period))
+    rows = _ROWS * stride
+    first = max(0, (len(drive) - rows) // 2)
+    part = drive.stretch(first, min(first + rows, len(drive)))
+    segments = [slice(-(-s.start // stride), -(-s.stop // stride)) for s in part.segments()]
+    columns = {
+        channel: values[::stride]
+        for channel, values in part.columns.items()
+        if not kinds.get(channel, "").startswith("derived") and channel not in wrong and not _in_steps(values)
+    }
+    if "vx" not in columns:
+        return []
+    found: list[ConsistencyFinding] = []
+    period = drive.period * stride
+    for _ in range(_MOST):
+        late = _latest(columns, period, segments, vehicle, kinds)
+        if late is None:
+            break
+        told = "late" if late.delay > 0.0 else "early"
+        text = (
+            f"{late.channel} is {abs(late.delay):.3f} +- {late.error:.3f} s {told} against {late.reference} "
+            f"(from {' and '.join(late.identities)}). `--estimate-delays` moves it, or "
+            f"`--delay {late.channel}={late.delay:.3g}`."
+        )
+        found.append(ConsistencyFinding("delay", late.channel, text, late.delay, late.error))
+        # What is late makes others seem early: with it put right they are looked at again.
+        t = period * np.arange(len(columns["vx"]))
+        columns[late.channel] = np.interp(t + late.delay, t, columns[late.channel])
+    return found
+
+
+def _in_steps(values: np.ndarray) -> bool:
+    """Whether a channel keeps its value from row to row: held, it is late by half a hold and that is no clock."""
+    return len(values) < 2 or float(np.mean(np.diff(values) == 0.0)) > _HELD
+
+
+def _latest(
+    columns: Mapping[str, np.ndarray],
+    period: float,
+    segments: list[slice],
+    vehicle: Vehicle | None,
+    kinds: Mapping[str, str],
+) -> DelayEstimate | None:
+    """Return the estimate that is the surest of those to be told; None where none is."""
+    late = [
+        e
+        for e in estimate_delays(columns, period, segments, vehicle, {c: c for c in columns})
+        if not e.refusal
+        and not e.channel.startswith("wheel_speed")
+        and abs(e.delay) >= max(_LATE, _SURE * e.error)
+        # What the car lags behind its command is the actuator's doing.
+        and not ("command" in kinds.get(e.channel, "") and e.delay < 0.0)
+    ]
+    return max(late, key=lambda e: abs(e.delay) / e.error, default=None)

@@ -1,0 +1,113 @@
+"""Mistakes in a log that units alone do not name: clocks, delays, exchanged wheels, places and crooked sensors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from split_cli.errors import LogError
+from split_cli.logs.assembling.assemble import assemble_drive
+from split_cli.logs.raw import RawSignal, TableRecording
+from split_cli.logs.signal_map import map_from_mapping
+from tests.logs.planted import UNITS, PlantedDrive
+
+CHANNELS = tuple(c for c in UNITS if not c.startswith("wheel"))
+
+
+@pytest.fixture(scope="module")
+def planted() -> PlantedDrive:
+    return PlantedDrive(seconds=90.0)
+
+
+def ingested(planted, *, time=1.0, backwards=False, wheels=None, **altered):
+    """Ingest a table at 50 Hz; `time` multiplies its clock, `altered` changes channels."""
+    t = np.arange(0.0, planted.seconds, 0.02)
+    columns = {c: planted.at(c, t) for c in CHANNELS}
+    if wheels:
+        half = 0.7
+        side = {"fl": -1, "fr": 1, "rl": -1, "rr": 1}
+        for source, corner in wheels.items():
+            columns[f"wheel_speed_{source}"] = columns["vx"] + side[corner] * half * columns["r"]
+    for channel, change in altered.items():
+        columns[channel] = change(t, columns[channel])
+    if backwards:
+        columns = {c: v[::-1] for c, v in columns.items()}
+    signals = {c: RawSignal(c, None, v, UNITS.get(c, "m/s")) for c, v in {"t": time * t, **columns}.items()}
+    signals["t"] = replace(signals["t"], unit="s")
+    named = {"time": {"source": "t", "unit": "s"}, "channels": {c: {"source": c} for c in columns}}
+    recording = TableRecording("log.csv", Path("log.csv"), signals)
+    return assemble_drive(recording, map_from_mapping(named, where="map"), planted.vehicle).quality.consistency
+
+
+def only(found):
+    (finding,) = found.findings
+    return finding
+
+
+def test_a_right_log_is_told_nothing(planted):
+    assert ingested(planted, wheels={n: n for n in ("fl", "fr", "rl", "rr")}).findings == ()
+
+
+def test_a_clock_in_another_unit_is_named_where_no_row_can_be_used(planted):
+    with pytest.raises(LogError, match="probably in ms"):
+        ingested(planted, time=1e3)
+    with pytest.raises(LogError, match="probably in s, not in ms"):
+        ingested(planted, time=1e-6)
+
+
+def test_rows_that_run_backwards_are_one_mistake_and_turn_no_channel(planted):
+    finding = only(ingested(planted, backwards=True))
+    assert finding.channel == "time" and "backwards" in finding.text
+
+
+@pytest.mark.parametrize(("channel", "late"), [("r", 0.2), ("delta", 0.3), ("ay", -0.15)])
+def test_a_late_channel_is_told_without_being_asked_for_and_no_other_is(planted, channel, late):
+    finding = only(ingested(planted, **{channel: lambda t, v: planted.at(channel, t - late)}))
+    assert finding.check == "delay" and finding.channel == channel
+    assert finding.measured == pytest.approx(late, abs=0.04)
+
+
+def test_exchanged_wheels_are_told_by_the_side_that_is_faster_in_a_turn(planted):
+    found = ingested(planted, wheels={"fl": "fr", "fr": "fl", "rl": "rl", "rr": "rr"})
+    finding = only(found)
+    assert finding.check == "swapped" and "exchanged" in finding.text and "rl" not in finding.text
+    assert finding.measured == pytest.approx(-1.4, rel=0.02)
+
+
+def test_a_steering_sensor_beside_its_zero_shows_on_straights(planted):
+    finding = only(ingested(planted, delta=lambda t, v: v + np.radians(2.0)))
+    assert finding.channel == "delta" and finding.measured == pytest.approx(np.radians(2.0), abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("channel", "factor", "words"),
+    [("vy", 1e3, "is in mm/s"), ("vx", 1 / 0.3048, "is in ft/s"), ("ax", 1 / 0.3048, "is in ft/s^2"),
+     ("T", 1e-3, "is in kN m")],
+)  # fmt: skip
+def test_rarer_units_are_named(planted, channel, factor, words):
+    finding = only(ingested(planted, **{channel: lambda t, v: factor * v}))
+    assert finding.channel == channel and words in finding.text
+
+
+def test_a_lateral_velocity_in_mm_is_not_taken_for_the_longitudinal_one(planted):
+    t = np.arange(0.0, planted.seconds, 0.02)
+    c = {name: planted.at(name, t) for name in ("vx", "vy", "r", "T", "delta")}
+    for factor, exchanged in ((1e3, False), (1.0, True)):
+        columns = {**c, "t": t, "vy": factor * c["vy"]}
+        if exchanged:
+            columns |= {"vx": c["vy"], "vy": c["vx"]}
+        signals = {n: RawSignal(n, None, v, {**UNITS, "t": "s"}[n]) for n, v in columns.items()}
+        named = {"time": {"source": "t"}, "channels": {n: {"source": n} for n in c}}
+        made = assemble_drive(
+            TableRecording("a", Path("a"), signals), map_from_mapping(named, where="map"), planted.vehicle
+        )
+        assert any("swapped" in f.text for f in made.quality.consistency.findings) is exchanged
+
+
+def test_v_y_of_the_rear_axle_is_a_place_and_no_unit(planted):
+    arm = planted.vehicle.cg_to_rear_axle
+    finding = only(ingested(planted, vy=lambda t, v: v - arm * planted.at("r", t)))
+    assert finding.check == "place" and "position: rear_axle" in finding.text
