@@ -47,9 +47,10 @@ SHORT = {
     AGGRESSIVE: "road 85 %", MODERATE: "road 70 %", SMALL: "road, small course", TUM_RUN: "TUM, run",
     TUM_TRAIN: "TUM, train", HALVES[0]: "1:10 car", HALVES[1]: "Genesis", HALVES[2]: "AV-21",
 }  # fmt: skip
-#: Laps of the road car simulated for this study: track, share of the grip, seed.
-FRESH_TRAIN = (("small", 0.7, 41), ("small", 0.5, 47), ("oval", 0.8, 42), ("handling", 0.55, 43))
-FRESH_JUDGE = (("handling", 0.85, 44), ("handling", 0.5, 45), ("small", 0.85, 46))
+#: Laps of the road car simulated for this study: track, share of the grip, seed after the first.
+FIRST_SEED = 41
+FRESH_TRAIN = (("small", 0.7, 0), ("small", 0.5, 6), ("oval", 0.8, 1), ("handling", 0.55, 2))
+FRESH_JUDGE = (("handling", 0.85, 3), ("handling", 0.5, 4), ("small", 0.85, 5))
 #: DART's car on two floors and driven freely; KTH's Volvo in a slalom (038) and a step steer (040).
 DART = ((RUBBER, TAPE), (TAPE, RUBBER), (RUBBER, "free_driving"), ("free_driving", "racetrack_lap_v_1"))
 DART_HALVES = (RUBBER, TAPE, "free_driving")
@@ -74,6 +75,7 @@ def main() -> None:
     parser.add_argument("--parts", default="recordings", help=f"Of {', '.join(PARTS)}, separated by commas.")
     parser.add_argument("--datasets", type=Path, help="Folder with the recordings of others.")
     parser.add_argument("--work", type=Path, help="Folder that keeps drives, sets and judgements.")
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help="Of the seven laps of part fresh.")
     parser.add_argument(
         "--predictors", default="projected,rbcm", help="Rows show the first; trust is found with rbcm."
     )
@@ -88,7 +90,7 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         print(HEADER)
         reports = []
-        for pair in pairs(parts, folder, given.datasets):
+        for pair in pairs(parts, folder, given.datasets, given.first_seed):
             reports.append((pair.title, judgement(pair, given.predictors, folder)))
             print("\n".join(lines_of(*reports[-1], predictors[0])), flush=True)
     print()
@@ -119,12 +121,12 @@ def judgement(pair: Pair, predictors: str, folder: Path) -> dict:
     return json.loads(found.read_text(encoding="utf-8"))
 
 
-def pairs(parts: list[str], folder: Path, datasets: Path | None) -> Iterator[Pair]:
+def pairs(parts: list[str], folder: Path, datasets: Path | None, first_seed: int) -> Iterator[Pair]:
     """Yield the pairs whose recordings are at hand, ingested."""
     if "recordings" in parts:
         yield from recorded_pairs({c.title: c for c in CASES if datasets or not c.foreign}, folder, datasets)
     if "fresh" in parts:
-        yield from fresh_pairs(folder)
+        yield from fresh_pairs(folder, first_seed)
     if "natural" in parts:
         yield from natural_pairs(datasets, folder)
 
@@ -163,11 +165,12 @@ def halves_of(title: str, path: Path, vehicle: str, folder: Path) -> Iterator[Pa
     yield Pair(f"{title}: second half → first", halves[1], halves[0], vehicle)
 
 
-def fresh_pairs(folder: Path) -> Iterator[Pair]:
-    """Yield the pairs of laps simulated for this study."""
+def fresh_pairs(folder: Path, first_seed: int) -> Iterator[Pair]:
+    """Yield the pairs of laps simulated for this study, with seven seeds from the first."""
     vehicle = str(ROOT / "sample_logs" / "road_car.yaml")
 
-    def drive(track: str, grip: float, seed: int) -> tuple[str, Path]:
+    def drive(track: str, grip: float, number: int) -> tuple[str, Path]:
+        seed = first_seed + number
         path = folder / f"fresh{seed}.parquet"
         if not path.exists():
             log = path.with_suffix(".mcap")
