@@ -28,11 +28,14 @@ class Slopes:
         Half of the cost's: J^T r, weights and priors included.
     curvature : ndarray, shape (P, P)
         Half of the cost's: J^T J, weights and priors included.
+    doubt : float
+        What may be gained yet, in units of the cost, since the derivatives are not quite those of this place.
     """
 
     jacobian: np.ndarray
     gradient: np.ndarray
     curvature: np.ndarray
+    doubt: float = 0.0
 
     def step(self, damping: float, free: np.ndarray) -> np.ndarray:
         """Return Marquardt's step, shape (P,): (H + lambda diag H) d = -g, no parameter moved that is not free."""
@@ -43,10 +46,9 @@ class Slopes:
             move[free] = -np.linalg.solve(scaled[np.ix_(free, free)], self.gradient[free])
         return move
 
-    @property
-    def promised(self) -> float:
-        """What a step to where straight lines have their least would gain, in units of the cost."""
-        return -float(self.gradient @ self.step(_RIDGE, np.ones(len(self.gradient), dtype=bool)))
+    def promised(self, free: np.ndarray) -> float:
+        """Return what a step to where straight lines have their least would gain, in units of the cost."""
+        return -float(self.gradient @ self.step(_RIDGE, free))
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Descent(Generic[State]):
     state : object
         What `evaluate` returned beside the cost.
     slopes : Slopes
-        Of the last linearisation, which is that before the last step.
+        Of the last linearisation, which is that before the last step, or as they followed that.
     """
 
     parameters: np.ndarray
@@ -80,6 +82,8 @@ def descend(
     iterations: int,
     tries: int = 5,
     movable: np.ndarray | None = None,
+    known: Slopes | None = None,
+    follow: Callable[[Slopes, tuple[np.ndarray, State], tuple[np.ndarray, State]], Slopes | None] | None = None,
 ) -> Descent[State]:
     """Minimise a sum of squares inside bounds.
 
@@ -97,28 +101,44 @@ def descend(
         At most so many linearisations, and steps tried at each.
     movable : ndarray of bool, shape (P,), optional
         Parameters that may move; all by default.
+    known : Slopes, optional
+        At the start, by and large: of another problem that is much like this one.
+    follow : callable, optional
+        Slopes, and parameters and state before and after a step, to the slopes after it, or None where what the
+        step did says that they have to be worked out anew; by default they always are.
 
     Notes
     -----
     Marquardt (1963), see `Slopes.step`. A parameter at its bound whose gradient points outward rests for the step;
-    steps end at bounds.
+    steps end at bounds. Slopes that were not worked out where they are used get one try. Where they promise too
+    little for another step they end the descent, unless their doubt is more: then they are worked out anew.
     """
-    x, damping = start, _FIRST_DAMPING
+
+    def movable_now(x: np.ndarray, slopes: Slopes) -> np.ndarray:
+        free = ~(((x <= lower) & (slopes.gradient > 0)) | ((x >= upper) & (slopes.gradient < 0)))
+        return free if movable is None else free & movable
+
+    x, damping, kept = start, _FIRST_DAMPING, known
     cost, state = evaluate(x)
     for _ in range(iterations):
-        slopes, gained = linearise(x, state), 0.0
-        free = ~(((x <= lower) & (slopes.gradient > 0)) | ((x >= upper) & (slopes.gradient < 0)))
-        if movable is not None:
-            free &= movable
-        for _ in range(tries):
+        anew = kept is None
+        slopes, kept, gained = linearise(x, state) if kept is None else kept, None, 0.0
+        free = movable_now(x, slopes)
+        if not anew and enough(slopes.promised(free), cost):
+            if enough(slopes.doubt, cost):
+                break
+            anew, slopes = True, linearise(x, state)
+            free = movable_now(x, slopes)
+        for _ in range(tries if anew else 1):
             trial = np.clip(x + slopes.step(damping, free), lower, upper)
             there, trial_state = evaluate(trial)
             if there < cost:
                 gained = cost - there
+                kept = follow(slopes, (x, state), (trial, trial_state)) if follow else None
                 x, cost, state = trial, there, trial_state
                 damping = max(damping / _FALL, _LEAST_DAMPING)
                 break
             damping *= _RISE
-        if enough(gained, cost):
+        if anew and enough(gained, cost):
             break
-    return Descent(x, cost, state, slopes)
+    return Descent(x, cost, state, slopes if kept is None else kept)

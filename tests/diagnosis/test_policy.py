@@ -92,7 +92,7 @@ BESIDE_THEIR_ALGORITHM = {
     "remainder/autocorrelation.py": {"_NEAR_ROWS"},
     "search/calibration.py": {"_BINS", "_WAVES"},
     "search/candidates.py": {"_NEAR"},
-    "search/fitting.py": {"_ITERATIONS", "_JOINT_ITERATIONS", "_REFRESHES", "_LEAST_GAIN", "_PLACES"},
+    "search/fitting.py": {"_ITERATIONS", "_JOINT_ITERATIONS", "_REFRESHES", "_LEAST_GAIN", "_PLACES", "_BENT"},
     "search/joint.py": {"_NEAR_NONE", "_NO_EFFECT", "_TRIED"},
     "search/partly.py": {"_MOST_BLOCKS"},
     "search/running.py": {"_TINY"},

@@ -18,7 +18,15 @@ def slopes(x: np.ndarray, residuals: np.ndarray) -> Slopes:
     return Slopes(jacobian, jacobian.T @ residuals, jacobian.T @ jacobian)
 
 
-def descended(start, lower, upper, **options):
+def followed(before: Slopes, here: tuple, there: tuple) -> Slopes:
+    """Broyden's update, trusted wherever it leads; `doubt` is never little enough to end with."""
+    step = there[0] - here[0]
+    missed = there[1] - here[1] - before.jacobian @ step
+    jacobian = before.jacobian + np.outer(missed, step) / (step @ step)
+    return Slopes(jacobian, jacobian.T @ there[1], jacobian.T @ jacobian, doubt=np.inf)
+
+
+def descended(start, lower, upper, slopes=slopes, **options):
     def evaluate(x):
         residuals = rosenbrock(x)
         return float(residuals @ residuals), residuals
@@ -52,3 +60,29 @@ def test_what_may_not_move_stays():
 def test_at_the_least_cost_nothing_moves():
     found = descended((1.0, 1.0), (-5.0, -5.0), (5.0, 5.0))
     assert tuple(found.parameters) == (1.0, 1.0) and found.cost == 0.0
+
+
+@pytest.mark.parametrize("upper", [(5.0, 5.0), (0.5, 5.0)])
+def test_slopes_that_follow_the_steps_lead_to_the_same_answer_with_fewer_worked_out(upper):
+    counted = []
+
+    def counting(x, residuals):
+        counted.append(x)
+        return slopes(x, residuals)
+
+    start, lower = (0.2, 0.5), (-5.0, -5.0)
+    expected = descended(start, lower, upper, slopes=counting)
+    worked_out = len(counted)
+    counted.clear()
+    found = descended(start, lower, upper, slopes=counting, follow=followed)
+    assert found.parameters == pytest.approx(expected.parameters, abs=1e-5)
+    assert len(counted) < worked_out
+
+
+def test_known_slopes_end_a_descent_only_without_doubt():
+    """Slopes of nothing promise nothing: nothing moves, unless in doubt those of the place are worked out."""
+    blind = Slopes(np.zeros((2, 2)), np.zeros(2), np.zeros((2, 2)))
+    start, lower, upper = (0.2, 0.5), (-5.0, -5.0), (5.0, 5.0)
+    assert tuple(descended(start, lower, upper, known=blind).parameters) == start
+    doubted = Slopes(blind.jacobian, blind.gradient, blind.curvature, doubt=1.0)
+    assert descended(start, lower, upper, known=doubted).parameters == pytest.approx([1.0, 1.0], abs=1e-5)

@@ -107,7 +107,7 @@ class Explorer:
         """Return every start of every term without a place, as straight lines."""
         return self._tangents
 
-    def _promises(self, current: Fit, free: np.ndarray | None) -> list[tuple[float, Part]]:
+    def _promises(self, current: Fit, free: np.ndarray | None) -> list[tuple[float, Tangent]]:
         """Return what each start of each candidate promises to cost, price included, best first."""
         taken = {part.candidate.term for part in current.parts}
         lines = [one for one in self._tangents if one.part.candidate.term not in taken]
@@ -115,10 +115,10 @@ class Explorer:
             if candidate.term not in taken:
                 starts = scan_places(self.objective, current.residuals, candidate, effect)
                 lines += self._tangents_at([Part(candidate, start) for start in starts])
-        promises = together(lambda one: (one.cost(current, free), one.part), lines)
+        promises = together(lambda one: (one.cost(current, free), one), lines)
         return sorted(
             promises,
-            key=lambda one: one[0] / self.variance_inflation + self.rules.price * one[1].candidate.complexity,
+            key=lambda one: one[0] / self.variance_inflation + self.rules.price * one[1].part.candidate.complexity,
         )
 
     def first_lines(self, current: Fit) -> list[Tangent]:
@@ -133,16 +133,17 @@ class Explorer:
 
     def _starts(
         self, current: Fit, free: np.ndarray | None = None, worth: float = np.inf
-    ) -> dict[str, list[tuple[float, Part]]]:
+    ) -> dict[str, list[tuple[float, Tangent]]]:
         """Return the best promises by the candidates' labels, and what they promise to cost."""
-        starts: dict[str, list[tuple[float, Part]]] = {}
-        for promised, part in self._promises(current, free):
+        starts: dict[str, list[tuple[float, Tangent]]] = {}
+        for promised, line in self._promises(current, free):
+            label = line.part.candidate.label
             most = self.rules.full_fits if promised <= worth else self.rules.considered
-            if part.candidate.label in starts or len(starts) < most:
-                starts.setdefault(part.candidate.label, []).append((promised, part))
+            if label in starts or len(starts) < most:
+                starts.setdefault(label, []).append((promised, line))
         return starts
 
-    def _fits(self, current: Fit, starts: dict[str, list[tuple[float, Part]]]) -> list[Fit]:
+    def _fits(self, current: Fit, starts: dict[str, list[tuple[float, Tangent]]]) -> list[Fit]:
         """Return fits of promises, with the second start of a variant where it promises more."""
         found = apart_with(self.objective, _fitted, [(current, promises) for promises in starts.values()])
         fits = [fit for several in found for fit in several]
@@ -193,15 +194,16 @@ class Explorer:
         return (part.values["s_end"] - part.values["s_start"]) % reach > most * reach
 
 
-def _fitted(objective: MarginalLikelihood, asked: tuple[Fit, list[tuple[float, Part]]]) -> list[Fit]:
+def _fitted(objective: MarginalLikelihood, asked: tuple[Fit, list[tuple[float, Tangent]]]) -> list[Fit]:
     """Return fits of the starts of one variant beside an explanation."""
     current, promises = asked
     settled = int(any(alters_inputs(one.term) for one in current.parts))
     fits: list[Fit] = []
-    for promised, part in promises:
+    for promised, line in promises:
         # Another start may have kept more than this one promises.
         if len(fits) < 2 and all(fit.cost >= promised for fit in fits):
-            fits.append(fit_parts(objective, (*current.parts, part), refreshes=settled, known=current))
+            parts = (*current.parts, line.part)
+            fits.append(fit_parts(objective, parts, refreshes=settled, known=current, lines=(line,)))
     return fits
 
 
