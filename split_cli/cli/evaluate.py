@@ -74,7 +74,8 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     show_default=True,
     callback=_feature_sets,
     metavar="LIST",
-    help="z1, z2, z1,z2 or signal names; repeatable. Several feature sets are also compared at equal sizes.",
+    help="z1, z2, z1,z2, signal names or terms with states; repeatable. Several feature sets are also compared at "
+    "equal sizes.",
 )
 @click.option(
     "--sizes",

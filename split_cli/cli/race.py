@@ -89,7 +89,7 @@ __all__ = ["command"]
     "--features",
     default="z2",
     show_default=True,
-    help="Inputs of the correction: z2, z1 or a comma-separated list of signals.",
+    help="Inputs of the correction: z2, z1 or a comma-separated list of these, signals and terms with states.",
 )
 @click.option(
     "--hyperparameters", default="fit", show_default=True, help="Kernel: fit (to lap 0), default, or a YAML file."

@@ -45,7 +45,9 @@ class TimeSpan(click.ParamType):
 @output_option("Trained set to write (NAME.split).")
 @click.option("--append", is_flag=True, help="Add drives to the existing set that -o names; its settings stay.")
 @click.option(
-    "--features", help="Inputs of the correction: z2 (default), z1, or a comma-separated list of signals."
+    "--features",
+    help="Inputs of the correction: z2 (default), z1, or a comma-separated list of these, signals and terms with "
+    "states, as z2,feature_lag.",
 )
 @click.option(
     "--hyperparameters",

@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.errors import DriveError, nearest_names
 from split_cli.logs.drive import Drive
+from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.single_track import SingleTrack
@@ -111,16 +112,28 @@ Z1 = FeatureSet(("vx", "vy", "r", "torque_ratio", "delta"))
 Z2 = FeatureSet(("alpha_f", "alpha_r", "torque_ratio"))
 
 
+_NAMED = {"z1": Z1, "z2": Z2}
+
+
 def parse_features(text: str | Sequence[str]) -> FeatureSet:
-    """Return the feature set named ``z1``, ``z2`` or by a comma-separated list."""
+    """Return the feature set named by a comma-separated list or a sequence.
+
+    Beside single features it may name ``z1`` or ``z2``, or a term for all of its states: ``z2,feature_lag``.
+    """
     if isinstance(text, str):
-        if text.lower() in ("z1", "z2"):
-            return Z1 if text.lower() == "z1" else Z2
         text = [name.strip() for name in text.split(",") if name.strip()]
-    names = tuple(text)
+    names = tuple(one for name in text for one in _named(name))
     if not names or len(set(names)) != len(names):
         raise DriveError(f"features {','.join(names)!r}: a list of distinct names was expected")
     return FeatureSet(names)
+
+
+def _named(name: str) -> tuple[str, ...]:
+    if name.lower() in _NAMED:
+        return _NAMED[name.lower()].names
+    if name in CATALOGUE and CATALOGUE[name].states:
+        return tuple(f"{name}.{state}" for state in CATALOGUE[name].states)
+    return (name,)
 
 
 def _rate_inside_segments(drive: Drive, channel: str) -> np.ndarray:

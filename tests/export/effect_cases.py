@@ -32,6 +32,7 @@ PARAMETERS = {
     "drive_delay": {"delay": 0.12},
     "drive_gain": {"drive_gain": 0.9, "brake_gain": 1.15},
     "drive_lag": {"tau": 0.15},
+    "feature_lag": {"tau": 0.08},
     "friction_patch": {"scale": 0.7, "s_start": 12.0, "s_end": 30.0},
     "friction_scale": {"scale": 0.85},
     "grip_fade": {"final_loss": 0.3, "tau": 20.0},

@@ -32,6 +32,7 @@ EXAMPLES = {
     ("grip_fade", ""): {"final_loss": 0.2, "tau": 30.0},
     ("grip_fade", "curve"): {"final_loss": 0.2, "tau": 30.0},
     ("tire_relaxation", ""): {"length": 0.6},
+    ("feature_lag", ""): {"tau": 0.08},
     ("load_transfer", ""): {"cg_height": 0.55},
     ("load_transfer", "peak"): {"cg_height": 0.55},
     ("load_transfer", "degressive"): {"cg_height": 0.55},

@@ -80,6 +80,7 @@ def test_play_keeps_still_until_pushed():
         term("drive_lag", tau=0.15),
         term("tire_relaxation", length=0.6),
         term("steer_backlash", width=0.015),
+        term("feature_lag", tau=0.08),
     ],
     ids=lambda model: model.id,
 )
@@ -188,3 +189,32 @@ def test_correcting_undoes_what_the_sensor_did(model):
         np.testing.assert_allclose(bad["vy"], columns["vy"] + 0.4 * columns["r"])
     if model.id == "sensor_misalignment":
         np.testing.assert_allclose(bad["vy"], columns["vy"] - 0.03 * columns["vx"], atol=5e-4)
+
+
+def test_feature_lag_keeps_the_past_and_changes_no_force():
+    track, plain = SingleTrack(CAR, [term("feature_lag", tau=0.08)]), SingleTrack(CAR)
+    clock, zero = Recording.single(PERIOD, 200), np.zeros(200)
+    t = np.arange(200) * PERIOD
+    torque, steer = inputs(t)
+    flow = track.flow(zero + 20.0, zero, zero, torque, steer, recording=clock)
+    np.testing.assert_array_equal(
+        track.balance(flow), plain.balance(plain.flow(zero + 20.0, zero, zero, torque, steer))
+    )
+    for name, source in (
+        ("alpha_f", flow.front.slip_angle),
+        ("alpha_r", flow.rear.slip_angle),
+        ("torque", torque),
+    ):
+        np.testing.assert_allclose(
+            flow.values[f"feature_lag.{name}"], first_order_response(source + zero, 1.0 / 0.08, clock)
+        )
+
+
+def test_feature_lag_of_no_time_is_the_feature_itself():
+    zero = np.zeros(200)
+    torque, steer = inputs(np.arange(200) * PERIOD)
+    track = SingleTrack(CAR, [term("feature_lag", tau=0.0)])
+    flow = track.flow(zero + 20.0, zero, zero, torque, steer, recording=Recording.single(PERIOD, 200))
+    # What is left is 1 ms, the shortest lag that is stepped.
+    largest = np.abs(np.diff(flow.front.slip_angle)).max()
+    assert np.abs(flow.values["feature_lag.alpha_f"] - flow.front.slip_angle).max() <= 0.11 * largest
