@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +33,7 @@ __all__ = [
     "ScoreTally",
     "baseline_tallies",
     "pooled_noise_floor",
+    "predictor_names",
     "predictor_tally",
     "rollout_trajectories",
     "score",
@@ -69,6 +70,13 @@ class HeldOutSamples:
         last = np.minimum(self.labels.row + self.labels.window + 1, len(self.drive))
         inside = blocked[last] == blocked[self.labels.row]
         return np.flatnonzero(inside & np.isfinite(self.labels.y).all(axis=1))
+
+
+def predictor_names(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
+    """Return what to call each predictor with its features; of one set of features only the predictor is named."""
+    keys = list(keys)
+    several = len({features for _, features in keys if features}) > 1
+    return {key: " on ".join(part for part in key if part) if several else key[0] for key in keys}
 
 
 @dataclass(frozen=True)

@@ -65,12 +65,12 @@ def interval_warnings(traces: Sequence[Trace]) -> list[str]:
         found = {name: states[state] for name, states in narrow.items() if state in states}
         if not found:
             continue
-        held = ", ".join(f"{100.0 * share:.0f} % by {name}" for name, (share, _) in found.items())
+        held = " and ".join(f"{100.0 * share:.0f} % ({name})" for name, (share, _) in found.items())
         factor = max(factor for _, factor in found.values())
         told.append(
-            f"WARNING: intervals of {state} are too narrow here: those of 95 % hold {held} of the labels, and "
-            f"would have to be {'up to ' if len(found) > 1 else ''}{factor:.1f} times as wide. This driving "
-            "differs from that of the set by more than its training could show"
+            f"WARNING: intervals of {state} are too narrow here: the 95 % intervals hold only {held} of the "
+            f"labels. They would have to be {'up to ' if len(found) > 1 else ''}{factor:.1f} times as wide. This "
+            "driving differs from the training drives by more than these could show"
         )
     return told
 

@@ -57,8 +57,8 @@ from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
 __all__ = ["PLAIN", "evaluate", "evaluate_files"]
 
-#: Marks a predictor that believes all it has learned, beside one that is trusted in part.
-PLAIN = ", all believed"
+#: Marks a predictor whose whole correction is applied, beside one that is trusted in part.
+PLAIN = ", full trust"
 #: A drive with the start rows of its rollouts and every contestant's trajectories.
 Rolled = tuple[HeldOutSamples, np.ndarray, dict[tuple[str, str], np.ndarray]]
 

@@ -53,10 +53,10 @@ def _outside(name: str, share: float) -> list[str]:
     """Return what to know of a drive beyond the data of the set; most of it outside is a warning."""
     if round(100.0 * share) == 0:
         return []
-    warning = "WARNING: outside the data of the set: " if share > 0.5 else ""
+    warning = "WARNING: outside the training data: " if share > 0.5 else ""
     return [
         f"{warning}{100.0 * share:.0f} % of the test samples of {name} lie farther than a length scale from every "
-        "point of the set; there the correction fades, and the nominal model remains"
+        "point of the set; there the correction fades to zero, and the nominal model remains"
     ]
 
 

@@ -52,7 +52,7 @@ def test_the_page_holds_the_laps_and_loads_nothing():
 def test_gaps_are_to_the_first_lap_at_the_same_place():
     """A car of 12.5 m/s is a fourth of its time ahead of one of 10 m/s, wherever it is."""
     gap = race_charts([race()])[0]
-    assert gap.title == "Time behind lap 0, negative ahead"
+    assert gap.title == "Time gap to lap 0 (negative: ahead)"
     same, ahead, _ = gap.series
     np.testing.assert_allclose(same.y, 0.0, atol=1e-12)
     inside = np.isfinite(ahead.y)

@@ -357,7 +357,7 @@ class TestInABrowser:
         opened(browser, report_page(mismatch()), tmp_path)
         charts = browser.find_elements("css selector", "#rollouts svg[role=img]")
         assert len(charts) == 3
-        assert "before 0.400" in charts[1].get_attribute("aria-label")
+        assert "simulation as it is 0.400" in charts[1].get_attribute("aria-label")
         browser.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", charts[1])
         ActionChains(browser).move_to_element_with_offset(charts[1], 100, 0).perform()
         told = browser.find_elements("css selector", "#rollouts .tip")[1].text

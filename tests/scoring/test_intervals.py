@@ -57,7 +57,9 @@ def test_each_predictor_that_is_shown_is_judged_by_its_own_intervals():
     told = interval_warnings([narrow, right, wide])
     assert [text.split()[3] for text in told] == ["v_x", "v_y", "r"]
     # Of v_y 38 % lie inside 0.5 * 1.96 / 2 and 67 % inside 1.96 / 2 deviations; four times as wide would be right.
-    found = re.search(r"hold (\d+) % by bcm, (\d+) % by rbcm of the labels.* up to ([\d.]+) times", told[1])
+    found = re.search(
+        r"hold only (\d+) % \(bcm\) and (\d+) % \(rbcm\) of the labels.* up to ([\d.]+) times", told[1]
+    )
     shares = [float(part) for part in found.groups()]
     assert shares == pytest.approx([37.6, 67.3, 4.0], rel=0.06) and "projected" not in told[1]
     assert "rbcm" not in told[0]

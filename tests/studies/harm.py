@@ -103,7 +103,7 @@ def main() -> None:
         print(f"| {title} | " + " | ".join(shares) + " |")
 
 
-HEADER = """| trained on → judged on | trust v_x, v_y, r | state | one step | 0.5 s | 1 s | 2 s | worse | over persistence at 1 s | all believed at 1 s |
+HEADER = """| trained on → judged on | trust v_x, v_y, r | state | one step | 0.5 s | 1 s | 2 s | worse | over persistence at 1 s | full trust at 1 s |
 |---|---|---|---|---|---|---|---|---|---|"""  # noqa: E501
 
 
@@ -229,7 +229,7 @@ def lines_of(title: str, report: dict, predictor: str) -> list[str]:
     for number, state in enumerate(STATES):
         found = {horizon: rows.get((predictor, state, horizon)) for horizon in HORIZONS}
         worse = [TITLES[horizon] for horizon, row in found.items() if row and is_worse(row)]
-        whole = rows.get((f"{predictor}, all believed", state, 1.0), found[1.0])
+        whole = rows.get((f"{predictor}, full trust", state, 1.0), found[1.0])
         cells = [
             "" if number else title,
             "" if number else trust,
@@ -261,7 +261,7 @@ def ratio_of(values: list[float | None]) -> str:
 def summary(reports: list[dict], predictor: str) -> list[str]:
     """Return a line for the correction as it is trusted, one for all of it, and one for the warnings given."""
     told = []
-    for name in (f"{predictor}, all believed", predictor):
+    for name in (f"{predictor}, full trust", predictor):
         found = []
         for report in reports:
             rows = {(c["name"], c["state"], c["horizon"]): c for c in report["comparisons"]}

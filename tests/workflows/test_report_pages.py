@@ -100,7 +100,7 @@ def test_its_warnings_and_colour_are_those_of_the_headlines_predictor(run):
     page = evaluation_page(replace(run, report=replace(run.report, verdicts=lines, notes=told)))
     verdict = page.split('<section class="verdict ')[1].split("</section>")[0]
     assert verdict.startswith("match")
-    assert "But v_y is worse than holding the velocities." in verdict and "a note" not in verdict
+    assert "Note: v_y is worse than holding the velocities." in verdict and "a note" not in verdict
     worse = replace(run, report=replace(run.report, verdicts=(lines[0].replace("better", "WORSE"),)))
     assert '<section class="verdict mismatch' in evaluation_page(worse)
 

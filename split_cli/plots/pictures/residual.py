@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.learning.labels import Labels
 from split_cli.plots.chart import Band, Chart, ChartLine
-from split_cli.scoring.evaluation import ScoreTally
+from split_cli.scoring.evaluation import ScoreTally, predictor_names
 from split_cli.scoring.handling.whiteness import autocorrelation
 
 __all__ = ["coverage_charts", "whiteness_chart"]
@@ -41,8 +41,9 @@ def whiteness_chart(residuals: Sequence[tuple[str, str, Labels, np.ndarray]]) ->
             band = max(band, half)
         if series:
             note = (
-                "Inside the band the residual is white noise. Where it stays outside, the model leaves out "
-                "something that lasts. Sensor noise alone gives −0.5 at the first lag."
+                "Autocorrelation of the one-step error. Inside the band one error says nothing of the next: it is "
+                "white noise. Outside it the model leaves out something that lasts. Sensor noise gives up to −0.5 "
+                "at the first lag, where neighbouring steps share a measurement."
             )
             bands = (Band(-band, band, "99 % of white noise"),)
             name, title = f"white-{symbol.replace('_', '')}", f"Residual of {symbol}"
@@ -54,6 +55,7 @@ def whiteness_chart(residuals: Sequence[tuple[str, str, Labels, np.ndarray]]) ->
 def coverage_charts(tallies: Mapping[tuple[str, str], ScoreTally]) -> tuple[Chart, ...]:
     """Return promised against observed coverage, a chart a state, each naming its own coverage at 95 %."""
     scored = {key: tally for key, tally in tallies.items() if tally.probability is not None}
+    names = predictor_names(scored)
     roles = ("learned", "simulated", "corrected", "nominal", "other")
     charts = []
     for state, symbol in enumerate(_STATES if scored else ()):
@@ -61,7 +63,7 @@ def coverage_charts(tallies: Mapping[tuple[str, str], ScoreTally]) -> tuple[Char
         inside = []
         for k, (key, tally) in enumerate(scored.items()):
             promised, observed = tally.probability.reliability_curve
-            name = " on ".join(part for part in key if part)
+            name = names[key]
             series.append(ChartLine(name, 100 * promised, 100 * observed[:, state], roles[k % len(roles)]))
             inside.append(f"{name} {100 * tally.probability.coverage[1, state]:.0f} %")
         charts.append(Chart(f"coverage-{symbol.replace('_', '')}", f"Coverage of {symbol}", "promised [%]",

@@ -23,7 +23,7 @@ _BORDER_POINTS = 600
 _ALONG = {
     "speed": ("Speed", "v [m/s]", 5, 1.0),
     "lateral": ("Lateral acceleration", "a_y [m/s²]", 11, 1.0),
-    "torque": ("Driving torque, negative braking", "T [N m]", 8, 1.0),
+    "torque": ("Wheel torque (negative: braking)", "T [N m]", 8, 1.0),
     "steer": ("Steer angle of the wheels", "delta [deg]", 9, 180.0 / np.pi),
 }
 """Charts along the lap: title, axis, column of a trace, factor."""
@@ -78,7 +78,7 @@ def race_charts(races: Sequence[RaceResult]) -> list[Chart]:
         series["gg"].append(ChartLine(name, trace[part, 11], trace[part, 10], role, "points", shown=shown))
     along = {"x": "time [s]", "other_x": "progress [m]", "other_first": True, "wide": True, "group": "strips"}
     plane = "a_y, left positive [m/s²]", "a_x [m/s²]"
-    gap = f"Time behind {laps[0][0]}, negative ahead" if laps else ""
+    gap = f"Time gap to {laps[0][0]} (negative: ahead)" if laps else ""
     return [
         Chart("gap", gap, y="gap [s]", series=tuple(series["gap"]), **along),
         *(Chart(key, title, y=y, series=tuple(series[key]), **along) for key, (title, y, _, _) in _ALONG.items()),
@@ -135,12 +135,12 @@ def _about(race: RaceResult) -> str:
 
 
 def _table(races: Sequence[RaceResult]) -> str:
-    header = ("lap", "time s", "mean speed m/s", "largest a_y g", "updates", "points", "cells", "error v_x",
-              "error v_y", "error r", "outside m")  # fmt: skip
+    header = ("lap", "time [s]", "mean speed [m/s]", "largest a_y [g]", "updates", "points", "cells", "error v_x",
+              "error v_y", "error r", "outside [m]")  # fmt: skip
     rows = []
     for name, lap, _ in _laps(races):
         time = f"{lap.time:.2f}" if lap.time is not None else f"not finished: {lap.ended}"
-        errors = [f"{a:.3f} of {b:.3f}" for a, b in zip(lap.error_after, lap.error_before, strict=True)]
+        errors = [f"{a:.3f} / {b:.3f}" for a, b in zip(lap.error_after, lap.error_before, strict=True)]
         speeds = f"{lap.mean_speed:.2f}", f"{lap.max_lateral:.2f}"
         learned = str(lap.updates), str(lap.size), str(lap.cells)
         rows.append((name, time, *speeds, *learned, *errors, f"{lap.outside:.2f}"))
@@ -148,7 +148,7 @@ def _table(races: Sequence[RaceResult]) -> str:
 
 
 def _timing(races: Sequence[RaceResult]) -> str:
-    header = ("lap", "HPIPM ms", "whole step ms", "label and update ms", "failures")
+    header = ("lap", "solver HPIPM [ms]", "whole step [ms]", "label and update [ms]", "solver failures")
     rows = []
     for name, lap, _ in _laps(races):
         times = [" / ".join(f"{v:.1f}" for v in t) for t in (lap.solver_ms, lap.step_ms, lap.update_ms)]

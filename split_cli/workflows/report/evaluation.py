@@ -18,6 +18,7 @@ from split_cli.plots.pictures import (
 )
 from split_cli.plots.pictures.tires import LearnedForces
 from split_cli.prediction import make_predictor
+from split_cli.scoring.evaluation import predictor_names
 from split_cli.scoring.rollouts import Correction
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.verdict import Comparison
@@ -33,6 +34,10 @@ __all__ = ["evaluation_charts", "evaluation_page"]
 _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
 _HARM = "WORSE"
 _WARNING = "WARNING: "
+_PREDICTORS = (
+    "<p>Predictors such as bcm and projected evaluate the same trained set in different ways; docs/prediction.md "
+    "compares them. <em>Full trust</em> applies the whole correction; the others apply the share named above.</p>"
+)
 
 
 def evaluation_page(run: EvaluationRun) -> str:
@@ -124,7 +129,11 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
     trust = " / ".join(f"{100 * v:.0f}" for v in run.sets[0].trust.share) + "\u00a0%"
     facts = [
         ("Test samples", f"{tested:,}", f"{percent(valid / max(tested, 1))} of them in the valid region"),
-        ("Points", f"{run.sets[0].size:,}", f"in {run.sets[0].cell_count} cells"),
+        (
+            "Points of the set",
+            f"{run.sets[0].size:,}",
+            f"training samples kept, in {run.sets[0].cell_count} cells",
+        ),
         ("Trust", trust, "share of the correction of v_x, v_y, r that is applied"),
     ]
     told = "".join(
@@ -132,7 +141,7 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
         for what, value, note in facts
     )
     warned = [note.split(_WARNING, 1)[1] for note in report.notes if note.startswith(_WARNING)]
-    but = "".join(f'<p class="lead">But {escape(text)}.</p>' for text in warned)
+    but = "".join(f'<p class="lead">Note: {escape(text)}.</p>' for text in warned)
     return (
         f'<section class="verdict {kind}" aria-labelledby="verdict"><h1 id="verdict">'
         f'{escape(_headline(comparisons))}</h1>{but}<dl class="facts">{told}</dl>'
@@ -143,6 +152,7 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
 def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) -> list[Chart]:
     """Return a chart a state: error over the nominal error by horizon, with 95 % intervals."""
     charts = []
+    names = predictor_names([(c.name, c.features) for c in comparisons])
     roles = ("learned", "corrected", "nominal", "other", "simulated")
     for state, (title, symbol) in _STATES.items():
         own = [c for c in comparisons if c.state == state and c.name in predictors]
@@ -152,9 +162,11 @@ def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) 
             mine = [c for c in own if (c.name, c.features) == key]
             ratio, low, high = (np.array([c.to_nominal[i] for c in mine]) for i in range(3))
             rows = np.array([when.index(c.when) for c in mine])
-            series.append(ChartLine(" on ".join(key), ratio, rows, roles[k % 5], "points", low, high))
+            series.append(ChartLine(names[key], ratio, rows, roles[k % 5], "points", low, high))
         if series:
-            note = "Error over that of the vehicle file: below 1 the correction helps. Bars are 95 % intervals."
+            note = (
+                "Error divided by that of the vehicle file: below 1 the correction helps. Bars are 95 % intervals."
+            )
             charts.append(Chart(f"ratio-{symbol.replace('_', '')}", f"{title} {symbol}",
                                 "ratio of errors", "", tuple(series), note,
                                 rows=tuple(when)))  # fmt: skip
@@ -163,14 +175,19 @@ def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) 
 
 def _errors(charts: Sequence[Chart]) -> str:
     mine = [chart for chart in charts if chart.name.startswith("ratio-")]
-    return section("ratios", "Does it help, by horizon?", charts_block(mine, thirds=True)) if mine else ""
+    return (
+        section("ratios", "Does it help, by horizon?", _PREDICTORS + charts_block(mine, thirds=True))
+        if mine
+        else ""
+    )
 
 
 def _tables(run: EvaluationRun) -> str:
     pooled = [score for score in run.report.scores if not score.drive]
+    names = predictor_names([(score.name, score.features) for score in pooled])
     rows = [
         (
-            f"{score.name} on {score.features}" if score.features else score.name,
+            names[score.name, score.features],
             *(number(float(value)) for value in score.rmse),
             number(float(score.skill_velocity_held[3])),
         )
@@ -180,7 +197,10 @@ def _tables(run: EvaluationRun) -> str:
     if floor.rms is not None:
         rows.append(("noise floor", *(number(float(v)) for v in floor.rms), number(floor.norm), ""))
     heads = ("Rms error of one step", "v_x [m/s²]", "v_y [m/s²]", "r [rad/s²]", "norm", "skill")
-    words = "<p>Skill is 1 − MSE over that of persistence (velocities held); 0 is no better.</p>"
+    words = (
+        "<p>Skill compares the mean squared error with that of the prediction that velocities stay as they are: "
+        "1 is perfect, 0 no better than that.</p>"
+    )
     return section("scores", "Scores", words + plain_table(heads, rows, "table-scores"))
 
 

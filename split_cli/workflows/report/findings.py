@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.workflows.report.headline import finding_headline
 from split_cli.workflows.report.markup import bar, bar_row, section, table
@@ -11,8 +9,11 @@ from split_cli.workflows.report.words import chance, escape, number, parameter, 
 
 __all__ = ["what_section"]
 
-#: Powers of ten of a chance that fill a bar.
-_MOST_POWERS = 9.0
+_RIVALS = (
+    "χ²: how much worse these data are explained with the term in place of the chosen one. Std errors: the same "
+    "over its scatter from block to block of time. The placebo is the best of the wrong terms: where it does "
+    "nearly as well, believe neither."
+)
 
 
 def what_section(diagnosis: Diagnosis) -> str:
@@ -59,7 +60,7 @@ def _finding(order: int, finding: Finding) -> str:
 def _parameter(name: str, estimate: ParameterEstimate) -> str:
     low, high = estimate.interval_95
     value, low, high = (parameter(v, high - low) for v in (estimate.value, low, high))
-    unit = "" if estimate.unit == "1" else escape(estimate.unit)
+    unit = "none" if estimate.unit == "1" else escape(estimate.unit)
     return f"<tr><th scope=row>{escape(name)}</th><td>{value}</td><td>{low} to {high}</td><td>{unit}</td></tr>"
 
 
@@ -83,7 +84,7 @@ def _rivals(finding: Finding) -> str:
     most = max(max(rival.excess, 0.0) for rival in best.values())
     rows += [_rival(finding, rival, most) for rival in best.values()]
     heads = ("Term", "Cost above the chosen term", "χ²", "Std errors", "")
-    return f"<h4>Other terms in its place</h4>{table(heads, rows, 'rivals')}"
+    return f"<h4>Other terms in its place</h4><p><small>{_RIVALS}</small></p>{table(heads, rows, 'rivals')}"
 
 
 def _rival(finding: Finding, rival: RivalSummary, most: float) -> str:
@@ -102,19 +103,16 @@ def _remainder(remainder: RemainderTest, unexplained: bool, level: float) -> str
     title = "The residual has structure" if unexplained else "Residual"
     words = (
         f"{percent(remainder.share)} of the gap is unexplained: {number(remainder.effect_to_noise, 2)} times "
-        f"sensor noise in a prediction over 0.05 s ({chance(remainder.p_value)} for noise alone)."
+        f"sensor noise in a prediction over 0.05 s. Noise alone leaves as much with {chance(remainder.p_value)}; "
+        f"below {level:g} it would not pass for noise."
     )
     total = sum(max(saved, 0.0) for _, saved in remainder.by_group)
     bars = "".join(
         bar_row(escape(name), saved / total, percent(saved / total)) for name, saved in remainder.by_group if total
     )
-    # One scale for the test: powers of ten of the chance, with the level from which on it counts.
-    strength = -math.log10(max(remainder.p_value, 10.0**-_MOST_POWERS)) / _MOST_POWERS
-    test = bar_row("p value against noise (dashed: significance level)", strength, chance(remainder.p_value),
-                   -math.log10(level) / _MOST_POWERS)  # fmt: skip
-    groups = f'<h4>Test against noise</h4><div class="bars">{test}</div>'
+    groups = ""
     if bars and unexplained:  # of noise the shares say nothing
-        groups += f'<h4>What a flexible fit of the residual depends on</h4><div class="bars">{bars}</div>'
+        groups = f'<h4>What a flexible fit of the residual depends on</h4><div class="bars">{bars}</div>'
     lead = (
         f"<h4>A candidate formula</h4><p><code>{escape(remainder.formula)}</code></p>" if remainder.formula else ""
     )

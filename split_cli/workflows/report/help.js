@@ -12,10 +12,10 @@
   }
 
   const ROWS = [
-    ["before", "before", BEFORE], ["physics", "effects", AFTER], ["split_only", "SPLIT only", "var(--nominal)"], ["after", "both", "var(--learned)"], ["persistence", "persistence", "var(--soft)"],
+    ["before", "as it is", BEFORE], ["physics", "effects", AFTER], ["split_only", "SPLIT only", "var(--nominal)"], ["after", "both", "var(--learned)"], ["persistence", "persistence", "var(--soft)"],
   ].filter(([stage]) => numbers.named || !["physics", "after"].includes(stage)); // without a name there is nothing to add
 
-  const LINES = ROWS.map(([stage, text, color]) => [stage, { physics: "with the identified effects", after: "with effects and SPLIT" }[stage] || text, color]);
+  const LINES = ROWS.map(([stage, text, color]) => [stage, { before: "simulation as it is", physics: "with the identified effects", after: "with effects and SPLIT" }[stage] || text, color]);
 
   function figure(host, title) {
     const canvas = element("div", { class: "canvas" });

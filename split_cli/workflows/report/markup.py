@@ -17,25 +17,21 @@ def section(name: str, title: str, body: str) -> str:
     )
 
 
-def bar(share: float, *, kind: str = "", border: float | None = None) -> str:
-    """Return a bar that fills a share [1] of its trough, with a border line at another share.
+def bar(share: float, *, kind: str = "") -> str:
+    """Return a bar that fills a share [1] of its trough.
 
     A drawing, not a styled box: a strict content policy admits no style attribute.
     """
     width = min(max(share, 0.0), 1.0) * 100.0
-    line = ""
-    if border is not None:
-        at = min(max(border, 0.0), 1.0) * 100.0
-        line = f'<line class="border" x1="{at:.1f}" x2="{at:.1f}" y1="0" y2="9"/>'
     return (
         '<svg class="track" viewBox="0 0 100 9" preserveAspectRatio="none" aria-hidden="true">'
-        f'<rect class="{kind}" width="{width:.1f}" height="9"/>{line}</svg>'
+        f'<rect class="{kind}" width="{width:.1f}" height="9"/></svg>'
     )
 
 
-def bar_row(label: str, share: float, value: str, border: float | None = None) -> str:
+def bar_row(label: str, share: float, value: str) -> str:
     """Return one bar of a bar chart; `label` is HTML already, `share` of the full width [1]."""
-    return f'<div class="bar"><span>{label}</span>{bar(share, border=border)}<b>{value}</b></div>'
+    return f'<div class="bar"><span>{label}</span>{bar(share)}<b>{value}</b></div>'
 
 
 def table(heads: Sequence[str], rows: Iterable[str], kind: str = "") -> str:

@@ -15,7 +15,7 @@ _SECTIONS = (
     ("tires", "Axle forces and tyres", ("tire-", "force-"), True),
     ("handling", "Handling: understeer and steering response", ("understeer", "response-"), True),
     ("grip", "Accelerations and track", ("gg", "path"), False),
-    ("white", "Is the residual white?", ("white-",), True),
+    ("white", "Is the remaining error noise?", ("white-",), True),
     ("coverage", "Do the intervals hold?", ("coverage-",), True),
 )
 
