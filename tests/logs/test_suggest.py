@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from split_cli.logs.drafting.draft import in_ranges
 from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.suggest import Draft, Suggestion, draft_map, render_draft
 from split_cli.logs.raw import RawChannelInfo
@@ -206,3 +207,19 @@ def test_what_is_desired_is_not_taken_for_measured(name, channel):
     """ArduPilot and others put `Des` in front; a steering that is desired is the command that is looked for."""
     found = [one.channel for one in meanings(RawChannelInfo(name, "number", 100))]
     assert found == ([] if channel is None else [channel])
+
+
+def test_elements_of_one_array_stand_as_one_name_among_what_is_not_used():
+    names = ["/odom/seq", *(f"/odom/pose.covariance[{k}]" for k in range(36)), "field.cov0", "field.cov1", "gear"]
+    assert in_ranges(names) == ["/odom/seq", "/odom/pose.covariance[0..35]", "field.cov0", "field.cov1", "gear"]
+
+
+def test_an_angle_that_a_user_asks_for_is_a_steering_command_and_no_radian(planted, tmp_path):
+    """Donkeycar's `user/angle`: a share of the lock, though its size over curvature may be a wheelbase's."""
+    style = Style("donkey", (("time", "t", "s"), ("enc/speed", "vx", "m/s"), ("imu/gyr_z", "r", "rad/s"),
+                             ("user/angle", "delta", "rad", 2.0), ("user/mode", "ay", "m/s^2")))  # fmt: skip
+    draft, _ = drafted(planted, style, tmp_path)
+    steering = next(s for s in draft.suggestions if s.channel == "delta")
+    assert steering.sources == ("user/angle",) and steering.status == "open"
+    size = float(steering.reason.split("WHEELBASE/")[1].split("`")[0])
+    assert size / 2.0 == pytest.approx(planted.vehicle.wheelbase, rel=0.35)

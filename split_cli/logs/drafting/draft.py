@@ -11,7 +11,7 @@ from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
 from split_cli.signals import REQUIRED_CHANNELS
 
-__all__ = ["UNITS_OF", "Draft", "Suggestion", "quoted", "render_draft"]
+__all__ = ["UNITS_OF", "Draft", "Suggestion", "in_ranges", "quoted", "render_draft"]
 
 UNITS_OF = {"sideslip": "rad", "latitude": "rad", "longitude": "rad", "wheel_torque": "N m", "course": "rad",
             "engine_torque": "N m", "axle_torque": "N m"}  # fmt: skip
@@ -122,8 +122,8 @@ def render_draft(draft: Draft, name: str) -> str:
         shown = ", ".join(draft.undefined[:12])
         lines.append(f"# Types that the recording does not define: {shown}. Give their .msg files: --msg-path.")
     if draft.unused:
-        shown = [name.replace("\n", " ") for name in draft.unused[:40]]
-        lines.append(f"# Not used: {', '.join(shown)}{' ...' if len(draft.unused) > 40 else ''}")
+        unused = in_ranges([name.replace("\n", " ") for name in draft.unused])
+        lines.append(f"# Not used: {', '.join(unused[:40])}{' ...' if len(unused) > 40 else ''}")
     return "\n".join(lines)
 
 
@@ -167,6 +167,20 @@ def _entry(s: Suggestion) -> str:
     if s.command and s.channel in ("T", "delta"):
         parts.append("kind: command")
     return "{" + ", ".join(parts) + "}"
+
+
+def in_ranges(names: Sequence[str]) -> list[str]:
+    """Return names in their order; three or more that differ in one last number stand as one, with its range."""
+    numbered = [re.fullmatch(r"(.*?)(\d+)(\D?)", name) for name in names]
+    ranges: dict[tuple[str, str], list[int]] = {}
+    for match in numbered:
+        if match is not None:
+            ranges.setdefault((match[1], match[3]), []).append(int(match[2]))
+    shown: dict[str, None] = {}
+    for name, match in zip(names, numbered, strict=True):
+        among = ranges[match[1], match[3]] if match is not None else []
+        shown[f"{match[1]}{min(among)}..{max(among)}{match[3]}" if len(among) > 2 else name] = None
+    return list(shown)
 
 
 def quoted(text: str) -> str:

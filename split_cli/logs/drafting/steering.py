@@ -241,6 +241,11 @@ def _without_unit(
         why = f"reaches 1 and no more: a command in -1..1. {_scale_of_command(size, bool(turned))}"
         return replace(s, status="open", reason=why)
     named = s.sources[0].lower()
+    if "user" in concepts_of(tokens_of(named))[0]:
+        why = (
+            f"what the driver or a pilot asks for: a command without unit. {_scale_of_command(size, bool(turned))}"
+        )
+        return replace(s, status="open", reason=why)
     if "steer" not in named and 0.05 < size < _LONGEST_WHEELBASE:
         reason = f"rad: {size:.3g} m of angle over curvature is a wheelbase{hand}"
         return replace(s, unit="rad", status="judged", reason=reason, **turned)

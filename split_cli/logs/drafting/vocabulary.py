@@ -74,6 +74,7 @@ _WORDS: dict[str, str] = {
         "quat"
     ),
     "driver": "driver fahrer",
+    "user": "user pilot",
     "velocity long": "vx vlong vlon vlgt vfwd vlaengs",
     "velocity lat": "vy vlat vquer",
     "acceleration long": "ax along alon algt alaengs",
@@ -289,6 +290,8 @@ def _input(c: set[str]) -> tuple[str, int] | None:
             return None
         clear = "road" in c or corner is not None or "front" in c
         return "delta", 3 if clear else 1
+    if c == {"user", "angle"}:
+        return "delta", 1  # the angle that somebody asks of a car is that of its steering
     if "throttle" in c or {"long", "pedal"} <= c or {"acceleration", "pedal"} <= c:
         return "throttle", 3
     if "brake" in c:
