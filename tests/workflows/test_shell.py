@@ -42,7 +42,7 @@ def charts() -> tuple[Chart, ...]:
 
 def made() -> str:
     """Return a page with all kinds of charts."""
-    body = f'<h1 id="verdict">Brakes weak.</h1>{charts_block(charts())}{bar(0.3, border=0.5)}'
+    body = f'<h1 id="verdict">Brakes weak.</h1>{charts_block(charts())}{bar(0.3)}'
     return page("race", HOSTILE, HOSTILE, body, charts())
 
 

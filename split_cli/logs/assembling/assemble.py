@@ -164,7 +164,7 @@ def assemble_drive(
         warnings.append(f"channels were checked against each other on the middle {minutes:.3g} minutes")
     consistency = check_consistency(checked, vehicle, kinds, _certain(signal_map))
     if not settings.estimate_delays:
-        late = late_channels(checked, vehicle, kinds, consistency)
+        late = late_channels(checked, vehicle, kinds, consistency.findings)
         consistency = replace(consistency, findings=(*consistency.findings, *late))
     quality = QualityReport(
         channels=tuple(qualities),

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from split_cli.logs.checking.checks import ACROSS, NOT_RECORDED, Checks, Unjudged
-from split_cli.logs.checking.copies import copied_channels
+from split_cli.logs.checking.checks import ACROSS, Checks, Unjudged
 from split_cli.logs.checking.directions import (
     along_the_world,
     exchanged_accelerations,
@@ -20,10 +19,7 @@ from split_cli.logs.checking.path import direction_of_travel, velocity_across, v
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Consistency", "ConsistencyFinding", "Unjudged", "check_consistency", "corrected_columns"]
-
-_IN_OTHERS = ("vx", "r", "X", "hand", "yaw")
-"""Channels that others are judged by: with one of them put right, what stands beside it is measured again."""
+__all__ = ["Consistency", "ConsistencyFinding", "Unjudged", "check_consistency"]
 
 
 @dataclass(frozen=True)
@@ -72,12 +68,7 @@ def check_consistency(
     and the finer checks (bias on straights, place of v_y, direction of yaw) are made on that.
     """
     checks = Checks(drive.columns, drive, vehicle, kinds, certain)
-    copied = copied_channels(checks)
-    if copied:
-        # What was not measured contradicts nobody.
-        kinds = {**kinds, **{finding.channel: NOT_RECORDED for finding in copied}}
-        checks = Checks(drive.columns, drive, vehicle, kinds, certain)
-    constant = [*checks.constant_channels(), *copied]
+    constant = checks.constant_channels()
     if look_swapped(checks):
         return Consistency(tuple([*constant, swap_finding(checks)]), (), tuple(checks.unjudged))
     world = along_the_world(checks)
@@ -87,29 +78,22 @@ def check_consistency(
     explanation = explain(checks.relations, vehicle, checks.magnitudes())
     found, factors, finer = list(explanation.findings), dict(explanation.factors), checks
     vy_judged = any(relation.name == ACROSS for relation in checks.relations)
-    shared = {channel: factors[channel] for channel in _IN_OTHERS if channel in factors}
-    if shared:
-        if {"X", "hand", "yaw"} & set(shared):
-            # What was derived from the pose before it was right judges nobody.
-            kinds = {c: NOT_RECORDED if kind.startswith("derived") else kind for c, kind in kinds.items()}
-        # The path may judge v_y now; where it does not, v_y has the unit of v_x.
-        for judged in (True, False):
-            finer = Checks(corrected_columns(drive.columns, shared, judged), drive, vehicle, kinds, certain)
-            finer.measure_relations()
-            vy_judged = vy_judged or any(relation.name == ACROSS for relation in finer.relations)
-            if vy_judged:
-                break
+    if {"vx", "r"} & set(factors):
+        # What was wrong with v_x or r was in every product: with both right the rest is measured again.
+        shared = {channel: factors[channel] for channel in ("vx", "r") if channel in factors}
+        finer = Checks(_corrected(drive.columns, shared, vy_judged), drive, vehicle, kinds, certain)
+        finer.measure_relations()
         again = explain(finer.relations, vehicle, finer.magnitudes())
         named = {finding.channel for finding in found}
         new = [finding for finding in again.findings if finding.channel not in named]
         found += [_after(finding, shared) for finding in new]
-        factors |= {c: f for c, f in again.factors.items() if c not in factors and c not in _IN_OTHERS}
+        factors |= {c: f for c, f in again.factors.items() if c not in factors and c not in ("vx", "r")}
     if any(f.channel == "time" and f.check == "sign" for f in found):
         # Whatever needs a rate of change is judged when the rows are in order.
         told, unjudged = tuple([*constant, *found]), tuple(dict.fromkeys(checks.unjudged))
         return Consistency(told, _plain(checks), unjudged, factors, explanation.cost)
     if factors:
-        corrected = Checks(corrected_columns(drive.columns, factors, vy_judged), drive, vehicle, kinds, certain)
+        corrected = Checks(_corrected(drive.columns, factors, vy_judged), drive, vehicle, kinds, certain)
         corrected.unjudged, finer = finer.unjudged, corrected
     wrong = {finding.channel for finding in found} - set(factors) - ({"X"} if "hand" in factors else set())
     exchanged = exchanged_accelerations(finer)
@@ -140,23 +124,13 @@ def _plain(checks: Checks) -> tuple[Relation, ...]:
 
 def _after(finding: ConsistencyFinding, shared: Mapping[str, float]) -> ConsistencyFinding:
     """Say in a finding of the second look what was put right before it."""
-    names = " and ".join("X, Y" if channel == "hand" else channel for channel in shared)
-    return replace(finding, text=f"with {names} put right, {finding.text}")
+    return replace(finding, text=f"with {' and '.join(shared)} put right, {finding.text}")
 
 
-def corrected_columns(
-    columns: Mapping[str, np.ndarray], factors: Mapping[str, float], vy_judged: bool = True
+def _corrected(
+    columns: Mapping[str, np.ndarray], factors: Mapping[str, float], vy_judged: bool
 ) -> dict[str, np.ndarray]:
-    """Return the columns with known factors taken out.
-
-    Parameters
-    ----------
-    columns : mapping of str to ndarray, shape (N,)
-    factors : mapping of str to float
-        Of `Consistency`.
-    vy_judged : bool
-        Whether v_y was compared with the path; else it has the factor of v_x, of one sensor.
-    """
+    """Return the columns with known factors taken out; v_y as v_x where it was not judged, from one sensor."""
     made = dict(columns)
     together = {"vx": ("vx",) if vy_judged else ("vx", "vy"), "X": ("X", "Y")}
     for channel, factor in factors.items():

@@ -45,8 +45,8 @@ class ConsistencyFinding:
     Attributes
     ----------
     check : str
-        ``scale``, ``sign``, ``hand``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``world``,
-        ``constant``, ``copied``, ``range``, ``contradiction``, ``course``.
+        ``scale``, ``sign``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``world``, ``constant``,
+        ``range``, ``contradiction``, ``course``.
     channel : str
         The one to look at.
     text : str
@@ -181,17 +181,6 @@ class _Story:
     shared: tuple[Mistake, ...]
     leaves: tuple[_Leaf, ...]
     cost: float
-    axes: str = ""
-    """``world`` where the whole pose has the other hand, ``car`` where all of the car has; else empty."""
-
-    @property
-    def mirrored(self) -> frozenset[str]:
-        """Channels that one turned set of axes accounts for."""
-        if self.axes == "car":
-            return frozenset(
-                {"r", *(leaf.relation.leaf for leaf in self.leaves if leaf.relation.leaf in _OF_THE_BODY)}
-            )
-        return frozenset({"yaw", "hand"} if self.axes else ())
 
     @property
     def mistakes(self) -> tuple[Mistake, ...]:
@@ -347,13 +336,11 @@ def _story(
     cost += sum(p.cost(factors) for p in plausible if set(p.powers) <= set(_SHARED))
     cost -= _shared_wheel_costs(leaves) + _shared_acceleration_cost(leaves)
     body = [leaf for leaf in leaves if leaf.relation.leaf in _OF_THE_BODY]
-    axes = "world" if world else ""
     if world:
         cost -= COMMON - _SAME_AXES  # one mistake, not two
     elif any(m.channel == "r" and m.turned for m in shared) and body and _all_turned(body):
         cost -= sum(_cost_of_sign(leaf) for leaf in body) - _SAME_AXES
-        axes = "car"
-    return _Story(shared, tuple(leaves), cost, axes)
+    return _Story(shared, tuple(leaves), cost)
 
 
 def _cost_of_sign(leaf: _Leaf) -> float:
@@ -432,15 +419,6 @@ def _told(
 ) -> list[ConsistencyFinding]:
     """Put the best story into words, with its rivals."""
     broken = [relation for relation in relations if not relation.holds]
-    opposite = next((s for s in rivals if {s.axes, best.axes} == {"world", "car"}), None)
-    if opposite is not None:
-        # Mirrored as a whole, the pose and the car contradict each other alike: one question, told as one.
-        rivals = [s for s in rivals if s is not opposite]
-        world, car = (best, opposite) if best.axes == "world" else (opposite, best)
-        plain = tuple(m for m in best.shared if m.channel not in best.mirrored)
-        left = tuple(leaf for leaf in best.leaves if leaf.relation.leaf not in best.mirrored)
-        rest = replace(best, shared=plain, leaves=left, axes="")
-        return [*_opposite_hands(world, car, broken), *_told(rest, rivals, relations, beyond)]
     others = [_in_words(story) for story in rivals]
     others = list(dict.fromkeys(others))[:3]
     alternative = f" Or: {'; or '.join(others)}: nothing recorded decides." if others else ""
@@ -469,28 +447,9 @@ def _told(
     return found
 
 
-def _opposite_hands(world: _Story, car: _Story, broken: Sequence[Relation]) -> list[ConsistencyFinding]:
-    """Tell a pose and a car of opposite hands: north-east-down axes, or forward-right-down ones."""
-    shown = [r for r in broken if set(r.powers) & (world.mirrored | car.mirrored)]
-    slopes = "; ".join(f"{r.name}: slope {r.slope.slope:.4g}" for r in shown)
-    mine = [c for c in ("r", *_OF_THE_BODY) if c in car.mirrored]
-    text = (
-        f"X, Y and yaw have the opposite hand of {', '.join(mine)} ({slopes}). Either the pose is "
-        "north-east-down: set `world: ned` in the map. Or the car's signals are right-positive: set `frame: frd`. "
-        "Nothing recorded decides: look at one left turn, in which r must be positive."
-    )
-    return [ConsistencyFinding("hand", "yaw", text, -1.0), ConsistencyFinding("hand", "X", "X, Y: see yaw.", -1.0)]
-
-
-_AXES_IN_WORDS = {"world": "the pose (X, Y, yaw) is north-east-down: `world: ned`",
-                  "car": "the car's signals are right-positive: `frame: frd`"}  # fmt: skip
-
-
 def _in_words(story: _Story) -> str:
     plain = [m for m in story.mistakes if not m.channel.startswith("wheel_speed")]
-    plain = [m for m in plain if not (m.channel in story.mirrored and m.low == m.high == 1.0)]
-    parts = [_AXES_IN_WORDS[story.axes]] if story.axes else []
-    parts += [f"{_name(m.channel)} {m.what}" for m in plain]
+    parts = [f"{_name(m.channel)} {m.what}" for m in plain]
     wheels = dict.fromkeys(m.what for m in story.mistakes if m not in plain)
     parts += [f"the wheel speeds: each {what}" for what in wheels]
     parts += [f"{leaf.relation.name} is off by a factor not known" for leaf in story.leaves if leaf.unknown]
