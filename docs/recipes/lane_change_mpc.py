@@ -21,15 +21,15 @@ import numpy as np
 
 #: Control interval [s] and how many of them are planned: 1.5 s.
 STEP, STEPS = 0.05, 30
-#: Weights of the distance from the line [1/m^2], the yaw angle beside it [1/rad^2], the speed error [s^2/m^2], and of
-#: the inputs dT/dt [s^2/(N m)^2] and ddelta/dt [s^2/rad^2].
+#: Weights of the distance from the line [1/m^2], the yaw angle beside it [1/rad^2], the speed error [s^2/m^2], and
+#: of the inputs dT/dt [s^2/(N m)^2] and ddelta/dt [s^2/rad^2].
 LINE, YAW, SPEED, INPUTS = 1.0, 5.0, 0.1, np.array([1e-9, 0.5])
 #: |T| [N m], |delta| [rad], |dT/dt| [N m/s] and |ddelta/dt| [rad/s] at most.
 LARGEST, LARGEST_RATES = np.array([2000.0, 0.4]), np.array([20_000.0, 0.6])
 
 
 class LaneChangeMpc:
-    """Steers along a line y(x): each interval it linearises the model about its last plan and solves one programme.
+    """Steers along a line y(x): each interval linearises the model about its last plan and solves one programme.
 
     Parameters
     ----------
@@ -58,7 +58,8 @@ class LaneChangeMpc:
         following = step(x, u, STEP)
         results = [following, casadi.jacobian(following, x), casadi.jacobian(following, u)]
         # As compiled C, with `cc`, an interval takes a tenth of the time that CasADi's interpreter takes.
-        compiled = {"jit": True, "compiler": "shell", "jit_options": {"flags": ["-O2"]}} if shutil.which("cc") else {}
+        options = {"jit": True, "compiler": "shell", "jit_options": {"flags": ["-O2"]}}
+        compiled = options if shutil.which("cc") else {}
         self._model = casadi.Function("model", [x, u], [casadi.densify(one) for one in results], compiled)
         self._along = self._model.map(STEPS)
         start = Path(folder) / f"{name}_start.casadi"
@@ -182,7 +183,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the sensors' noise")
     asked = parser.parse_args()
     done = simulated_car(asked.folder, asked.name, asked.speed, asked.seed, asked.grip)
-    print(f"{asked.name} at {asked.speed:g} m/s: {done.hit} cones hit, at most {done.deviation:.2f} m from the line")
+    print(f"{asked.name} at {asked.speed:g} m/s: {done.hit} cones hit,", end=" ")
+    print(f"at most {done.deviation:.2f} m from the line")
     print(f"{done.median_ms:.1f} ms a step in the median")
 
 
