@@ -13,11 +13,24 @@ import pyarrow.parquet
 from split_cli.errors import DriveError
 from split_cli.files import parse_json
 
-__all__ = ["DriveMetadata", "NoiseEstimate", "Source", "metadata_from_schema", "metadata_of_drive", "schema_of"]
+__all__ = [
+    "DriveMetadata",
+    "NoiseEstimate",
+    "Source",
+    "is_derived",
+    "metadata_from_schema",
+    "metadata_of_drive",
+    "schema_of",
+]
 
 _FORMAT = "split-drive/1"
 #: Words of a torque that was derived from what was asked of the drive train.
 _ASKED = ("throttle", "pedal", "brake", "current", "N m/A")
+
+
+def is_derived(kind: object) -> bool:
+    """Tell whether a kind of channel, see `DriveMetadata.kinds`, is that of one computed from others."""
+    return isinstance(kind, str) and kind.startswith("derived")
 
 
 @dataclass(frozen=True)
@@ -97,20 +110,22 @@ class DriveMetadata:
     @property
     def lateral_velocity_is_integrated(self) -> bool:
         """Whether v_y was integrated from a_y: no sensor of velocity shows in it, and what a_y reads does."""
-        kind = str(self.kinds.get("vy", ""))
-        return kind.startswith("derived") and "a_y" in kind
+        return self.is_derived("vy") and "a_y" in self.kinds["vy"]
 
     @property
     def torque_follows_motion(self) -> bool:
         """Whether T was derived from the motion, or nobody says from what: it cannot contradict it then."""
-        return str(self.kinds.get("T", "")).startswith("derived") and not self.torque_is_from_pedals
+        return self.is_derived("T") and not self.torque_is_from_pedals
 
     @property
     def torque_is_from_pedals(self) -> bool:
         """Whether T was derived from pedals or a motor's current: a command with an assumed map."""
-        kind = str(self.kinds.get("T", ""))
-        by_motion = "by the nominal model" in kind
-        return kind.startswith("derived") and not by_motion and any(word in kind for word in _ASKED)
+        kind = self.kinds.get("T", "") if self.is_derived("T") else ""
+        return "by the nominal model" not in kind and any(word in kind for word in _ASKED)
+
+    def is_derived(self, channel: str) -> bool:
+        """Tell whether a channel was computed from others."""
+        return is_derived(self.kinds.get(channel, ""))
 
     def noise_of(self, channel: str) -> NoiseEstimate | None:
         """Return the noise estimate of a channel, None when ingest made none."""

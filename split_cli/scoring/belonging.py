@@ -95,14 +95,13 @@ def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
     loaded = np.abs(front_force) + np.abs(rear_force) > 0.5 * (car.front_tire.D + car.rear_tire.D)
     change = (np.asarray(drive["vx"], dtype=float)[rows + step] - vx) / (step * drive.period) - vy * r
     driven = torque / car.wheel_radius / car.mass
-    derived = "derived" in drive.metadata.kinds.get("T", "")
     peak = float(np.quantile(np.abs(lateral), 0.995)) / carried
     return Belonging(
         _ratio(r[gentle], expected[gentle]),
         # With effects in the file the plain tyres are not what it says.
         None if vehicle.effects else _ratio(lateral[loaded], nominal[loaded]),
         peak,
-        None if derived else _ratio(change, driven),
+        None if drive.metadata.is_derived("T") else _ratio(change, driven),
     )
 
 

@@ -99,8 +99,8 @@ def may_show_a_lag(drives: Sequence[TrainingDrive], vehicle: Vehicle) -> bool:
     derived in another way, from a throttle by a motor's map say, nobody knows. A drive that says nothing of its
     torque may be a command's.
     """
-    kinds = [part.drive.metadata.kinds.get("T", "") for part in drives]
-    arrived = any(word in kind for kind in kinds for word in ("measured", "derived"))
+    known = [part.drive.metadata for part in drives]
+    arrived = any(one.is_derived("T") or "measured" in one.kinds.get("T", "") for one in known)
     return not arrived and not any(effect.term in _LATE for effect in vehicle.effects)
 
 

@@ -71,19 +71,19 @@ def calibrate_files(
     if output is not None:
         refuse_overwriting_inputs(output, drives)
     vehicle = read_vehicle(start)
-    runs, used, derived = [], [], set()
+    runs, used, follows = [], [], set()
     for path in drives:
         drive = read_drive(path)
         found = motion_runs(drive, training_blocks, measured_lateral_acceleration)
         runs += found
         used.append(DriveUse(drive.name, drive.sha256, sum(len(run.vx) * run.period for run in found)))
-        if drive.metadata.kinds.get("T", "").startswith("derived"):
-            derived.add(drive.name)
-    if derived and {"drag", "rolling"} & set(settings.parts):
+        if drive.metadata.torque_follows_motion:
+            follows.add(drive.name)
+    if follows and {"drag", "rolling"} & set(settings.parts):
         raise DriveError(
-            "the torque was derived from acceleration with drag and rolling resistance of the vehicle file, so it "
-            "cannot tell them",
-            where=", ".join(sorted(derived)),
+            "the torque was derived from the motion with drag and rolling resistance of the vehicle file, or the "
+            "drive does not say from what; it cannot determine them",
+            where=", ".join(sorted(follows)),
             advice="Calibrate the tyres alone: --fit tires.",
         )
     calibration = calibrate_vehicle(runs, vehicle, settings)

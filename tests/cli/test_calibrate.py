@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -145,14 +146,28 @@ def test_no_vehicle_is_a_usage_error(sample_logs, tmp_path, capsys):
     assert "--vehicle" in said
 
 
-def test_derived_torque_cannot_give_resistances(sample_logs, tmp_path, capsys):
+def test_only_a_torque_that_was_derived_from_the_motion_cannot_give_resistances(sample_logs, tmp_path, capsys):
     drive = read_drive(sample_logs / "f1tenth_car_tests.parquet")
-    metadata = DriveMetadata(kinds={"T": "derived: from acceleration"})
-    write_drive(Drive("d", drive.columns, drive.segment, drive.period, metadata), tmp_path / "d.parquet")
-    start = sample_logs / "f1tenth_car_start.yaml"
-    code, said = failing(capsys, tmp_path / "d.parquet", "--vehicle", start, "-o", tmp_path / "car.yaml")
+    drive = drive.stretch(0, len(drive) // 2)
+    asked = ("--vehicle", sample_logs / "f1tenth_car_start.yaml", "--fit", "drag,rolling")
+
+    def with_torque(kind: str) -> Path:
+        path = tmp_path / "d.parquet"
+        write_drive(Drive("d", drive.columns, drive.segment, drive.period, DriveMetadata(kinds={"T": kind})), path)
+        return path
+
+    code, said = failing(
+        capsys, with_torque("derived: from acceleration"), *asked, "-o", tmp_path / "refused.yaml"
+    )
     assert code == 1
-    assert "--fit tires" in said
+    assert "--fit tires" in said and not (tmp_path / "refused.yaml").exists()
+    # Pedals with an assumed map are a command: what they give is what the same torque gives.
+    found = []
+    for kind in ("command", "derived: torque from throttle by a map to 3 N m and brake times 4 N m a unit"):
+        result = run(with_torque(kind), *asked, "-o", tmp_path / "car.yaml", "--json")
+        assert result.exit_code == 0, result.output
+        found.append(json.loads(result.stdout)["resistance"])
+    assert found[0] == found[1]
 
 
 def test_convert_writes_a_vehicle_and_tells_the_deviation(tmp_path):

@@ -15,10 +15,11 @@ from split_cli.control.model import ControlModel
 from split_cli.control.residual import NoResidual, Residual, ResidualValues
 from split_cli.errors import VehicleError
 from split_cli.learning.features import FeatureSet
-from split_cli.vehicle.integration import exact_step, phi_matrix
+from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import lateral_force
+from tests.exact_step import exact_step
 
 CAR = read_vehicle(Path(__file__).resolve().parents[2] / "sample_logs" / "road_car.yaml")
 

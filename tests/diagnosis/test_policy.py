@@ -73,7 +73,6 @@ def test_every_number_is_read_somewhere():
 BESIDE_THEIR_ALGORITHM = {
     "baseline/discrepancy.py": {"_SMOOTH_DEVIATION", "_AT_ONCE"},
     "innovations/autocovariance.py": {"LAG_ROWS"},
-    "innovations/comparable.py": {"_SMOOTHED_SECONDS"},
     "innovations/evidence.py": {"ROW_SECONDS", "_TUNING_ROWS"},
     "innovations/objective.py": {"_LEAST_INFORMED", "_REMEMBERED", "_SHIFTS"},
     "innovations/projection.py": {"_FEW"},
@@ -82,7 +81,7 @@ BESIDE_THEIR_ALGORITHM = {
     "recording/kinematics.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS"},
     "recording/witnesses.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS", "_LEAST_SPREAD"},
     "recording/scales.py": {"_BLOCKS"},
-    "recording/screening.py": {"_SMOOTHED_SECONDS", "_STEP_SECONDS", "_OUTER_SHARE"},
+    "recording/screening.py": {"SMOOTHED_SECONDS", "_STEP_SECONDS", "_OUTER_SHARE"},
     "recording/series.py": {"_SLACK", "_WORTHLESS", "_REMEMBERED"},
     "remainder/flexible.py": {"_HARMONICS", "_KNOTS"},
     "remainder/formula.py": {"_ROWS_APART", "_SUBSAMPLES", "_BLOCK_SECONDS"},

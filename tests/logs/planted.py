@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from split_cli.logs.assembling.derive import torque_from_acceleration
+from split_cli.logs.assembling.derived_torque import torque_from_acceleration
 from split_cli.logs.map_entries import SignalMap
 from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.signal_map import map_from_mapping

@@ -9,12 +9,12 @@ import pytest
 
 from split_cli.errors import MapError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
-from split_cli.logs.assembling.derive import (
-    derivation_named,
+from split_cli.logs.assembling.derive import derivation_named
+from split_cli.logs.assembling.derived_motion import velocity_from_pose
+from split_cli.logs.assembling.derived_torque import (
     torque_from_acceleration,
     torque_from_current,
     torque_from_throttle_and_brake,
-    velocity_from_pose,
 )
 from split_cli.logs.assembling.smoothing import _third_difference_bands, derivative, smooth
 from split_cli.vehicle.single_track import SingleTrack

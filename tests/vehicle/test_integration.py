@@ -9,10 +9,11 @@ import pytest
 from scipy.integrate import quad_vec, solve_ivp
 from scipy.linalg import expm
 
-from split_cli.vehicle.integration import Situation, exact_step, integrate_recorded, phi_matrix
+from split_cli.vehicle.integration import Situation, integrate_recorded, phi_matrix
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import substep_count
+from tests.exact_step import exact_step
 
 
 class LinearModel:

@@ -14,10 +14,9 @@ from scipy.ndimage import uniform_filter1d
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
+from split_cli.diagnosis.recording.screening import SMOOTHED_SECONDS
 
 __all__ = ["comparable"]
-
-_SMOOTHED_SECONDS = 0.2
 
 
 def comparable(
@@ -68,7 +67,7 @@ def _near(points: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
 def _forces(one: Evidence) -> np.ndarray:
     """Return what the motion says: lateral force of the axles, force along the car [N], and v_x [m/s], (G, 4)."""
     series, car = one.series, one.vehicle
-    size = max(1, int(round(_SMOOTHED_SECONDS / series.period)))
+    size = max(1, int(round(SMOOTHED_SECONDS / series.period)))
     rates = np.zeros_like(series.smooth)
     for begin, end in series.recording.segments:
         if end - begin > 2:

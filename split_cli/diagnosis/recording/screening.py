@@ -25,7 +25,7 @@ __all__ = [
     "velocity_is_from_position",
 ]
 
-_SMOOTHED_SECONDS = 0.2  # over which samples are averaged before they are compared
+SMOOTHED_SECONDS = 0.2  # over which samples are averaged before they are compared
 _STEP_SECONDS = 0.5  # over which a change of speed is taken
 _OUTER_SHARE = 0.02  # of samples at each end that a range leaves out
 # A velocity that stands still contradicts what it always moves with.
@@ -180,16 +180,15 @@ def acceleration_across(drive: Drive) -> float:
 
 def measures(drive: Drive, *channels: str) -> bool:
     """Return whether channels were recorded and can contradict others: none was derived from them, nor they."""
-    kinds = drive.metadata.kinds
     if "ay" in channels and drive.metadata.lateral_velocity_is_integrated:
         return False
-    return all(name in drive.columns and not str(kinds.get(name, "")).startswith("derived") for name in channels)
+    return all(name in drive.columns and not drive.metadata.is_derived(name) for name in channels)
 
 
 def velocity_is_from_position(drive: Drive) -> bool:
     """Return whether the velocities were differentiated from position and yaw: none is late against the others."""
-    kinds = (str(drive.metadata.kinds.get(name, "")) for name in ("vx", "vy", "r"))
-    return any(kind.startswith("derived") and "X, Y" in kind for kind in kinds)
+    known = drive.metadata
+    return any(known.is_derived(name) and "X, Y" in known.kinds[name] for name in ("vx", "vy", "r"))
 
 
 def torque_is_constant(torque: np.ndarray, vehicle: Vehicle, rules: Screening = STANDARD.screening) -> bool:
@@ -377,7 +376,7 @@ def _ratio(expected: np.ndarray, found: np.ndarray, rules: Screening) -> float |
 
 
 def _width(drive: Drive) -> int:
-    return max(3, int(round(_SMOOTHED_SECONDS / drive.period)))
+    return max(3, int(round(SMOOTHED_SECONDS / drive.period)))
 
 
 def _quiet(drive: Drive, values: np.ndarray) -> np.ndarray:

@@ -12,7 +12,8 @@ from split_cli.errors import DriveError, MapError, nearest_names
 from split_cli.files import sha256_of_file
 from split_cli.logs.assembling.clean import join_clock_resets
 from split_cli.logs.assembling.conversion import RawSeries
-from split_cli.logs.assembling.derive import DERIVATIONS, DerivationInputs, Derived, derivation_named, reachable
+from split_cli.logs.assembling.derivation import DerivationInputs, Derived
+from split_cli.logs.assembling.derive import DERIVATIONS, derivation_named, reachable
 from split_cli.logs.assembling.gather import Gathered, gather, topic_of
 from split_cli.logs.assembling.placing import move_to_cg
 from split_cli.logs.assembling.quality import QualityReport

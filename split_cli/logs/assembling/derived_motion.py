@@ -1,0 +1,161 @@
+"""Velocities, yaw rate and accelerations computed from other channels of the motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from split_cli.errors import MapError, nearest_names
+from split_cli.logs.assembling.dead_reckoning import TOLERANCE, lateral_velocity_from_accelerations
+from split_cli.logs.assembling.derivation import Derivation, DerivationInputs, Derived
+from split_cli.logs.assembling.smoothing import derivative, smooth
+from split_cli.logs.checking.kinematics import Kinematics
+from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
+
+__all__ = ["MOTIONS", "velocity_from_pose"]
+
+
+def velocity_from_pose(
+    X: np.ndarray, Y: np.ndarray, yaw: np.ndarray, period: float, segments: list[slice]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return v_x, v_y [m/s] and r [rad/s], shapes (N,), from a smoothed pose.
+
+    Parameters
+    ----------
+    X, Y : ndarray, shape (N,)
+        Position of the CG [m].
+    yaw : ndarray, shape (N,)
+        Unwrapped [rad].
+    period : float
+        [s].
+    segments : list of slice
+        Stretches without a gap.
+
+    Notes
+    -----
+    Each of X, Y, yaw is smoothed as much as its own noise asks for (see `smooth`), differentiated by differences
+    of fourth order, and turned into the vehicle's frame by the smoothed yaw.
+    """
+    out = np.empty((3, len(X)))
+    for run in segments:
+        smoothed = [smooth(channel[run]) for channel in (X, Y, yaw)]
+        dX, dY, dyaw = (derivative(channel, period) for channel in smoothed)
+        cosine, sine = np.cos(smoothed[2]), np.sin(smoothed[2])
+        out[:, run] = cosine * dX + sine * dY, cosine * dY - sine * dX, dyaw
+    return out[0], out[1], out[2]
+
+
+def _run_velocity_from_pose(situation: DerivationInputs) -> Derived:
+    c = situation.columns
+    vx, vy, r = velocity_from_pose(c["X"], c["Y"], c["yaw"], situation.period, situation.segments)
+    made = {"vx": vx, "vy": vy, "r": r}
+    only = situation.settings.get("channels", [name for name in made if name not in c])
+    for name in only:
+        if name not in made:
+            raise MapError(f"velocity_from_pose.channels names {name!r}", advice=nearest_names(str(name), made))
+    return Derived(
+        {name: made[name] for name in only},
+        "from X, Y, yaw smoothed by their noise",
+        f"{', '.join(only)} derived from pose: their noise is not white and not known",
+    )
+
+
+def _run_lateral_velocity_from_sideslip(situation: DerivationInputs) -> Derived:
+    c = situation.columns
+    return Derived({"vy": c["vx"] * np.tan(c["sideslip"])}, "v_x times the tangent of the measured sideslip angle")
+
+
+def _run_lateral_velocity_from_straights(situation: DerivationInputs) -> Derived:
+    columns = situation.columns if situation.time is None else {**situation.columns, "t": situation.time}
+    k = Kinematics(columns, situation.period, situation.segments)
+    stretches = straight_stretches(
+        k.times(), k.signal("vx"), k.signal("vy"), straight_rows(k), situation.period, situation.segments
+    )
+    course = course_of(stretches)
+    if course is None:
+        raise MapError(
+            "--derive lateral-velocity-from-straights needs straights, and the car hardly goes straight",
+            advice="Give an `offset` for vy in the map instead.",
+        )
+    vx, vy = situation.columns["vx"], situation.columns["vy"]
+    return Derived(
+        {"vy": vy - vx * np.tan(course.at(k.times()))},
+        f"v_y less its direction on straights ({course.words()}; {1e3 * course.scatter:.1f} mrad are left)",
+        "" if course.count >= 6 else f"v_y was corrected on {course.count} straights: a course over time takes 6",
+        keeps_noise=True,
+    )
+
+
+def _run_lateral_velocity_from_accelerations(situation: DerivationInputs) -> Derived:
+    name = "lateral-velocity-from-accelerations"
+    vehicle = situation.require_vehicle(name)
+    made = lateral_velocity_from_accelerations(situation.columns, situation.period, situation.segments, vehicle)
+    speed = np.maximum(np.abs(situation.columns["vx"]), vehicle.minimum_speed)
+    sure = made.std <= TOLERANCE * speed if made is not None else np.zeros(len(speed), dtype=bool)
+    if made is None or not sure.any():
+        raise MapError(
+            f"--derive {name} needs gentle driving, straight or nearly so, and finds too little",
+            advice="Integrated accelerations drift between such moments. Record v_y, the sideslip or a pose.",
+        )
+    if not made.belongs:
+        raise MapError(
+            f"--derive {name}: a_y {made.doubt}",
+            advice="Its unit, sign or frame is wrong, it is late against r, or it comes too slowly for this car.",
+        )
+    std = made.std[sure]
+    rest = f"; {1.0 - sure.mean():.0%} of the rows left out, less sure than {TOLERANCE:g} rad"
+    return Derived(
+        {"vy": np.where(sure, made.vy, np.nan), "vy_std": made.std},
+        "v_y from a_y - v_x r, held where driving is gentle; standard deviation "
+        f"{np.median(std):.2g} m/s typical, {np.max(std):.2g} worst{rest if not sure.all() else ''}",
+        f"v_y is derived from a_y ({made.words()}): its label repeats a_y and the tyre forces of the nominal "
+        "model. Roll and bank that follow the turns, a clock between a_y and r, and the accelerometer's place "
+        "stay in it",
+    )
+
+
+def _run_yaw_rate_from_yaw(situation: DerivationInputs) -> Derived:
+    made = np.empty(len(situation.columns["yaw"]))
+    for run in situation.segments:
+        made[run] = derivative(smooth(situation.columns["yaw"][run]), situation.period)
+    return Derived({"r": made}, "from smoothed yaw")
+
+
+def _run_acceleration_from_velocity(situation: DerivationInputs) -> Derived:
+    c = situation.columns
+    made = {"ax": np.empty(len(c["vx"])), "ay": np.empty(len(c["vx"]))}
+    for run in situation.segments:
+        vx, vy = smooth(c["vx"][run]), smooth(c["vy"][run])
+        made["ax"][run] = derivative(vx, situation.period) - vy * c["r"][run]
+        made["ay"][run] = derivative(vy, situation.period) + vx * c["r"][run]
+    return Derived(
+        {name: values for name, values in made.items() if name not in c}, "from smoothed velocity, flat road"
+    )
+
+
+MOTIONS = (
+    Derivation("velocity-from-pose", ("vx", "vy", "r"), ("X", "Y", "yaw"), ("channels",), _run_velocity_from_pose),
+    Derivation(
+        "lateral-velocity-from-sideslip",
+        ("vy",),
+        ("vx", "sideslip"),
+        (),
+        _run_lateral_velocity_from_sideslip,
+    ),
+    Derivation(
+        "lateral-velocity-from-straights",
+        ("vy",),
+        ("vx", "vy", "r"),
+        (),
+        _run_lateral_velocity_from_straights,
+    ),
+    Derivation("yaw-rate-from-yaw", ("r",), ("yaw",), (), _run_yaw_rate_from_yaw),
+    Derivation(
+        "lateral-velocity-from-accelerations",
+        ("vy",),
+        ("vx", "r", "ay"),
+        (),
+        _run_lateral_velocity_from_accelerations,
+    ),
+    Derivation("acceleration-from-velocity", ("ax", "ay"), ("vx", "vy", "r"), (), _run_acceleration_from_velocity),
+)
+"""In the order in which they run: velocities before what needs them."""
