@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.assembling.conversion import RawSeries
+from split_cli.logs.checking.plausible import is_damaged
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS
 
@@ -19,6 +20,8 @@ __all__ = [
 
 _RESET_WINDOW = 10
 _DUPLICATE_SHARE = 1e-3
+_FAR_OUT = 3.0
+"""Times the range of nine tenths of a signal, by which no motion leaves its neighbours for two samples [1]."""
 _SPIKE_SIGMAS = 25.0
 _LONGEST_SPIKE = 2
 _EXTRAS_LIMIT = 1e100
@@ -189,6 +192,7 @@ def clean_series(
         spikes = _spikes_between_updates(values) if held else isolated_spikes(values)
     if despike:
         keep(~spikes, "spike")
+        keep(~is_damaged(series.channel, values), "beyond what any car reaches, and far beyond the others")
     repeats = 1 if held else longest_repeat(values)
     if repeats > 1:
         keep(_first_of_repeats(values, repeats), f"repeat of a held sample ({repeats} of each)")
@@ -215,7 +219,8 @@ def clean_series(
 def isolated_spikes(values: np.ndarray) -> np.ndarray:
     """Flag at most two samples in a row that stand out of a running median by far more than noise and motion do.
 
-    The scale is the 99 % quantile of the deviation, so that a rough but honest signal has no spikes.
+    The scale is the 99 % quantile of the deviation, so that a rough but honest signal has no spikes. Where more
+    samples than that are damaged, they stand out of nine tenths of the signal by several times its range.
     """
     if len(values) < 50:
         return np.zeros(len(values), dtype=bool)
@@ -225,6 +230,10 @@ def isolated_spikes(values: np.ndarray) -> np.ndarray:
     scale = max(float(np.quantile(deviation, 0.99)) / 2.576, 1.4826 * float(np.median(deviation)))
     span = float(np.subtract(*np.quantile(values, [0.99, 0.01])))
     flagged = deviation > max(_SPIKE_SIGMAS * scale, 0.25 * span, 1e-9)
+    most = float(np.quantile(deviation, 0.95)) / 1.96
+    range_of_most = float(np.subtract(*np.quantile(values, [0.95, 0.05])))
+    if most > 0.0 and range_of_most > 0.0:
+        flagged |= deviation > max(_SPIKE_SIGMAS * most, _FAR_OUT * range_of_most)
     for start, end in _runs(flagged):
         if end - start > _LONGEST_SPIKE:
             flagged[start:end] = False

@@ -19,6 +19,7 @@ DERIVATIONS: dict[str, Derivation] = {entry.name: entry for entry in (*MOTIONS, 
 _CHOICES = (
     ("lateral-velocity-from-sideslip", {"vy"}),
     ("velocity-from-pose", {"vx", "vy"}),
+    ("longitudinal-velocity-from-wheels", {"vx"}),
     ("yaw-rate-from-yaw", {"r"}),
     ("lateral-velocity-from-accelerations", {"vy"}),
 )
@@ -54,9 +55,11 @@ def derivations_for(missing: Collection[str], mapped: Collection[str]) -> list[s
     A torque takes nothing that a drive may lack, and stands last.
     """
     there, chosen = set(mapped), []
-    for name, wanted in _CHOICES:
-        entry = DERIVATIONS[name]
-        if wanted & set(missing) - there and set(entry.needs) <= there:
-            chosen.append(name)
-            there |= set(entry.makes)
+    while name := next((n for n, wanted in _CHOICES if _serves(n, wanted & set(missing) - there, there)), ""):
+        chosen.append(name)
+        there |= set(DERIVATIONS[name].makes)
     return [*chosen, "torque-from-acceleration"] if "T" in missing else chosen
+
+
+def _serves(name: str, wanted: Collection[str], there: Collection[str]) -> bool:
+    return bool(wanted) and set(DERIVATIONS[name].needs) <= set(there)

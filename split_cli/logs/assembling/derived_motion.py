@@ -113,6 +113,19 @@ def _run_lateral_velocity_from_accelerations(situation: DerivationInputs) -> Der
     )
 
 
+def _run_longitudinal_velocity_from_wheels(situation: DerivationInputs) -> Derived:
+    """Take the mean of the rear wheels: what turning adds to one it takes from the other, and neither steers."""
+    c = situation.columns
+    driven = situation.vehicle is None or situation.vehicle.drive_split_front < 1.0
+    slip = "the slip of the driven rear wheels and " if driven else ""
+    return Derived(
+        {"vx": 0.5 * (c["wheel_speed_rl"] + c["wheel_speed_rr"])},
+        "mean speed of the rear wheels",
+        f"v_x is derived from wheel speeds: {slip}locked or worn tyres stay in it, and so does an error of "
+        "their radius",
+    )
+
+
 def _run_yaw_rate_from_yaw(situation: DerivationInputs) -> Derived:
     made = np.empty(len(situation.columns["yaw"]))
     for run in situation.segments:
@@ -134,6 +147,13 @@ def _run_acceleration_from_velocity(situation: DerivationInputs) -> Derived:
 
 MOTIONS = (
     Derivation("velocity-from-pose", ("vx", "vy", "r"), ("X", "Y", "yaw"), ("channels",), _run_velocity_from_pose),
+    Derivation(
+        "longitudinal-velocity-from-wheels",
+        ("vx",),
+        ("wheel_speed_rl", "wheel_speed_rr"),
+        (),
+        _run_longitudinal_velocity_from_wheels,
+    ),
     Derivation(
         "lateral-velocity-from-sideslip",
         ("vy",),

@@ -17,7 +17,7 @@ from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column, turn
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
-__all__ = ["Gathered", "gather", "row_rate_from_yaw", "topic_of"]
+__all__ = ["Gathered", "gather", "row_rate_from_path", "row_rate_from_yaw", "topic_of"]
 
 _TIME_ADVICE = "Name the column as `time: {source: ..., unit: ...}`, or give `time: {period: SECONDS}`."
 _SLOWEST = 2.0
@@ -372,13 +372,30 @@ def row_rate_from_yaw(yaw: np.ndarray, r: np.ndarray) -> float | None:
         [rad], [rad/s], one value a row. Columns that hold their values over several rows are allowed.
     """
     good = np.isfinite(yaw) & np.isfinite(r)
-    if np.count_nonzero(good) < 200:
+    return _row_rate(np.unwrap(yaw[good]), r[good])
+
+
+def row_rate_from_path(X: np.ndarray, Y: np.ndarray, vx: np.ndarray) -> float | None:
+    """Return the rows a second at which the path grows as v_x says [Hz]; None where the two do not go together.
+
+    Parameters
+    ----------
+    X, Y, vx : ndarray, shape (N,)
+        [m], [m/s], one value a row. Columns that hold their values over several rows are allowed.
+    """
+    good = np.isfinite(X) & np.isfinite(Y) & np.isfinite(vx)
+    steps = np.hypot(np.diff(X[good]), np.diff(Y[good]))
+    return _row_rate(np.concatenate([[0.0], np.cumsum(steps)]), np.abs(vx[good]))
+
+
+def _row_rate(grown: np.ndarray, rate: np.ndarray) -> float | None:
+    """Return the rows a second at which `grown` grows by `rate` a second [Hz]; None where it does not."""
+    if len(rate) < 200:
         return None
-    turned = np.unwrap(yaw[good])
-    summed = np.concatenate([[0.0], np.cumsum(0.5 * (r[good][1:] + r[good][:-1]))])
+    summed = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))])
     # Over a fiftieth of the rows: noise and held samples average out, and a drift of yaw rate stays small.
-    step = max(len(turned) // 50, 2)
-    a, b = turned[step:] - turned[:-step], summed[step:] - summed[:-step]
+    step = max(len(grown) // 50, 2)
+    a, b = grown[step:] - grown[:-step], summed[step:] - summed[:-step]
     if np.std(a) == 0.0 or np.std(b) == 0.0 or abs(np.corrcoef(a, b)[0, 1]) < 0.98:
         return None
     slope = float(np.sqrt(np.mean(b * b) / np.mean(a * a)))

@@ -9,12 +9,13 @@ import numpy as np
 
 from split_cli.logs.checking.explanations import ConsistencyFinding, Plausible, Relation
 from split_cli.logs.checking.kinematics import Kinematics, Slope, block_interval, fit_slope
+from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS, reach_of
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.logs.drive import Drive
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["ACROSS", "NO_CAR_EXCEEDS", "Checks", "Unjudged"]
+__all__ = ["ACROSS", "Checks", "Unjudged"]
 
 LEAST_CORRELATION = 0.8
 """Below it two signals that should be equal say nothing about a factor."""
@@ -37,14 +38,6 @@ _SIGN_ONLY = 5.0
 """Tolerance of a relation whose size says nothing."""
 NOT_RECORDED = "derived: nothing"
 """Kind of a required channel that a draft has to fill in and nothing recorded."""
-NO_CAR_EXCEEDS = {
-    "vx": (130.0, "m/s"),
-    "r": (15.0, "rad/s"),
-    "delta": (1.3, "rad"),
-    "ax": (70.0, "m/s^2"),
-    "ay": (70.0, "m/s^2"),
-}
-"""99 % quantiles of |channel| that no car on wheels reaches, from 1:43 models to dragsters."""
 
 
 @dataclass(frozen=True)
@@ -107,17 +100,18 @@ class Checks:
         """Return what the 99 % quantiles of channels reach, with what no car reaches."""
         k, found = self.k, []
 
-        def add(name: str, values: np.ndarray, powers: dict[str, int], high: float, unit: str) -> None:
+        def add(name: str, values: np.ndarray, raw: np.ndarray, powers: dict[str, int], high: float, unit: str):
             values = np.abs(values[np.isfinite(values)])
             if len(values) > 50:
-                found.append(Plausible(name, powers, float(np.quantile(values, 0.99)), high, unit))
+                found.append(Plausible(name, powers, reach_of(values, raw), high, unit))
 
         for channel, (high, unit) in NO_CAR_EXCEEDS.items():
             if self.usable(channel):
-                add(channel, k.signal(channel), {channel: 1}, high, unit)
+                add(channel, k.signal(channel), k.columns[channel], {channel: 1}, high, unit)
         if self.usable("vx", "r"):
-            turning = k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
-            add("v_x r", turning, {"vx": 1, "r": 1}, NO_CAR_EXCEEDS["ay"][0], "m/s^2")
+            turning = k.columns["vx"] * k.columns["r"]
+            high = NO_CAR_EXCEEDS["ay"][0]
+            add("v_x r", k.of("vx r", lambda: turning), turning, {"vx": 1, "r": 1}, high, "m/s^2")
         return found
 
     def relate(

@@ -83,6 +83,8 @@ class Direction:
         first, last = 1e3 * float(self.angle[0]), 1e3 * float(self.angle[-1])
         span = float(self.time[-1] - self.time[0])
         if self.kind == "constant":
+            if not np.isfinite(self.error):
+                return f"{1e3 * self.mean:+.1f} mrad on one straight, which shows no interval"
             return f"constant, {1e3 * self.mean:+.1f} +- {1e3 * self.error:.1f} mrad on {self.count} straights"
         if self.kind == "drifting":
             return f"drifting from {first:+.1f} to {last:+.1f} mrad within {span:.0f} s"

@@ -9,10 +9,19 @@ import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION
 from split_cli.logs.checking.kinematics import Kinematics, Slope, fit_slope
+from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.wheels import told_of_a_part
 
-__all__ = ["read_acceleration", "read_pedal", "read_sideslip", "read_torque", "read_wheel", "without_the_tilted"]
+__all__ = [
+    "read_acceleration",
+    "read_pedal",
+    "read_sideslip",
+    "read_torque",
+    "read_wheel",
+    "read_yaw_rate",
+    "without_the_tilted",
+]
 
 _LEAST_OF_A_CAR = 50.0
 """Mass times wheel radius of the lightest car that a person drives: 250 kg on wheels of 0.2 m [kg m]."""
@@ -79,6 +88,16 @@ def read_pedal(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) ->
         told = f"reaches {largest:.4g}: neither a share nor per cent of the pedal's travel. Give its `scale:`"
         return replace(s, status="open", reason=told)
     return replace(s, unit="%", reason=f"unit not stated; it reaches {largest:.3g}, so per cent")
+
+
+def read_yaw_rate(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
+    """Tell degrees from radians by how fast a car turns, where nobody states the unit and nothing judges it."""
+    limit, unit = NO_CAR_EXCEEDS["r"]
+    if s.status != "assumed" or s.unit != unit or s.channel not in columns:
+        return s
+    reach = float(np.nanquantile(np.abs(columns[s.channel]), 0.99))
+    told = f"unit not stated; it reaches {reach:.3g}, and no car's exceeds {limit:g} {unit}, so deg/s"
+    return replace(s, unit="deg/s", reason=told) if reach > limit else s
 
 
 def read_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:

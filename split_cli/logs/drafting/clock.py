@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from split_cli.logs.assembling.clean import newest_first
-from split_cli.logs.assembling.gather import row_rate_from_yaw
+from split_cli.logs.assembling.gather import row_rate_from_path, row_rate_from_yaw
 from split_cli.logs.drafting.draft import quoted
 from split_cli.logs.drafting.naming import spelled_without_unit, stated_unit, words_of
 from split_cli.logs.drafting.trial import TrialCandidate
@@ -55,8 +55,9 @@ def clock_of_rows(
         return None, needed, False
     count = len(bare[0].values)
     pair = seconds_and_nanoseconds(infos)
-    if pair is not None and row_rate is None:
-        whole, part = (recording.read([name])[name].values for name in pair)
+    whole, part = (recording.read([name])[name].values for name in pair) if pair else (None, None)
+    # A whole second of nanoseconds is none: the stamp of another clock, or one that was read wrongly.
+    if pair is not None and row_rate is None and float(np.nanmax(part)) < 1e9:
         line = f"time: {{source: {quoted(pair[0])}, nanoseconds: {quoted(pair[1])}}}"
         return (whole - np.nanmin(whole)) + 1e-9 * part, line, True
     found = time_column(infos)
@@ -91,9 +92,12 @@ def clock_of_rows(
         if steps is not None:
             return steps
         row_rate = _rate_told_by_yaw(candidates, signals)
+        why = "no column of time; yaw turns as yaw rate says so"
+        if row_rate is None:
+            row_rate = _rate_told_by_path(candidates, signals)
+            why = "no column of time; the path grows as v_x says so, a few per cent are open"
         if row_rate is None:
             return np.arange(count) * 0.01, needed, False
-        why = "no column of time; yaw turns as yaw rate says so"
         line = f"time: {{period: {1.0 / row_rate:.4g}}}   # CHECK: {why}"
         return np.arange(count) / row_rate, line, True
     return np.arange(count) / row_rate, f"time: {{period: {1.0 / row_rate:.6g}}}   # as given", True
@@ -167,3 +171,15 @@ def _rate_told_by_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str
             if found:
                 return found
     return None
+
+
+def _rate_told_by_path(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
+    """Return the rate at which X, Y grow as v_x says; None for a satellite fix, or without speed."""
+    found = []
+    for channel in ("X", "Y", "vx"):
+        plain = [c for c in candidates if c.channel == channel and not c.convert and c.sources[0] in signals]
+        if not plain:
+            return None
+        first = max(plain, key=lambda c: c.weight)
+        found.append(signals[first.sources[0]].values * (find_unit(first.unit).factor if first.unit else 1.0))
+    return row_rate_from_path(*found)

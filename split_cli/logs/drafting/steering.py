@@ -24,6 +24,8 @@ _OUTLIERS = 6.0
 """Robust deviations beyond which a sample is no part of the steady relation [1]."""
 _LARGEST_ERROR = 0.15
 """Of the angle over curvature without understeer, by blocks of time, to be believed [1]."""
+_MOST_TURNS = 25.0
+"""Four turns to each side, more than a lorry's steering wheel makes [rad]."""
 _SHORTEST_STEERING_WHEEL = 12.0
 """Wheelbase of a small car, 1.9 m, times its steering ratio, at least 8, with margin [m]."""
 
@@ -151,7 +153,12 @@ def _hand_wheel(s: Any, columns: Mapping[str, np.ndarray]) -> Any:
             size = abs(reach) * (np.pi / 180.0 if unit == "deg" else 1.0)
             hand = "; its sign is turned" if reach < 0.0 else ""
             return replace(s, unit=unit, status="judged", reason=f"{unit}: {size:.3g} m over curvature{hand}")
-    return replace(s, reason=f"{s.reason}; unit not stated" if s.reason else "unit not stated")
+    told = f"{s.reason}; unit not stated" if s.reason else "unit not stated"
+    if s.unit is None and s.channel in columns:
+        largest = float(np.nanquantile(np.abs(columns[s.channel]), 0.99))
+        if largest > _MOST_TURNS:
+            return replace(s, unit="deg", reason=f"{told}; it reaches {largest:.3g}, so degrees")
+    return replace(s, reason=told)
 
 
 def _is_of_the_road(wheel: Any, columns: Mapping[str, np.ndarray]) -> bool:

@@ -19,6 +19,7 @@ from split_cli.logs.drafting.alone import (
     read_sideslip,
     read_torque,
     read_wheel,
+    read_yaw_rate,
     without_the_tilted,
 )
 from split_cli.logs.drafting.axes import without_other_axes, without_the_world
@@ -102,8 +103,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     _only_measured(usable, opened)
     opened += without_other_axes(usable, trial, lambda candidate: _first_guess(candidate, trial))
     chosen = _choose(usable, trial)
-    world = without_the_world(usable, chosen, trial)
-    if world:
+    while world := without_the_world(usable, chosen, trial):  # a receiver and an inertial unit may both give one
         opened += world
         chosen = _choose(usable, trial)
     corrected, consistency = _with_rivals_that_fit(*correct(chosen, trial), usable, trial)
@@ -118,7 +118,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     steering = read_steering(corrected, turning, vehicle, Suggestion)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
     alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal,
-             "ax": read_acceleration, "ay": read_acceleration}  # fmt: skip
+             "ax": read_acceleration, "ay": read_acceleration, "r": read_yaw_rate}  # fmt: skip
     suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
     suggestions = without_the_tilted(suggestions)
     suggestions = [

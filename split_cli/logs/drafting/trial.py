@@ -9,9 +9,10 @@ import numpy as np
 
 from split_cli.logs.assembling.clean import clock_resets, isolated_spikes
 from split_cli.logs.assembling.transform import local_tangent_plane, signed, yaw_from_quaternion
-from split_cli.logs.checking.checks import NO_CAR_EXCEEDS, NOT_RECORDED
+from split_cli.logs.checking.checks import NOT_RECORDED
 from split_cli.logs.checking.consistency import Consistency, check_consistency
 from split_cli.logs.checking.kinematics import Kinematics
+from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.hand import certain_of
 from split_cli.logs.drive import Drive

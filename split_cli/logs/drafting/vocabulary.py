@@ -15,8 +15,8 @@ __all__ = ["concepts_of", "place_and_rest", "read_concepts", "tokens_of"]
 
 _WORDS: dict[str, str] = {
     "velocity": (
-        "v vel velo velocity velocities velocidad velocita speed speeds spd vitesse geschwindigkeit "
-        "geschw fahrgeschwindigkeit 车速 速度"
+        "v vel velo velocity velocities velocidad velocita speed speeds spd speedo speedometer tacho vitesse "
+        "geschwindigkeit geschw fahrgeschwindigkeit 车速 速度"
     ),
     "acceleration": (
         "a acc acl accel accelerometer acceleration "

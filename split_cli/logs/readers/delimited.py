@@ -68,6 +68,7 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
     """Return position and unit of every named column."""
     columns: dict[str, tuple[int, str | None]] = {}
     renamed = 0
+    messages = _messages_of_fields(sniffed)
     repeated = {title for title, count in Counter(sniffed.header).items() if count > 1}
     for index, title in enumerate(sniffed.header):
         name, unit = column_name_and_unit(title)
@@ -75,6 +76,8 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
             # "100: gps" under one speed and "calc" under another tell them apart.
             device = re.sub(r"[^A-Za-z ]", "", sniffed.devices[index]).strip()
             name = f"{name} {device}".strip()
+        elif title in messages:
+            name = f"{messages[title][index]}.{name}"
         stated = sniffed.units[index].strip().strip("[]()") if sniffed.units else ""
         if stated:
             known = find_unit(stated)
@@ -92,6 +95,23 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
         told = beside if sniffed.titles else ""
         note_once(notes, ReadNote(f"no header row{told}: columns are called column1, column2, ...", path.name))
     return columns
+
+
+def _messages_of_fields(sniffed: Sniffed) -> dict[str, dict[int, str]]:
+    """Return the message of each column whose title several messages share, by title and position.
+
+    Converters of messages give a message inside another one a column of its own, without values, and its fields
+    follow under their bare names: ``acc_body,x,y,z,rate_body,x,y,z``.
+    """
+    found: dict[str, dict[int, str]] = {}
+    message = ""
+    for index, title in enumerate(sniffed.header):
+        if title and all(row[index].strip() in EMPTY_CELLS for row in sniffed.rows if index < len(row)):
+            message = title
+        elif title and message:
+            found.setdefault(title, {})[index] = message
+    several = {title: places for title, places in found.items() if len(set(places.values())) > 1}
+    return {title: places for title, places in several.items() if len(places) == sniffed.header.count(title)}
 
 
 def _is_text(sniffed: Sniffed, index: int) -> bool:
