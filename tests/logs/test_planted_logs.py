@@ -111,3 +111,44 @@ def test_v_y_of_the_rear_axle_is_a_place_and_no_unit(planted):
     arm = planted.vehicle.cg_to_rear_axle
     finding = only(ingested(planted, vy=lambda t, v: v - arm * planted.at("r", t)))
     assert finding.check == "place" and "position: rear_axle" in finding.text
+
+
+def test_a_pose_of_the_other_hand_is_one_question_and_no_mistake_of_sign(planted):
+    pose = {"X": lambda t, v: planted.at("Y", t), "Y": lambda t, v: planted.at("X", t),
+            "yaw": lambda t, v: 0.5 * np.pi - v}  # fmt: skip
+    found = {finding.channel: finding.text for finding in ingested(planted, **pose).findings}
+    assert set(found) == {"yaw", "X"}
+    assert "`world: ned`" in found["yaw"] and "`frame: frd`" in found["yaw"] and "scale: -1" not in found["yaw"]
+    # The same question is asked where the car is mirrored and the pose is not.
+    car = {c: (lambda t, v: -v) for c in ("r", "vy", "ay", "delta")}
+    assert {f.channel: f.text for f in ingested(planted, **car).findings}.keys() == found.keys()
+
+
+def test_v_y_of_the_rear_axle_is_found_beside_a_mirrored_path_and_nothing_is_called_late(planted):
+    behind = planted.vehicle.cg_to_rear_axle
+    found = ingested(
+        planted,
+        X=lambda t, v: planted.at("Y", t),
+        Y=lambda t, v: planted.at("X", t),
+        vy=lambda t, v: v - behind * planted.at("r", t),
+    ).findings
+    assert {finding.channel: finding.check for finding in found} == {"X": "sign", "vy": "place"}
+
+
+def test_a_delay_is_told_beside_a_unit_that_is_sure(planted):
+    found = ingested(planted, ay=lambda t, v: np.interp(t - 0.2, t, v) / 9.80665).findings
+    assert [(finding.channel, finding.check) for finding in found] == [("ay", "scale"), ("ay", "delay")]
+    assert found[1].measured == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_copied_and_a_computed_yaw_rate_are_told_and_judge_nobody(planted):
+    degrees = ingested(planted, ay=lambda t, v: np.degrees(planted.at("r", t)))
+    assert only(degrees).check == "copied" and "times 57.3" in only(degrees).text
+
+    def computed(t, v):
+        return planted.at("vx", t) * np.tan(planted.at("delta", t)) / 2.6
+
+    finding = only(ingested(planted, r=computed))
+    assert (finding.channel, finding.check) == ("r", "copied") and finding.measured == pytest.approx(
+        1 / 2.6, rel=1e-3
+    )

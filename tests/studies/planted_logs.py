@@ -60,6 +60,9 @@ PLANTED: dict[str, Planted] = {
     "yaw rate clockwise": Planted(_times("r", -1.0), ("r",), "left-handed"),
     "yaw rate 0.2 s late": Planted(_late("r", 0.2), ("r",), "late"),
     "yaw in degrees": Planted(_times("yaw", DEG), ("yaw",), "is in deg"),
+    "yaw rate copied from the steer angle": Planted(lambda c: {"r": c["delta"]}, ("r", "delta"), "copy"),
+    "yaw rate computed from the steer angle": Planted(
+        lambda c: {"r": c["vx"] * np.tan(c["delta"]) / (2.0 * c["lr"])}, ("r",), "computed from"),
     "v_x in km/h": Planted(_times("vx", 3.6), ("vx",), "is in km/h"),
     "v_x in mph": Planted(_times("vx", 1 / MPH), ("vx",), "is in mph"),
     "v_x 6 % too large": Planted(_times("vx", 1.06), ("X", "vx"), "1.05"),
@@ -75,7 +78,7 @@ PLANTED: dict[str, Planted] = {
     "position in mm": Planted(lambda c: {n: c[n] * 1e3 for n in "XY"}, ("X",), "mm"),
     "north and east as X and Y": Planted(lambda c: {"X": c["Y"], "Y": c["X"]}, ("X",), "mirrored", ("yaw", "r")),
     "north-east-down, whole pose": Planted(
-        lambda c: {"X": c["Y"], "Y": c["X"], "yaw": 0.5 * np.pi - c["yaw"]}, ("X", "yaw"),
+        lambda c: {"X": c["Y"], "Y": c["X"], "yaw": 0.5 * np.pi - c["yaw"]}, ("X", "yaw", "r"),
         "world: ned", ("r", "ay", "delta", "vy")),
     "steering wheel's angle": Planted(_times("delta", 15.0), ("delta",), "steering-wheel angle"),
     "steer angle in degrees": Planted(_times("delta", DEG), ("delta",), "is in deg"),

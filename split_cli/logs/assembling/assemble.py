@@ -31,6 +31,7 @@ from split_cli.logs.assembling.synchronize import (
 )
 from split_cli.logs.assembling.trim import trim
 from split_cli.logs.checking.consistency import check_consistency
+from split_cli.logs.checking.copies import copied_channels, without_copies
 from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
 from split_cli.logs.checking.late import late_channels
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
@@ -163,9 +164,12 @@ def assemble_drive(
         checked = drive.stretch(first, first + MOST_CHECKED)
         minutes = len(checked) * grid.period / 60.0
         warnings.append(f"channels were checked against each other on the middle {minutes:.3g} minutes")
-    consistency = check_consistency(checked, vehicle, kinds, _certain(signal_map))
+    copied = copied_channels(checked, kinds)
+    measured = without_copies(kinds, copied)
+    consistency = check_consistency(checked, vehicle, measured, _certain(signal_map))
+    consistency = replace(consistency, findings=(*copied, *consistency.findings))
     if not settings.estimate_delays:
-        late = late_channels(checked, vehicle, kinds, consistency.findings)
+        late = late_channels(checked, vehicle, measured, consistency)
         consistency = replace(consistency, findings=(*consistency.findings, *late))
     quality = QualityReport(
         channels=tuple(qualities),

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.logs.checking.explanations import ConsistencyFinding, Plausible, Relation
 from split_cli.logs.checking.kinematics import Kinematics, Slope, block_interval, fit_slope
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS, reach_of
+from split_cli.logs.checking.relations import ConsistencyFinding, Plausible, Relation
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.logs.drive import Drive
 from split_cli.signals import REQUIRED_CHANNELS

@@ -7,19 +7,23 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from split_cli.logs.checking.checks import ACROSS, Checks, Unjudged
+from split_cli.logs.checking.checks import ACROSS, NOT_RECORDED, Checks, Unjudged
 from split_cli.logs.checking.directions import (
     along_the_world,
     exchanged_accelerations,
     look_swapped,
     swap_finding,
 )
-from split_cli.logs.checking.explanations import ConsistencyFinding, Relation, explain
+from split_cli.logs.checking.explanations import explain
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
+from split_cli.logs.checking.relations import ConsistencyFinding, Relation
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Consistency", "ConsistencyFinding", "Unjudged", "check_consistency"]
+__all__ = ["Consistency", "ConsistencyFinding", "Unjudged", "check_consistency", "corrected_columns"]
+
+_IN_OTHERS = ("vx", "r", "X", "hand", "yaw")
+"""Channels that others are judged by: with one of them put right, what stands beside it is measured again."""
 
 
 @dataclass(frozen=True)
@@ -78,22 +82,29 @@ def check_consistency(
     explanation = explain(checks.relations, vehicle, checks.magnitudes())
     found, factors, finer = list(explanation.findings), dict(explanation.factors), checks
     vy_judged = any(relation.name == ACROSS for relation in checks.relations)
-    if {"vx", "r"} & set(factors):
-        # What was wrong with v_x or r was in every product: with both right the rest is measured again.
-        shared = {channel: factors[channel] for channel in ("vx", "r") if channel in factors}
-        finer = Checks(_corrected(drive.columns, shared, vy_judged), drive, vehicle, kinds, certain)
-        finer.measure_relations()
+    shared = {channel: factors[channel] for channel in _IN_OTHERS if channel in factors}
+    if shared:
+        if {"X", "hand", "yaw"} & set(shared):
+            # What was derived from the pose before it was right judges nobody.
+            kinds = {c: NOT_RECORDED if kind.startswith("derived") else kind for c, kind in kinds.items()}
+        # The path may judge v_y now; where it does not, v_y has the unit of v_x.
+        for judged in (True, False):
+            finer = Checks(corrected_columns(drive.columns, shared, judged), drive, vehicle, kinds, certain)
+            finer.measure_relations()
+            vy_judged = vy_judged or any(relation.name == ACROSS for relation in finer.relations)
+            if vy_judged:
+                break
         again = explain(finer.relations, vehicle, finer.magnitudes())
         named = {finding.channel for finding in found}
         new = [finding for finding in again.findings if finding.channel not in named]
         found += [_after(finding, shared) for finding in new]
-        factors |= {c: f for c, f in again.factors.items() if c not in factors and c not in ("vx", "r")}
+        factors |= {c: f for c, f in again.factors.items() if c not in factors and c not in _IN_OTHERS}
     if any(f.channel == "time" and f.check == "sign" for f in found):
         # Whatever needs a rate of change is judged when the rows are in order.
         told, unjudged = tuple([*constant, *found]), tuple(dict.fromkeys(checks.unjudged))
         return Consistency(told, _plain(checks), unjudged, factors, explanation.cost)
     if factors:
-        corrected = Checks(_corrected(drive.columns, factors, vy_judged), drive, vehicle, kinds, certain)
+        corrected = Checks(corrected_columns(drive.columns, factors, vy_judged), drive, vehicle, kinds, certain)
         corrected.unjudged, finer = finer.unjudged, corrected
     wrong = {finding.channel for finding in found} - set(factors) - ({"X"} if "hand" in factors else set())
     exchanged = exchanged_accelerations(finer)
@@ -124,13 +135,23 @@ def _plain(checks: Checks) -> tuple[Relation, ...]:
 
 def _after(finding: ConsistencyFinding, shared: Mapping[str, float]) -> ConsistencyFinding:
     """Say in a finding of the second look what was put right before it."""
-    return replace(finding, text=f"with {' and '.join(shared)} put right, {finding.text}")
+    names = " and ".join("X, Y" if channel == "hand" else channel for channel in shared)
+    return replace(finding, text=f"with {names} put right, {finding.text}")
 
 
-def _corrected(
-    columns: Mapping[str, np.ndarray], factors: Mapping[str, float], vy_judged: bool
+def corrected_columns(
+    columns: Mapping[str, np.ndarray], factors: Mapping[str, float], vy_judged: bool = True
 ) -> dict[str, np.ndarray]:
-    """Return the columns with known factors taken out; v_y as v_x where it was not judged, from one sensor."""
+    """Return the columns with known factors taken out.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, shape (N,)
+    factors : mapping of str to float
+        Of `Consistency`.
+    vy_judged : bool
+        Whether v_y was compared with the path; else it has the factor of v_x, of one sensor.
+    """
     made = dict(columns)
     together = {"vx": ("vx",) if vy_judged else ("vx", "vy"), "X": ("X", "Y")}
     for channel, factor in factors.items():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION, Checks
-from split_cli.logs.checking.explanations import ConsistencyFinding
 from split_cli.logs.checking.kinematics import Slope, fit_slope
+from split_cli.logs.checking.relations import ConsistencyFinding
 
 __all__ = ["along_the_world", "exchanged_accelerations", "look_swapped", "swap_finding"]
 

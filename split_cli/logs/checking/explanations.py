@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from split_cli.logs.checking.kinematics import Slope
 from split_cli.logs.checking.mistakes import COMMON, Mistake, known_mistakes
+from split_cli.logs.checking.relations import (
+    OF_THE_BODY,
+    SHARED,
+    UNKNOWN,
+    ConsistencyFinding,
+    Leaf,
+    Plausible,
+    Relation,
+    Story,
+)
+from split_cli.logs.checking.wording import tell
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["ConsistencyFinding", "Explanation", "Plausible", "Relation", "explain"]
+__all__ = ["Explanation", "explain"]
 
-_UNKNOWN = 8.0
-"""Cost of a factor that no known mistake gives: dearer than one of unit and sign at the edge of the tolerance."""
 _EDGE = 2.0
 """Cost of a ratio at the edge of its tolerance, two standard deviations; beyond it nothing is accounted for."""
 _RIVAL = 1.5
@@ -22,11 +30,8 @@ _RIVAL = 1.5
 _SAME_UNIT = 1.0
 """Cost of v_y or a wheel speed in the wrong unit that v_x is in too, and of a_y in that of a_x: of one logger."""
 _ONE_MORE_WHEEL = 0.25
-_BEYOND_PHYSICS = 4.0
-"""Cost of a magnitude e times what a car can reach."""
 _SAME_AXES = 0.5
 """Added to the cost of one turned sign when all channels of the vehicle, or of the world, have other axes."""
-_OF_THE_BODY = ("vy", "ay", "delta")
 _OVER_TIME = ("r against dyaw/dt", "r against the turning of X, Y", "v_x against the speed of X, Y",
               "a_x against dv_x/dt - v_y r")  # fmt: skip
 """Relations to a rate of change, which a wrong clock puts off by one factor."""
@@ -34,110 +39,6 @@ _REVERSING = _OVER_TIME[:2] + _OVER_TIME[3:]
 """Of these the ones that change their sign where time runs backwards; a speed does not."""
 _LEAST_REVERSED = 3
 """Relations with the opposite sign that are told as one mistake [1]: two may be two turned channels."""
-_SHARED = ("vx", "r")
-"""Channels that enter several relations; every other one enters one."""
-
-
-@dataclass(frozen=True)
-class ConsistencyFinding:
-    """Something that does not fit together.
-
-    Attributes
-    ----------
-    check : str
-        ``scale``, ``sign``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``world``, ``constant``,
-        ``range``, ``contradiction``, ``course``.
-    channel : str
-        The one to look at.
-    text : str
-        What was measured, what it probably is, and what to do.
-    measured : float or None
-        Slope, factor or bias.
-    error : float or None
-        Its standard error from blocks of time.
-    """
-
-    check: str
-    channel: str
-    text: str
-    measured: float | None = None
-    error: float | None = None
-
-
-@dataclass(frozen=True)
-class Relation:
-    """A measured ratio that should be 1.
-
-    Attributes
-    ----------
-    name : str
-    powers : mapping of str to int
-        Channel to the power with which its factor enters.
-    slope : Slope
-    tolerance : float
-        Of the logarithm of the ratio: what right recordings show.
-    corrected : callable or None
-        Takes the factors of v_x and r and returns the ratio that is left after both are corrected, for relations
-        that are no plain product; None where `powers` says it all.
-    of_the_world : bool
-        Whether it turns its sign when yaw and the order of X, Y are both turned.
-    certain : bool
-        Whether the channel that only this relation has is beyond doubt: a path of satellite fixes, a compass.
-    """
-
-    name: str
-    powers: Mapping[str, int]
-    slope: Slope
-    tolerance: float
-    corrected: Callable[[float, float], float] | None = None
-    of_the_world: bool = False
-    certain: bool = False
-
-    @property
-    def holds(self) -> bool:
-        """Whether the ratio is 1 within its tolerance."""
-        return self.slope.slope > 0 and abs(np.log(self.slope.slope)) <= self.tolerance
-
-    @property
-    def leaf(self) -> str:
-        """The channel that enters this relation only."""
-        return next(channel for channel in self.powers if channel not in _SHARED)
-
-    def without(self, factors: Mapping[str, float]) -> float:
-        """Return the ratio that is left when v_x and r are divided by `factors`."""
-        if self.corrected is not None:
-            return self.corrected(factors.get("vx", 1.0), factors.get("r", 1.0))
-        ratio = self.slope.slope
-        for channel in _SHARED:
-            ratio *= factors.get(channel, 1.0) ** -self.powers.get(channel, 0)
-        return ratio
-
-
-@dataclass(frozen=True)
-class Plausible:
-    """A magnitude that physics bounds: `value` is the product of channels to their `powers`.
-
-    Attributes
-    ----------
-    name : str
-    powers : mapping of str to int
-    value, high : float
-        What it reaches, and what no car reaches, SI.
-    unit : str
-    """
-
-    name: str
-    powers: Mapping[str, int]
-    value: float
-    high: float
-    unit: str
-
-    def cost(self, factors: Mapping[str, float]) -> float:
-        """Return what it costs that the corrected magnitude is larger than any car's."""
-        value = self.value
-        for channel, power in self.powers.items():
-            value *= abs(factors.get(channel, 1.0)) ** -power
-        return _BEYOND_PHYSICS * float(max(np.log(max(value, 1e-12) / self.high), 0.0))
 
 
 @dataclass(frozen=True)
@@ -156,40 +57,6 @@ class Explanation:
     findings: tuple[ConsistencyFinding, ...] = ()
     factors: Mapping[str, float] = field(default_factory=dict)
     cost: float = 0.0
-
-
-@dataclass(frozen=True)
-class _Leaf:
-    """How one relation is accounted for, given the shared channels: a mistake, nothing, or an unknown factor."""
-
-    relation: Relation
-    mistake: Mistake | None
-    cost: float
-    left: float
-    rivals: tuple[Mistake, ...] = ()
-    charged: float = 0.0
-
-    @property
-    def unknown(self) -> bool:
-        return self.mistake is None and self.cost >= _UNKNOWN
-
-
-@dataclass(frozen=True)
-class _Story:
-    """One assignment of mistakes to all channels, with its cost."""
-
-    shared: tuple[Mistake, ...]
-    leaves: tuple[_Leaf, ...]
-    cost: float
-
-    @property
-    def mistakes(self) -> tuple[Mistake, ...]:
-        return (*self.shared, *(leaf.mistake for leaf in self.leaves if leaf.mistake is not None))
-
-    @property
-    def blamed(self) -> frozenset[tuple[str, str]]:
-        unknown = ((leaf.relation.leaf, "unknown") for leaf in self.leaves if leaf.unknown)
-        return frozenset([*((m.channel, m.what) for m in self.mistakes), *unknown])
 
 
 def explain(
@@ -223,11 +90,11 @@ def explain(
     if backwards is not None:
         turned = [_by_this_clock(r, -1.0) if r.name in _REVERSING or r.leaf == "T" else r for r in relations]
         rest = explain(turned, vehicle, plausible)
-        return replace(rest, findings=(backwards, *rest.findings), cost=rest.cost + _UNKNOWN)
+        return replace(rest, findings=(backwards, *rest.findings), cost=rest.cost + UNKNOWN)
     clock = _clock(relations)
     if clock is not None:
         rest = explain([_by_this_clock(r, clock.measured or 1.0) for r in relations], vehicle, plausible)
-        return replace(rest, findings=(clock, *rest.findings), cost=rest.cost + _UNKNOWN)
+        return replace(rest, findings=(clock, *rest.findings), cost=rest.cost + UNKNOWN)
     beyond = [magnitude for magnitude in plausible if magnitude.cost({}) > 0.0]
     if all(relation.holds for relation in relations) and not beyond:
         return Explanation()
@@ -238,7 +105,7 @@ def explain(
     best = stories[0]
     # More than the best says is no rival to it.
     rivals = [s for s in stories[1:] if s.cost < best.cost + _RIVAL and not s.blamed >= best.blamed]
-    told = _told(best, rivals, relations, beyond)
+    told = tell(best, rivals, relations, beyond)
     sure = {m.channel for m in best.mistakes if all(m in rival.mistakes for rival in rivals)}
     doubtful = {leaf.relation.leaf for leaf in best.leaves if leaf.rivals}
     factors = {
@@ -267,7 +134,7 @@ def _backwards(relations: Sequence[Relation]) -> ConsistencyFinding | None:
 def _clock(relations: Sequence[Relation]) -> ConsistencyFinding | None:
     """Tell a clock that counts too fast or too slow: rates of change are off by one factor, of v_x and of r."""
     rates = [relation for relation in relations if relation.name in _OVER_TIME and relation.slope.slope > 0.0]
-    if not all(any(channel in relation.powers for relation in rates) for channel in _SHARED) or len(rates) < 3:
+    if not all(any(channel in relation.powers for relation in rates) for channel in SHARED) or len(rates) < 3:
         return None
     sizes = np.log([relation.slope.slope for relation in rates])
     common = float(np.median(sizes))
@@ -296,14 +163,14 @@ def _shared_choices(
 ) -> Iterable[tuple[Mistake, ...]]:
     """Yield every pair of mistakes in v_x and r, none included, and factors of v_x or r that are not known."""
     options: dict[str, list[Mistake | None]] = {}
-    for channel in _SHARED:
+    for channel in SHARED:
         own = [relation for relation in relations if channel in relation.powers]
         options[channel] = [None]
         if own or any(channel in magnitude.powers for magnitude in beyond):
             options[channel] += known_mistakes(channel, vehicle)
         for relation in own if len(own) > 1 else ():
             factor = abs(relation.slope.slope) ** (1.0 / relation.powers[channel])
-            known = [1.0, *(m.low for m in options[channel] if m is not None and m.cost < _UNKNOWN)]
+            known = [1.0, *(m.low for m in options[channel] if m is not None and m.cost < UNKNOWN)]
             far = all(abs(np.log(factor / low)) > 3.0 * relation.tolerance for low in known)
             if relation.corrected is None and far:
                 options[channel].append(_unknown_factor(channel, float(factor)))
@@ -314,7 +181,7 @@ def _shared_choices(
 
 def _unknown_factor(channel: str, factor: float) -> Mistake:
     what = f"is {factor:.3g} times what the other channels say; no usual mistake of unit or sign gives that"
-    return Mistake(channel, factor, factor, False, what, f"check the scale of {channel}", _UNKNOWN + 1.0)
+    return Mistake(channel, factor, factor, False, what, f"check the scale of {channel}", UNKNOWN + 1.0)
 
 
 def _story(
@@ -322,7 +189,7 @@ def _story(
     relations: Sequence[Relation],
     vehicle: Vehicle | None,
     plausible: Sequence[Plausible],
-) -> _Story:
+) -> Story:
     factors = {mistake.channel: mistake.factor for mistake in shared}
     leaves = [_leaf(relation, factors, shared, vehicle, plausible) for relation in relations]
     world = {"yaw", "hand"} <= _turned(leaves)
@@ -333,33 +200,35 @@ def _story(
         ]
         leaves = [_leaf(relation, factors, shared, vehicle, plausible) for relation in mirrored]
     cost = sum(mistake.cost for mistake in shared) + sum(leaf.cost for leaf in leaves)
-    cost += sum(p.cost(factors) for p in plausible if set(p.powers) <= set(_SHARED))
+    cost += sum(p.cost(factors) for p in plausible if set(p.powers) <= set(SHARED))
     cost -= _shared_wheel_costs(leaves) + _shared_acceleration_cost(leaves)
-    body = [leaf for leaf in leaves if leaf.relation.leaf in _OF_THE_BODY]
+    body = [leaf for leaf in leaves if leaf.relation.leaf in OF_THE_BODY]
+    axes = "world" if world else ""
     if world:
         cost -= COMMON - _SAME_AXES  # one mistake, not two
     elif any(m.channel == "r" and m.turned for m in shared) and body and _all_turned(body):
         cost -= sum(_cost_of_sign(leaf) for leaf in body) - _SAME_AXES
-    return _Story(shared, tuple(leaves), cost)
+        axes = "car"
+    return Story(shared, tuple(leaves), cost, axes)
 
 
-def _cost_of_sign(leaf: _Leaf) -> float:
+def _cost_of_sign(leaf: Leaf) -> float:
     """Return what the turned sign of a leaf was charged, without the unit that may be wrong beside it."""
     mistake = leaf.mistake
     plain = mistake is not None and mistake.low == mistake.high == 1.0
     return leaf.charged if plain else max(leaf.charged - COMMON, 0.0)
 
 
-def _turned(leaves: Sequence[_Leaf]) -> set[str]:
+def _turned(leaves: Sequence[Leaf]) -> set[str]:
     return {leaf.mistake.channel for leaf in leaves if leaf.mistake is not None and leaf.mistake.turned}
 
 
-def _all_turned(leaves: Sequence[_Leaf]) -> bool:
+def _all_turned(leaves: Sequence[Leaf]) -> bool:
     """Whether every one of the channels has its sign turned: right-handed-down axes do that to all of them."""
     return all(leaf.relation.leaf in _turned([leaf]) for leaf in leaves)
 
 
-def _shared_wheel_costs(leaves: Sequence[_Leaf]) -> float:
+def _shared_wheel_costs(leaves: Sequence[Leaf]) -> float:
     """Return what the same mistake in several wheel speeds costs too much: one logger makes it for all."""
     costs: dict[str, list[float]] = {}
     for leaf in leaves:
@@ -368,7 +237,7 @@ def _shared_wheel_costs(leaves: Sequence[_Leaf]) -> float:
     return sum(sum(same[1:]) for same in costs.values())
 
 
-def _shared_acceleration_cost(leaves: Sequence[_Leaf]) -> float:
+def _shared_acceleration_cost(leaves: Sequence[Leaf]) -> float:
     """Return what a unit that both accelerations are in costs too much."""
     units = {leaf.mistake.channel: leaf for leaf in leaves if leaf.mistake is not None and leaf.mistake.unit}
     both = [units[channel] for channel in ("ax", "ay") if channel in units]
@@ -382,7 +251,7 @@ def _leaf(
     shared: Sequence[Mistake],
     vehicle: Vehicle | None,
     plausible: Sequence[Plausible],
-) -> _Leaf:
+) -> Leaf:
     """Account for what v_x and r leave of a relation: by nothing, by a mistake, or by a factor unknown."""
     left, channel = relation.without(factors), relation.leaf
     power = relation.powers[channel]
@@ -398,11 +267,11 @@ def _leaf(
         beyond = sum(p.cost({**factors, channel: mistake.high}) for p in own)
         choices.append((charged + beyond + _misfit(relation, left, low, high, mistake.turned), mistake, charged))
     cost, mistake, charged = min(choices, key=lambda choice: choice[0])
-    unknown = 2.0 * _UNKNOWN if relation.certain else _UNKNOWN
+    unknown = 2.0 * UNKNOWN if relation.certain else UNKNOWN
     if cost >= unknown:
-        return _Leaf(relation, None, unknown, left)
+        return Leaf(relation, None, unknown, left)
     rivals = tuple(m for c, m, _ in choices if m is not None and m is not mistake and c < cost + _RIVAL)
-    return _Leaf(relation, mistake, cost, left, rivals if mistake is not None else (), charged)
+    return Leaf(relation, mistake, cost, left, rivals if mistake is not None else (), charged)
 
 
 def _misfit(relation: Relation, ratio: float, low: float, high: float, turned: bool) -> float:
@@ -412,89 +281,3 @@ def _misfit(relation: Relation, ratio: float, low: float, high: float, turned: b
     size = float(np.log(abs(ratio)))
     distance = max(np.log(low) - size, size - np.log(high), 0.0)
     return _EDGE * float(distance / relation.tolerance) ** 2 if distance <= relation.tolerance else np.inf
-
-
-def _told(
-    best: _Story, rivals: Sequence[_Story], relations: Sequence[Relation], beyond: Sequence[Plausible]
-) -> list[ConsistencyFinding]:
-    """Put the best story into words, with its rivals."""
-    broken = [relation for relation in relations if not relation.holds]
-    others = [_in_words(story) for story in rivals]
-    others = list(dict.fromkeys(others))[:3]
-    alternative = f" Or: {'; or '.join(others)}: nothing recorded decides." if others else ""
-    reach = [f"{m.name} reaches {m.value:.3g} {m.unit}, no car's exceeds {m.high:g}" for m in beyond]
-    # What every story says is not in doubt.
-    doubt = {m: "" if all(m in rival.mistakes for rival in rivals) else alternative for m in best.mistakes}
-    found = [_finding(mistake, broken, doubt[mistake], (), reach) for mistake in best.shared]
-    wheels: set[str] = set()
-    for leaf in best.leaves:
-        if leaf.mistake is not None:
-            one = _finding(leaf.mistake, [leaf.relation], doubt[leaf.mistake], leaf.rivals)
-            if leaf.relation.leaf.startswith("wheel_speed"):
-                slope = leaf.relation.slope.slope
-                likewise = f"{one.channel} likewise (slope {slope:.4g}): {leaf.mistake.what}"
-                one = replace(one, text=likewise) if leaf.mistake.what in wheels else one
-                wheels.add(leaf.mistake.what)
-            found.append(one)
-        elif leaf.unknown:
-            found.append(_unexplained(leaf, alternative))
-    left_over = {m.channel: m.high for m in best.mistakes}
-    for magnitude, words in zip(beyond, reach, strict=True):
-        if magnitude.cost(left_over) > 0.0:
-            first = next(iter(magnitude.powers))
-            text = f"{words}: check the unit of {' and '.join(magnitude.powers)}.{alternative}"
-            found.append(ConsistencyFinding("range", first, text, magnitude.value))
-    return found
-
-
-def _in_words(story: _Story) -> str:
-    plain = [m for m in story.mistakes if not m.channel.startswith("wheel_speed")]
-    parts = [f"{_name(m.channel)} {m.what}" for m in plain]
-    wheels = dict.fromkeys(m.what for m in story.mistakes if m not in plain)
-    parts += [f"the wheel speeds: each {what}" for what in wheels]
-    parts += [f"{leaf.relation.name} is off by a factor not known" for leaf in story.leaves if leaf.unknown]
-    return " and ".join(parts) or "nothing is wrong"
-
-
-def _finding(
-    mistake: Mistake,
-    shown: Sequence[Relation],
-    alternative: str,
-    rivals: Sequence[Mistake],
-    reach: Sequence[str] = (),
-) -> ConsistencyFinding:
-    shown = [relation for relation in shown if mistake.channel in relation.powers] or list(shown)
-    slopes = [
-        f"{r.name}: slope {r.slope.slope:.4g} +- {r.slope.error:.1g}, correlation {r.slope.correlation:.3f}"
-        for r in shown
-    ]
-    evidence = "; ".join([*slopes, *reach])
-    channel = "X" if mistake.channel == "hand" else mistake.channel
-    check = "sign" if mistake.turned and mistake.low == mistake.high == 1.0 else "scale"
-    remedy = mistake.remedy[:1].upper() + mistake.remedy[1:]
-    text = f"{_name(mistake.channel)} {mistake.what} ({evidence}). {remedy} in the map."
-    if rivals:
-        text += f" Or it {'; or it '.join(rival.what for rival in rivals)}: nothing recorded decides."
-    measured = shown[0].slope if shown else None
-    if measured is None:
-        return ConsistencyFinding(check, channel, text + alternative)
-    return ConsistencyFinding(check, channel, text + alternative, measured.slope, measured.error)
-
-
-def _unexplained(leaf: _Leaf, alternative: str) -> ConsistencyFinding:
-    relation, slope = leaf.relation, leaf.relation.slope
-    moved = abs(leaf.left / slope.slope - 1.0) > 0.02
-    corrected = f" ({leaf.left:.4g} with what else was found corrected)" if moved else ""
-    return ConsistencyFinding(
-        "scale" if leaf.left > 0 else "sign",
-        "X" if relation.leaf == "hand" else relation.leaf,
-        f"{relation.name}: slope {slope.slope:.4g} +- {slope.error:.1g} where 1 was expected "
-        f"(correlation {slope.correlation:.3f}){corrected}; no usual mistake of unit or sign gives that. "
-        f"Check the scale of {' and '.join(_name(c) for c in relation.powers)}.{alternative}",
-        slope.slope,
-        slope.error,
-    )
-
-
-def _name(channel: str) -> str:
-    return "X, Y" if channel == "hand" else channel

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
+from split_cli.logs.checking.checks import ACROSS
+from split_cli.logs.checking.consistency import Consistency, corrected_columns
 from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
-from split_cli.logs.checking.explanations import ConsistencyFinding
+from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 
@@ -25,11 +27,11 @@ _MOST = 3
 """Channels that are told [1]; with more than that something else is wrong."""
 _HELD = 0.3
 """Share of rows that repeat the one before, from which on a channel is one of steps [1]."""
-_UNTRUSTED = ("scale", "sign", "swapped", "world", "constant", "course")
+_UNTRUSTED = ("scale", "sign", "hand", "swapped", "world", "constant", "copied", "course")
 
 
 def late_channels(
-    drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str, str], known: Sequence[ConsistencyFinding]
+    drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str, str], known: Consistency
 ) -> list[ConsistencyFinding]:
     """Return a finding for each measured channel that is late or early by more than `_LATE`.
 
@@ -40,20 +42,24 @@ def late_channels(
         Needed for the steer angle.
     kinds : mapping of str to str
         Derived channels have no clock of their own; a command that the car precedes is one that came late.
-    known : sequence of ConsistencyFinding
-        A channel that is already told wrong is not looked at, and nothing is where v_x, r or the place of v_y is.
+    known : Consistency
+        A factor that it is sure of is taken out. A channel that is told wrong without one is not looked at, and
+        nothing is where v_x, r or the place of v_y is.
     """
-    wrong = {finding.channel for finding in known if finding.check in _UNTRUSTED}
-    if {"vx", "r", "time"} & wrong or any(f.check == "place" for f in known):
+    wrong = {f.channel for f in known.findings if f.check in _UNTRUSTED}
+    wrong -= {"X" if channel == "hand" else channel for channel in known.factors}
+    if {"vx", "r", "time"} & wrong or any(f.check == "place" for f in known.findings):
         return []
     stride = max(1, round(_STEP / drive.period))
     rows = _ROWS * stride
     first = max(0, (len(drive) - rows) // 2)
     part = drive.stretch(first, min(first + rows, len(drive)))
+    vy_judged = any(relation.name == ACROSS for relation in known.relations)
+    whole = corrected_columns(part.columns, known.factors, vy_judged)
     segments = [slice(-(-s.start // stride), -(-s.stop // stride)) for s in part.segments()]
     columns = {
         channel: values[::stride]
-        for channel, values in part.columns.items()
+        for channel, values in whole.items()
         if not kinds.get(channel, "").startswith("derived") and channel not in wrong and not _in_steps(values)
     }
     if "vx" not in columns:

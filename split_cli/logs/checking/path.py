@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION, Checks, Unjudged
-from split_cli.logs.checking.explanations import ConsistencyFinding
 from split_cli.logs.checking.kinematics import around_mean, block_interval, fit_slope
+from split_cli.logs.checking.relations import ConsistencyFinding
 
 __all__ = ["direction_of_travel", "velocity_across", "velocity_along", "yaw_is_course"]
 

@@ -174,11 +174,11 @@ def _agree_in_any_unit(s: Suggestion, chosen: Mapping[str, Suggestion], verdict:
 
 def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consistency) -> Suggestion:
     """Say what supports or contradicts a suggestion."""
-    faults = ("scale", "sign", "range", "constant", "swapped", "contradiction", "course")
+    faults = ("scale", "sign", "range", "constant", "copied", "swapped", "contradiction", "course")
     wrong = [f for f in verdict.findings if f.channel == s.channel and f.check in faults]
     if wrong:
         return replace(s, status="open", reason=wrong[0].text)
-    undecided = [f for f in verdict.findings if f.check == "sign" and f.channel in ("r", "yaw", "X")]
+    undecided = [f for f in verdict.findings if f.check in ("sign", "hand") and f.channel in ("r", "yaw", "X")]
     if undecided and s.channel in HANDED:
         return replace(s, status="open", reason=f"left or right positive is undecided: {undecided[0].text}")
     key = {"Y": "X"}.get(s.channel, s.channel)
