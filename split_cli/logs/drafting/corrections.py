@@ -174,7 +174,7 @@ def _agree_in_any_unit(s: Suggestion, chosen: Mapping[str, Suggestion], verdict:
 
 def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consistency) -> Suggestion:
     """Say what supports or contradicts a suggestion."""
-    faults = ("scale", "sign", "range", "constant", "copied", "swapped", "contradiction", "course")
+    faults = ("scale", "sign", "range", "constant", "swapped", "contradiction", "course")
     wrong = [f for f in verdict.findings if f.channel == s.channel and f.check in faults]
     if wrong:
         return replace(s, status="open", reason=wrong[0].text)
