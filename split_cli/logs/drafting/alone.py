@@ -166,7 +166,9 @@ def read_sideslip(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float)
         return s
     told = f"against v_y/v_x or the path {slope.slope:.3g}"
     if slope.slope < 0.0:
-        return replace(s, scale=-s.scale, status="judged", reason=f"its sign is turned; {told}")
+        turned = "its sign is turned; " if s.scale > 0.0 else ""
+        told = f"against v_y/v_x or the path {abs(slope.slope):.3g}"
+        return replace(s, scale=-s.scale, status="judged", reason=f"{turned}{told}")
     return replace(s, status="judged", reason=told)
 
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from split_cli.logs.drafting.vocabulary import concepts_of, read_concepts, tokens_of
+from split_cli.logs.drafting.vocabulary import concepts_of, read_concepts, tokens_of, unfolded
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.signals import find_unit
 
@@ -76,8 +76,8 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("yaw", 3, r"vicon_yaw|attitude_yaw|euler_?(yaw|psi|z)|orientation_?yaw"),
     ("yaw", 2, r"heading(_angle)?|phi|hdg|theta|head_imu\d?|yaw_imu|azimuth"),
     ("course", 3, r"course(_over_ground)?|cog|gps_(heading|course|bearing)|bearing|track_angle|motion_heading"),
-    ("latitude", 3, r"(gps_|pos_)?lat(itude)?(_?deg)?"),
-    ("longitude", 3, r"(gps_|pos_)?(lon|long|lng)(gitude|itude)?(_?deg)?"),
+    ("latitude", 3, r"(gps_|pos_)?lat(itude)?(_?deg)?|breite(ngrad)?"),
+    ("longitude", 3, r"(gps_|pos_)?(lon|long|lng)(gitude|itude)?(_?deg)?|laenge(ngrad)?"),
     ("X", 3, r"x|(pos(ition)?|loc(ation)?|local|enu|vicon|utm|map|odom|est)_?x(_pos\w*)?"),
     ("X", 3, r"x_?(pos\w*|m|cg|coord\w*)"),
     ("X", 3, r"east(ing)?|utm_?e\w*|x_?cg(_tm)?|x_?o|xg|tx"),
@@ -86,14 +86,15 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("Y", 3, r"north(ing)?|utm_?n\w*|y_?cg(_tm)?|y_?o|yg|ty"),
     ("ax", 3, r"a_?x(_(body|cg|imu|vehicle))?|acc(el(eration)?)?_?x(_?(imu|body|cg))?|x_?acc\w*"),
     ("ax", 3, r"a_?lgt\d?|imu_a(cc\w*)?_?x"),
-    ("ax", 3, r"(?!longitude)(g_?force_?|gps_|inline_?|a_?|acc\w*_?)?(long|lon|lng)\w*(_?(acc\w*|g|a))?"),
-    ("ax", 3, r"inline_?acc\w*"),
+    ("ax", 3, r"(?!longitude|\w*(vel|speed|spd|pos))"
+              r"(g_?force_?|gps_|inline_?|a_?|acc\w*_?)?(long|lon|lng)\w*(_?(acc\w*|g|a))?"),
+    ("ax", 3, r"inline_?acc\w*|line?al_?(g|acc\w*)"),
     ("ax", 3, r"g_?(long|lon)|a_?long|a_?ego"),
     ("ay", 3, r"a_?y(_(body|cg|imu|vehicle))?|acc(el(eration)?)?_?y(_?(imu|body|cg))?|y_?acc\w*"),
     ("ay", 3, r"a_?lat\d?|imu_a(cc\w*)?_?y"),
     ("ay", 3, r"(g_?force_?|gps_|a_?|acc\w*_?)?lat\w*_?(acc\w*|g|a|force)|g_?force_?lat\w*|g_?lat"),
     ("ay", 3, r"acc\w*_?lat\w*|a_?lat"),
-    ("steering_wheel_angle", 3, r"(steering_?wheel|hand_?wheel|str_?whl|sw)_?(angle|pos\w*|ang|a)?|swa"),
+    ("steering_wheel_angle", 3, r"(steering_?wheel|hand_?wheel|str?_?whl|sw)_?(angle|pos\w*|ang|a)?|swa"),
     ("steering_wheel_angle", 3, r"stw_?ang\w*|steer_?whl\w*"),
     ("steering_wheel_angle", 3, r"delta_?(d|h|hw|sw|driver|hand\w*)"),
     ("steering_wheel_angle", 3, r"steering_?wheel_?(angle_?)?\w*|lws_?angle|sas_?angle|wheel_?angle_?driver"),
@@ -139,7 +140,7 @@ def words_of(name: str) -> list[str]:
     structure or a file (``imu.yawRate``) the last part, with the one before where the last only says a direction
     (``velocity.longitudinal``).
     """
-    tail = name = name.split("\\")[0] or name  # INCA: signal\device:raster
+    tail = name = _signal_of(unfolded(name))
     if name.startswith("/"):
         topic, tail = name.rsplit("/", 1)
         if tail.lower() in ("data", "value"):
@@ -149,6 +150,12 @@ def words_of(name: str) -> list[str]:
     tail = "_".join(parts[-2:]) if len(parts[-1]) == 1 or _directs(parts) else parts[-1]
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", tail)
     return [word for word in re.split(r"[^A-Za-z0-9]+", spaced.lower()) if word]
+
+
+def _signal_of(name: str) -> str:
+    """Return a signal's name without its device (INCA: ``signal\\device:raster``) or message (CAN: ``M::s``)."""
+    bare = name.split("\\")[0] or name
+    return bare.rpartition("::")[2] or bare
 
 
 def _directs(parts: list[str]) -> bool:
@@ -197,7 +204,7 @@ def stated_unit(info: RawChannelInfo) -> str | None:
 def _own_part(info: RawChannelInfo) -> str:
     """Return the part of an address that names the quantity: the field of a message, else the whole name."""
     if not info.name.startswith("/"):
-        return info.name.split("\\")[0] or info.name
+        return _signal_of(info.name)
     topic, field = info.name.rsplit("/", 1)
     return topic.rsplit("/", 1)[-1] if field.lower() in ("data", "value") else field
 

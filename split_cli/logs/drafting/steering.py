@@ -267,8 +267,8 @@ def _without_unit(
                 return replace(s, unit=unit, status="assumed", reason=told, **turned)
             return replace(s, unit=unit, status="judged", reason=reason, **turned)
         if unit:
-            sign = -1.0 if turned else 1.0
-            return replace(s, unit=unit, status="open", reason=_ratio(sign * size, unit, None))
+            reach = (-size if turned else size) * find_unit(unit).factor
+            return replace(s, unit=unit, status="open", reason=_ratio(reach, unit, None))
     if not _is_full_size(columns) and re.search("ang|tire|tyre", named) and 0.05 < size < 1.8:
         reason = f"unit not stated, rad assumed: {size:.3g} m over curvature may be a small car's wheelbase{hand}"
         return replace(s, unit="rad", status="assumed", reason=reason, **turned)

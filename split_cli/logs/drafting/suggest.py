@@ -29,6 +29,7 @@ from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, r
 from split_cli.logs.drafting.fields import field_candidates, is_of_a_command
 from split_cli.logs.drafting.form import hints_on_the_form
 from split_cli.logs.drafting.hand import what_tells_left, without_a_side
+from split_cli.logs.drafting.multiples import with_units_of_multiples
 from split_cli.logs.drafting.naming import (
     COMMANDED,
     Meaning,
@@ -59,6 +60,8 @@ __all__ = ["Draft", "Suggestion", "draft_map", "render_draft", "suggest_map"]
 _MOST_RIVALS = 4
 _CLOSE = 0.95
 """Mean correlation of a channel with what the others say, from which on no rival is tried [1]."""
+_OF_MOTION = frozenset({"vx", "vy", "r", "yaw", "X", "Y", "ax", "ay"})
+"""Channels of which no two can be one column."""
 _HELPERS = ("latitude", "longitude", *PARTS, "engine_torque", "course")
 """Meanings that make channels of the drive and are none."""
 
@@ -90,6 +93,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
         time, signals = turned(time, signals)
         line += "   # rows in reverse order: turned round"
     candidates = along_the_car(candidates, triples, signals, time)
+    candidates = with_units_of_multiples(candidates, signals)
     trial = Trial(signals, time, vehicle, known)
     trial.torques = torques_alike(candidates)
     opened: list[Suggestion] = []
@@ -384,9 +388,15 @@ def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[st
     for channel, options in sorted(ranked.items(), key=lambda entry: -entry[1][0].weight):
         for candidate in list(options):
             owner = taken.get(candidate.sources)
-            if owner is not None and not candidate.convert and len(options) > 1:
+            if (
+                owner is not None
+                and not candidate.convert
+                and (len(options) > 1 or {owner, channel} <= _OF_MOTION)
+            ):
                 options.remove(candidate)
-        taken.setdefault(options[0].sources, channel)
+        if options:
+            taken.setdefault(options[0].sources, channel)
+    ranked = {channel: options for channel, options in ranked.items() if options}
     chosen = {channel: _first_guess(options[0], trial) for channel, options in ranked.items()}
     for channel in ("vx", "r", "yaw", "X", "ax", "ay", "vy"):
         options = ranked.get(channel, [])

@@ -115,6 +115,8 @@ class Trial:
             return beyond
         if candidate.channel == "ax" and float(np.min(finite)) == 0.0:
             return "rests at 0 and is never negative, while every car brakes: a pedal"
+        if candidate.channel in ("throttle", "brake") and set(np.unique(finite)) == {0.0, 1.0}:
+            return "is 0 or 1 and nothing between: a switch, not how far the pedal goes"
         unit = find_unit(candidate.unit) if candidate.unit else None
         if candidate.by_convention:
             unit = None  # a driver may keep another

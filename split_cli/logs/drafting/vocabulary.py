@@ -11,7 +11,7 @@ import re
 import unicodedata
 from functools import lru_cache
 
-__all__ = ["concepts_of", "place_and_rest", "read_concepts", "tokens_of"]
+__all__ = ["concepts_of", "place_and_rest", "read_concepts", "tokens_of", "unfolded"]
 
 _WORDS: dict[str, str] = {
     "velocity": (
@@ -80,6 +80,7 @@ _WORDS: dict[str, str] = {
     "acceleration long": "ax along alon algt alaengs",
     "acceleration lat": "ay alat aquer",
     "yaw rate": "wz avz psip yr yawrate psidot psipunkt dpsi",
+    "velocity wheel": "radgeschw radgeschwindigkeit raddrehzahl",
     "angular long": "avx",
     "angular lat": "avy",
     "torque wheel": "radmoment radmomente raddrehmoment",
@@ -94,7 +95,7 @@ _WORDS: dict[str, str] = {
         "msg fahrzeug ist corr corrected mti oxts novatel vicon optitrack mocap rt3000 of in the at from "
         "to s de del des di du la le della sm tm ii 2d "
         "3d dev device coor sys e1 sim simulated model true truth gt log data input "
-        "output stellung stand 车辆 车身 质心 开度 实际 测量"
+        "output stellung stand rohwert 车辆 车身 质心 开度 实际 测量"
     ),
 }
 _CONCEPT = {word: concept for concept, words in _WORDS.items() for word in words.split()}
@@ -107,9 +108,14 @@ _SIDES = ("left", "right")
 _AXES = ("x", "y", "z")
 
 
+def unfolded(name: str) -> str:
+    """Return a name with umlauts as two letters, and the Greek letters of the field as words."""
+    return re.sub(r"[ÄÖÜ]", lambda m: {"Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}[m[0]], name).translate(_FOLD)
+
+
 def tokens_of(name: str) -> list[str]:
     """Return the words of a name in lower case; compounds of known words are parted, others stay whole."""
-    folded = re.sub(r"[ÄÖÜ]", lambda m: {"Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}[m[0]], name).translate(_FOLD)
+    folded = unfolded(name)
     folded = re.sub(r"(?i)(?<![a-z])g[-_ ]?force", "gforce", folded)
     folded = "".join(ch for ch in unicodedata.normalize("NFKD", folded) if not unicodedata.combining(ch))
     found: list[str] = []

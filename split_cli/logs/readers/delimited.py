@@ -25,7 +25,7 @@ from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_gro
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
-__all__ = ["open_delimited", "seconds_of"]
+__all__ = ["degrees_of", "open_delimited", "seconds_of"]
 
 _TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 _BLOCK_BYTES = 4 << 20
@@ -137,9 +137,40 @@ def _number(cell: str, decimal: str) -> float:
         folded = cell.lower()
         if folded in _TRUE or folded in _FALSE:
             return float(folded in _TRUE)
-        return seconds_of(cell)
+        angle = degrees_of(cell)
+        return angle if np.isfinite(angle) else seconds_of(cell)
 
 
+_HALVES = {"N": 1.0, "E": 1.0, "S": -1.0, "W": -1.0}
+_ANGLE = re.compile(
+    r"([NSEW])? *(\d{1,3})°? *"
+    r"(?:(\d{1,2}(?:[.,]\d+)?) *['′’] *(?:(\d{1,2}(?:[.,]\d+)?) *(?:[\"″”]|''))?)? *([NSEW])?$"
+    r"|([NSEW])? *(\d{1,3}[.,]\d+) *° *([NSEW])?$"
+)
+
+
+def degrees_of(cell: str) -> float:
+    """Return a geographic coordinate as degrees, south and west negative; NaN for what is none.
+
+    ``52°06.1234' N``, ``N 52° 6' 7.4"`` or ``52.1057° N``: with the half of the globe that it is on. The letter O
+    is east in German and west in French, so that no value is read from it.
+    """
+    found = _ANGLE.match(cell)
+    if found is None:
+        return float("nan")
+    before, degrees, minutes, seconds, behind, first, decimal, last = found.groups()
+    half = next((letter for letter in (before, behind, first, last) if letter), None)
+    if half is None:
+        return float("nan")
+    if decimal:
+        return _HALVES[half] * float(decimal.replace(",", "."))
+    parts = [float((part or "0").replace(",", ".")) for part in (degrees, minutes, seconds)]
+    return _HALVES[half] * (parts[0] + parts[1] / 60.0 + parts[2] / 3600.0)
+
+
+_SPAN = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?) (sec|min|hr)$")
+"""A duration as MATLAB writes it."""
+_SECONDS = {"sec": 1.0, "min": 60.0, "hr": 3600.0}
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+)?)(?:\s*([AaPp])\.?[Mm]\.?)?$")
 _MONTH = re.compile(r"(\d{1,2})([-/. ])([A-Za-z]{3})[a-z]*\2(\d{2,4})")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
@@ -156,7 +187,7 @@ def seconds_of(cell: str) -> float:
     ISO 8601 counts from 1970, in UTC where it names no zone. A date in another order does so too; its day comes
     first where both readings are possible; its month may be a name (``14-Mar-2026``), or it is written as programs
     print it (``Wed Feb 23 06:51:06 GMT+08:00 2022``). A clock without a date
-    (``10:15:03.25``, ``1:03.25``, ``10:15:03 PM``) counts from 0.
+    (``10:15:03.25``, ``1:03.25``, ``10:15:03 PM``) counts from 0, as does a span (``0.25 sec``).
     """
     from datetime import UTC, datetime
 
@@ -167,6 +198,9 @@ def seconds_of(cell: str) -> float:
         if half:
             hour = hour % 12.0 + (12.0 if half in "Pp" else 0.0)
         return 3600.0 * hour + 60.0 * float(minutes) + float(seconds.replace(",", "."))
+    span = _SPAN.match(cell)
+    if span:
+        return float(span[1]) * _SECONDS[span[2]]
     if len(cell) < 14:
         return float("nan")
     spoken = _OF_A_PROGRAM.match(cell)

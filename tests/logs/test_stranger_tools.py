@@ -1,0 +1,93 @@
+"""Logs as tools of the field write them: coordinates in words, spans of time, a speed in several units, CAN names."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.logs.drafting.naming import meanings
+from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.raw import RawChannelInfo
+from split_cli.logs.readers.delimited import degrees_of, seconds_of
+from split_cli.logs.readers.opening import open_recording
+from tests.logs.planted import PlantedDrive
+from tests.logs.test_stranger_exports import ingested
+from tests.logs.test_stranger_styles import DEG
+
+MPH = 0.44704
+
+
+@pytest.fixture(scope="module")
+def planted() -> PlantedDrive:
+    return PlantedDrive(seconds=60.0, yaw=2.0)
+
+
+def write(path, columns: dict[str, object], separator: str = ",", decimal: str = ".") -> None:
+    cells = [[x if isinstance(x, str) else f"{x:.9g}" for x in values] for values in columns.values()]
+    lines = [separator.join(columns), *(separator.join(row) for row in zip(*cells, strict=True))]
+    path.write_text("\n".join(lines).replace(".", decimal) if decimal != "." else "\n".join(lines))
+
+
+@pytest.mark.parametrize(
+    ("cell", "degrees"),
+    [
+        ("52°06.6000' N", 52.11),
+        ("52° 6' 36\" S", -52.11),
+        ("E 11° 18,0'", 11.3),
+        ("11.3° W", -11.3),
+        ("52°06.6'", np.nan),  # of which half of the globe?
+        ("11° 18' O", np.nan),  # east in German, west in French
+        ("12 N", 12.0),
+    ],
+)
+def test_a_coordinate_in_words_has_the_half_of_the_globe_that_it_names(cell, degrees):
+    np.testing.assert_allclose(degrees_of(cell), degrees, rtol=1e-12)
+
+
+def test_a_span_of_time_is_read_in_seconds():
+    assert [seconds_of(cell) for cell in ("0 sec", "1.5 sec", "2 min", "0.5 hr")] == [0.0, 1.5, 120.0, 1800.0]
+
+
+def test_positions_in_degrees_and_minutes_tell_the_sides_of_slip_and_turning(planted, tmp_path):
+    t = np.arange(0.0, 60.0, 0.02)
+    c = {name: planted.at(name, t) for name in ("X", "Y", "yaw", "vx", "vy", "r")}
+    # One minute of latitude is 1855.3 m at 52 degrees north, one of longitude 1145.4 m (WGS 84).
+    north, east = 6.0 + c["Y"] / 1854.5, 18.0 + c["X"] / 1144.9
+    write(tmp_path / "vbox.csv", {
+        "Time (s)": t, "Latitude": [f"52°{v:010.7f}' N" for v in north],
+        "Longitude": [f"011°{v:010.7f}' E" for v in east], "Speed (km/h)": c["vx"] * 3.6,
+        "True Heading (°)": np.mod(90.0 - c["yaw"] * DEG, 360.0), "Yaw Rate (°/s)": -c["r"] * DEG,
+        "Slip Angle (°)": np.arctan2(c["vy"], c["vx"]) * DEG, "Brake Switch": (np.sin(t) > 0.8).astype(int),
+    })  # fmt: skip
+    draft = draft_map(open_recording(tmp_path / "vbox.csv"))
+    assert draft.of("X").status == draft.of("r").status == draft.of("sideslip").status == "judged"
+    assert draft.of("r").scale == -1.0 and draft.of("sideslip").scale == 1.0
+    assert draft.of("brake").status == "open" and "a switch" in draft.of("brake").reason
+
+
+def test_three_columns_called_speed_tell_each_others_units(planted, tmp_path):
+    """Nothing else judges v_x: with one of them taken in m/s, that in mph would be read 2.2 times too large."""
+    t = np.arange(0.0, 60.0, 0.02)
+    vx = planted.at("vx", t)
+    columns = {"Time": [f"{x:.5g} sec" for x in t], "Speed": vx / MPH, "Vehicle Speed": vx, "GPS Speed": vx * 3.6,
+               "Lateral Velocity": planted.at("vy", t), "Yaw Rate": planted.at("r", t),
+               "Road Wheel Angle": planted.at("delta", t), "Wheel Torque": planted.at("T", t)}  # fmt: skip
+    write(tmp_path / "log.csv", columns)
+    draft = ingested(tmp_path / "log.csv", planted, tmp_path)
+    assert draft.time == "time: {source: Time, unit: s}" and "multiples" in draft.of("vx").reason
+
+
+@pytest.mark.parametrize(
+    ("name", "channel"),
+    [
+        ("StWhlAng\\ETKC:1", "steering_wheel_angle"),
+        ("ESP_19::ESP_VL_Radgeschw_02", "wheel_speed_fl"),
+        ("Motor_20::MO_Fahrpedalrohwert_01", "throttle"),
+        ("LINEALG", "ax"),
+        ("LongitudinalVelocity", "vx"),
+        ("Breite", "latitude"),
+        ("Länge", "longitude"),
+    ],
+)
+def test_names_of_tools_have_one_meaning(name, channel):
+    assert [meaning.channel for meaning in meanings(RawChannelInfo(name, "column", None))] == [channel]
