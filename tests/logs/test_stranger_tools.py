@@ -1,4 +1,4 @@
-"""Logs as tools of the field write them: coordinates in words, spans of time, a speed in several units, CAN names."""
+"""Logs as tools write them: coordinates in words, spans of time, a speed in several units, names of CAN."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_three_columns_called_speed_tell_each_others_units(planted, tmp_path):
     """Nothing else judges v_x: with one of them taken in m/s, that in mph would be read 2.2 times too large."""
     t = np.arange(0.0, 60.0, 0.02)
     vx = planted.at("vx", t)
-    columns = {"Time": [f"{x:.5g} sec" for x in t], "Speed": vx / MPH, "Vehicle Speed": vx, "GPS Speed": vx * 3.6,
+    columns = {"Time": [f"{x:.5g} sec" for x in t], "Speed": vx / MPH, " Speed": vx, "Speed ": vx * 3.6,
                "Lateral Velocity": planted.at("vy", t), "Yaw Rate": planted.at("r", t),
                "Road Wheel Angle": planted.at("delta", t), "Wheel Torque": planted.at("T", t)}  # fmt: skip
     write(tmp_path / "log.csv", columns)
