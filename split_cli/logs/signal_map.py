@@ -344,11 +344,17 @@ def _one_of(value: Any, known: tuple[str, ...], where: str, what: str) -> str:
 
 
 def _number(value: Any, where: str, what: str) -> float:
+    """Return a finite number, or one written as a quotient: ``1/15.3`` of a steering ratio."""
+    above, _, below = value.partition("/") if isinstance(value, str) else ("", "", "")
+    try:
+        value = float(above) / float(below) if below else value
+    except (ValueError, ZeroDivisionError):
+        pass
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise MapError(
             f"{what} is {value!r}, a finite number was expected",
             where=where,
-            advice="Write a number such as 0.5, without a unit.",
+            advice="Write a number such as 0.5, or a quotient such as 1/15.3, without a unit.",
         )
     return float(value)
 

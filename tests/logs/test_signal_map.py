@@ -110,6 +110,15 @@ def test_a_unit_of_another_quantity_is_refused():
         read(table(t=TIME, p=TIME), {"vx": {"source": "p", "unit": "furlong"}})
 
 
+def test_a_scale_may_be_a_quotient_as_the_draft_writes_it():
+    recording = table(t=TIME, s=np.full(N, 30.0))
+    steer = read(recording, {"delta": {"source": "s", "scale": "-1/15", "unit": "deg"}})
+    np.testing.assert_allclose(values(steer, "delta"), np.radians(-2.0), rtol=1e-12)
+    for wrong in ("1/RATIO", "1/0", "1/2/3", "1/"):
+        with pytest.raises(MapError, match="quotient such as 1/15.3"):
+            read(recording, {"delta": {"source": "s", "scale": wrong}})
+
+
 def test_a_sum_adds_its_entries_each_with_its_own_scale():
     recording = table({"p": "bar"}, t=TIME, left=np.full(N, 100.0), right=np.full(N, 120.0), p=np.full(N, 3.0))
     made = read(recording, {"T": {"sum": ["left", "right", {"source": "p", "scale": -70.0, "unit": "N m"}]}})

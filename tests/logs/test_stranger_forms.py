@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from split_cli.errors import SplitError
 from split_cli.logs.assembling.gather import gather
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.dialect import sniff
@@ -110,4 +111,6 @@ def test_tables_of_another_form_are_told_what_to_do(text, told, tmp_path):
     head, *rows = text.splitlines()
     lines = [head, *rows * 20] if "time" in head else [head, *rows] * 20
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
-    assert told in init_project([tmp_path / "a.csv"], tmp_path / "car").next_steps[0]
+    with pytest.raises(SplitError, match=told):
+        init_project([tmp_path / "a.csv"], tmp_path / "car")
+    assert not (tmp_path / "car").exists()

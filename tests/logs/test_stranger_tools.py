@@ -91,3 +91,19 @@ def test_three_columns_called_speed_tell_each_others_units(planted, tmp_path):
 )
 def test_names_of_tools_have_one_meaning(name, channel):
     assert [meaning.channel for meaning in meanings(RawChannelInfo(name, "column", None))] == [channel]
+
+
+@pytest.mark.parametrize(("down", "forward"), [(True, 0), (False, 0), (False, 1)])
+def test_gravity_along_z_tells_of_a_right_handed_sensor_where_y_points(down, forward, planted, tmp_path):
+    """An autopilot's x, y, z are forward, right, down; a phone's may be right, forward, up."""
+    t = np.arange(0.0, 60.0, 0.02)
+    ax, ay, to_left = planted.at("ax", t), planted.at("ay", t), -1.0 if down or forward == 1 else 1.0
+    along, across = f"accelerometer_m_s2[{forward}]", f"accelerometer_m_s2[{1 - forward}]"
+    columns = {"Time": t, "Speed [m/s]": planted.at("vx", t), along: ax, across: to_left * ay,
+               "accelerometer_m_s2[2]": 0.0 * t + (-9.7 if down else 9.7) + 0.1 * np.sin(t),
+               "yaw_rate [rad/s]": to_left * planted.at("r", t)}  # fmt: skip
+    write(tmp_path / "log.csv", columns)
+    draft = draft_map(open_recording(tmp_path / "log.csv"))
+    assert draft.of("ay").sources == (across,) and draft.of("ay").scale == 1.0
+    assert ("right-positive" if to_left < 0.0 else "left-positive") in draft.by_gravity
+    assert ("frame: frd" in draft.by_gravity) == (to_left < 0.0)

@@ -80,6 +80,8 @@ class Draft:
         What decides which side is left; empty where nothing does.
     hints : tuple of str
         What to do with a file of another form than a column for each signal.
+    by_gravity : str
+        What the vertical axis of the accelerometer tells of left and right, where nothing else does.
     """
 
     suggestions: tuple[Suggestion, ...]
@@ -88,6 +90,7 @@ class Draft:
     undefined: tuple[str, ...] = ()
     left: str = ""
     hints: tuple[str, ...] = ()
+    by_gravity: str = ""
 
     def of(self, channel: str) -> Suggestion | None:
         """Return what is said of a channel, None when nothing is."""
@@ -112,7 +115,7 @@ def render_draft(draft: Draft, name: str) -> str:
         if s.status == "open":
             lines.append(f"  # open: {s.channel} from {', '.join(s.sources)}: {s.reason}")
     if not draft.left:
-        lines += [f"# {line}" for line in _NO_LEFT]
+        lines += [f"# {line}" for line in (*_NO_LEFT, draft.by_gravity) if line]
     mapped = {s.channel for s in draft.suggestions if s.status != "open"}
     missing = [channel for channel in REQUIRED_CHANNELS if channel not in mapped]
     if missing:

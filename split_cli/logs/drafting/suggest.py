@@ -42,7 +42,7 @@ from split_cli.logs.drafting.naming import (
 )
 from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
-from split_cli.logs.drafting.triples import along_the_car, names_of_triples
+from split_cli.logs.drafting.triples import along_the_car, names_of_triples, side_by_gravity
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.drafting.wheels import PARTS, sums_of_torques, torques_alike
 from split_cli.logs.raw import (
@@ -137,8 +137,10 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     told = what_tells_left({s.channel: s for s in suggestions if s.status != "open"})
     if not told:
         suggestions = [without_a_side(s) for s in suggestions]
+    by_gravity = "" if told else side_by_gravity({s.channel: s for s in suggestions}, triples, signals)
     hints = hints_on_the_form(recording, infos)
-    return Draft(tuple([*suggestions, *dict.fromkeys(opened)]), line, unused, tuple(undefined), told, hints)
+    whole = (*suggestions, *dict.fromkeys(opened))
+    return Draft(whole, line, unused, tuple(undefined), told, hints, by_gravity)
 
 
 def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehicle: Vehicle | None = None) -> str:

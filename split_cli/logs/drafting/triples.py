@@ -8,16 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.hand import NOT_UP
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawChannelInfo, RawSignal
+from split_cli.signals import find_unit
 
-__all__ = ["along_the_car", "names_of_triples"]
+__all__ = ["along_the_car", "names_of_triples", "side_by_gravity"]
 
 _CLEARLY = 3.0
 """How many times more one axis must turn or move than the one that the names say [1]."""
 _SECONDS = 5.0
 """Over which a car that rolls and pitches comes back, and one that yaws does not [s]."""
+_GRAVITY = 9.80665
+_ABOUT_GRAVITY = 0.2
+"""Share of gravity by which the median of a vertical axis may differ from it, from slopes and scale [1]."""
 _KINDS = {"r": "rate", "vx": "velocity", "vy": "velocity", "ax": "acceleration", "ay": "acceleration",
           "X": "position", "Y": "position"}  # fmt: skip
 
@@ -38,9 +43,11 @@ class _Axes:
 
 
 def names_of_triples(infos: Sequence[RawChannelInfo]) -> tuple[tuple[str, str, str], ...]:
-    """Return names that differ by x, y and z at one place only, as ``AccelX``, ``AccelY``, ``AccelZ``."""
+    """Return names of three axes: ``AccelX``, ``AccelY``, ``AccelZ``, or ``acc[0]`` to ``acc[2]`` and no more."""
     names = {info.name for info in infos if info.type_name != "text"}
-    found = []
+    firsts = [name.removesuffix("[0]") for name in sorted(names) if name.endswith("[0]")]
+    found = [(f"{n}[0]", f"{n}[1]", f"{n}[2]") for n in firsts if {f"{n}[1]", f"{n}[2]"} <= names]
+    found = [three for three in found if three[0].removesuffix("[0]") + "[3]" not in names]
     for name in sorted(names):
         for place in reversed([k for k, letter in enumerate(name) if letter in "xX"]):
             axes = "xyz" if name[place] == "x" else "XYZ"
@@ -49,6 +56,43 @@ def names_of_triples(infos: Sequence[RawChannelInfo]) -> tuple[tuple[str, str, s
                 found.append((three[0], three[1], three[2]))
                 break
     return tuple(found)
+
+
+def side_by_gravity(
+    chosen: Mapping[str, Suggestion],
+    triples: Sequence[tuple[str, str, str]],
+    signals: Mapping[str, RawSignal],
+) -> str:
+    """Say which side a_y is positive to, by what the third axis of its accelerometer reads; empty where unclear.
+
+    An accelerometer at rest reads +g along an axis that points up. The axis of a_x points forward where it reads
+    positive when v_x rises. In a right-handed sensor the third axis then points left or right. A sensor that is
+    left-handed, or reads gravity with the other sign, makes this wrong: it is advice and turns no sign.
+    """
+    ax, ay = chosen.get("ax"), chosen.get("ay")
+    if ax is None or ay is None or ax.scale < 0.0 or ax.status != "judged":
+        return ""
+    three = next((t for t in triples if ax.sources[0] in t and ay.sources[0] in t), None)
+    unit = find_unit(ax.unit or "m/s^2")
+    if three is None or unit is None or ax.sources == ay.sources:
+        return ""
+    i, j = three.index(ax.sources[0]), three.index(ay.sources[0])
+    k = 3 - i - j
+    values = signals[three[k]].values if three[k] in signals else np.zeros(0)
+    reads = float(np.nanmedian(values)) * unit.factor if np.isfinite(values).any() else 0.0
+    if abs(abs(reads) / _GRAVITY - 1.0) > _ABOUT_GRAVITY:
+        return ""
+    up = 1.0 if reads > 0.0 else -1.0
+    # left = up x forward
+    left = up * (1.0 if (k, i, j) in ((0, 1, 2), (1, 2, 0), (2, 0, 1)) else -1.0)
+    way = "up" if up > 0.0 else "down"
+    told = f"{three[k]} reads {reads:.3g} m/s^2, so it points {way}. In a right-handed sensor"
+    if left * ay.scale > 0.0:
+        return f"{told} a_y as above is then left-positive, and what agrees with it too."
+    return (
+        f"{told} a_y as above is then right-positive, and what agrees with it too: set `frame: frd`, "
+        "and `world: ned` if there is a pose."
+    )
 
 
 def along_the_car(

@@ -71,7 +71,6 @@ class InitResult:
         check = [s.channel for s in self.draft.suggestions if s.status == "assumed"]
         if not mapped:
             return (
-                *self.draft.hints,
                 f"No channel was recognised. See what the log holds: split ingest {self.log} --list",
                 f"Write the channels into {self.map_path}; docs/formats.md, Signal map, shows how.",
             )
@@ -85,6 +84,7 @@ class InitResult:
         if not self.draft.left:
             steps.append(
                 "Check in a left turn that r and delta are positive: nothing recorded tells left from right."
+                + (f" {self.draft.by_gravity}" if self.draft.by_gravity else "")
             )
         chosen = derivations_for(missing, mapped)
         derived = {channel for name in chosen for channel in DERIVATIONS[name].makes}
@@ -152,7 +152,8 @@ def init_project(
     Raises
     ------
     SplitError
-        If the recording cannot be read, or one of the two files exists.
+        If the recording cannot be read or has another form than a column for each signal, or one of the two files
+        exists.
     """
     folder = Path(folder)
     targets = folder / "map.yaml", folder / "vehicle.yaml"
@@ -161,6 +162,9 @@ def init_project(
             raise SplitError("exists already", where=str(target), advice="Name another folder with -o.")
     recording = open_logs(list(logs) if together else logs[0], message_paths)
     draft = draft_map(recording, row_rate=row_rate)
+    if draft.hints and all(s.status == "open" for s in draft.suggestions):
+        # Files would stand in the way of the next attempt, with the log in another form.
+        raise SplitError("no channel was recognised", where=recording.name, advice=" ".join(draft.hints))
     folder.parent.mkdir(parents=True, exist_ok=True)
     # Both or none: a map alone would stand in the way of the next attempt.
     with atomic_directory(folder) as temporary:
