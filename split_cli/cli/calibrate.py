@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from split_cli.cli.digits import pair_known
+from split_cli.cli.digits import pair_known, three_digits
 from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
 
 __all__ = ["command"]
@@ -147,13 +147,14 @@ def _show_calibration(calibration, used, output, as_json) -> None:
         )
         return
     if calibration.curves:
-        header = ("axle", "B", "C", "D [N]", "set by data", "slope fitted [N/rad]", "+-", "slip to [rad]",
-                  "alike to [N]", "and at most [N]", "held out [N]", "start [N]", "signal [N]")  # fmt: skip
+        header = ("axle", "B", "C", "D [N]", "determined", "stiffness [N/rad]", "+-", "covered to [rad]",
+                  "differ there [N]", "to alpha_max [N]", "held out [N]", "given file [N]",
+                  "force [N]")  # fmt: skip
         rows = [
             (
                 c.axle, c.tire.B, c.tire.C, c.tire.D, " ".join(c.determined) or "none", *_stiffness(c),
-                c.covered, c.deviation_covered,
-                c.deviation_everywhere, c.held_out.calibrated, c.held_out.start, c.held_out.signal,
+                *map(three_digits, (c.covered, c.deviation_covered, c.deviation_everywhere)),
+                *map(three_digits, (c.held_out.calibrated, c.held_out.start, c.held_out.signal)),
             )
             for c in calibration.curves
         ]  # fmt: skip
@@ -162,22 +163,29 @@ def _show_calibration(calibration, used, output, as_json) -> None:
         found = calibration.resistance
         click.echo()
         rows = [
-            ("drag [N/(m/s)^2]", *pair_known(found.drag, found.drag_error), "drag" in found.determined),
-            ("rolling [N]", *pair_known(found.rolling, found.rolling_error), "rolling" in found.determined),
-            ("force per T/r_e [1]", *pair_known(*found.torque_gain), "a check"),
+            ("drag [N/(m/s)^2]", *pair_known(found.drag, found.drag_error), _yes("drag" in found.determined)),
+            ("rolling [N]", *pair_known(found.rolling, found.rolling_error), _yes("rolling" in found.determined)),
+            ("force per T/r_e [1]", *pair_known(*found.torque_gain), "check only"),
         ]
-        print_table(("resistance", "value", "+-", "set by data"), rows)
+        print_table(("resistance", "value", "+-", "determined"), rows)
         held = found.held_out
-        click.echo(f"held out {held.calibrated:.4g} N, start {held.start:.4g} N, signal {held.signal:.4g} N")
+        click.echo(
+            f"rms error of the longitudinal force, held out: {held.calibrated:.3g} N; with the given file "
+            f"{held.start:.3g} N; the force itself {held.signal:.3g} N"
+        )
     if calibration.estimates:
         click.echo()
-        rows = [(e.name, *pair_known(e.value, e.error), e.settled) for e in calibration.estimates]
-        print_table(("from turning", "value", "+-", "set by data"), rows)
+        rows = [(e.name, *pair_known(e.value, e.error), _yes(e.settled)) for e in calibration.estimates]
+        print_table(("from turning", "value", "+-", "determined"), rows)
     for remark in calibration.remarks:
         click.echo(f"note: {remark}", err=True)
     click.echo(
         f"wrote {output} from {calibration.samples} samples in {calibration.blocks} blocks of time", err=True
     )
+
+
+def _yes(determined: bool) -> str:
+    return "yes" if determined else "no"
 
 
 def _stiffness(curve) -> tuple[float | str, float | str]:

@@ -17,13 +17,13 @@ COLUMNS: dict[str, dict[str, str]] = {
         "features": "what the correction depends on: z2 slip angles and torque, z1 velocities, torque, steering",
         "lap": "number of the lap; 0 is driven with the nominal model",
         "points": "number of samples stored in the set",
-        "r": f"{_RMS} of yaw rate: rad/s^2 of one step, rad/s after a free run",
+        "r": f"{_RMS} of yaw rate: rad/s^2 of one step, rad/s after an open-loop simulation",
         "time s": "duration [s]",
         "unit": "SI unit; 1 for a plain number",
         "updates": "number of samples that changed the set",
         "us/query": "time of one prediction [microseconds], on this machine, one thread",
-        "v_x": f"{_RMS} of longitudinal velocity: m/s^2 of one step, m/s after a free run",
-        "v_y": f"{_RMS} of lateral velocity: m/s^2 of one step, m/s after a free run",
+        "v_x": f"{_RMS} of longitudinal velocity: m/s^2 of one step, m/s after an open-loop simulation",
+        "v_y": f"{_RMS} of lateral velocity: m/s^2 of one step, m/s after an open-loop simulation",
         "value": "estimate, in the unit of its row or column",
         "valid region %": "share of the cells of the valid region that hold a point",
         "samples": "label windows of the drive",
@@ -32,32 +32,35 @@ COLUMNS: dict[str, dict[str, str]] = {
     "evaluate": {
         "+-": "standard error of the value to its left",
         "NLPD": "negative log predictive density of the labels, over all outputs; less is better",
-        "after s": "how long the model ran freely over the recorded inputs [s]",
+        "after s": "length of the open-loop simulation on the recorded inputs [s]",
         "behind": "by how much the mean squared error exceeds that of the best candidate [1]",
         "capacity": "largest number of points in a cell",
         "cell edge": "edge length of a cell as a multiple of the standard edge",
         "error": "error of one step over that of the nominal model, on blocks used for choosing [1]",
         "in 50 %": "share of labels inside the 50 % interval, of v_x/v_y/r [%]",
         "in 95 %": "share of labels inside the 95 % interval, of v_x/v_y/r [%]; far below 95 means overconfident",
-        "model": "predictor; nominal: the vehicle file alone; held: persistence; noise floor: error of "
-        "sensor noise alone",
+        "model": "predictor; nominal: the vehicle file alone; velocity held: persistence; last label held: the "
+        "last label as correction; noise floor: error of sensor noise alone",
         "norm": "root of the sum of the three squared errors of one step; for ranking only, since it mixes units",
         "norm valid": "the same, inside the valid region only",
-        "position": f"{_RMS} of position after the free run [m]",
+        "position": f"{_RMS} of position after the open-loop simulation [m]",
         "size": "requested size of the set",
         "skill": "1 - MSE/MSE of persistence (velocities held): 1 is perfect, 0 as good as persistence, "
         "below 0 worse",
         "skill v_x,v_y,r": "skill of each state separately",
-        "starts": "number of free runs that were averaged",
+        "starts": "number of open-loop simulations, each from a start of its own",
         "threshold": "smallest marginal gain of a sample that is kept",
     },
     "compare": {
-        "after s": "length of the open-loop simulation with recorded inputs [s]",
+        "after s": "length of the open-loop simulation on the recorded inputs [s]",
         "fit %": "100 (1 - |error|/|measured - mean|), the fit of identification tools; below 0 the mean is "
         "better",
         "model": "vehicle file, or trained set with its predictor; * marks the best of a column",
         "of held": "mean over the three states of the rms error over that of velocities held [1]; less is better",
+        "r": f"{_RMS} of yaw rate after the open-loop simulation [rad/s]",
         "skill": "1 - MSE/MSE of velocities held: 1 is perfect, 0 no better than persistence",
+        "v_x": f"{_RMS} of longitudinal velocity after the open-loop simulation [m/s]",
+        "v_y": f"{_RMS} of lateral velocity after the open-loop simulation [m/s]",
     },
     "diagnose": {
         "from": "smallest size at which this effect, if it were the only one, would have been identified on these "
@@ -78,20 +81,20 @@ COLUMNS: dict[str, dict[str, str]] = {
         "B": "stiffness factor of the Magic Formula [1/rad]",
         "C": "shape factor of the Magic Formula [1]",
         "D [N]": "peak lateral force of the whole axle",
-        "alike to [N]": "largest difference between equally good curves",
-        "and at most [N]": "largest peak of an equally good curve",
+        "differ there [N]": "largest difference between equally good curves at slip angles that the drives cover",
+        "to alpha_max [N]": "the same at all slip angles up to alpha_max",
         "at [rad]": "slip angle of the largest deviation",
         "axle": "front or rear",
         "from turning": "parameter of the body that turning shows",
-        "held out [N]": "rms force error on drives not fitted to",
+        "held out [N]": "rms force error on blocks of time not fitted to",
         "in the source": "the curve in the other project's file",
         "largest deviation [N]": "largest difference between the curve in the source and the fitted one",
         "resistance": "force that slows a rolling car",
-        "set by data": "whether the drives determine the value; if not, it stays as given",
-        "signal [N]": "rms of the force itself, to compare the error with",
-        "slip to [rad]": "largest slip angle that the drives cover",
-        "slope fitted [N/rad]": "cornering stiffness, slope of the curve at zero slip",
-        "start [N]": "rms force error of the file that was given",
+        "determined": "what the drives determine; the other coefficients stay as given",
+        "force [N]": "rms of the force itself, to compare the error with",
+        "covered to [rad]": "largest slip angle that the drives cover",
+        "stiffness [N/rad]": "cornering stiffness: slope of the curve at zero slip",
+        "given file [N]": "the same error of the file that was given",
     },
     "export": {
         "target": "the format that was written",
@@ -102,7 +105,18 @@ COLUMNS: dict[str, dict[str, str]] = {
         "tables kB": "size of the numbers",
         "code kB": "size of the code",
     },
-    "ingest": {"channel": "name in the recording", "type": "kind of its values", "count": "number of samples"},
+    "ingest": {
+        "channel": "name in the recording",
+        "type": "kind of its values",
+        "count": "number of samples",
+        "source": "recorded signal that the map assigns to the channel",
+        "rate/Hz": "rate of the source, from the median distance of two samples [Hz]",
+        "jitter": "half the spread between the 1 % and 99 % quantile of that distance, over the median",
+        "gaps": "number of gaps in the source",
+        "min": "smallest value, in the SI unit of the row",
+        "max": "largest value, in the SI unit of the row",
+        "resampling": "how the source was put on the drive's clock: held, interpolated or low-passed",
+    },
     "maneuver": {
         "speed m/s": "speed at the entry",
         "entered": "whether the car entered the course",
@@ -156,7 +170,7 @@ COLUMNS: dict[str, dict[str, str]] = {
     },
     "verify": {"check": "what was checked", "result": "ok or not", "detail": "what was found"},
 }
-#: Why a sample is not learned from; columns of `split label` and `split train`.
+#: Why a sample is not learned from; columns of `split label` and `split train`, behind the word *rejected*.
 LABELS_REASONS = {
     "gap": "the label window contains a gap of the recording",
     "non_finite": "a value is not a number",
@@ -168,7 +182,7 @@ LABELS_REASONS = {
     "gain": "the sample adds no information to the stored points",
 }
 for _table in ("label", "train"):
-    COLUMNS.setdefault(_table, {}).update(LABELS_REASONS)
+    COLUMNS.setdefault(_table, {}).update({f"rejected: {name}": text for name, text in LABELS_REASONS.items()})
 
 
 def meaning(table: str, column: str) -> str | None:

@@ -99,8 +99,11 @@ def _code(compared, exit_code: bool, limits: dict[str, float]) -> int:
 
 
 def _tell(compared) -> None:
-    click.echo(f"{compared.starts} free runs on {', '.join(compared.drives)}")
-    click.echo("rms errors with 95 % intervals; * is best; `split explain compare` explains the columns\n")
+    from split_cli.workflows.report.comparison import headline
+
+    click.echo(headline(compared))
+    click.echo(f"open-loop simulation from {compared.starts} starts on {', '.join(compared.drives)}")
+    click.echo("rms errors in m/s, m/s, rad/s with 95 % intervals; * is best; --legend explains every column\n")
     rows = []
     for score in compared.scores:
         row = [score.name, f"{score.horizon:g}"]

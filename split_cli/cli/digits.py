@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["Told", "known_to", "pair_known", "plausible", "three_digits"]
+__all__ = ["Told", "known_to", "pair_known", "plausible", "three_digits", "two_digits"]
 
 
 def plausible(value: float) -> str:
@@ -48,4 +48,11 @@ def three_digits(value: float) -> Told:
     """Return an rms error printed to three digits: two models are told apart to about one per cent of it."""
     told = Told(value)
     told.text = plausible(float(f"{value:.3g}"))
+    return told
+
+
+def two_digits(value: float) -> Told:
+    """Return a numerical error printed to two digits: only its size matters."""
+    told = Told(value)
+    told.text = f"{value:.1e}"
     return told

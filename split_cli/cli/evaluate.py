@@ -108,7 +108,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     show_default=True,
     callback=_list_of(float),
     metavar="LIST",
-    help="Horizons of the multi-step predictions [s].",
+    help="Durations of the open-loop simulations (rollouts) [s].",
 )
 @click.option(
     "--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h, without --set."
@@ -240,13 +240,14 @@ def _mark(one) -> str:
 
 
 def _print_report(report) -> None:
+    for line in report.verdicts:
+        click.echo(f"{line}\n")
     tested = sum(drive.tested for drive in report.drives)
     valid = sum(drive.tested_valid for drive in report.drives)
     click.echo(f"{report.vehicle}, protocol {report.settings.protocol}, h = {report.settings.horizon:g} s")
-    click.echo(
-        f"{tested} test samples of {len(report.drives)} drives, {valid} in the valid region; root mean square"
-    )
-    click.echo("errors of labels in m/s^2, m/s^2, rad/s^2; skill = 1 - MSE/MSE of velocities held\n")
+    drives = "1 drive" if len(report.drives) == 1 else f"{len(report.drives)} drives"
+    click.echo(f"{tested} test samples of {drives}, {valid} in the valid region")
+    click.echo("rms errors of one step: labels, in m/s^2, m/s^2, rad/s^2; --legend explains every column\n")
     header = ("model", "features", "points", "norm", "v_x", "v_y", "r", "norm valid", "skill", "skill v_x,v_y,r",
               "NLPD", "in 50 %", "in 95 %", "us/query")  # fmt: skip
     pooled = [score for score in report.scores if not score.drive]
@@ -263,13 +264,12 @@ def _print_report(report) -> None:
         sizes = [("all" if s.size == 0 else str(s.size), *_score_row(s.score)[1:11]) for s in report.sizes]
         print_table(("size", *header[1:11]), sizes)
     if report.rollouts:
-        click.echo("\nRollouts with recorded inputs: errors of v_x, v_y [m/s], r [rad/s], position [m]")
+        click.echo("\nRollouts (open-loop simulation on the recorded inputs)")
+        click.echo("rms errors of v_x, v_y [m/s], r [rad/s], position [m]\n")
         print_table(("model", "features", "after s", "starts", "v_x", "v_y", "r", "position"), [
             (r.name, r.features, r.horizon, r.starts, *map(three_digits, r.rmse), _number(r.distance))
             for r in report.rollouts
         ])  # fmt: skip
-    for line in report.verdicts:
-        click.echo(f"\n{line}")
 
 
 def _score_row(score) -> list:

@@ -39,7 +39,7 @@ def command(words, man, as_json) -> None:
         if table != last:
             click.echo(f"{'' if not last else chr(10)}{'every table' if table == 'any' else f'split {table}'}")
             last = table
-        click.echo(f"  {column:<16}  {text}")
+        click.echo(f"  {column:<18}  {text}")
 
 
 def _told(words) -> list[tuple[str, str, str]]:
@@ -52,7 +52,8 @@ def _told(words) -> list[tuple[str, str, str]]:
         if word in COLUMNS:
             told += [(word, column, text) for column, text in COLUMNS[word].items()]
             continue
-        found = [(table, word, columns[word]) for table, columns in COLUMNS.items() if word in columns]
+        names = (word, f"rejected: {word}")  # a reason by itself, as files and JSON have it
+        found = [(t, name, columns[name]) for t, columns in COLUMNS.items() for name in names if name in columns]
         if not found:
             known = [*COLUMNS, *(column for columns in COLUMNS.values() for column in columns)]
             raise click.UsageError(f"no table and no column {word!r}. {nearest_names(word, known)}")

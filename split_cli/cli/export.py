@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from split_cli.cli.digits import three_digits, two_digits
 from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
 
 __all__ = ["command"]
@@ -98,15 +99,20 @@ def command(set_path, targets, output, predictor, name, real, queries, step, ins
         ],
         [_row(target) for target in result.targets],
     )
-    click.echo(f"\n{result.points} points in {result.cells} cells, set SHA-256 {result.set_sha256}")
+    checked = ", ".join(target.target for target in result.targets if target.check)
+    if checked:
+        click.echo(f"{checked}: compared with Python on {queries} queries, all errors within the tolerances\n")
+    click.echo(f"{result.points} points in {result.cells} cells, set SHA-256 {result.set_sha256}")
     for target in result.targets:
         click.echo(f"{target.target}: {', '.join(target.files)} ({target.note})")
-    click.echo(f"verified on {queries} queries; errors are in signal deviations and variances; in {result.folder}")
+    click.echo(f"written: {result.folder}")
 
 
 def _row(target) -> list:
     check = target.check
-    errors = [check.mean_error, check.variance_error, check.jacobian_error] if check else [None] * 3
+    sizes = [check.mean_error, check.variance_error, check.jacobian_error] if check else [None] * 3
+    errors = [None if size is None else two_digits(size) for size in (*sizes, target.step_error)]
     microseconds = None if target.seconds_per_query is None else target.seconds_per_query * 1e6
     code = None if target.code_bytes is None else target.code_bytes / 1e3
-    return [target.target, *errors, target.step_error, microseconds, target.table_bytes / 1e3, code]
+    speed = None if microseconds is None else three_digits(microseconds)
+    return [target.target, *errors, speed, three_digits(target.table_bytes / 1e3), code and three_digits(code)]

@@ -67,7 +67,7 @@ def command(
     rows = [
         [r.drive, r.samples, r.accepted, *(dict(r.rejected).get(reason, 0) for reason in reasons)] for r in results
     ]
-    print_table(["drive", "samples", "accepted", *reasons], rows)
+    print_table(["drive", "samples", "accepted", *(f"rejected: {reason}" for reason in reasons)], rows)
     result = results[0]
     click.echo(f"\nhorizon {result.horizon:g} s, {result.window} samples")
     if result.rms and not several:

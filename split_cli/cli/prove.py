@@ -53,7 +53,9 @@ def command() -> None:
 @engine_options(1)
 @json_option
 def generate(folder, seed, cases, kinds, sets, engine, scheduler, jobs, as_json) -> None:
-    """Write cases and their hidden answers, and print the hash of the answers (the seal)."""
+    """Write cases and their hidden answers.
+
+    The hash of the answers, the seal, is printed."""
     from split_cli.workflows.engine import open_engine
     from split_cli.workflows.proving.prove import generate_cases
 
@@ -69,7 +71,9 @@ def generate(folder, seed, cases, kinds, sets, engine, scheduler, jobs, as_json)
 @engine_options(1)
 @json_option
 def identify(folder, limit, engine, scheduler, jobs, as_json) -> None:
-    """Diagnose the cases that have no result yet, without their answers; print the seal first."""
+    """Diagnose the cases that have no result yet.
+
+    The answers are not read. The seal is printed first."""
     from split_cli.workflows.engine import open_engine
     from split_cli.workflows.proving.prove import check_seal, identify_cases
 
@@ -126,7 +130,7 @@ def _numbers(text: str | None) -> list[float]:
 )
 @json_option
 def recording(drives, vehicle_path, output, faults, block, halves, multiples, as_json) -> None:
-    """Add known faults to real recordings, and test whether the diagnosis finds them.
+    """Diagnose real recordings with known faults added.
 
     Alternating blocks of time of a drive form two halves. One half stays as it is and stands for the simulation;
     the other gets the fault. One more pair has no fault.
@@ -160,7 +164,9 @@ def recording(drives, vehicle_path, output, faults, block, halves, multiples, as
 @click.option("--faults", help="Add only these faults, separated by commas, or all. A wrong name lists all names.")
 @json_option
 def multibody(seed, car, model, output, faults, as_json) -> None:
-    """Take a car of commonroad-vehicle-models as reality, a calibrated single track as simulation.
+    """Diagnose a car of commonroad-vehicle-models.
+
+    That car is reality, and a single track calibrated to it is the simulation.
 
     Needs the extra `proof`. The car is driven hard; what is found is judged on another hard drive. With --faults
     the car gets one known fault at a time, and the car without it, on another track, is the simulation.

@@ -44,9 +44,8 @@ __all__ = ["command"]
     "learners",
     multiple=True,
     default=("split",),
-    show_default="split",
     help="none; iol (one dictionary, Kabzan et al. 2019); or split (this project's: a small set in each cell). "
-    "Repeat the option to compare several learners in one report.",
+    "Repeat the option to compare several learners in one report.  [default: split]",
 )
 @click.option(
     "--start-set",

@@ -1,4 +1,4 @@
-"""Options that are always the same, from a file: `split.yaml` here, one named by --config, or the user's own."""
+"""Default options from files: `split.yaml` in the current folder, one named by --config, or the user's own."""
 
 from __future__ import annotations
 

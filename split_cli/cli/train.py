@@ -164,11 +164,15 @@ def _print_laps(laps) -> None:
     print_table([*header, *(["valid region %"] if share else [])], rows)
 
 
+def _three(values) -> str:
+    return ", ".join(three_digits(value).text for value in values)
+
+
 def _print_rows(result) -> None:
     rows = [*result.rows, result.total]
     reasons = list(dict.fromkeys(reason for row in rows for reason, _ in row.rejected))
     share = result.total.valid_share is not None
-    header = ["drive", "samples", "accepted", *reasons, "updates", "set size", "cells"]
+    header = ["drive", "samples", "accepted", *(f"rejected: {r}" for r in reasons), "updates", "set size", "cells"]
     header += [*(["valid region %"] if share else []), "us/sample", "MB"]
     table = []
     for row in rows:
@@ -180,9 +184,9 @@ def _print_rows(result) -> None:
     kernel = result.kernel
     horizons = ", ".join(f"{value:g}" for value in dict.fromkeys(result.horizons))
     click.echo(f"\nlabel interval {horizons} s; hyperparameters: {kernel.origin}")
-    click.echo("length scales " + ", ".join(three_digits(value).text for value in kernel.length_scales))
-    click.echo("signal variance " + ", ".join(three_digits(value).text for value in kernel.signal_variance))
-    click.echo("noise variance " + ", ".join(three_digits(value).text for value in kernel.noise_variance))
+    click.echo("length scales (in units of the features) " + _three(kernel.length_scales))
+    click.echo("signal deviation of v_x, v_y, r [label units] " + _three(v**0.5 for v in kernel.signal_variance))
+    click.echo("noise deviation of v_x, v_y, r [label units] " + _three(v**0.5 for v in kernel.noise_variance))
     if result.fit:
         fit = result.fit
         click.echo(f"fitted to {fit.points} points in {fit.blocks} blocks, {fit.evaluations} evaluations")

@@ -1,4 +1,4 @@
-"""How much is said on stderr, and progress: a bar, a count and the time that remains."""
+"""Verbosity of stderr (--quiet, --verbose) and progress bars with the time that remains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several pieces of one diagnosis at a time, in threads, or the heavy ones wherever a caller has them done.
+"""Parallel execution within one diagnosis: in threads, or by an engine that the caller passes.
 
 NumPy and compiled loops let go of Python's lock, so threads are enough on one machine.
 """

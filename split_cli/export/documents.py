@@ -1,4 +1,4 @@
-"""Trained sets as npz and json: points, labels, cells and kernel, for anyone who reads numbers.
+"""npz and json targets: points, labels, cells and kernel as documented arrays.
 
 Both hold the same fields, described by ``schema/split-export.schema.json``; json as nested lists, npz as arrays
 with the rest as JSON text in the array ``metadata``.

@@ -1,4 +1,4 @@
-"""Where a trained model may be asked: the valid region of training as one loop-free function."""
+"""The valid region of a trained model as one loop-free function."""
 
 from __future__ import annotations
 

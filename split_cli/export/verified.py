@@ -1,4 +1,4 @@
-"""What a check of a file found; apart from the checks, whose libraries take a second to import."""
+"""Result of one check of a file, without the slow imports of the checks themselves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The online rival: one dictionary over the whole feature space, every point judged again at every update."""
+"""The online method of Kabzan et al. (2019) for comparison: one dictionary, compared with every sample."""
 
 from __future__ import annotations
 

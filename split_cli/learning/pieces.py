@@ -1,4 +1,4 @@
-"""A drive piece by piece: a long one is never worked through as a whole. Results do not depend on the pieces."""
+"""Processing of a long drive piece by piece in bounded memory, with results that do not depend on the pieces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's update as printed: one inversion a point, M an update. Slow and obvious; what tests compare with."""
+"""The paper's update of a cell as printed (one inversion a point, M an update), the reference of the tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far each output of a trained set is believed, and what that does to mean and variance."""
+"""How trust and doubt change mean and variance of a trained set's predictions."""
 
 from __future__ import annotations
 

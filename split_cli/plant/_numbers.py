@@ -1,4 +1,4 @@
-"""Parameter dataclasses as namedtuples of float64, which is what compiled code takes."""
+"""Conversion of parameter dataclasses into namedtuples of float64 for compiled code."""
 
 from __future__ import annotations
 

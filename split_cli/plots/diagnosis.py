@@ -17,7 +17,7 @@ from split_cli.diagnosis.statement.result import (
     Improvement,
     ParameterEstimate,
 )
-from split_cli.diagnosis.statement.wording import number, percent, term_name
+from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.plots.style import EMPTY, LABEL_UNITS, PALETTE, STATES, new_figure, quiet
 
 __all__ = ["diagnosis_figures", "draw_help", "draw_what", "draw_where", "gap_map"]
@@ -156,7 +156,7 @@ def draw_what(diagnosis: Diagnosis) -> Figure:
     """Draw, finding by finding, how much worse every other term is, and what a flexible fit finds in the rest."""
     findings = diagnosis.findings[:_SHOWN_FINDINGS]
     rest = diagnosis.remainder
-    groups = () if rest is None else [pair for pair in rest.by_group if pair[1] > 0.0]
+    groups = () if rest is None or not diagnosis.unexplained else [pair for pair in rest.by_group if pair[1] > 0.0]
     rows = [2 + len(finding.runners_up) for finding in findings] + ([1 + len(groups)] if groups else [])
     figure = new_figure(0.5 + 0.27 * sum(rows) + 0.5 * len(rows))
     axes = np.atleast_1d(figure.subplots(len(rows), 1, height_ratios=rows))
@@ -206,10 +206,8 @@ def _draw_rivals(axis: Axes, finding: Finding) -> None:
 
 
 def _told(name: str, estimate: ParameterEstimate) -> str:
-    """Return a parameter with half the width of its 95 % interval."""
-    low, high = estimate.interval_95
-    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
-    return f"{name} {number(estimate.value, 4)} ± {number(0.5 * (high - low), 2)}{unit}"
+    """Return a parameter with its 95 % interval."""
+    return f"{name} {amount(estimate)}"
 
 
 def draw_help(improvement: Improvement, *, named: bool = True) -> Figure:

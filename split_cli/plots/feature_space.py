@@ -159,7 +159,7 @@ def draw_labels(trained: TrainingSet, drives: Sequence[HeldOutSamples], output: 
         axis.set_facecolor("0.93")
     _label_axes(axes, trained, (*labels, *learned))
     figure.colorbar(
-        mesh, ax=axes, label=f"rate of {STATES[output]} left out [{LABEL_UNITS[output]}]", extend="both", pad=0.01
+        mesh, ax=axes, label=f"label of {STATES[output]} [{LABEL_UNITS[output]}]", extend="both", pad=0.01
     )
     figure.suptitle(_finding(labels, output))
     return figure
@@ -171,8 +171,8 @@ def _finding(labels: list[CellMap], output: int) -> str:
         return f"No label of {STATES[output]} lies in the valid region"
     low, high, unit = known.min(), known.max(), LABEL_UNITS[output]
     return (
-        f"What the nominal model leaves out of {STATES[output]}: {low:.2g} to {high:.2g} {unit} "
-        "from cell to cell\n(grey: no label above, nothing known below)"
+        f"Error of the nominal model (label) in {STATES[output]}: {low:.2g} to {high:.2g} {unit} "
+        "over cells\n(grey: no label in the upper row, no points in the lower row)"
     )
 
 

@@ -1,4 +1,4 @@
-"""How a trained set grew, drive by drive, and when the points it kept were met."""
+"""Growth of a trained set: points, cells and updates, drive by drive and over driving time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from split_cli.learning.training_set import TrainingSet
-from split_cli.plots.style import PALETTE, new_figure, quiet
+from split_cli.plots.style import PALETTE, legend_below, new_figure, quiet
 from split_cli.scoring.run import EvaluationRun
 
 __all__ = ["draw_growth", "kept_over_time"]
@@ -49,8 +49,7 @@ def draw_growth(run: EvaluationRun) -> Figure:
             axis.set_xlim(0.4, drives + 0.6)
     for axis in axes:
         axis.title.set_size("medium")
-    handles, labels = axes[-1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    legend_below(figure, axes[-1])
     figure.suptitle("\n".join(_finding(features, trained) for features, trained in sets))
     return figure
 

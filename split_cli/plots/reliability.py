@@ -1,11 +1,11 @@
-"""Calibration: how many labels lie inside the intervals that were promised to hold them."""
+"""Calibration of intervals: the share of labels inside, against the promised share."""
 
 from __future__ import annotations
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from split_cli.plots.style import PALETTE, STATES, line_styles, new_figure, quiet
+from split_cli.plots.style import PALETTE, STATES, legend_below, line_styles, new_figure, quiet
 from split_cli.scoring.run import EvaluationRun
 
 __all__ = ["draw_reliability"]
@@ -31,8 +31,7 @@ def draw_reliability(run: EvaluationRun) -> Figure:
         axis.set_aspect("equal")
         axis.set(xlim=(0, 100), ylim=(0, 100))
     axes[0].set_ylabel("labels inside [%]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
+    legend_below(figure, axes[0])
     count = scored[first].probability.count
     figure.suptitle(f"{_verdict(run, first)} ({count} test samples)")
     return figure

@@ -1,11 +1,11 @@
-"""How errors grow when the model runs on by itself over the recorded inputs."""
+"""Errors of open-loop simulation over its duration."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from split_cli.plots.style import STATES, line_styles, model_name, new_figure, quiet
+from split_cli.plots.style import STATES, legend_below, line_styles, model_name, new_figure, quiet
 from split_cli.scoring.evaluation import NOMINAL
 from split_cli.scoring.run import EvaluationRun
 
@@ -36,8 +36,7 @@ def draw_rollouts(run: EvaluationRun) -> Figure:
         axis.set_xlim(left=0.0)
     for axis in axes[2:]:
         axis.set_xlabel("time predicted [s]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
+    legend_below(figure, axes[0])
     figure.suptitle(_finding(run, step))
     return figure
 

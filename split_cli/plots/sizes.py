@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
 
-from split_cli.plots.style import LABEL_UNITS, PALETTE, STATES, new_figure, quiet
+from split_cli.plots.style import LABEL_UNITS, PALETTE, STATES, legend_below, new_figure, quiet
 from split_cli.scoring.evaluation import NOMINAL
 from split_cli.scoring.report import SizeScore
 from split_cli.scoring.run import EvaluationRun
@@ -46,8 +46,7 @@ def draw_sizes(run: EvaluationRun) -> Figure:
         axis.set_ylabel("rms norm of the error" if which == 3 else f"{STATES[which]}: rms [{LABEL_UNITS[which]}]")
     for axis in axes[2:]:
         axis.set_xlabel("samples in the set")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    legend_below(figure, axes[0])
     sample = " (IN SAMPLE)" if report.settings.protocol == "paper" else " on held-out time"
     figure.suptitle(_finding(by_features) + sample)
     return figure

@@ -17,6 +17,7 @@ __all__ = [
     "LABEL_UNITS",
     "PALETTE",
     "STATES",
+    "legend_below",
     "line_styles",
     "model_name",
     "new_figure",
@@ -34,6 +35,8 @@ LABEL_UNITS = ("m/s²", "m/s²", "rad/s²")
 
 _DPI = 120
 _WIDTH = 10.0
+_LEGEND = 125  # characters that fit side by side at the default size
+_KEY = 8  # characters that a key and the space beside it take
 _BASELINES = {
     NOMINAL: {"color": "black", "linestyle": "-"},
     VELOCITY_PERSISTENCE: {"color": "0.55", "linestyle": "--"},
@@ -46,6 +49,15 @@ def new_figure(height: float) -> Figure:
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def legend_below(figure: Figure, axes: Axes) -> None:
+    """Write the legend of some axes below a figure, in as many columns as its width has room for."""
+    handles, labels = axes.get_legend_handles_labels()
+    room = int(_LEGEND / (max(map(len, labels), default=1) + _KEY))
+    rows = -(-len(labels) // max(1, room))
+    columns = -(-len(labels) // max(1, rows))
+    figure.legend(handles, labels, loc="outside lower center", ncols=max(1, columns), frameon=False)
 
 
 def quiet(axes: Axes) -> None:

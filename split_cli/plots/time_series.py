@@ -6,7 +6,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from split_cli.plots.style import HELD_OUT, LABEL_UNITS, PALETTE, STATES, model_name, new_figure, quiet
+from split_cli.plots.style import (
+    HELD_OUT,
+    LABEL_UNITS,
+    PALETTE,
+    STATES,
+    legend_below,
+    model_name,
+    new_figure,
+    quiet,
+)
 from split_cli.scoring.run import EvaluationRun, Trace
 
 __all__ = ["draw_error_over_time"]
@@ -30,16 +39,15 @@ def draw_error_over_time(run: EvaluationRun) -> Figure:
         _draw(axes[state, 0], trace, state, whole=True)
         _draw(axes[state, 1], trace, state, whole=False)
         axes[state, 1].set_xlim(*close_up)
-        axes[state, 0].set_ylabel(f"rate of {STATES[state]} left out [{LABEL_UNITS[state]}]")
+        axes[state, 0].set_ylabel(f"label of {STATES[state]} [{LABEL_UNITS[state]}]")
         axes[state, 0].set_title(_finding(trace, state), fontsize="medium", loc="left")
     axes[0, 1].set_title("close-up of a tested stretch", fontsize="medium", loc="left")
     axes[0, 0].set_xlim(float(trace.held.drive["t"][0]), float(trace.held.drive["t"][-1]))
     for axis in axes[2]:
         axis.set_xlabel("time [s]")
-    handles, labels = axes[0, 1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    legend_below(figure, axes[0, 1])
     name = model_name((trace.name, trace.features))
-    figure.suptitle(f"{trace.held.drive.name}: error of the nominal model, and what {name} says it is")
+    figure.suptitle(f"{trace.held.drive.name}: error of the nominal model (label) and its prediction by {name}")
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Predictors behind one seam: mean, variance and Jacobian of the residual.
+"""Predictors behind one interface: mean, variance and Jacobian of the correction.
 
 May import: learning, vehicle, signals, files, errors.
 """

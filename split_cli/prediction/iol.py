@@ -1,4 +1,4 @@
-"""The online rival as a predictor: the exact process on one bounded dictionary of points."""
+"""The online method of Kabzan et al. (2019) as a predictor: the exact process on one bounded dictionary."""
 
 from __future__ import annotations
 

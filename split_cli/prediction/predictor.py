@@ -1,4 +1,4 @@
-"""The seam every predictor stands behind."""
+"""The interface of all predictors: mean, variance and Jacobian for a batch of queries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The catalogue as a table of regressors: what a little of each term would add to the 0.05 s prediction error.
+"""Regressors of the baselines: a small size of every term, as its 0.05 s prediction error.
 
 It is what baselines select from, and by what it is told how much of a strange effect the catalogue can absorb.
 """

@@ -1,4 +1,4 @@
-"""Whether what was said of a case is right, and rates with their intervals."""
+"""Score of one case (exact, class, abstained, missed, wrong), and rates with Wilson intervals."""
 
 from __future__ import annotations
 

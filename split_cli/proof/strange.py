@@ -1,4 +1,4 @@
-"""Effects that the catalogue does not have, of the proof's own invention, which a diagnosis should not name."""
+"""Effects outside the catalogue, which a diagnosis should leave unexplained."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A car in its surroundings: everything an effect may change."""
+"""A plant's car with its road, wind and instruments: everything an effect may change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Predictors applied to drives: at recorded rows and at states of the model's own, FITC's future supplied."""
+"""Predictors applied to drives: at recorded rows and at simulated states; FITC gets the recorded future."""
 
 from __future__ import annotations
 

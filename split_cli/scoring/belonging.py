@@ -1,4 +1,4 @@
-"""Whether a drive can be of a vehicle, by geometry, grip and mass, and whether it lies where a set has points."""
+"""Whether a drive can belong to a vehicle (geometry, grip, mass), and how much of it lies near points of a set."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Evidence on a correction: errors on held-out blocks of time that a set learned on the other blocks has not seen.
+"""Evidence on a correction: its errors on held-out blocks, each predicted by a set trained on the other blocks.
 
 Every held-out block is predicted over one step and rolled out; the errors are linear in the trust of the three
 outputs, so what any trust would have done is known from four rollouts.

@@ -1,4 +1,4 @@
-"""Inputs that arrive late, as labels tell: they go with the rate of an input, and no feature of z2 holds that."""
+"""Test for inputs that arrive late: correlation of the labels with the rate of an input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What any model must beat: velocities held over the horizon, and the last label held."""
+"""Reference predictions: velocities held over the horizon (persistence), and the last label held."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An evaluation with what its report was made of, for figures."""
+"""Result of an evaluation together with the data behind it, for figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A torque that arrives late: found from labels of training, and put into the model where held-out blocks say so.
+"""First-order lag of the torque, estimated from training labels and kept if held-out blocks improve by it.
 
 No feature of the moment tells what a lag leaves out; a state of the model does. Slips and torque stand in for it
 otherwise in each style of driving, and the correction then does harm in the next one.

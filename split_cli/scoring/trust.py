@@ -1,4 +1,4 @@
-"""Trust from evidence: how much of each correction held-out driving speaks for, and what stays in doubt."""
+"""Trust: the share of each correction that held-out blocks support, and the doubt, the variance beyond it."""
 
 from __future__ import annotations
 

@@ -177,9 +177,9 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
         ratios = [c.to_nominal[0] for c in (worse or better)]
         span = _span(ratios)
         if worse:
-            told.append(f"{state} WORSE ({span} times the nominal error {_where(worse)})")
+            told.append(f"{state} WORSE ({span} times the nominal error {_where(worse, own)})")
         elif better:
-            told.append(f"{state} better ({span} times the nominal error {_where(better)})")
+            told.append(f"{state} better ({span} times the nominal error {_where(better, own)})")
         else:
             told.append(f"{state} as the nominal model")
     harm = any("WORSE" in part for part in told)
@@ -207,9 +207,12 @@ def _beside_one(ratio: float) -> str:
     return next((text for text in texts if float(text) != 1.0), texts[0])
 
 
-def _where(comparisons: Sequence[Comparison]) -> str:
-    """Name each horizon once, also where several predictors were compared."""
-    return ", ".join(dict.fromkeys(c.when for c in comparisons))
+def _where(comparisons: Sequence[Comparison], judged: Sequence[Comparison] = ()) -> str:
+    """Name each horizon once, also where several predictors were compared; all that were judged have one name."""
+    horizons = dict.fromkeys(c.when for c in comparisons)
+    if len(horizons) > 1 and horizons.keys() == {c.when for c in judged}:
+        return "at every horizon"
+    return ", ".join(horizons)
 
 
 def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:

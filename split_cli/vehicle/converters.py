@@ -1,4 +1,4 @@
-"""Other projects' parameter files as vehicles: CommonRoad, F1TENTH, ForzaETH.
+"""Reading parameter files of other projects as vehicles: CommonRoad, F1TENTH, ForzaETH.
 
 Each format is recognised by its keys. What a format does not hold (wheel radius, torque limits, often tyre peaks)
 is assumed, marked so and said.

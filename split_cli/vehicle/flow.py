@@ -1,4 +1,4 @@
-"""What passes through the stages of the single track: everything a named term may read or alter."""
+"""Data that pass through the stages of the single track: everything that a term may read or change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vehicles as other projects' parameter files: what `converters` reads, written back."""
+"""Writing vehicles as parameter files of other projects: the reverse of `converters`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The few operations physics is written in, so that NumPy and CasADi evaluate one text.
+"""Mathematical operations that NumPy and CasADi share, so that both evaluate the same physics.
 
 A term or model takes an `Operations` and uses nothing else beside + - * / ** and unary minus. The CasADi
 implementation lives in `export`, the only place besides control that knows CasADi.

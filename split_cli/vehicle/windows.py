@@ -1,4 +1,4 @@
-"""Windows of a recording: what a model needs to start anywhere in it, and the one way to predict from there."""
+"""Windows of a recording: the data from which a model can start anywhere in it, and its prediction from there."""
 
 from __future__ import annotations
 

@@ -31,6 +31,11 @@ __all__ = ["diagnosis_charts", "gathered", "recording_charts"]
 
 #: A picture needs no more labels than this to show what is learned.
 _MOST_LEARNED = 1500
+_FOUND = "with the identified effects"
+_SHARED = (
+    " These are errors of the vehicle file alone. They also hold what the simulation has beyond that file, so "
+    "they may show structure where nothing of the gap is unexplained."
+)
 
 
 def recording_charts(drive: Drive, vehicle: Vehicle | None) -> tuple[Chart, ...]:
@@ -71,8 +76,8 @@ def diagnosis_charts(
     if effects:
         found = vehicle.with_effects(*effects)
         corrected = RecordingCorrection(found)(drive), found
-        subjects.append(Subject("with what was found", "corrected", *corrected))
-        residuals.append(("with what was found", "corrected", *corrected))
+        subjects.append(Subject(_FOUND, "corrected", *corrected))
+        residuals.append((_FOUND, "corrected", *corrected))
     learned = _learned(*(corrected or (nominal_drive, vehicle)))
     paths = [("measured", "measured", drive)] + [("simulation given", "nominal", one) for one in simulated[:1]]
     return gathered([
@@ -80,7 +85,7 @@ def diagnosis_charts(
         lambda: tire_charts(nominal_drive, vehicle, corrected, learned()),
         lambda: handling_charts(subjects, vehicle),
         lambda: [track_chart(paths)],
-        lambda: _whiteness(residuals),
+        lambda: _whiteness(residuals, _SHARED if simulated else ""),
     ])  # fmt: skip
 
 
@@ -99,12 +104,12 @@ def _learned(drive: Drive, vehicle: Vehicle) -> Callable[[], LearnedForces | Non
     return learn
 
 
-def _whiteness(parts: Sequence[tuple[str, str, Drive, Vehicle]]) -> tuple[Chart, ...]:
+def _whiteness(parts: Sequence[tuple[str, str, Drive, Vehicle]], more: str = "") -> tuple[Chart, ...]:
     found = []
     for name, role, drive, vehicle in parts:
         labels = compute_labels(drive, vehicle, Z2)
         found.append((name, role, labels, labels.y))
-    return whiteness_chart(found)
+    return whiteness_chart(found, more)
 
 
 def gathered(makers: Sequence[Callable[[], Iterable[Chart | None]]]) -> tuple[Chart, ...]:

@@ -1,4 +1,4 @@
-"""Write the pages of a recording and of an evaluation, the latter with its figures, whole or not at all."""
+"""Writing of the HTML pages of a recording and of an evaluation, the latter with its figures."""
 
 from __future__ import annotations
 

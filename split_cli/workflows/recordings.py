@@ -1,4 +1,4 @@
-"""Recordings as a corrected vehicle file asks for them: sensors' faults taken off, places counted."""
+"""Recordings prepared for a vehicle file with effects: sensor faults corrected, track position added."""
 
 from __future__ import annotations
 

@@ -187,8 +187,8 @@ def test_the_summary_says_what_where_and_whether_it_helps():
     for part in (
         "between s = 310 and 420 m grip is 22.0 % lower",
         "These data are explained as well by grip fade (grip_fade).",
-        "mostly in front lateral force (80 % of it). Track position alone explains 91 %",
-        "87 % of it lies between s = 311 and 421 m, in 9 % of the samples",
+        "mostly front lateral force (80 %). Track position alone explains 91 %",
+        "87 % of the gap lies between s = 311 and 421 m, in 9 % of the samples",
         "the squared one-step error above the noise floor falls by 97 % (95 %: 87 to 100 %). After 2 s",
         "the error of v_x changes from 0.54 to 0.014 m/s (persistence: 1.0; noise floor: 0.013)",
     ):

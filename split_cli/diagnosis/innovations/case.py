@@ -1,4 +1,4 @@
-"""Everything whitened: what a diagnosis judges, and what the simulation knows."""
+"""Inputs of one diagnosis, whitened: the real recordings to judge, and what was learned from the simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which rows of a recording are compared: those where a simulation has been too.
+"""Common operating points: the rows of a recording whose operating point the simulation has visited too.
 
 It has been there if it was asked for the same, or if it moved the same. A steering that is scaled, a velocity that
 is turned, take every turn away from where the simulation was asked to be, and the car still moves as it did.

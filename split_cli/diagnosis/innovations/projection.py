@@ -1,4 +1,4 @@
-"""Columns with the directions of an orthogonal basis damped: few columns, many rows, compiled.
+"""Columns with the directions of an orthogonal basis damped, for few columns and many rows, compiled.
 
 A library's product of a tall basis with one to six columns runs at a third of what memory gives, and the search
 for terms does little else.

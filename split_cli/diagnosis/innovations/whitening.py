@@ -1,4 +1,4 @@
-"""What one recorded sample tells beyond all before it: the Kalman filter of a model linear around a recording.
+"""Whitening: the innovations of a Kalman filter for a model linearised along a recording.
 
 The defect of sample k, z_k = y_{k+1} - y_k - integral of f, holds the noise of two samples and everything the
 model lacks. Its noise is correlated from sample to sample, and plain least squares on it throws away what builds

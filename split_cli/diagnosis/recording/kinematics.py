@@ -1,4 +1,4 @@
-"""A recording against itself: position and yaw know the true velocities, whatever the tyres do.
+"""True velocities from position and yaw, to check a recording's velocity and yaw rate sensors.
 
 Over windows of half a second the displacement across the car, from X, Y and yaw, is compared with the integral of
 the recorded velocities. A velocity sensor that is turned or displaced contradicts its own position; no missing

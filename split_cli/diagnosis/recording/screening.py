@@ -1,4 +1,4 @@
-"""What a recording cannot tell, said before anything is concluded from it."""
+"""Screening: what a recording lacks (duration, speed, excitation, live channels), before anything else is done."""
 
 from __future__ import annotations
 

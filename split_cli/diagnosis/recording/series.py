@@ -1,4 +1,4 @@
-"""A drive as the diagnosis sees it: smoothed states to evaluate physics at, raw ones to judge it by."""
+"""A drive prepared for the diagnosis: smoothed states for evaluating physics, raw ones for judging it."""
 
 from __future__ import annotations
 

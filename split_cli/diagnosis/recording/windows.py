@@ -1,4 +1,4 @@
-"""What rates add over short windows of a recording, compiled: every step of a search for a sensor's fault asks."""
+"""Sums of rates over short windows of a recording, compiled, for the search of sensor faults."""
 
 from __future__ import annotations
 

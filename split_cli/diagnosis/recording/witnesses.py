@@ -1,4 +1,4 @@
-"""What else a recording knows twice: the turn of yaw, the way between positions, and the accelerations.
+"""Redundant channels that can confirm a sensor fault: changes of yaw and of position, and accelerations.
 
 Every witness compares, over windows of half a second, what one instrument says with what the velocities make of
 it. Physics that a model lacks moves none of them; faults of sensors do. What the simulation's recordings leave in

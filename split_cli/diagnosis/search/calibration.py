@@ -1,4 +1,4 @@
-"""What simulation shows against itself: thresholds calibrated on the data at hand.
+"""Thresholds calibrated by comparing two halves of the simulation's own data.
 
 The shared model discrepancy is learned on one half of the simulation, and judged on the other half with
 reality's noise, just as reality is judged. Nothing that this finds is a difference between the two: reality

@@ -1,4 +1,4 @@
-"""What every term would add to an explanation: linear promises first, then fits of the best."""
+"""What each further term would save: linear approximations of all, then fits of the best."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A term that acts in a part of the drive only: brakes that are weak for a while, a tyre that picks up.
+"""Test of parts of a drive: terms that act in a part only, such as brakes that are weak until they are warm.
 
 It has no name, since all along the drive it is not what its name says. A difference it is. A part that is as long
 as a drive has to be is asked what a drive is asked: whether what a term saves there is more than chance and more

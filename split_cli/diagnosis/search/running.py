@@ -1,4 +1,4 @@
-"""Which variant of a term runs freely, where one step does not tell.
+"""Choice of a term's variant by open-loop simulation, where one-step errors do not decide.
 
 Variants of a term differ by how a tyre takes a load or a loss of grip. Where much of the gap has no name, that is
 more than they differ by in one step, and the one that bends best to it may lead a rollout astray.

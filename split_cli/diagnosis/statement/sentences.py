@@ -200,11 +200,11 @@ def summarise(
 
 def _where(location: Location) -> str:
     force = max(location.forces, key=location.forces.get)
-    text = f"The gap is mostly in {force.replace('_', ' ')} force ({percent(location.forces[force])} of it)."
+    text = f"The gap is mostly {force.replace('_', ' ')} force ({percent(location.forces[force])})."
     name, score = _tells_most(location)
     if score > _CLEARLY:
         words = variable_name(name)[0]
-        text += f" {words[:1].upper()}{words[1:]} alone explains {percent(score)} of it."
+        text += f" {words[:1].upper()}{words[1:]} alone explains {percent(score)} of the gap."
     here = ""
     if location.place is not None:
         here = f"between s = {number(location.place.s_start)} and {number(location.place.s_end)} m"
@@ -212,11 +212,11 @@ def _where(location: Location) -> str:
         here = f"between {number(location.time[0])} and {number(location.time[1])} s"
     if here:
         share = percent(location.share_of_gap)
-        return f"{text} {share} of it lies {here}, in {percent(location.share_of_samples)} of the samples."
+        return f"{text} {share} of the gap lies {here}, in {percent(location.share_of_samples)} of the samples."
     if name in location.region:
         low, high = location.region[name]
         words, unit = variable_name(name)
-        return f"{text} It is largest at a {words} of {number(low)} to {number(high)} {unit}."
+        return f"{text} The gap is largest at a {words} of {number(low)} to {number(high)} {unit}."
     return text
 
 

@@ -1,4 +1,4 @@
-"""What would tell a finding from the terms that explain the data as well."""
+"""Excitation that separates a finding from its alternatives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers and names as a reader wants them: enough digits, signs as words, terms in words."""
+"""Numbers, terms and variables in words, for sentences of a diagnosis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Are the parameters of an explanation the same everywhere: left and right, hard and gentle, early and late.
+"""Whether a finding's parameters stay constant over side, slip, torque, speed, heat and time.
 
 A term of the catalogue that stands in for something else has to bend: its parameter drifts with what the something
 depends on. Few parameters are tested, so the test sees what a flexible fit of the remainder loses in its freedom.

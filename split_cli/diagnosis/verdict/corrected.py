@@ -1,4 +1,4 @@
-"""Is the corrected vehicle file any better: beside the nominal model, on held-out time, without a simulation."""
+"""The corrected vehicle file beside the given one, on held-out time and without a simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SPLIT on what a model leaves: learned on training time, applied as far as parts of it left out allow."""
+"""SPLIT on the remainder of a model: trained on training time, applied by its trust."""
 
 from __future__ import annotations
 

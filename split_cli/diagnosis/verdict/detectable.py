@@ -1,4 +1,4 @@
-"""How large each effect would have had to be to be named: what a silence about it is worth."""
+"""Detection limits: the smallest size of each effect that would have been named if it were the only one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Time kept out: terms fitted on the rest explain it, or they do not."""
+"""Held-out time: whether terms fitted on the rest explain it."""
 
 from __future__ import annotations
 

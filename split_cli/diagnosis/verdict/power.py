@@ -1,4 +1,4 @@
-"""Whether a match says anything: what would hide behind what the simulation shows against itself."""
+"""Power of a match: which effects could be hidden by differences between halves of the simulation."""
 
 from __future__ import annotations
 

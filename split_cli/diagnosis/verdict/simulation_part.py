@@ -1,4 +1,4 @@
-"""What of the simulation's own knowledge is believed: checked on held-out simulation and on the real drive."""
+"""How much of the correction learned from the simulation is used, by held-out simulation and real time."""
 
 from __future__ import annotations
 

@@ -171,8 +171,9 @@ def render_quality(report: QualityReport) -> str:
     lines = [
         f"{report.duration:.1f} s in {report.segments} segment(s), {share:.1%} of what was recorded; "
         f"time: {report.clock}",
+        *_verdict(report.consistency),
         f"{'channel':<{wide}}{'source':<34}{'rate/Hz':>8}{'jitter':>8}{'gaps':>6}{'min':>12}{'max':>12}"
-        "  resampling",
+        "  unit      resampling",
     ]
     as_recorded = [c for c in report.channels if c.channel == c.source and c.channel not in _KNOWN]
     beyond = as_recorded[_MOST_ROWS:]
@@ -180,7 +181,7 @@ def render_quality(report: QualityReport) -> str:
         source = c.source if len(c.source) <= 33 else "..." + c.source[-30:]
         lines.append(
             f"{c.channel:<{wide}}{source:<34}{c.rate:>8.1f}{c.jitter:>8.1%}{c.gaps:>6d}{c.low:>12.4g}{c.high:>12.4g}"
-            f"  {c.resampling}"
+            f"  {_unit(c.channel):<8}  {c.resampling}"
         )
     if beyond:
         lines.append(f"and {len(beyond)} further columns, kept as recorded: {_few([c.source for c in beyond])}")
@@ -193,7 +194,6 @@ def render_quality(report: QualityReport) -> str:
         ("file and map disagree", report.contradictions),
         ("not in this recording", _skipped(report.skipped)),
         ("delays", [estimate.statement for estimate in report.delays]),
-        ("does not fit together", [finding.text for finding in report.consistency.findings]),
         ("could not be judged", [f"{u.check}: {u.reason}" for u in report.consistency.unjudged]),
         ("note", [*report.warnings, *([report.unverified] if report.unverified else [])]),
     ):
@@ -201,6 +201,22 @@ def render_quality(report: QualityReport) -> str:
             lines.append(f"{title}:")
             lines.extend(f"  {entry}" for entry in entries)
     return "\n".join(lines)
+
+
+def _verdict(found: Consistency) -> list[str]:
+    """Return what the checks came to, faults first."""
+    if found.findings:
+        return ["does not fit together:", *(f"  {finding.text}" for finding in found.findings)]
+    if not found.relations:
+        return []
+    held = f"{len(found.relations)} relations hold" if len(found.relations) > 1 else "1 relation holds"
+    return [f"the channels fit together: {held}, {len(found.unjudged)} could not be judged"]
+
+
+def _unit(channel: str) -> str:
+    """Return the unit of a channel's range; empty where the column is kept as it was recorded."""
+    known = CHANNELS.get(channel)
+    return known.unit if known is not None else EXTRA_UNITS.get(channel, "")
 
 
 def _few(names: Sequence[str]) -> str:

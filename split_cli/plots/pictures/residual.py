@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.learning.labels import Labels
 from split_cli.plots.chart import Band, Chart, ChartLine
-from split_cli.scoring.evaluation import ScoreTally, predictor_names
+from split_cli.scoring.evaluation import NOMINAL, ScoreTally, predictor_names
 from split_cli.scoring.handling.whiteness import autocorrelation
 
 __all__ = ["coverage_charts", "whiteness_chart"]
@@ -17,13 +17,15 @@ _STATES = ("v_x", "v_y", "r")
 _LAGS = 20
 
 
-def whiteness_chart(residuals: Sequence[tuple[str, str, Labels, np.ndarray]]) -> tuple[Chart, ...]:
+def whiteness_chart(residuals: Sequence[tuple[str, str, Labels, np.ndarray]], more: str = "") -> tuple[Chart, ...]:
     """Return the autocorrelation of one-step residuals, a chart a state.
 
     Parameters
     ----------
     residuals : sequence of (name, role, labels, values)
         Values of shape (rows of the labels, 3); labels that do not follow each other by their window break a run.
+    more : str
+        A further sentence for the note of the first chart.
     """
     charts = []
     for state, symbol in enumerate(_STATES):
@@ -41,11 +43,11 @@ def whiteness_chart(residuals: Sequence[tuple[str, str, Labels, np.ndarray]]) ->
             band = max(band, half)
         if series:
             note = (
-                "Autocorrelation of the one-step error. Inside the band one error says nothing of the next: it is "
-                "white noise. Outside it the model leaves out something that lasts. Sensor noise gives up to −0.5 "
-                "at the first lag, where neighbouring steps share a measurement."
+                "Autocorrelation of the one-step error. Inside the band the error is white noise; outside it the "
+                "model lacks something that lasts. Sensor noise alone gives up to −0.5 at the first lag, since "
+                f"neighbouring steps share a measurement.{more}"
             )
-            bands = (Band(-band, band, "99 % of white noise"),)
+            bands = (Band(-band, band, "99 % band of white noise"),)
             name, title = f"white-{symbol.replace('_', '')}", f"Residual of {symbol}"
             texts = (name, title, "lag [s]", "autocorrelation")
             charts.append(Chart(*texts, tuple(series), "" if state else note, bands, group="white"))
@@ -56,15 +58,18 @@ def coverage_charts(tallies: Mapping[tuple[str, str], ScoreTally]) -> tuple[Char
     """Return promised against observed coverage, a chart a state, each naming its own coverage at 95 %."""
     scored = {key: tally for key, tally in tallies.items() if tally.probability is not None}
     names = predictor_names(scored)
-    roles = ("learned", "simulated", "corrected", "nominal", "other")
+    roles = ("learned", "corrected", "nominal", "other")
+    others = sorted(scored.items(), key=lambda one: one[0][0] == NOMINAL)  # colours as on the page
     charts = []
     for state, symbol in enumerate(_STATES if scored else ()):
         series = [ChartLine("as promised", np.array([0.0, 100.0]), np.array([0.0, 100.0]), "measured")]
         inside = []
-        for k, (key, tally) in enumerate(scored.items()):
+        for k, (key, tally) in enumerate(others):
             promised, observed = tally.probability.reliability_curve
-            name = names[key]
-            series.append(ChartLine(name, 100 * promised, 100 * observed[:, state], roles[k % len(roles)]))
+            name, role = (
+                ("vehicle file", "simulated") if key[0] == NOMINAL else (names[key], roles[k % len(roles)])
+            )
+            series.append(ChartLine(name, 100 * promised, 100 * observed[:, state], role))
             inside.append(f"{name} {100 * tally.probability.coverage[1, state]:.0f} %")
         charts.append(Chart(f"coverage-{symbol.replace('_', '')}", f"Coverage of {symbol}", "promised [%]",
                             "labels inside [%]", tuple(series),

@@ -54,7 +54,7 @@ def tire_charts(
     vehicle : Vehicle
         The nominal model.
     corrected : (Drive, Vehicle), optional
-        The vehicle with what was found, and the drive with the faults of its sensors taken off.
+        The vehicle with the identified effects, and the drive with the faults of its sensors taken off.
     learned : LearnedForces, optional
         On top of the corrected vehicle where there is one, else of the nominal one.
 
@@ -78,7 +78,7 @@ def tire_charts(
         series = [_cloud(x, forces.measured[:, column]), _nominal(vehicle, column, x, forces)]
         if with_found is not None:
             centre, mean, _ = binned(x, with_found[:, column], width)
-            series.append(ChartLine("with what was found", centre, mean, "corrected"))
+            series.append(ChartLine("with the identified effects", centre, mean, "corrected"))
         if learned is not None:
             base = forces.nominal if with_found is None else with_found
             series.append(_learned(learned, forces, base, vehicle, x, column, width, with_found is not None))

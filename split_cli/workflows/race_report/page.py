@@ -15,7 +15,7 @@ from split_cli.plots.palette import ROLES
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.report.markup import charts_block, plain_table
 from split_cli.workflows.report.shell import page
-from split_cli.workflows.report.words import escape
+from split_cli.workflows.report.words import heading
 
 __all__ = ["race_charts", "race_page"]
 
@@ -47,7 +47,7 @@ def race_page(races: Sequence[RaceResult], path: Path) -> str:
     charts = race_charts(races)
     package = files("split_cli.workflows.race_report")
     body = Template(package.joinpath("race.html").read_text("utf-8")).substitute(
-        headline=escape(_headline(races)), table=_table(races), timing=_timing(races),
+        headline=heading(_headline(races)), table=_table(races), timing=_timing(races),
         strips=charts_block([chart for chart in charts if chart.wide]),
         plane=charts_block([chart for chart in charts if not chart.wide]),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What is refused before the first step: settings, tracks, sets that a controller cannot trust."""
+"""Checks before a race: settings, tracks and sets that are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a race gave: its laps, and where they were driven."""
+"""Result of a race: its laps and the track."""
 
 from __future__ import annotations
 

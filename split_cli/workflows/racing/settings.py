@@ -1,4 +1,4 @@
-"""What a race is asked to be."""
+"""Settings of a race."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lap 0 decides before learning begins: grid and kernel, and with them the learner."""
+"""What is fixed after lap 0 of a race: grid, kernel and learner."""
 
 from __future__ import annotations
 

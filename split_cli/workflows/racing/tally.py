@@ -1,4 +1,4 @@
-"""What adds up over a lap."""
+"""Sums over one lap: errors, times and failures."""
 
 from __future__ import annotations
 

@@ -182,9 +182,13 @@ const Charts = (() => {
       const yTicks = names || ticks(...this.y, count);
       const xTicks = ticks(...this.x, Math.max(2, Math.round(this.inner / 70)));
       const frame = shape("g");
+      let end = -Infinity; // of the last number written: one that would touch it is left out
       for (const { value, text } of xTicks) {
         const at = this.sx(value);
+        const half = (text.length * TEXT) / 2;
         frame.append(shape("line", { x1: at, x2: at, y1: this.top, y2: this.top + this.tall, stroke: "var(--grid)" }));
+        if (at - half < end + 4) continue;
+        end = at + half;
         frame.append(shape("text", { x: at, y: this.top + this.tall + 15, "text-anchor": "middle" }, text));
       }
       for (const { value, text } of yTicks) {

@@ -13,7 +13,7 @@ from split_cli.workflows.report.markup import charts_block, plain_table, section
 from split_cli.workflows.report.payload import shows
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
-from split_cli.workflows.report.words import escape, number
+from split_cli.workflows.report.words import escape, heading, number
 
 __all__ = ["comparison_charts", "comparison_page", "headline"]
 
@@ -35,8 +35,8 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), t
     drives = "drive" if len(compared.drives) == 1 else "drives"
     facts = [
         ("Models", str(len(compared.models)), "side by side, on the same starts"),
-        ("Rollouts", f"{compared.starts:,}", f"on {len(compared.drives)} {drives}"),
-        ("Left out", f"{compared.diverged:,}", "rollouts in which a model diverged"),
+        ("Simulations", f"{compared.starts:,}", f"open loop, on {len(compared.drives)} {drives}"),
+        ("Left out", f"{compared.diverged:,}", "simulations in which a model diverged"),
     ]
     told = "".join(
         f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
@@ -50,7 +50,7 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), t
     said = headline(compared)
     title = f"Errors after {last[0].horizon:g} s of open-loop simulation"
     body = (
-        f'<section class="verdict {kind}" aria-labelledby="verdict"><h1 id="verdict">{escape(said)}</h1>'
+        f'<section class="verdict {kind}" aria-labelledby="verdict"><h1 id="verdict">{heading(said)}</h1>'
         f'<dl class="facts">{told}</dl></section>'
         + section("errors", title, charts_block(charts[:3], thirds=True))
         + (section("gate", f"Where {escape(compared.models[0])}, named first, is worse", alarms) if alarms else "")
@@ -96,7 +96,7 @@ def comparison_charts(compared: ModelComparison) -> tuple[Chart, ...]:
             "rms error", np.array([one.rmse for one in own]), np.arange(len(own)), "learned", "bars", low, high,
             emphasis=tuple(one.is_best for one in own),
         )  # fmt: skip
-        note = "" if k else "Whiskers: 95 % over blocks of time. The table's ratios are sharper."
+        note = "" if k else "Whiskers: 95 % intervals over blocks of time; ratios in the table have narrower ones."
         texts = f"compare-{state.replace('_', '')}", f"{_NAMES[state].capitalize()} {state}", f"rms error [{unit}]"
         charts.append(Chart(*texts, "", (series,), note, rows=tuple(score.name for score in last)))
     return tuple(charts)
@@ -115,8 +115,9 @@ def _tables(compared: ModelComparison) -> str:
     for k, (name, scores) in enumerate(compared.by_drive):
         parts.append(f"<h3>{escape(name)}</h3>{_table(scores, f'table-drive-{k}')}")
     words = (
-        "<p>Fit is 100 (1 − ‖error‖/‖measured − mean‖), skill 1 − MSE over the MSE of velocities held. A ratio is "
-        "to the best model, with its 95 % interval; one that holds 1 cannot be told from the best.</p>"
+        "<p>Fit is 100 (1 − ‖error‖/‖measured − mean‖). Skill is 1 − MSE over the MSE of persistence, which holds "
+        "the velocities as they are. <em>To the best</em> is the error over that of the best model, with its 95 % "
+        "interval. If the interval contains 1, the difference is not significant.</p>"
     )
     return section("scores", "Table", words + "".join(parts))
 

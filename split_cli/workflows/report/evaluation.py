@@ -18,7 +18,7 @@ from split_cli.plots.pictures import (
 )
 from split_cli.plots.pictures.tires import LearnedForces
 from split_cli.prediction import make_predictor
-from split_cli.scoring.evaluation import predictor_names
+from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, predictor_names
 from split_cli.scoring.rollouts import Correction
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.verdict import Comparison
@@ -27,13 +27,15 @@ from split_cli.workflows.pictures import gathered
 from split_cli.workflows.report.markup import charts_block, plain_table, section
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
-from split_cli.workflows.report.words import escape, number, percent
+from split_cli.workflows.report.words import escape, heading, number, percent
 
 __all__ = ["evaluation_charts", "evaluation_page"]
 
 _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
 _HARM = "WORSE"
 _WARNING = "WARNING: "
+_RATIOS = "Error divided by that of the vehicle file: below 1 the correction helps. Bars are 95 % intervals."
+_MODELS = {NOMINAL: "vehicle file", VELOCITY_PERSISTENCE: "persistence: velocities held"}
 _PREDICTORS = (
     "<p>Predictors such as bcm and projected evaluate the same trained set in different ways; docs/prediction.md "
     "compares them. <em>Full trust</em> applies the whole correction; the others apply the share named above.</p>"
@@ -113,8 +115,8 @@ def _headline(comparisons: Sequence[Comparison]) -> str:
     best = min(longest, key=lambda c: c.to_nominal[0])
     less = round(100.0 * (1.0 - best.to_nominal[0]))
     others = [s for s in better if s != best.state]
-    more = f"; {' and '.join(_STATES[s][1] for s in others)} better too" if others else ""
-    return f"{_STATES[best.state][0]}: errors up to {less} % smaller{more}."
+    more = f", smaller in {' and '.join(_STATES[s][1] for s in others)} too" if others else ""
+    return f"The correction helps: errors up to {less} % smaller in {_STATES[best.state][0].lower()}{more}."
 
 
 def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
@@ -144,7 +146,7 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
     but = "".join(f'<p class="lead">Note: {escape(text)}.</p>' for text in warned)
     return (
         f'<section class="verdict {kind}" aria-labelledby="verdict"><h1 id="verdict">'
-        f'{escape(_headline(comparisons))}</h1>{but}<dl class="facts">{told}</dl>'
+        f'{heading(_headline(comparisons))}</h1>{but}<dl class="facts">{told}</dl>'
         f"<details><summary>Every predictor, state by state</summary>{lines}</details></section>"
     )
 
@@ -164,9 +166,7 @@ def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) 
             rows = np.array([when.index(c.when) for c in mine])
             series.append(ChartLine(names[key], ratio, rows, roles[k % 5], "points", low, high))
         if series:
-            note = (
-                "Error divided by that of the vehicle file: below 1 the correction helps. Bars are 95 % intervals."
-            )
+            note = "" if charts else _RATIOS
             charts.append(Chart(f"ratio-{symbol.replace('_', '')}", f"{title} {symbol}",
                                 "ratio of errors", "", tuple(series), note,
                                 rows=tuple(when)))  # fmt: skip
@@ -187,7 +187,7 @@ def _tables(run: EvaluationRun) -> str:
     names = predictor_names([(score.name, score.features) for score in pooled])
     rows = [
         (
-            names[score.name, score.features],
+            _MODELS.get(score.name, names[score.name, score.features]),
             *(number(float(value)) for value in score.rmse),
             number(float(score.skill_velocity_held[3])),
         )
@@ -198,8 +198,8 @@ def _tables(run: EvaluationRun) -> str:
         rows.append(("noise floor", *(number(float(v)) for v in floor.rms), number(floor.norm), ""))
     heads = ("Rms error of one step", "v_x [m/s²]", "v_y [m/s²]", "r [rad/s²]", "norm", "skill")
     words = (
-        "<p>Skill compares the mean squared error with that of the prediction that velocities stay as they are: "
-        "1 is perfect, 0 no better than that.</p>"
+        "<p>Errors are those of the label, the rate that the vehicle file's model lacks. The norm is the root of "
+        "the sum of their squares. Skill is 1 − MSE over the MSE of persistence: 1 is perfect, 0 no better.</p>"
     )
     return section("scores", "Scores", words + plain_table(heads, rows, "table-scores"))
 
@@ -207,5 +207,10 @@ def _tables(run: EvaluationRun) -> str:
 def _notes(notes: Sequence[str]) -> str:
     if not notes:
         return ""
-    items = "".join(f"<li>{escape(note)}</li>" for note in notes)
-    return section("notes", "What to know", f'<ul class="advice">{items}</ul>')
+    items = "".join(f"<li>{escape(_sentence(note))}</li>" for note in notes)
+    return section("notes", "Notes", f'<ul class="advice">{items}</ul>')
+
+
+def _sentence(note: str) -> str:
+    """Return a note of the command line as a sentence."""
+    return f"{note[:1].upper()}{note[1:].rstrip('.')}."

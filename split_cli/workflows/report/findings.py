@@ -10,9 +10,9 @@ from split_cli.workflows.report.words import chance, escape, number, parameter, 
 __all__ = ["what_section"]
 
 _RIVALS = (
-    "χ²: how much worse these data are explained with the term in place of the chosen one. Std errors: the same "
-    "over its scatter from block to block of time. The placebo is the best of the wrong terms: where it does "
-    "nearly as well, believe neither."
+    "χ² is the increase of the cost with the term in place of the chosen one. Std errors is that increase over "
+    "its scatter from block to block of time. The placebo is the best term that these data exclude. If it does "
+    "nearly as well as the chosen term, believe neither."
 )
 
 
@@ -29,7 +29,10 @@ def what_section(diagnosis: Diagnosis) -> str:
         remainder = _remainder(diagnosis.remainder, diagnosis.unexplained, _level(diagnosis))
     steps = "".join(f"<li>{escape(step)}</li>" for step in diagnosis.history)
     history = (
-        f"<details><summary>Steps of the model selection</summary><ol>{steps}</ol></details>" if steps else ""
+        f"<details><summary>Steps of the model selection</summary><p>A term <em>saves</em> the amount by which it "
+        f"lowers the cost, χ².</p><ol>{steps}</ol></details>"
+        if steps
+        else ""
     )
     return section("what", "What the simulation lacks", f"{cards}{remainder}{history}")
 
@@ -91,7 +94,7 @@ def _rival(finding: Finding, rival: RivalSummary, most: float) -> str:
     placebo = finding.placebo
     same = finding.is_as_good(rival)
     is_placebo = placebo is not None and (rival.term, rival.variant) == (placebo.term, placebo.variant)
-    mark = "as good" if same else "placebo: best wrong term" if is_placebo else "worse"
+    mark = "as good" if same else "placebo: best excluded term" if is_placebo else "worse"
     shown = bar(max(rival.excess, 0.0) / max(most, 1e-9), kind="same" if same else "")
     return (
         f"<tr><th scope=row>{escape(term_title(rival.term, rival.variant))}</th><td>{shown}</td>"
@@ -102,9 +105,9 @@ def _rival(finding: Finding, rival: RivalSummary, most: float) -> str:
 def _remainder(remainder: RemainderTest, unexplained: bool, level: float) -> str:
     title = "The residual has structure" if unexplained else "Residual"
     words = (
-        f"{percent(remainder.share)} of the gap is unexplained: {number(remainder.effect_to_noise, 2)} times "
-        f"sensor noise in a prediction over 0.05 s. Noise alone leaves as much with {chance(remainder.p_value)}; "
-        f"below {level:g} it would not pass for noise."
+        f"{percent(remainder.share)} of the gap is unexplained, {number(remainder.effect_to_noise, 2)} times "
+        f"sensor noise in a prediction over 0.05 s. Probability that noise alone leaves as much: "
+        f"{chance(remainder.p_value)}. Below {level:g} it counts as unexplained."
     )
     total = sum(max(saved, 0.0) for _, saved in remainder.by_group)
     bars = "".join(

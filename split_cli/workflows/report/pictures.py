@@ -1,4 +1,4 @@
-"""Sections of pictures that all pages share, in the order in which an engineer looks at them."""
+"""Sections of charts that all HTML pages share, in the order in which an engineer looks at them."""
 
 from __future__ import annotations
 

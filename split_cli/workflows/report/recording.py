@@ -10,7 +10,7 @@ from split_cli.plots.chart import Chart
 from split_cli.workflows.report.markup import plain_table, section
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
-from split_cli.workflows.report.words import escape, number
+from split_cli.workflows.report.words import escape, heading, number
 
 __all__ = ["recording_page"]
 
@@ -26,13 +26,13 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
     charts : sequence of Chart
     """
     words = _findings(found)
-    headline = words[0] if words else "Nothing in this recording contradicts itself."
+    headline = words[0] if words else "The channels fit together."
     kind = "mismatch" if words else "match"
     more = "".join(f"<p>{escape(text)}</p>" for text in words[1:])
     seconds = len(drive) * drive.period
     facts = [
         ("Length", f"{number(seconds)} s", f"{len(drive):,} rows at {drive.rate:g} Hz"),
-        ("Stretches", f"{len(drive.segments())}", "without a gap"),
+        ("Segments", f"{len(drive.segments())}", "without a gap"),
         ("Channels", f"{len(drive.columns) - 1}", ", ".join(name for name in drive.columns if name != "t")),
     ]
     told = "".join(
@@ -41,9 +41,9 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
     )
     body = (
         f'<section class="verdict {kind}" aria-labelledby="verdict">'
-        f'<h1 id="verdict">{escape(_short(headline))}</h1>'
+        f'<h1 id="verdict">{heading(_short(headline))}</h1>'
         f'{_rest(headline)}{more}<dl class="facts">{told}</dl></section>'
-        f"{''.join(picture_sections(charts))}{_channels(found)}{_done(drive)}"
+        f"{''.join(picture_sections(charts))}{_open(found)}{_channels(found)}{_done(drive)}"
     )
     source = ", ".join(one.name for one in drive.metadata.sources) or drive.name
     return page("ingest", source, f"{_short(headline)} {source}", body, charts)
@@ -84,6 +84,16 @@ def _channels(found: Mapping[str, Any]) -> str:
         return ""
     heads = ("Channel", "Source", "Rate [Hz]", "Gaps", "Spikes", "Lowest [SI]", "Highest [SI]", "Dropped")
     return section("channels", "Channels", plain_table(heads, rows, "table-channels"))
+
+
+def _open(found: Mapping[str, Any]) -> str:
+    """Return what the checks could not judge, and what was assumed; nothing where there is neither."""
+    checked = found.get("consistency") or {}
+    told = [f"Not judged: {one['check']}: {one['reason']}." for one in checked.get("unjudged") or ()]
+    told += [f"Assumed: {text}." for text in found.get("assumed") or ()]
+    told += [f"{str(text).rstrip('.')}." for text in found.get("warnings") or ()]
+    items = "".join(f"<li>{escape(text)}</li>" for text in told)
+    return section("open", "Not judged and assumed", f"<ul>{items}</ul>") if items else ""
 
 
 def _done(drive: Drive) -> str:

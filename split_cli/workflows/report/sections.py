@@ -18,6 +18,7 @@ from split_cli.workflows.report.words import (
     FORCES,
     chance,
     escape,
+    heading,
     number,
     percent,
     quantity,
@@ -34,6 +35,14 @@ _HEADLINES = {
     "mismatch": ("≠", "Simulation and reality differ."),
     "undecided": ("?", "It cannot be decided."),
 }
+_GAP = (
+    "The gap is the force on the real car minus that in the simulation at the same operating point (slip angles, "
+    "torque and speed)."
+)
+_SETTINGS = (
+    "The fixed numbers of the program, the same for every recording; split_cli/diagnosis/policy.py gives unit, "
+    "meaning and origin of each."
+)
 _STAGES = (
     ("before", "Simulation as it is"),
     ("physics", "With the identified effects"),
@@ -80,7 +89,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
         f'<section class="verdict {diagnosis.verdict}" aria-labelledby="verdict">'
         f'<span class="sign" aria-hidden="true">{sign}</span>'
         f"{kicker}"
-        f'<h1 id="verdict">{escape(headline(diagnosis))}</h1>{_chips(diagnosis)}'
+        f'<h1 id="verdict">{heading(headline(diagnosis))}</h1>{_chips(diagnosis)}'
         f'<p class="lead">{escape(_lead(diagnosis))}</p>'
         f'<dl class="facts">{facts}</dl></section>'
     )
@@ -94,7 +103,9 @@ def _chips(diagnosis: Diagnosis) -> str:
     if diagnosis.unexplained:
         words = "and an unexplained part" if chips else "no effect of the catalogue explains it"
         chips.append(f'<a class="chip open" href="#remainder">{words}</a>')
-    return f'<p class="chips"><span>What the simulation lacks:</span> {" ".join(chips)}</p>' if chips else ""
+    if diagnosis.findings and len(chips) < 2:  # the headline says the same
+        return ""
+    return f'<p class="chips"><span>Findings:</span> {" ".join(chips)}</p>' if chips else ""
 
 
 def _lead(diagnosis: Diagnosis) -> str:
@@ -136,13 +147,13 @@ def _facts_of_help(shown: Improvement) -> Iterable[tuple[str, str, str]]:
         note = (
             f"error of {CHANNELS[k][0]} after {last.horizon:g} s: {number(before, 2)} → {number(after, 2)} {unit}"
         )
-        yield "Open loop", ratio, note
+        yield "Open-loop error", ratio, note
 
 
 def _where(diagnosis: Diagnosis) -> str:
     mismatch = diagnosis.verdict == "mismatch"
     intro = (
-        _location_words(diagnosis.location)
+        f"<p>{_GAP}</p>{_location_words(diagnosis.location)}"
         if diagnosis.location is not None
         else "<p>Colour shows how many samples both drives have at an operating point. Outlined cells occur in "
         "reality only and could not be compared. The verdict holds for coloured cells.</p>"
@@ -179,8 +190,8 @@ def _location_words(location: Location) -> str:
     )
     region = _region_words(location)
     return (
-        f'<div class="columns"><div><h3>Share of each force</h3><div class="bars">{forces}</div></div>'
-        "<div><h3>Variables that explain it</h3>"
+        f'<div class="columns"><div><h3>Share of each force in the gap</h3><div class="bars">{forces}</div></div>'
+        "<div><h3>Variables that explain the gap</h3>"
         f'<div class="bars">{depends or "<p>No single variable explains any of it.</p>"}</div></div></div>{region}'
     )
 
@@ -197,7 +208,7 @@ def _region_words(location: Location) -> str:
         stretches.append(f"track position {number(place.s_start)} to {number(place.s_end)} m{lap}{how}")
     if location.time is not None:
         stretches.append(f"time {number(location.time[0])} to {number(location.time[1])} s")
-    words = f"<p>It is largest at {escape('; '.join(stretches))}.</p>" if stretches else ""
+    words = f"<p>The gap is largest at {escape('; '.join(stretches))}.</p>" if stretches else ""
     if location.place is not None or location.time is not None:
         there = "on that stretch" if location.place is not None else "in that time"
         words += (
@@ -228,8 +239,8 @@ def _help(diagnosis: Diagnosis, improvement: Improvement) -> str:
     ]
     if below:
         how += (
-            f" The error of {' and '.join(below)} is below the noise floor from the start. The floor is estimated "
-            "from the whole recording; this part is quieter, and nothing is left to improve."
+            f" The error of {' and '.join(below)} is below the noise floor from the start, so nothing is left to "
+            "improve. The floor is estimated from the whole recording, and this part is quieter."
         )
     tables = _error_table(improvement, stages), _rollouts(improvement, stages), _corrected(diagnosis)
     return section(
@@ -329,9 +340,9 @@ def _would_show(diagnosis: Diagnosis) -> str:
         for one in diagnosis.detectable
     ]
     words = (
-        "<p>Each effect, alone on these drives, would have been identified from about this size on; of several "
-        "parameters each is given for itself. A smaller effect "
-        "stays unnoticed or unexplained, and a similar effect may be identified instead.</p>"
+        "<p>Each effect, alone on these drives, would have been identified from about this size on. Sizes of "
+        "several parameters are each for one parameter alone. A smaller effect stays unnoticed or unexplained, or "
+        "a similar effect is identified instead.</p>"
     )
     unfolded = " open" if diagnosis.verdict == "match" else ""
     listed = table(("Effect", "Detectable from"), rows)
@@ -361,7 +372,7 @@ def _provenance(diagnosis: Diagnosis) -> str:
         for one in diagnosis.inputs
     ]
     settings = "".join(
-        f"<div><dt>{escape(name.replace('_', ' '))}</dt><dd>{escape(value)}</dd></div>"
+        f"<div><dt>{escape(name.replace('_', ' '))}</dt><dd>{escape(_plain(value))}</dd></div>"
         for name, value in diagnosis.settings.items()
     )
     names = ["diagnosis.json", vehicle_name(diagnosis), "gap.parquet"]
@@ -372,6 +383,10 @@ def _provenance(diagnosis: Diagnosis) -> str:
         "read",
         "Inputs",
         f"{table(('Role', 'File', 'SHA-256'), rows)}"
-        f'<details><summary>Settings</summary><dl class="settings">{settings}</dl></details>'
+        f'<details><summary>Settings</summary><p>{_SETTINGS}</p><dl class="settings">{settings}</dl></details>'
         f"<p>Beside this page: {links}</p>",
     )
+
+
+def _plain(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -168,7 +168,7 @@
     const drawn = series.length === 1 && series[0].kind === "bars" ? [] : series;
     const parts = drawn.map((one) => {
       const mark = one.kind === "points"
-        ? shape("circle", { cx: 11, cy: 6, r: 4, fill: one.color })
+        ? shape("circle", { cx: 11, cy: 6, r: 4, fill: one.color, "fill-opacity": told.rows.length ? 1 : 0.5 })
         : shape("line", { x1: 0, x2: 22, y1: 6, y2: 6, stroke: one.color, "stroke-width": one.kind === "bars" ? 8 : 3, "stroke-dasharray": DASHES[one.role] || "none" });
       const inside = [shape("svg", { width: 22, height: 12, "aria-hidden": "true" }, mark), one.name];
       if (series.length < 2) return element("span", { class: "key" }, ...inside);

@@ -158,7 +158,7 @@
         }
         legend("map", ...(state.stage === "compared"
           ? [key("var(--simulated)", `compared, up to ${most} samples a cell`), key("var(--faint)", "only real")]
-          : scaleLegend(limit, "mean of a cell; small: within 2 standard errors of none; outlined: too little to compare")));
+          : scaleLegend(limit, "mean of a cell; small squares: within 2 standard errors of 0; outlined: too few samples to compare")));
       },
       hover(x, y, plot) {
         const cell = cells.find((one) => Math.abs(one.x - x) <= one.w / 2 && Math.abs(one.y - y) <= one.h / 2);
@@ -369,7 +369,7 @@
     const draw = () => redraw("map", "track", "strip");
     if (gap) {
       bar.append(pick("channel", "Force", numbers.forces.map((text, k) => [k, text]), draw));
-      const stages = [["before", "gap"], ...(numbers.named ? [["after", "left after the physics"]] : []), ["compared", "compared"]];
+      const stages = [["before", "gap"], ...(numbers.named ? [["after", "residual"]] : []), ["compared", "compared"]];
       bar.append(pick("stage", "Maps show", stages, draw));
       bar.append(pick("seconds", "Average over", [[0.2, "0.2 s"], [1, "1 s"], [3, "3 s"]], draw));
       bar.append(pick("along", "Over", [["t", "time"], ["s", "distance"]], () => showAll("strip")));

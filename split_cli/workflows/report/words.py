@@ -1,4 +1,4 @@
-"""How the report says names, numbers and chances."""
+"""Names, numbers and p values as the HTML pages print them."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ __all__ = [
     "FORCE_IDS",
     "chance",
     "escape",
+    "heading",
     "number",
     "parameter",
     "percent",
@@ -48,6 +49,11 @@ def readable(text: str) -> str:
 def escape(text: object) -> str:
     """Return text for HTML, inside an element or a quoted attribute."""
     return html.escape(readable(str(text)), quote=True)
+
+
+def heading(text: object) -> str:
+    """Return text for HTML in which no line ends before a per cent sign."""
+    return escape(text).replace(" %", "\u00a0%")
 
 
 def term_title(term: str, variant: str = "") -> str:

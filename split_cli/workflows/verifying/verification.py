@@ -1,4 +1,4 @@
-"""What a check of a file found."""
+"""Result of `split verify`: the checks of a file or folder."""
 
 from __future__ import annotations
 
