@@ -369,8 +369,8 @@ def untold_inputs(drives: Sequence[Drive]) -> tuple[str, ...]:
         return ()
     named = " and ".join(untold)
     return (
-        f"{named}: the recording does not say what happens between samples; straight lines are taken "
-        f"(--held {','.join(untold)} if values are kept until the next sample, as commands are)",
+        f"{named}: the recording does not say what happens between samples; linear interpolation is used. Give "
+        f"--held {','.join(untold)} if values are kept until the next sample, as commands are",
     )
 
 

@@ -158,6 +158,5 @@ def lag_note(training_set: TrainingSet) -> str:
     tau = training_set.found[-1].parameters["tau"]
     return (
         f"torque follows its command {tau:.3f} s late. The set models this lag (drive_lag), since held-out blocks "
-        "improve by it; the vehicle file stays as it is. Leave the lag out with --lag none, or examine it with "
-        "`split diagnose`"
+        "improve by it; the vehicle file does not change. --lag none leaves the lag out"
     )

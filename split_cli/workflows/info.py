@@ -171,7 +171,7 @@ def _yaml(path: Path) -> FileDescription:
     return FileDescription(str(path), "vehicle", tuple(facts))
 
 
-_ONE_DRIVE = "of other stretches of the same driving; how another drive differs shows from three drives on"
+_ONE_DRIVE = "hold for other stretches of the same driving only, since the set was trained on one drive or two"
 _READS = "Name a drive, a trained set, labels, a vehicle file, a map, a diagnosis or an export."
 
 

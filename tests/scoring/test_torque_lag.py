@@ -109,7 +109,7 @@ def test_training_puts_the_lag_into_the_set_and_says_so(trained):
     # Nothing but noise is left, and nothing of it is believed.
     assert made.trust.share[0] <= 0.1
     facts = dict(describe_file(folder / "car.split").facts)
-    assert facts["intervals"].startswith("of other stretches of the same driving")
+    assert facts["intervals"].startswith("hold for other stretches of the same driving")
     plain = train_set(
         [folder / "late.parquet"], folder / "car.yaml", folder / "plain.split", TrainSettings(lag="none")
     )

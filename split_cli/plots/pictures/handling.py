@@ -58,9 +58,18 @@ def _understeer(shown: Sequence[tuple[Subject, Understeer]]) -> Chart:
             part = thinned(len(found.lateral), _MOST_DOTS)
             x, y = found.lateral[part], found.slip_difference[part]
             series.append(ChartLine(f"{one.name}, moments", x, y, one.role, "points", shown=one.shown))
-        reach = np.array([-1.0, 1.0]) * float(np.quantile(np.abs(found.lateral), 0.995))
+        reach = np.array([-1.0, 1.0]) * _reach(found)
         line = found.offset + found.gradient * reach
         series.append(ChartLine(one.name, reach, line, one.role, shown=one.shown))
-    words = "; ".join(understeer_words(one.name, found) for one, found in shown)
-    note = f"The slope is the understeer gradient, below {shown[0][1].limit:.1f} m/s²: {words}."
+    words = "; ".join(
+        f"{understeer_words(one.name, found)}, from |a_y| to {_reach(found):.1f} m/s²" for one, found in shown
+    )
+    note = f"The slope is the understeer gradient, read below {shown[0][1].limit:.1f} m/s²: {words}."
+    if len(shown) > 1:
+        note += " Gradients read from different ranges of a_y may differ."
     return Chart("understeer", "Understeer gradient", "a_y [m/s²]", "alpha_f − alpha_r [rad]", tuple(series), note)
+
+
+def _reach(found: Understeer) -> float:
+    """Return the |a_y| [m/s^2] up to which moments were used, the farthest 0.5 % left out."""
+    return float(np.quantile(np.abs(found.lateral), 0.995))

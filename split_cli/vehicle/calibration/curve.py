@@ -400,7 +400,9 @@ def _settle(
     if chosen.cost > profile.threshold:
         # A free fit would be closer where the drives went, and absurd where they did not.
         away = np.sqrt(2.0 * (chosen.cost - best.cost) / len(problem.slip))
-        remarks.append(f"{axle}: with the values kept, the curve is {away:.3g} N (rms) further from the data than the best fit")
+        remarks.append(
+            f"{axle}: with these kept, the curve is {away:.3g} N (rms) further from the data than the best fit"
+        )
     return chosen, determined, remarks
 
 

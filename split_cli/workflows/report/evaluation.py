@@ -110,7 +110,7 @@ def _headline(comparisons: Sequence[Comparison]) -> str:
     if not judged:
         return "Too little held-out time to tell whether the correction helps."
     if not better:
-        return "The learned correction changes nothing beyond chance."
+        return "The learned correction changes nothing significantly."
     longest = [min((c for c in judged if c.state == s), key=lambda c: c.to_nominal[0]) for s in better]
     best = min(longest, key=lambda c: c.to_nominal[0])
     less = round(100.0 * (1.0 - best.to_nominal[0]))

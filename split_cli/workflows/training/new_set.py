@@ -95,12 +95,12 @@ def create_set(
         whole = held_out_whole(chosen.drives) if empty.trust.origin == "held-out" else 0
         if whole:
             drives.note(
-                f"{whole} drives were held out whole in turn: trust and intervals are for another drive like these"
+                f"each of {whole} drives was held out in turn: trust and intervals hold for another such drive"
             )
         elif empty.trust.origin == "held-out":
             drives.note(
-                "trust and intervals are for other stretches of the same driving: how another drive differs shows "
-                "from three drives on"
+                "trust and intervals hold for other stretches of the same driving only; train on three drives or "
+                "more to cover the difference between drives"
             )
     else:
         empty, fit = _blank(drives, **settings)
