@@ -70,7 +70,7 @@ def interval_warnings(traces: Sequence[Trace]) -> list[str]:
         told.append(
             f"WARNING: intervals of {state} are too narrow here: the 95 % intervals hold only {held} of the "
             f"labels. They would have to be {'up to ' if len(found) > 1 else ''}{factor:.1f} times as wide. This "
-            "driving differs from the training drives by more than these could show"
+            "driving differs from that of the training; add drives like this one to it"
         )
     return told
 
