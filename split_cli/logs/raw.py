@@ -22,6 +22,7 @@ __all__ = [
     "RawSignal",
     "ReadNote",
     "TableRecording",
+    "UniqueNames",
     "column_name_and_unit",
     "counts_rows",
     "nearest_column",
@@ -291,6 +292,34 @@ def note_once(notes: list[ReadNote], note: ReadNote) -> None:
     """Add `note`; one about the same thing in the same place is replaced, so that reading twice counts once."""
     notes[:] = [other for other in notes if (other.what, other.where) != (note.what, note.where)]
     notes.append(note)
+
+
+class UniqueNames:
+    """Names of columns, each once: one that occurs again is numbered (``speed``, ``speed_2``).
+
+    The work grows with the number of names, not with its square, however many are alike.
+
+    Attributes
+    ----------
+    renamed : int
+        How many got a number.
+    """
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set()
+        self._next: dict[str, int] = {}
+        self.renamed = 0
+
+    def of(self, name: str) -> str:
+        """Return `name`, or it with the first number that is free; it is taken from then on."""
+        unique, number = name, self._next.get(name, 2)
+        while unique in self._taken:
+            unique, number = f"{name}_{number}", number + 1
+        if unique != name:
+            self.renamed += 1
+            self._next[name] = number
+        self._taken.add(unique)
+        return unique
 
 
 def column_name_and_unit(title: str) -> tuple[str, str | None]:

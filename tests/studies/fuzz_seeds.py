@@ -28,6 +28,8 @@ from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 from tests.factories import make_drive, make_training_set, road_car
 from tests.logs import readers_support as support
 from tests.logs.test_readers_stranger import DBC, VBO
+from tests.studies import fuzz_seeds_newer as newer
+from tests.studies.fuzz_seeds_newer import Kind, read_recording
 
 __all__ = ["QUICK", "SLOW", "seeds"]
 
@@ -51,21 +53,14 @@ QUICK = dict.fromkeys(
 )
 """The same of kinds that are read in less than a millisecond: with `--quick` they get most inputs."""
 
-Kind = tuple[str, Path, Callable[[Path], object]]
-
 
 def seeds(folder: Path) -> dict[str, tuple[Path, Callable[[Path], object]]]:
     """Write one small valid file of every kind; return each with the function that reads it."""
     planted = support.plant(40)
-    makers = (_messages, _text, _columns, _matlab_and_mdf, _can, _ours)
-    return {name: (path, read) for make in makers for name, path, read in make(folder, planted)}
-
-
-def read_recording(path: Path) -> bool:
-    """Open a recording and read every channel; tell whether anything was dropped."""
-    recording = open_recording(path)
-    recording.read([info.name for info in recording.channels()][:200])
-    return bool(recording.notes)
+    makers = (_messages, _text, _columns, _matlab_and_mdf, _can, newer.rows, newer.tables, _ours)
+    kinds = {name: (path, read) for make in makers for name, path, read in make(folder, planted)}
+    more = (newer.frames(folder), newer.in_pieces(kinds, folder), newer.ours_verified(folder))
+    return kinds | {name: (path, read) for made in more for name, path, read in made}
 
 
 def _drafted(path: Path) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from split_cli.errors import LogError
 
-__all__ = ["MOST_FIELDS", "most_bytes_out", "refuse_unpacked_size"]
+__all__ = ["LONGEST_NAME", "MOST_FIELDS", "most_bytes_out", "refuse_unpacked_size"]
 
 _ALWAYS = 64 << 20
 """What any source may unfold into [bytes]; judgement: one chunk of a recorder has 1 to 8 MB."""
@@ -14,6 +14,9 @@ _AT_MOST = 2 << 30
 """Of one chunk or variable [bytes]; theory: sizes in these formats are 32 bit, and half of that is a sign."""
 MOST_FIELDS = 20_000
 """Numbers in one message type [1]; judgement: the largest of ROS has some 300, a full lidar's header 2,000."""
+LONGEST_NAME = 500
+"""Of an address within a message or row [characters]; judgement: the longest of ROS has 100. Each of 20,000 fields
+repeats the names above it, and a chunk may unfold into a name of megabytes."""
 
 
 def most_bytes_out(bytes_in: int) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from split_cli.errors import LogError, nearest_names
-from split_cli.logs.readers.budget import MOST_FIELDS
+from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
 
 __all__ = ["SEQUENCE", "Definitions", "Field", "Layout", "leaf_paths"]
 
@@ -202,7 +202,12 @@ def _count_leaves(type_name: str, known: dict[str, Any], counted: dict[str, int]
     if type_name in above or len(above) > _DEEPEST:
         raise _endless(type_name)
     total = 0
-    for _, (node, content) in known[type_name][1]:
+    for name, (node, content) in known[type_name][1]:
+        if len(name) > LONGEST_NAME:
+            raise LogError(
+                f"a field of {type_name[:LONGEST_NAME]!r} has a name of {len(name):,} characters",
+                advice="Leave its topic out of the recording.",
+            )
         times = 1
         if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             times = content[1] if node == Nodetype.ARRAY and content[1] <= _LISTED_ELEMENTS else 1

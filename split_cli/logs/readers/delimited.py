@@ -18,6 +18,7 @@ from split_cli.logs.raw import (
     RawRecording,
     RawSignal,
     ReadNote,
+    UniqueNames,
     column_name_and_unit,
     note_once,
 )
@@ -67,7 +68,7 @@ def open_delimited(path: Path) -> RawRecording:
 def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, tuple[int, str | None]]:
     """Return position and unit of every named column."""
     columns: dict[str, tuple[int, str | None]] = {}
-    renamed = 0
+    unique = UniqueNames()
     messages = _messages_of_fields(sniffed)
     repeated = {title for title, count in Counter(sniffed.header).items() if count > 1}
     for index, title in enumerate(sniffed.header):
@@ -84,12 +85,9 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
             unit = known.symbol if known else stated
         if not name:
             continue
-        if name in columns:
-            renamed += 1
-            name = next(f"{name}_{n}" for n in range(2, len(sniffed.header) + 2) if f"{name}_{n}" not in columns)
-        columns[name] = (index, unit)
-    if renamed:
-        note_once(notes, ReadNote("column names that occur twice, numbered", path.name, renamed))
+        columns[unique.of(name)] = (index, unit)
+    if unique.renamed:
+        note_once(notes, ReadNote("column names that occur twice, numbered", path.name, unique.renamed))
     if sniffed.unnamed:
         beside = f" ({sniffed.titles} titles stand before {len(sniffed.header)} columns of values)"
         told = beside if sniffed.titles else ""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
+import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,23 +19,26 @@ from split_cli.logs.raw import (
     RawSignal,
     ReadNote,
     TableRecording,
+    UniqueNames,
     column_name_and_unit,
     note_once,
 )
-from split_cli.logs.readers.budget import MOST_FIELDS
+from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
 from split_cli.logs.readers.delimited import seconds_of
+from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.scratch import GrowingColumn
 
 __all__ = ["is_json", "open_json"]
 
-_MOST_BYTES = 256 << 20
-"""Of a document that is one piece and has to be read at once [bytes]; rows of an object each have no limit."""
-_LONGEST_LINE = 4 << 20
 _LISTED_ROWS = 200
 """Rows whose fields are listed: an event writes fields that the first row lacks [1]."""
-_PIECE = 4096
 _DEEPEST = 12
 _LISTED_ELEMENTS = 64
+_NUMBERS_AT_ONCE, _ROWS_AT_ONCE = 1 << 20, 4096
+"""Rows times fields, and rows, that are decoded before they go to their columns [1]: 8 MB."""
+_NUMBERS_OF_ANY, _NUMBERS_A_BYTE = 8 << 20, 40
+"""What rows may become [1], of any file and for each byte: 320 bytes to one, near what a compressed chunk may;
+judgement: one event of a hundred has 60 bytes, and all have 1,000 fields together at most."""
 
 
 def is_json(head: bytes) -> bool:
@@ -52,111 +56,148 @@ def open_json(path: Path) -> RawRecording:
     Raises
     ------
     LogError
-        If it holds no rows of numbers, or is one piece too large to be read at once.
+        If it holds no rows of numbers, or more than `MOST_FIELDS` fields.
     """
     with path.open("rb") as stream:
-        first = stream.readline(_LONGEST_LINE)
-    if not isinstance(_parsed(first), dict) or _has_columns(_parsed(first)):
+        first = parsed(stream.readline(LONGEST_ELEMENT))
+    if not isinstance(first, dict) or _has_columns(first):
         return _whole(path)
     notes: list[ReadNote] = []
-    known: dict[str, None] = {}
-    for row, _ in zip(_rows(path, []), range(_LISTED_ROWS), strict=False):
-        known |= dict.fromkeys(name for name, _ in _numbers_of(row))
-        if len(known) > MOST_FIELDS:
-            raise _no_rows(path)
-    if not known:
-        raise _no_rows(path)
-    infos = [_info(name) for name in known]
-    real = {info.name: name for info, name in zip(infos, known, strict=True)}
+    known = _names_of(itertools.islice(_rows(path, []), _LISTED_ROWS), path)
+    return _table(path, known, lambda: _rows(path, notes), notes)
+
+
+def _table(
+    path: Path, known: Sequence[str], rows: Callable[[], Iterator[dict[str, Any]]], notes: list[ReadNote]
+) -> RawRecording:
+    """Return a recording of rows, which are read anew for each call of `rows`."""
+    real: dict[str, str] = {}
+    units: dict[str, str | None] = {}
+    infos, unique = [], UniqueNames()
+    for name in known:
+        own, unit = column_name_and_unit(name)
+        own = unique.of(own or name)
+        real[own], units[own] = name, unit
+        infos.append(RawChannelInfo(own, "column", None, unit))
+    if unique.renamed:
+        note_once(notes, ReadNote("column names that occur twice, numbered", path.name, unique.renamed))
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
         wanted = {real[name]: place for place, name in enumerate(names)}
         columns = [GrowingColumn() for _ in names]
-        for piece in _pieces(_rows(path, notes)):
-            values = np.full((len(piece), len(names)), np.nan)
-            for at, row in enumerate(piece):
-                for name, number in _numbers_of(row):
-                    if name in wanted:
-                        values[at, wanted[name]] = number
+        count, size = 0, path.stat().st_size
+        values = np.full((min(max(_NUMBERS_AT_ONCE // max(len(names), 1), 1), _ROWS_AT_ONCE), len(names)), np.nan)
+
+        def hand_over(length: int) -> None:
             for place, column in enumerate(columns):
-                column.append(values[:, place])
-        units = {info.name: info.unit for info in infos}
-        return {
-            name: RawSignal(name, None, column.finished(), units[name])
-            for name, column in zip(names, columns, strict=True)
-        }
+                column.append(values[:length, place])
+            values[:] = np.nan
+
+        for row in rows():
+            at = count % len(values)
+            for name, number in _numbers_of(row):
+                if name in wanted:
+                    values[at, wanted[name]] = number
+            count += 1
+            if at + 1 == len(values):
+                _refuse_rows_of_nothing(count * len(names), size, path)
+                hand_over(len(values))
+        hand_over(count % len(values))
+        read = zip(names, columns, strict=True)
+        return {name: RawSignal(name, None, column.finished(), units[name]) for name, column in read}
 
     return LazyTableRecording(path.name, path, infos, load, notes=notes)
 
 
+def _refuse_rows_of_nothing(numbers: int, size: int, path: Path) -> None:
+    """Refuse columns that are larger than any rows of that many bytes: all fields missing in nearly all rows."""
+    if numbers > _NUMBERS_OF_ANY + _NUMBERS_A_BYTE * size:
+        raise LogError(
+            f"lacks nearly all fields in nearly all rows (over {_NUMBERS_A_BYTE} numbers for each byte)",
+            where=path.name,
+            advice="Map the channels that you need, or write a file for each kind of row.",
+        )
+
+
+def _names_of(rows: Iterable[dict[str, Any]], path: Path) -> list[str]:
+    """Return the addresses of all numbers in some rows."""
+    known: dict[str, None] = {}
+    for row in rows:
+        known |= dict.fromkeys(name for name, _ in _numbers_of(row))
+        if len(known) > MOST_FIELDS:
+            raise _no_rows(path, f"JSON with more than {MOST_FIELDS:,} fields")
+    if not known:
+        raise _no_rows(path)
+    return list(known)
+
+
 def _whole(path: Path) -> RawRecording:
-    """Open a document in one piece: a list of objects, or an object with a list for each column."""
-    if path.stat().st_size > _MOST_BYTES:
-        advice = "Write one object a line (JSON lines), or CSV or Parquet."
-        raise LogError("is one JSON document, too large to be read at once", where=path.name, advice=advice)
-    document = _parsed(path.read_bytes())
-    if isinstance(document, dict) and not _has_columns(document):
-        # {"header": ..., "samples": [{...}, ...]}
-        lists = [v for v in document.values() if isinstance(v, list) and v and isinstance(v[0], dict)]
-        document = max(lists, key=len) if lists else document
-    if isinstance(document, list):
-        flat = [dict(_numbers_of(row)) for row in document if isinstance(row, dict)]
-        names = list(dict.fromkeys(name for row in flat for name in row))
-        columns = {name: [row.get(name, math.nan) for row in flat] for name in names}
-    elif isinstance(document, dict) and _has_columns(document):
-        columns = {name: v for name, v in document.items() if _is_column(v) and len(v) == _length(document)}
-        columns = {name: [_number(x) for x in v] for name, v in columns.items()}
-    else:
-        raise _no_rows(path)
-    if not columns or len(columns) > MOST_FIELDS:
-        raise _no_rows(path)
-    signals = {}
-    for name, values in columns.items():
-        info = _info(name)
-        signals[info.name] = RawSignal(info.name, None, np.array(values, dtype=float), info.unit)
-    return TableRecording(path.name, path, signals)
-
-
-def _info(name: str) -> RawChannelInfo:
-    own, unit = column_name_and_unit(name)
-    return RawChannelInfo(own, "column", None, unit)
-
-
-def _parsed(text: bytes) -> Any:
+    """Open a document in one piece: a list of objects, or an object with a list for each column or one of rows."""
+    rows_of, columns_of = Counter[str](), Counter[str]()
     try:
-        return json.loads(text.removeprefix(b"\xef\xbb\xbf"))
-    except (ValueError, RecursionError):
-        return None
+        for key, elements in JsonDocument(path).lists():
+            first = next(elements, None)
+            counts = rows_of if isinstance(first, dict) else columns_of
+            if len(counts) < MOST_FIELDS and not isinstance(first, list) and first is not None:
+                counts[key] = 1 + sum(1 for _ in elements)
+    except (ValueError, RecursionError) as error:
+        raise _no_rows(path) from error
+    lengths = [length for length in columns_of.values() if length > 1]
+    if "" not in columns_of and _are_columns(lengths):
+        longest = max(lengths)
+        return _columns(path, [key for key, length in columns_of.items() if length == longest], longest)
+    if not rows_of:
+        raise _no_rows(path)
+    chosen = max(rows_of, key=lambda key: rows_of[key])
+
+    def rows() -> Iterator[dict[str, Any]]:
+        for key, elements in JsonDocument(path).lists():
+            if key == chosen:
+                yield from (row for row in elements if isinstance(row, dict))
+                return
+
+    return _table(path, _names_of(rows(), path), rows, [])
+
+
+def _columns(path: Path, keys: Sequence[str], length: int) -> RawRecording:
+    """Return a recording of the lists of an object, all of one length."""
+    signals, unique, notes = {}, UniqueNames(), []
+    wanted = set(keys)
+    for key, elements in JsonDocument(path).lists():
+        if key not in wanted:
+            continue
+        wanted.remove(key)
+        column = GrowingColumn()
+        numbers = map(_number, itertools.islice(elements, length))
+        while len(piece := np.fromiter(itertools.islice(numbers, _ROWS_AT_ONCE), dtype=float)):
+            column.append(piece)
+        own, unit = column_name_and_unit(key)
+        own = unique.of(own or key)
+        signals[own] = RawSignal(own, None, column.finished(), unit)
+    if unique.renamed:
+        notes.append(ReadNote("column names that occur twice, numbered", path.name, unique.renamed))
+    return TableRecording(path.name, path, signals, notes=notes)
 
 
 def _rows(path: Path, notes: list[ReadNote]) -> Iterator[dict[str, Any]]:
     """Yield the objects of a file; lines that are none are counted."""
     damaged = 0
     with path.open("rb") as stream:
-        while line := stream.readline(_LONGEST_LINE):
-            row = _parsed(line) if line.strip() else None
+        while line := stream.readline(LONGEST_ELEMENT):
+            if line.isspace():
+                continue
+            row = parsed(line)
             if isinstance(row, dict):
                 yield row
             else:
-                damaged += bool(line.strip())
+                damaged += 1
     if damaged:
         note_once(notes, ReadNote("lines that hold no object, left out", path.name, damaged))
 
 
-def _pieces(rows: Iterator[dict[str, Any]]) -> Iterator[list[dict[str, Any]]]:
-    piece = []
-    for row in rows:
-        piece.append(row)
-        if len(piece) == _PIECE:
-            yield piece
-            piece = []
-    if piece:
-        yield piece
-
-
 def _numbers_of(value: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
     """Yield address and value of every number, and of every text that is a time."""
-    if depth > _DEEPEST:
+    if depth > _DEEPEST or len(prefix) > LONGEST_NAME:
         return
     if isinstance(value, dict):
         for key, item in value.items():
@@ -184,18 +225,16 @@ def _is_column(value: Any) -> bool:
     return isinstance(value, list) and len(value) > 1 and not isinstance(value[0], dict | list)
 
 
-def _length(document: dict[str, Any]) -> int:
-    return max((len(v) for v in document.values() if _is_column(v)), default=0)
+def _has_columns(document: dict[str, Any]) -> bool:
+    """Whether an object holds a list for each column; see `_are_columns`."""
+    return _are_columns([len(value) for value in document.values() if _is_column(value)])
 
 
-def _has_columns(document: Any) -> bool:
-    """Whether an object holds a list for each column: two or more, of one length, and more rows than columns."""
-    if not isinstance(document, dict):
-        return False
-    lengths = [len(v) for v in document.values() if _is_column(v)]
+def _are_columns(lengths: Sequence[int]) -> bool:
+    """Whether lists are columns: two or more, of one length, and more rows than a row has elements."""
     return len(lengths) > 1 and lengths.count(max(lengths)) > 1 and max(lengths) > _LISTED_ELEMENTS
 
 
-def _no_rows(path: Path) -> LogError:
+def _no_rows(path: Path, what: str = "JSON without rows of numbers") -> LogError:
     advice = "Write one object a line, each with its time, or CSV or Parquet."
-    return LogError("is JSON without rows of numbers", where=path.name, advice=advice)
+    return LogError(f"is {what}", where=path.name, advice=advice)

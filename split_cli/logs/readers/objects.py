@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.readers.budget import MOST_FIELDS
+from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
 from split_cli.logs.readers.payloads import STAMP_FIELDS, Columns
 
 __all__ = ["JsonDecoder", "ProtobufDecoder"]
@@ -173,7 +173,7 @@ def _listed(paths: Iterator[str | None]) -> list[str]:
 
 def _protobuf_paths(descriptor: Any, prefix: str, above: frozenset[str]) -> Iterator[str | None]:
     """Yield the addresses of numbers, None for a message; a type inside itself is not followed."""
-    if len(above) > _DEEPEST:
+    if len(above) > _DEEPEST or len(prefix) > LONGEST_NAME:
         return
     above |= {descriptor.full_name}
     for field in descriptor.fields:
@@ -307,7 +307,7 @@ def _without_indices(path: str) -> str:
 
 
 def _value_paths(value: Any, prefix: str, depth: int) -> Iterator[str]:
-    if depth > _DEEPEST:
+    if depth > _DEEPEST or len(prefix) > LONGEST_NAME:
         return
     if isinstance(value, dict):
         for key, item in value.items():
@@ -320,7 +320,7 @@ def _value_paths(value: Any, prefix: str, depth: int) -> Iterator[str]:
 
 
 def _schema_paths(schema: Any, prefix: str, depth: int) -> Iterator[str]:
-    if depth > _DEEPEST or not isinstance(schema, dict):
+    if depth > _DEEPEST or len(prefix) > LONGEST_NAME or not isinstance(schema, dict):
         return
     kinds = schema.get("type")
     kinds = kinds if isinstance(kinds, list) else [kinds]

@@ -15,6 +15,7 @@ from split_cli.logs.raw import (
     RawRecording,
     RawSignal,
     ReadNote,
+    UniqueNames,
     column_name_and_unit,
     note_once,
 )
@@ -73,17 +74,18 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
     columns: dict[str, tuple[str, ...]] = {}
     infos = []
     notes: list[ReadNote] = []
+    unique = UniqueNames()
     for path_of, column in _leaves(schema):
         name, unit = column_name_and_unit(".".join(path_of))
         stated = (column.metadata or {}).get(b"unit")
-        if name in columns:
-            name = next(f"{name}_{n}" for n in range(2, len(columns) + 3) if f"{name}_{n}" not in columns)
-            note_once(notes, ReadNote("column names that occur twice, numbered", f"{path.name}, {name}"))
+        name = unique.of(name)
         columns[name] = path_of
         unit = stated.decode() if stated else unit
         if _is_time(column.type):
             unit = "s"  # `column_values` gives seconds, whatever the name or the field says
         infos.append(RawChannelInfo(name, "text" if _is_text(column.type) else str(column.type), rows, unit))
+    if unique.renamed:
+        note_once(notes, ReadNote("column names that occur twice, numbered", path.name, unique.renamed))
     units = {info.name: info.unit for info in infos}
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:

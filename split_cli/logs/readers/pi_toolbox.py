@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, column_name_and_unit
+from split_cli.logs.raw import (
+    RawRecording,
+    RawSignal,
+    ReadNote,
+    TableRecording,
+    UniqueNames,
+    column_name_and_unit,
+    note_once,
+)
+from split_cli.logs.readers.budget import MOST_FIELDS
+from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
 __all__ = ["is_pi_toolbox", "open_pi_toolbox"]
 
 _BLOCK = "{channelblock}"
+_LONGEST_LINE = 4 << 20
+"""[bytes]; judgement: a row of a thousand numbers has 12 kB. What goes on is a line of its own."""
+_NUMBERS_AT_ONCE = 1 << 16
 
 
 def is_pi_toolbox(head: bytes) -> bool:
@@ -26,70 +40,112 @@ def open_pi_toolbox(path: Path) -> RawRecording:
     Raises
     ------
     LogError
-        If no block holds a row of numbers.
+        If no block holds a row of numbers, or there are more than `MOST_FIELDS` columns.
     """
-    raw = path.read_bytes()
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("cp1252", errors="replace")
     notes: list[ReadNote] = []
+    blocks = _blocks(path)
+    bad = sum(block.bad for block in blocks)
+    if bad:
+        note_once(notes, ReadNote("rows with too few or too many cells, or no numbers, left out", path.name, bad))
+    alone = len(blocks) == 1
     signals: dict[str, RawSignal] = {}
-    blocks = _blocks(text.splitlines())
-    for titles, rows in blocks:
-        values, bad = _values(rows, len(titles))
-        if bad:
-            notes.append(ReadNote("rows with too few or too many cells, or no numbers, left out", path.name, bad))
-        if not len(values):
-            continue
-        clock, unit = column_name_and_unit(titles[0])
+    unique = UniqueNames()
+    for block in blocks:
+        clock, unit = column_name_and_unit(block.titles[0])
         known = find_unit(unit or "s")
-        time = values[:, 0] * (known.factor if known is not None and known.si == "s" else 1.0)
-        if len(blocks) == 1:
-            signals[clock] = RawSignal(clock, None, time, "s")
-        for place, title in enumerate(titles[1:], 1):
+        time, *columns = block.finished()
+        if not len(time):
+            continue
+        time = time * known.factor if known is not None and known.si == "s" else time
+        if alone:
+            signals[unique.of(clock)] = RawSignal(clock, None, time, "s")
+        for place, (title, values) in enumerate(zip(block.titles[1:], columns, strict=True), 2):
             name, unit = column_name_and_unit(title)
-            name = name or f"column{place + 1}"
-            unique = next(n for n in (name, *(f"{name}_{k}" for k in range(2, 10_000))) if n not in signals)
+            name = unique.of(name or f"column{place}")
             known = find_unit(unit) if unit else None
-            signals[unique] = RawSignal(
-                unique, None if len(blocks) == 1 else time, values[:, place], known.symbol if known else unit
-            )
+            signals[name] = RawSignal(name, None if alone else time, values, known.symbol if known else unit)
     if not signals:
         raise LogError("holds no rows of numbers", where=path.name, advice="Export the outing again.")
     return TableRecording(path.name, path, signals, notes=notes)
 
 
-def _blocks(lines: list[str]) -> list[tuple[list[str], list[str]]]:
-    """Return titles and rows of every block."""
-    found: list[tuple[list[str], list[str]]] = []
-    inside = False
-    for line in lines:
-        if line.startswith("{"):
-            inside = line.strip().lower() == _BLOCK
-            if inside:
-                found.append(([], []))
-        elif inside and line.strip():
-            titles, rows = found[-1]
-            if titles:
-                rows.append(line)
-            else:
-                titles += [title.strip() for title in line.rstrip("\r\n").split("\t")]
-    return [(titles, rows) for titles, rows in found if len(titles) > 1]
+class _Block:
+    """Titles and rows of one block; an empty cell is missing.
 
+    Attributes
+    ----------
+    bad : int
+        Rows that are none.
+    """
 
-def _values(rows: list[str], width: int) -> tuple[np.ndarray, int]:
-    """Return the values, shape (N, width), and how many rows are none; an empty cell is missing."""
-    good, bad = [], 0
-    for row in rows:
+    def __init__(self, titles: list[str]) -> None:
+        self.titles = titles
+        self.bad = 0
+        self._rows: list[list[float]] = []
+        self._columns = [GrowingColumn() for _ in titles]
+
+    def add(self, row: str) -> None:
+        """Take in one row."""
+        width = len(self.titles)
         cells = row.replace(",", ".").split("\t")[:width]
         try:
             # Python takes 1_5 for 15; no logger writes that.
             numbers = [float(cell) if cell.strip() else np.nan for cell in cells] if "_" not in row else []
         except ValueError:
             numbers = []
-        if len(numbers) == width and np.isfinite(numbers[0]):
-            good.append(numbers)
-        else:
-            bad += 1
-    return np.array(good, dtype=float).reshape(len(good), width), bad
+        if len(numbers) != width or not np.isfinite(numbers[0]):
+            self.bad += 1
+            return
+        self._rows.append(numbers)
+        if width * len(self._rows) >= _NUMBERS_AT_ONCE:
+            self._hand_over()
+
+    def finished(self) -> list[np.ndarray]:
+        """Return the columns, shapes (N,)."""
+        self._hand_over()
+        return [column.finished() for column in self._columns]
+
+    def _hand_over(self) -> None:
+        rows = np.array(self._rows, dtype=float).reshape(len(self._rows), len(self.titles))
+        for column, values in zip(self._columns, rows.T, strict=True):
+            column.append(values)
+        self._rows = []
+
+
+def _blocks(path: Path) -> list[_Block]:
+    """Return the blocks of an export that have two columns or more."""
+    found: list[_Block] = []
+    inside = titled = False
+    columns = 0
+    for line in _lines(path):
+        if line.startswith("{"):
+            inside, titled = line.strip().lower() == _BLOCK, False
+        elif inside:
+            if titled:
+                found[-1].add(line)
+                continue
+            titles = [title.strip() for title in line.split("\t")]
+            columns += len(titles)
+            if columns > MOST_FIELDS:
+                advice = "Export the channels that you need."
+                raise LogError(f"has more than {MOST_FIELDS:,} columns", where=path.name, advice=advice)
+            # A block of one column has a time and no channel.
+            titled = inside = len(titles) > 1
+            if titled:
+                found.append(_Block(titles))
+    return found
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """Yield the lines that are not empty, those that are no UTF-8 as Western European."""
+    with path.open("rb") as stream:
+        mark = b"\xef\xbb\xbf"
+        while raw := stream.readline(_LONGEST_LINE):
+            if raw.isspace():
+                continue
+            raw, mark = raw.removeprefix(mark), b""
+            try:
+                line = raw.decode()
+            except UnicodeDecodeError:
+                line = raw.decode("cp1252", errors="replace")
+            yield line.rstrip("\r\n")

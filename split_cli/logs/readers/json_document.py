@@ -1,0 +1,139 @@
+"""A JSON document that is parsed as it is read: a list of any length takes the memory of a few of its elements."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+__all__ = ["LONGEST_ELEMENT", "PIECE", "JsonDocument", "parsed"]
+
+LONGEST_ELEMENT = 4 << 20
+"""Of one row, or of one element of a list [bytes]; judgement: a row of a thousand numbers has 30 kB."""
+PIECE = 1 << 20
+_BLANKS = re.compile(r"[ \t\r\n]*")
+_ENDINGS = {"{": "},", "[": "],"}
+_MOST_FAILURES = 8
+"""To cut between elements [1]; where objects hold others, each costs as much as reading them one by one."""
+_DECODER = json.JSONDecoder()
+
+
+def parsed(text: bytes | str) -> Any:
+    """Return what a text stands for; None of what is no JSON, is nested too deep or has endless numbers."""
+    try:
+        return json.loads(text.removeprefix(b"\xef\xbb\xbf") if isinstance(text, bytes) else text)
+    except (ValueError, RecursionError):
+        return None
+
+
+class JsonDocument:
+    """The lists of a document that is a list, or an object that holds lists; parsed from the front to the end.
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._text, self._at, self._unsplit, self._failed = "", 0, True, 0
+
+    def lists(self) -> Iterator[tuple[str, Iterator[Any]]]:
+        """Yield the key of each list (none of a document that is one) and its elements, to be taken in this order.
+
+        Raises
+        ------
+        ValueError
+            Where the document stops to be JSON, or an element is longer than `LONGEST_ELEMENT`.
+        RecursionError
+            Where it is nested too deep.
+        """
+        with self._path.open("rb") as raw:
+            self._stream = io.TextIOWrapper(raw, "utf-8-sig", errors="surrogatepass")
+            self._text, self._at, self._failed = "", 0, 0
+            if self._next() == "[":
+                yield "", self._elements()
+                return
+            self._at += 1
+            while self._next() == '"':
+                key = self._value()
+                self._take(":")
+                if self._next() == "[":
+                    elements = self._elements()
+                    yield str(key), elements
+                    for _ in elements:  # what the caller did not want
+                        pass
+                else:
+                    self._value()
+                if self._next() != ",":
+                    return
+                self._at += 1
+
+    def _elements(self) -> Iterator[Any]:
+        self._at += 1
+        if self._next() == "]":
+            self._at += 1
+            return
+        while True:
+            for batch in self._elements_at_once():
+                yield from batch
+            yield self._value()
+            if self._next() != ",":
+                self._take("]")
+                return
+            self._at += 1
+
+    def _elements_at_once(self) -> Iterator[list[Any]]:
+        """Yield what stands here up to the last comma that was read, where that ends an element.
+
+        One by one they take up to ten times as long. What is cut at a comma within an element is no JSON.
+        """
+        while self._unsplit and self._failed < _MOST_FAILURES:
+            self._unsplit = False
+            ending = _ENDINGS.get(self._next(), ",")
+            last = self._text.rfind(ending, self._at) + len(ending) - 1
+            batch = parsed(f"[{self._text[self._at : last]}]") if last > self._at else None
+            if not batch:
+                self._failed += 1
+                return
+            self._at = last + 1
+            self._next()
+            yield batch
+
+    def _next(self) -> str:
+        """Return the next character that is no blank, nothing at the end."""
+        while True:
+            self._at = _BLANKS.match(self._text, self._at).end()  # type: ignore[union-attr]
+            if self._at < len(self._text):
+                return self._text[self._at]
+            if not self._read_on():
+                return ""
+
+    def _take(self, expected: str) -> None:
+        if self._next() != expected:
+            raise ValueError(f"{expected} expected")
+        self._at += 1
+
+    def _value(self) -> Any:
+        self._next()
+        while True:
+            try:
+                value, end = _DECODER.raw_decode(self._text, self._at)
+            except ValueError:
+                if len(self._text) - self._at > LONGEST_ELEMENT or not self._read_on():
+                    raise
+                continue
+            # A number may go on in what was not read yet: 1 in 1.5 and in 1e+5.
+            if end + len("e+") < len(self._text) or not self._read_on():
+                self._at = end
+                return value
+
+    def _read_on(self) -> bool:
+        part = self._stream.read(PIECE)
+        if not part:
+            return False
+        self._text, self._at, self._unsplit = self._text[self._at :] + part, 0, True
+        return True

@@ -1,0 +1,98 @@
+"""Rows, blocks and titles made to take all memory or to go on for ever: JSON, Pi Toolbox, names of columns."""
+
+from __future__ import annotations
+
+import json
+import random
+import time
+
+import numpy as np
+import pytest
+
+from split_cli.errors import LogError
+from split_cli.logs.raw import UniqueNames
+from split_cli.logs.readers import json_document
+from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
+from split_cli.logs.readers.definitions import Definitions
+from split_cli.logs.readers.json_document import JsonDocument
+from split_cli.logs.readers.objects import JsonDecoder
+from split_cli.logs.readers.opening import open_recording
+
+
+def any_value(rng: random.Random, depth: int = 0):
+    kind = rng.randrange(8 if depth < 3 else 5)
+    if kind < 5:
+        return [rng.random() * 1e5, rng.randrange(-9999, 9999), 'a,"},[\\ü', None, True][kind]
+    count = rng.randrange(4)
+    if kind == 5:
+        return [any_value(rng, depth + 1) for _ in range(count)]
+    return {f"k{n}": any_value(rng, depth + 1) for n in range(count)}
+
+
+@pytest.mark.parametrize("piece", [1, 2, 7, 100, 10_000])
+def test_a_document_in_pieces_holds_what_it_holds_as_a_whole(tmp_path, monkeypatch, piece):
+    """The oracle is json.loads; cuts fall within numbers, texts and marks."""
+    monkeypatch.setattr(json_document, "PIECE", piece)
+    rng = random.Random(piece)
+    path = tmp_path / "a.json"
+    for _ in range(25):
+        lists = {f"k{n}": [any_value(rng) for _ in range(rng.randrange(30))] for n in range(3)}
+        written = rng.choice([lists, lists["k0"], {"name": "a", **lists, "end": {"x": [1]}}])
+        path.write_text(json.dumps(written, ensure_ascii=rng.random() < 0.5, indent=rng.choice([None, 1])))
+        found = {key: list(elements) for key, elements in JsonDocument(path).lists()}
+        assert found == ({"": written} if isinstance(written, list) else lists)
+
+
+def test_a_list_whose_rows_share_no_field_is_refused_while_it_is_listed(tmp_path):
+    """Columns were filled before they were counted: 60,000 rows of 13 bytes took 4 GB and 34 s."""
+    path = tmp_path / "a.json"
+    path.write_text("[" + ",".join(f'{{"k{n}":1}}' for n in range(MOST_FIELDS + 100)) + "]")
+    with pytest.raises(LogError, match="more than 20,000 fields"):
+        open_recording(path)
+
+
+def test_rows_that_lack_nearly_all_fields_are_refused_where_all_are_asked_for(tmp_path):
+    """A line of 19,000 fields and a megabyte of empty objects took 3 GB."""
+    path = tmp_path / "a.jsonl"
+    first = ",".join(f'"k{n}":{n}' for n in range(19_000))
+    path.write_text("{" + first + "}\n" + "{}\n" * 1200)
+    recording = open_recording(path)
+    names = [info.name for info in recording.channels()]
+    with pytest.raises(LogError, match="lacks nearly all fields"):
+        recording.read(names)
+    read = recording.read(names[7:9])["k8"].values
+    assert read[0] == 8.0 and np.isnan(read[1:]).all() and len(read) == 1201
+
+
+def test_a_name_of_a_megabyte_is_not_repeated_for_each_number_under_it(tmp_path):
+    """Sixty-four lists of 64 numbers under such a name took 4 GB, in a row as in a message."""
+    row = json.dumps({"k" * 10**6: [[1] * 64] * 64, "vx": 1.5})
+    (tmp_path / "a.jsonl").write_text(f"{row}\n{row}\n")
+    assert [info.name for info in open_recording(tmp_path / "a.jsonl").channels()] == ["vx"]
+    assert JsonDecoder(b"", row.encode(), 0).paths() == ["vx"]
+    with pytest.raises(LogError, match="a name of 501 characters"):
+        Definitions().layout("a/A", "ros2msg", b"float64 " + b"k" * (LONGEST_NAME + 1))
+
+
+def test_names_that_are_alike_are_numbered_in_the_order_of_the_file():
+    unique = UniqueNames()
+    assert [unique.of(n) for n in ["a", "a_2", "a", "b", "a", "a_2"]] == ["a", "a_2", "a_3", "b", "a_4", "a_2_2"]
+    assert unique.renamed == 3
+
+
+def test_numbering_names_takes_no_square_of_their_number():
+    """Each of 40,000 columns of one name was compared with all before it: 100 s."""
+    began = time.process_time()
+    unique = UniqueNames()
+    assert len({unique.of("a") for _ in range(200_000)}) == 200_000
+    assert time.process_time() - began < 5.0
+
+
+def test_an_export_of_pi_toolbox_has_no_more_columns_than_a_message_may_have(tmp_path):
+    titles = "\t".join(["t", *["a"] * (MOST_FIELDS + 1)])
+    (tmp_path / "o.txt").write_text(f"PiToolbox\n{{ChannelBlock}}\n{titles}\n")
+    with pytest.raises(LogError, match="more than 20,000 columns"):
+        open_recording(tmp_path / "o.txt")
+    rows = "".join(f"{k}\t1\t2\t3\n" for k in range(30))
+    (tmp_path / "o.txt").write_text(f"PiToolbox\n{{ChannelBlock}}\nt\ta\ta\ta\n{rows}")
+    assert [info.name for info in open_recording(tmp_path / "o.txt").channels()] == ["t", "a", "a_2", "a_3"]
