@@ -149,11 +149,21 @@ def _local(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
     if path.is_dir() and not _is_bag(path):
         return _in_folder(path, path, suffixes)
     if not path.exists() and glob.has_magic(str(path)):
-        base = Path(_before_magic(str(path)) or ".")
-        hits = [Path(hit) for hit in sorted(glob.glob(str(path), recursive=True))]
+        base = Path(_before_magic(str(path)) or ("/" if path.is_absolute() else "."))
+        hits = sorted(base.glob(_pattern_below(path, base))) if base.is_dir() else []
         inside = [hit for hit in hits if hit.is_file() or _is_bag(hit)]
         return [SourceFile(str(hit), _place(hit, base)) for hit in inside if not _hidden(hit.relative_to(base))]
     return [SourceFile(str(path), path.name or str(path))]
+
+
+def _pattern_below(path: Path, base: Path) -> str:
+    """Return the part of a glob below a folder, as `Path.glob` takes it.
+
+    That follows no link for ``**``: two links of a folder to itself are as many paths as 2 to the 40th.
+    """
+    parts = path.parts[len(base.parts) :]
+    parts = tuple(part if part == "**" else re.sub(r"\*{2,}", "*", part) for part in parts)
+    return "/".join((*parts, "*") if parts[-1] == "**" else parts)
 
 
 def _before_magic(path: str) -> str:

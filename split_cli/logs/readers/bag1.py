@@ -19,7 +19,7 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.raw import ReadNote, note_once
-from split_cli.logs.readers.budget import most_bytes_out
+from split_cli.logs.readers.budget import Unfolded
 from split_cli.logs.readers.messages import MessageBatch, Stream, in_batches
 from split_cli.logs.scratch import let_go, mapped_file
 
@@ -65,6 +65,7 @@ class Bag1Container:
         self._first_time: int | None = None
         with path.open("rb") as stream:
             self._file = mapped_file(stream)
+        self._unfolded = Unfolded(len(self._file))
         self._survey()
         counts: Counter[int] = sum((chunk.counts for chunk in self._chunks), Counter())
         self.streams = [
@@ -129,7 +130,9 @@ class Bag1Container:
     def _messages(self, chunk: _Chunk) -> Iterator[tuple[int, int, Any]]:
         """Yield connection, log time [ns] and payload of every message, as far as the chunk is sound."""
         try:
-            content = _decompressed(memoryview(self._file)[chunk.start : chunk.stop], chunk.compression)
+            most = self._unfolded.most(chunk.start, chunk.stop - chunk.start)
+            content = _decompressed(memoryview(self._file)[chunk.start : chunk.stop], chunk.compression, most)
+            self._unfolded.add(chunk.start, len(content))
             for header, start, stop in _records(content, 0, len(content)):
                 kind = _operation(header)
                 if kind == _MESSAGE:
@@ -197,15 +200,17 @@ def _number(header: dict[bytes, bytes], name: bytes) -> int:
     return _SIZE.unpack(value)[0]
 
 
-def _decompressed(packed: memoryview, compression: bytes) -> Any:
-    """Return a chunk's records; of one that was cut off, those that can be had."""
+def _decompressed(packed: memoryview, compression: bytes, most: int) -> Any:
+    """Return a chunk's records, `most` bytes of them; of one that was cut off, those that can be had."""
     try:
         if compression == b"none":
             return packed
+        if most == 0:
+            raise _DamageError(0)
         if compression == b"bz2":
-            return bz2.BZ2Decompressor().decompress(packed, max_length=most_bytes_out(len(packed)))
+            return bz2.BZ2Decompressor().decompress(packed, max_length=most)
         if compression == b"lz4":
-            return lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=most_bytes_out(len(packed)))
+            return lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=most)
     except (OSError, EOFError, RuntimeError, ValueError, MemoryError) as error:
         raise _DamageError(0) from error
     raise _DamageError(0)

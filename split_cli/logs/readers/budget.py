@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from split_cli.errors import LogError
 
-__all__ = ["LONGEST_NAME", "MOST_FIELDS", "most_bytes_out", "refuse_unpacked_size"]
+__all__ = [
+    "LONGEST_NAME",
+    "MOST_FIELDS",
+    "Unfolded",
+    "most_bytes_out",
+    "refuse_many_columns",
+    "refuse_unpacked_size",
+]
 
 _ALWAYS = 64 << 20
 """What any source may unfold into [bytes]; judgement: one chunk of a recorder has 1 to 8 MB."""
@@ -22,6 +29,45 @@ repeats the names above it, and a chunk may unfold into a name of megabytes."""
 def most_bytes_out(bytes_in: int) -> int:
     """Return how many bytes `bytes_in` compressed ones may become: at least 64 MB, 300 to one, at most 2 GB."""
     return min(max(_ALWAYS, _MULTIPLE * bytes_in), _AT_MOST)
+
+
+class Unfolded:
+    """What the chunks of one file have become so far: each may be a bomb, and all of them together, too.
+
+    Parameters
+    ----------
+    bytes_in : int
+        Of the whole file.
+    """
+
+    def __init__(self, bytes_in: int) -> None:
+        self._most = max(_ALWAYS, _MULTIPLE * bytes_in)
+        self._sizes: dict[int, int] = {}
+        self._total = 0
+
+    def most(self, chunk: int, bytes_in: int) -> int:
+        """Return how many bytes a chunk, known by its first one, may become: `most_bytes_out`, or what is left."""
+        left = self._most - self._total + self._sizes.get(chunk, 0)
+        return max(min(most_bytes_out(bytes_in), left), 0)
+
+    def add(self, chunk: int, size: int) -> None:
+        """Count what a chunk became."""
+        self._total += size - self._sizes.get(chunk, 0)
+        self._sizes[chunk] = size
+
+
+def refuse_many_columns(count: int, where: str) -> None:
+    """Refuse a table of more columns than a message may have numbers: each is looked at in many ways.
+
+    Raises
+    ------
+    LogError
+        If there are more than `MOST_FIELDS`.
+    """
+    if count > MOST_FIELDS:
+        raise LogError(
+            f"has more than {MOST_FIELDS:,} columns", where=where, advice="Export the channels that you need."
+        )
 
 
 def refuse_unpacked_size(size: int, bytes_in: int, what: str, where: str) -> None:

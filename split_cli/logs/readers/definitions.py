@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from split_cli.errors import LogError, nearest_names
+from split_cli.files import read_text
 from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
 
 __all__ = ["SEQUENCE", "Definitions", "Field", "Layout", "leaf_paths"]
@@ -16,6 +17,8 @@ __all__ = ["SEQUENCE", "Definitions", "Field", "Layout", "leaf_paths"]
 SEQUENCE = -1
 _LISTED_ELEMENTS = 64
 _DEEPEST = 24
+_MOST_TEXT = 2 << 20
+"""Of all definitions of a recording [bytes], 4 s of parsing a megabyte; judgement: 300 types have 1 MB."""
 _RULE = "=" * 80
 
 
@@ -72,6 +75,7 @@ class Definitions:
     def __init__(self, message_paths: Sequence[str | Path] = ()) -> None:
         self._cache: dict[tuple[str, str, bytes], Layout] = {}
         self._given = _types_in_folders(message_paths)
+        self._text = 0
         self._builtin: dict[bool, dict[str, Any]] = {}
 
     def layout(self, type_name: str, schema_encoding: str, schema: bytes) -> Layout:
@@ -88,10 +92,16 @@ class Definitions:
         Raises
         ------
         LogError
-            If the text cannot be parsed, or no definition of the type is known.
+            If the text cannot be parsed, no definition of the type is known, or the texts together are too long.
         """
         key = (type_name, schema_encoding, schema)
         if key not in self._cache:
+            self._text += len(schema)
+            if self._text > _MOST_TEXT:
+                raise LogError(
+                    f"the definitions of message types have more than {_MOST_TEXT >> 20} MB together",
+                    advice="Leave its topic out of the recording.",
+                )
             self._cache[key] = self._find(type_name, schema_encoding, schema)
         return self._cache[key]
 
@@ -280,8 +290,9 @@ def _types_in_folders(paths: Sequence[str | Path]) -> dict[str, Any]:
             parts = file.parent.parts
             package = parts[-2] if len(parts) > 1 and parts[-1] == "msg" else parts[-1] if parts else ""
             try:
-                known.update(_parse(f"{package}/msg/{file.stem}", "ros2msg", file.read_bytes()))
-            except LogError as error:
+                text = read_text(file, _MOST_TEXT, LogError).encode()
+                known.update(_parse(f"{package}/msg/{file.stem}", "ros2msg", text))
+            except (LogError, OSError, ValueError) as error:
                 advice = "Mend it, or leave it out of the folder."
                 raise LogError("is no message definition of ROS", where=str(file), advice=advice) from error
     return known

@@ -22,6 +22,7 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
+from split_cli.logs.readers.budget import refuse_many_columns
 from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_grouped, sniff, unwrapped
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
@@ -44,6 +45,7 @@ def open_delimited(path: Path) -> RawRecording:
         If it is not a table of numbers.
     """
     sniffed = sniff(path)
+    refuse_many_columns(len(sniffed.header), path.name)
     notes: list[ReadNote] = []
     columns = _columns(sniffed, path, notes)
     width = len(sniffed.header)

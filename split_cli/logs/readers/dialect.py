@@ -205,7 +205,10 @@ def _candidates(lines: list[str]) -> list[tuple[str, str]]:
 
 def _split(line: str, separator: str) -> list[str]:
     if separator != _BLANKS:
-        return next(csv.reader([line.rstrip("\r\n")], delimiter=separator), [])
+        try:
+            return next(csv.reader([line.rstrip("\r\n")], delimiter=separator), [])
+        except csv.Error:  # a cell of over 128 kB: another separator parts it, or none does
+            return [line]
     cells = line.split()
     # NumPy and gnuplot mark the line of titles.
     return cells[1:] if cells and cells[0] in ("#", "%") else cells

@@ -23,7 +23,7 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
-from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
+from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS, refuse_many_columns
 from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.scratch import GrowingColumn
@@ -124,8 +124,7 @@ def _names_of(rows: Iterable[dict[str, Any]], path: Path) -> list[str]:
     known: dict[str, None] = {}
     for row in rows:
         known |= dict.fromkeys(name for name, _ in _numbers_of(row))
-        if len(known) > MOST_FIELDS:
-            raise _no_rows(path, f"JSON with more than {MOST_FIELDS:,} fields")
+        refuse_many_columns(len(known), path.name)
     if not known:
         raise _no_rows(path)
     return list(known)
@@ -235,6 +234,6 @@ def _are_columns(lengths: Sequence[int]) -> bool:
     return len(lengths) > 1 and lengths.count(max(lengths)) > 1 and max(lengths) > _LISTED_ELEMENTS
 
 
-def _no_rows(path: Path, what: str = "JSON without rows of numbers") -> LogError:
+def _no_rows(path: Path) -> LogError:
     advice = "Write one object a line, each with its time, or CSV or Parquet."
-    return LogError(f"is {what}", where=path.name, advice=advice)
+    return LogError("is JSON without rows of numbers", where=path.name, advice=advice)

@@ -24,7 +24,7 @@ from mcap.opcode import Opcode
 
 from split_cli.errors import LogError
 from split_cli.logs.raw import ReadNote, note_once
-from split_cli.logs.readers.budget import most_bytes_out
+from split_cli.logs.readers.budget import Unfolded
 from split_cli.logs.readers.messages import MessageBatch, Stream, in_batches
 from split_cli.logs.scratch import let_go, mapped_file
 
@@ -106,6 +106,7 @@ class McapContainer:
             if stream.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 raise LogError("does not begin like an MCAP file", where=path.name, advice="Copy it again.")
             self._file = mapped_file(stream)
+        self._unfolded = Unfolded(len(self._file))
         contents = self._indexed_contents() or self._scanned_contents()
         self._segments = contents.segments
         if not contents.counts or contents.first_time is None:
@@ -270,7 +271,10 @@ class McapContainer:
         try:
             if self._file[segment.start - _RECORD.size] != Opcode.CHUNK:
                 raise _DamageError("its header is damaged")
-            return _decompressed(memoryview(self._file)[segment.start : segment.stop])
+            most = self._unfolded.most(segment.start, segment.stop - segment.start)
+            plain = _decompressed(memoryview(self._file)[segment.start : segment.stop], most)
+            self._unfolded.add(segment.start, len(plain))
+            return plain
         except _DamageError as damage:
             note_once(self.notes, ReadNote(f"chunk left out: {damage}", f"{self.path.name}, byte {segment.start}"))
             return b""
@@ -350,14 +354,16 @@ def _read_all(reader: Any, most: int) -> bytes:
     return b"".join(parts)
 
 
-def _decompressed(content: memoryview) -> bytes | memoryview:
-    """Return the records of a chunk record's content; of a chunk that was cut off, those that are whole."""
+def _decompressed(content: memoryview, most: int) -> bytes | memoryview:
+    """Return the records of a chunk's content, `most` bytes; of a chunk that was cut off, those that are whole."""
     if len(content) < _CHUNK.size:
         raise _DamageError("it is cut off")
     _, _, plain_size, crc, name_length = _CHUNK.unpack_from(content)
     start = _CHUNK.size + name_length + 8
-    if start > len(content) or plain_size > most_bytes_out(len(content)):
-        raise _DamageError("its header is damaged, or claims more than so few bytes can hold")
+    if start > len(content) or plain_size > most:
+        raise _DamageError(
+            "its header is damaged, or claims more than a chunk, or a file, of so few bytes can hold"
+        )
     compression = bytes(content[_CHUNK.size : start - 8])
     stored = struct.unpack_from("<Q", content, start - 8)[0]
     cut = stored > len(content) - start

@@ -22,6 +22,8 @@ __all__ = ["Container", "MessageBatch", "MessageRecording", "Stream", "in_batche
 
 _FLUSH_BYTES = 32 << 20
 _BATCH_BYTES = 1 << 20
+_MOST_CHANNELS = 200_000
+"""Fields of all topics [1], 100 MB of names; judgement: a car with 300 topics has 30,000."""
 _BYTES_OF_A_MESSAGE = 128
 """Beside its payload [bytes]: the objects that hold it and its two times."""
 _SCHEMAS_OF_ENCODING = {"cdr": ("ros2msg", "ros2idl", "omgidl"), "ros1": ("ros1msg",)}
@@ -118,7 +120,8 @@ class MessageRecording:
         self.origin = container.origin * 1e-9
         self._container = container
         self._definitions = definitions
-        self._decoders: dict[int, PayloadDecoder] = {}
+        self._decoders: dict[int, PayloadDecoder | LogError] = {}
+        self._fields = 0
         self._topics: dict[str, list[Stream]] = defaultdict(list)
         for stream in container.streams:
             self._topics[stream.topic].append(stream)
@@ -274,8 +277,22 @@ class MessageRecording:
 
     def _decoder(self, stream: Stream) -> PayloadDecoder:
         if stream.key not in self._decoders:
-            self._decoders[stream.key] = self._make_decoder(stream)
-        return self._decoders[stream.key]
+            try:
+                self._decoders[stream.key] = self._counted(self._make_decoder(stream))
+            except LogError as error:
+                self._decoders[stream.key] = error
+        decoder = self._decoders[stream.key]
+        if isinstance(decoder, LogError):
+            raise decoder
+        return decoder
+
+    def _counted(self, decoder: PayloadDecoder) -> PayloadDecoder:
+        """Return a decoder, unless its fields are too many beside those of other topics."""
+        self._fields += len(decoder.paths())
+        if self._fields > _MOST_CHANNELS:
+            advice = "Leave topics out of the recording."
+            raise LogError(f"with this topic there are more than {_MOST_CHANNELS:,} fields", advice=advice)
+        return decoder
 
     def _make_decoder(self, stream: Stream) -> PayloadDecoder:
         expected = _SCHEMAS_OF_ENCODING.get(stream.encoding)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
+from split_cli.logs.readers.budget import MOST_FIELDS, refuse_many_columns
 from split_cli.logs.scratch import set_aside
 
 __all__ = ["column_values", "numbers_of", "open_arrow", "open_parquet"]
@@ -75,7 +77,9 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
     infos = []
     notes: list[ReadNote] = []
     unique = UniqueNames()
-    for path_of, column in _leaves(schema):
+    leaves = list(itertools.islice(_leaves(schema), MOST_FIELDS + 1))
+    refuse_many_columns(len(leaves), path.name)
+    for path_of, column in leaves:
         name, unit = column_name_and_unit(".".join(path_of))
         stated = (column.metadata or {}).get(b"unit")
         name = unique.of(name)

@@ -17,7 +17,7 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
-from split_cli.logs.readers.budget import MOST_FIELDS
+from split_cli.logs.readers.budget import refuse_many_columns
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
@@ -40,7 +40,7 @@ def open_pi_toolbox(path: Path) -> RawRecording:
     Raises
     ------
     LogError
-        If no block holds a row of numbers, or there are more than `MOST_FIELDS` columns.
+        If no block holds a row of numbers, or there are more columns than `refuse_many_columns` allows.
     """
     notes: list[ReadNote] = []
     blocks = _blocks(path)
@@ -126,9 +126,7 @@ def _blocks(path: Path) -> list[_Block]:
                 continue
             titles = [title.strip() for title in line.split("\t")]
             columns += len(titles)
-            if columns > MOST_FIELDS:
-                advice = "Export the channels that you need."
-                raise LogError(f"has more than {MOST_FIELDS:,} columns", where=path.name, advice=advice)
+            refuse_many_columns(columns, path.name)
             # A block of one column has a time and no channel.
             titled = inside = len(titles) > 1
             if titled:

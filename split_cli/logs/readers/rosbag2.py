@@ -15,7 +15,7 @@ import yaml
 import zstandard
 
 from split_cli.errors import LogError, SplitError
-from split_cli.files import ScratchFolder, read_text
+from split_cli.files import ScratchFolder, read_text, refuse_no_regular_file
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.budget import most_bytes_out
 from split_cli.logs.readers.mcap import McapContainer
@@ -220,6 +220,7 @@ def open_rosbag2_folder(path: Path) -> Container:
     problem: LogError | None = None
     for file in files:
         try:
+            refuse_no_regular_file(file, LogError)
             if file.suffix == ".zstd":
                 temporary = temporary or ScratchFolder()
                 file = _unpacked_file(file, temporary.path)
@@ -244,7 +245,8 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
         return present, False
     try:
         described = parse_yaml(read_text(metadata, _LARGEST_METADATA))["rosbag2_bagfile_information"]
-        names = [Path(str(name)).name for name in described["relative_file_paths"]]
+        # Each once: a list of a hundred thousand times one file would be opened as often.
+        names = list(dict.fromkeys(Path(str(name)).name for name in described["relative_file_paths"]))
         mode = str(described.get("compression_mode") or "").lower()
     except (yaml.YAMLError, RecursionError, ValueError, KeyError, TypeError, AttributeError, SplitError) as error:
         note_once(

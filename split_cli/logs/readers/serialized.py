@@ -13,6 +13,7 @@ import struct
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -27,6 +28,7 @@ _SIZES = {
 }  # fmt: skip
 _TYPE_CODES = {"bool": "u1", **{kind: f"{kind[0]}{size}" for kind, size in _SIZES.items() if kind != "bool"}}
 _BATCH = 4096
+_DIGITS_OF_AN_INDEX = 12  # no payload has as many elements
 _LARGEST_PADDING = 7
 # The second byte of a CDR payload: (little endian, largest alignment). Others carry member headers.
 _ENCAPSULATIONS = {0: (False, 8), 1: (True, 8), 6: (False, 4), 7: (True, 4)}
@@ -115,7 +117,7 @@ class SerializedDecoder:
             left = self._apply(offsets, octets, left, rows, wanted, values, readable)
         while len(left):
             try:
-                offsets = self._walk(octets[left[0]].tobytes(), frozenset(wanted))
+                offsets = self._walk(octets[left[0]].tobytes(), _Wanted.of(tuple(wanted)))
             except _UnreadableError:
                 left = left[1:]
                 continue
@@ -155,7 +157,7 @@ class SerializedDecoder:
                 values[rows[chosen], column] = numbers != 0 if kind == "bool" else numbers
         return left[~fits]
 
-    def _walk(self, payload: bytes, wanted: frozenset[str]) -> _Offsets:
+    def _walk(self, payload: bytes, wanted: _Wanted) -> _Offsets:
         # Without an early stop the whole definition is held against the payload.
         walk = _Walk(payload, self._cdr, wanted, stop_early=self._layout.embedded)
         walk.struct(self._layout.fields, "")
@@ -164,12 +166,39 @@ class SerializedDecoder:
         return _Offsets(walk.little, tuple(walk.guards), walk.places)
 
 
+@dataclass(frozen=True)
+class _Wanted:
+    """Addresses of numbers.
+
+    Attributes
+    ----------
+    paths : frozenset of str
+    elements : dict of str to list of (int, str)
+        Of each array: index and address of its elements that are wanted.
+    """
+
+    paths: frozenset[str]
+    elements: dict[str, list[tuple[int, str]]]
+
+    @staticmethod
+    @lru_cache(maxsize=8)
+    def of(paths: tuple[str, ...]) -> _Wanted:
+        """Sort addresses by their arrays, once for many messages."""
+        elements: dict[str, list[tuple[int, str]]] = defaultdict(list)
+        for path in paths:
+            array, _, index = path.removesuffix("]").rpartition("[")
+            if path.endswith("]") and index.isdecimal() and len(index) < _DIGITS_OF_AN_INDEX:
+                elements[array].append((int(index), path))
+        return _Wanted(frozenset(paths), dict(elements))
+
+
 class _Walk:
     """Walks one payload along its definition."""
 
-    def __init__(self, payload: bytes, cdr: bool, wanted: frozenset[str], stop_early: bool) -> None:
+    def __init__(self, payload: bytes, cdr: bool, wanted: _Wanted, stop_early: bool) -> None:
         self.payload = payload
-        self.wanted = wanted
+        self.wanted = wanted.paths
+        self.elements = wanted.elements
         self.stop_early = stop_early
         self.guards: list[tuple[int, bytes]] = []
         self.places: dict[str, tuple[int, str]] = {}
@@ -199,12 +228,14 @@ class _Walk:
             count = self._length()
         if field.kind in _SIZES:
             return self._numbers(field.kind, path, count)
-        # Every struct and string takes at least a byte, so a corrupt length cannot start an endless loop.
+        # Nearly every struct and string takes a byte, so a corrupt length cannot start an endless loop.
         if count > len(self.payload) - self.offset and count > 1:
             raise _UnreadableError
         for index in range(count):
+            before = self.offset
             self._value(field, f"{path}[{index}]")
-            if self.done:
+            # A structure of nothing, as ROS 1 has it, would be walked a million times a million within others.
+            if self.done or self.offset == before:
                 return None
         return None
 
@@ -227,11 +258,9 @@ class _Walk:
             self._skip_to_multiple(size)
         start = self.offset
         self._skip(count * size)
-        opening = path + "["
-        for name in [name for name in self.wanted if name.startswith(opening)]:
-            index = name[len(opening) : -1]
-            if index.isdigit() and int(index) < count:
-                self._place(name, start + int(index) * size, kind)
+        for index, name in self.elements.get(path, ()):
+            if index < count:
+                self._place(name, start + index * size, kind)
 
     def _place(self, path: str, offset: int, kind: str) -> None:
         if path in self.wanted:

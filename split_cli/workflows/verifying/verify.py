@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import SplitError
-from split_cli.files import sha256_of_file
+from split_cli.files import refuse_no_regular_file, sha256_of_file
 from split_cli.learning.kernel import correlation
 from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.workflows.verifying.relabelled import points_against_drives
@@ -36,6 +36,7 @@ def verify(path: str | Path) -> Verification:
         If it is none of them, or cannot be read at all.
     """
     path = Path(path)
+    refuse_no_regular_file(path)
     if path.name in ("manifest.json", "diagnosis.json") and path.is_file():
         path = path.parent
     if path.is_dir():
