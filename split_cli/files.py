@@ -476,6 +476,7 @@ def sha256_of_file(path: str | os.PathLike[str]) -> str:
 
 
 def _flush_to_disk(path: Path) -> None:
+    refuse_no_regular_file(path)
     with path.open("rb") as stream:
         os.fsync(stream.fileno())
 

@@ -67,6 +67,8 @@ def label_columns(labels: Labels) -> dict[str, pa.Array]:
 
 def drive_of_labels(path: str | Path) -> str | None:
     """Return the SHA-256 of the drive that a label file is of; None of any other file."""
+    if not Path(path).is_file():
+        return None
     try:
         stored = parse_json((pa.parquet.read_schema(path).metadata or {})[b"split"])
         return str(stored["sha256"]) if str(stored["format"]).startswith("split-labels/") else None

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import SplitError
-from split_cli.files import parse_json
+from split_cli.files import parse_json, refuse_no_regular_file
 
 __all__ = ["FileDescription", "describe_file"]
 
@@ -42,6 +42,7 @@ def describe_file(path: str | Path) -> FileDescription:
         If there is no such file, or it is damaged or of no kind known here.
     """
     path = Path(path)
+    refuse_no_regular_file(path)
     if not path.exists():
         raise SplitError("no such file", where=str(path), advice="Is the path right?")
     suffix = path.suffix.lower()

@@ -34,13 +34,12 @@ from tests.studies.fuzz_seeds_newer import Kind, read_recording
 __all__ = ["QUICK", "SLOW", "seeds"]
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "files"
-SLOW = {"mf4": 0.01, "mf4 bus": 0.005, "dbc": 0.01, "draft": 0.1}
-"""Inputs of a kind against those of the others [1]: an MF4 file or a DBC is read in a process of its own, 1 to 2 s
-each, and a draft looks at every column in many ways."""
+SLOW = {"mf4": 0.01, "mf4 bus": 0.005, "dbc": 0.01, "feather": 0.02, "draft": 0.1}
+"""Inputs of a kind against those of the others [1]: Feather, MF4 and a DBC are read in a process of their own, 1
+to 2 s each, and a draft looks at every column in many ways."""
 QUICK = dict.fromkeys(
     (
         "vbo",
-        "feather",
         "mat 5",
         "mat 5 structure",
         "mat 4",

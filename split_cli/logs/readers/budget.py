@@ -13,7 +13,7 @@ __all__ = [
     "refuse_unpacked_size",
 ]
 
-_ALWAYS = 64 << 20
+ALWAYS = 64 << 20
 """What any source may unfold into [bytes]; judgement: one chunk of a recorder has 1 to 8 MB."""
 _MULTIPLE = 300
 """Bytes out for a byte in [1]; theory: lz4 reaches 255, a column that never changes comes near."""
@@ -28,7 +28,7 @@ repeats the names above it, and a chunk may unfold into a name of megabytes."""
 
 def most_bytes_out(bytes_in: int) -> int:
     """Return how many bytes `bytes_in` compressed ones may become: at least 64 MB, 300 to one, at most 2 GB."""
-    return min(max(_ALWAYS, _MULTIPLE * bytes_in), _AT_MOST)
+    return min(max(ALWAYS, _MULTIPLE * bytes_in), _AT_MOST)
 
 
 class Unfolded:
@@ -38,16 +38,21 @@ class Unfolded:
     ----------
     bytes_in : int
         Of the whole file.
+
+    Attributes
+    ----------
+    whole : int
+        What all may become together [bytes]: at least 64 MB, 300 to one.
     """
 
     def __init__(self, bytes_in: int) -> None:
-        self._most = max(_ALWAYS, _MULTIPLE * bytes_in)
+        self.whole = max(ALWAYS, _MULTIPLE * bytes_in)
         self._sizes: dict[int, int] = {}
         self._total = 0
 
     def most(self, chunk: int, bytes_in: int) -> int:
         """Return how many bytes a chunk, known by its first one, may become: `most_bytes_out`, or what is left."""
-        left = self._most - self._total + self._sizes.get(chunk, 0)
+        left = self.whole - self._total + self._sizes.get(chunk, 0)
         return max(min(most_bytes_out(bytes_in), left), 0)
 
     def add(self, chunk: int, size: int) -> None:
@@ -70,15 +75,15 @@ def refuse_many_columns(count: int, where: str) -> None:
         )
 
 
-def refuse_unpacked_size(size: int, bytes_in: int, what: str, where: str) -> None:
+def refuse_unpacked_size(size: int, bytes_in: int, what: str, where: str, most: int | None = None) -> None:
     """Refuse a size that a file claims for its content before memory is taken for it.
 
     Raises
     ------
     LogError
-        If it is more than `most_bytes_out` of what is stored.
+        If it is more than `most`, by default `most_bytes_out` of what is stored.
     """
-    if size > most_bytes_out(bytes_in):
+    if size > (most_bytes_out(bytes_in) if most is None else most):
         raise LogError(
             f"{what} claims {size / 1e6:,.0f} MB, stored in {bytes_in / 1e6:.3g} MB: no recording is like that",
             where=where,

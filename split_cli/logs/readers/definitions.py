@@ -12,12 +12,12 @@ from split_cli.errors import LogError, nearest_names
 from split_cli.files import read_text
 from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
 
-__all__ = ["SEQUENCE", "Definitions", "Field", "Layout", "leaf_paths"]
+__all__ = ["MOST_TEXT", "SEQUENCE", "Definitions", "Field", "Layout", "leaf_paths"]
 
 SEQUENCE = -1
 _LISTED_ELEMENTS = 64
 _DEEPEST = 24
-_MOST_TEXT = 2 << 20
+MOST_TEXT = 2 << 20
 """Of all definitions of a recording [bytes], 4 s of parsing a megabyte; judgement: 300 types have 1 MB."""
 _RULE = "=" * 80
 
@@ -97,9 +97,9 @@ class Definitions:
         key = (type_name, schema_encoding, schema)
         if key not in self._cache:
             self._text += len(schema)
-            if self._text > _MOST_TEXT:
+            if self._text > MOST_TEXT:
                 raise LogError(
-                    f"the definitions of message types have more than {_MOST_TEXT >> 20} MB together",
+                    f"the definitions of message types have more than {MOST_TEXT >> 20} MB together",
                     advice="Leave its topic out of the recording.",
                 )
             self._cache[key] = self._find(type_name, schema_encoding, schema)
@@ -290,7 +290,7 @@ def _types_in_folders(paths: Sequence[str | Path]) -> dict[str, Any]:
             parts = file.parent.parts
             package = parts[-2] if len(parts) > 1 and parts[-1] == "msg" else parts[-1] if parts else ""
             try:
-                text = read_text(file, _MOST_TEXT, LogError).encode()
+                text = read_text(file, MOST_TEXT, LogError).encode()
                 known.update(_parse(f"{package}/msg/{file.stem}", "ros2msg", text))
             except (LogError, OSError, ValueError) as error:
                 advice = "Mend it, or leave it out of the folder."

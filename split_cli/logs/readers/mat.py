@@ -14,7 +14,7 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs import scratch
 from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, column_name_and_unit, note_once
-from split_cli.logs.readers.budget import refuse_unpacked_size
+from split_cli.logs.readers.budget import Unfolded, refuse_unpacked_size
 from split_cli.logs.readers.mat5_structure import check_mat5
 from split_cli.logs.scratch import set_aside
 
@@ -108,12 +108,13 @@ def open_mat_hdf5(path: Path) -> RawRecording:
     objects: list[str] = []
     try:
         with h5py.File(path, "r") as file:
-            _collect_hdf5(file, "", leaves, objects, 0, path.name)
+            found = _Hdf5(path.name, Unfolded(path.stat().st_size), leaves, objects)
+            found.collect(file, "", 0)
     except LogError:
         raise
     except Exception as error:  # h5py passes on whatever the HDF5 library finds
         raise _damaged(path, error) from error
-    return _recording(path, leaves, objects)
+    return _recording(path, leaves, objects, elsewhere=found.elsewhere)
 
 
 def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray]]:
@@ -187,31 +188,81 @@ def _label(item: Any) -> str:
     return _text(item.label).replace(".", "_")
 
 
-def _collect_hdf5(
-    group: Any, prefix: str, leaves: list[tuple[str, np.ndarray]], objects: list[str], depth: int, where: str
-) -> None:
+class _Hdf5:
+    """What is collected from an HDF5 file.
+
+    Every group is looked into once, since groups may hold each other. All variables share one budget, since one may
+    have a million names. What lies in another file is none of this one.
+
+    Attributes
+    ----------
+    leaves : list of (str, ndarray)
+    objects : list of str
+        Names of MATLAB's objects, which cannot be read.
+    elsewhere : int
+        Names that were left out.
+    """
+
+    def __init__(
+        self, where: str, unfolded: Unfolded, leaves: list[tuple[str, np.ndarray]], objects: list[str]
+    ) -> None:
+        self.leaves, self.objects = leaves, objects
+        self.elsewhere = 0
+        self._where, self._unfolded = where, unfolded
+        self._seen: set[Any] = set()
+
+    def collect(self, group: Any, prefix: str, depth: int) -> None:
+        """Collect what a group and those in it hold."""
+        import h5py
+
+        self._seen.add(h5py.h5o.get_info(group.id).addr)
+        units = (_inside(group, key) for key in group if key.lower() in _UNIT_FIELDS)
+        unit = next((_text_hdf5(item) for item in units if item is not None), "")
+        for key in group:
+            if key.startswith("#") or depth > _DEEPEST or key.lower() in _UNIT_FIELDS:
+                continue
+            name = f"{prefix}{key}"
+            item = _inside(group, key)
+            if item is None or h5py.h5o.get_info(item.id).addr in self._seen:
+                self.elsewhere += 1
+            elif "MATLAB_object_decode" in item.attrs:
+                self.objects.append(name)
+            elif isinstance(item, h5py.Group):
+                self.collect(item, name + ".", depth + 1)
+            elif isinstance(item, h5py.Dataset):
+                self._read(item, name, unit)
+
+    def _read(self, item: Any, name: str, unit: str) -> None:
+        if item.dtype.kind not in "biuf" or item.attrs.get("MATLAB_empty", 0) or item.ndim > 2:
+            return
+        if item.attrs.get("MATLAB_class", b"") in (b"char", "char"):
+            return
+        if item.external or item.is_virtual:
+            self.elsewhere += 1
+            return
+        # A fill value stands for any number of values that are stored nowhere.
+        stored = item.id.get_storage_size()
+        place = len(self.leaves)
+        most = self._unfolded.most(place, stored)
+        refuse_unpacked_size(item.nbytes, stored, f"variable {name}", self._where, most)
+        self._unfolded.add(place, item.nbytes)
+        # HDF5 keeps the order of dimensions of the writer, MATLAB's is the reverse.
+        self.leaves.append((_with_unit(name, unit), _aside(np.atleast_2d(np.asarray(item[()])).T)))
+
+
+def _inside(group: Any, key: str) -> Any:
+    """Return what a name of a group leads to; None where that is nothing, or in another file."""
     import h5py
 
-    unit = next((_text_hdf5(group[key]) for key in group if key.lower() in _UNIT_FIELDS), "")
-    for key, item in group.items():
-        if key.startswith("#") or depth > _DEEPEST:
-            continue
-        name = f"{prefix}{key}"
-        if "MATLAB_object_decode" in item.attrs:
-            objects.append(name)
-        elif key.lower() in _UNIT_FIELDS:
-            continue
-        elif isinstance(item, h5py.Group):
-            _collect_hdf5(item, name + ".", leaves, objects, depth + 1, where)
-        elif (
-            isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and not item.attrs.get("MATLAB_empty", 0)
-        ):
-            is_text = item.attrs.get("MATLAB_class", b"") in (b"char", "char")
-            if item.ndim <= 2 and not is_text:
-                # A fill value stands for any number of values that are stored nowhere.
-                refuse_unpacked_size(item.nbytes, item.id.get_storage_size(), f"variable {name}", where)
-                # HDF5 keeps the order of dimensions of the writer, MATLAB's is the reverse.
-                leaves.append((_with_unit(name, unit), _aside(np.atleast_2d(np.asarray(item[()])).T)))
+    link = group.get(key, getlink=True)
+    if isinstance(link, h5py.ExternalLink):
+        return None
+    try:
+        return group[key]
+    except KeyError:
+        if isinstance(link, h5py.SoftLink):
+            return None
+        raise
 
 
 def _text_hdf5(item: Any) -> str:
@@ -222,12 +273,14 @@ def _text_hdf5(item: Any) -> str:
 
 
 def _recording(
-    path: Path, leaves: list[tuple[str, np.ndarray]], objects: Sequence[str], lost: int = 0
+    path: Path, leaves: list[tuple[str, np.ndarray]], objects: Sequence[str], lost: int = 0, elsewhere: int = 0
 ) -> RawRecording:
     arrays = {name: values for name, values in leaves if values.size > 1 and values.ndim <= 2}
     notes: list[ReadNote] = []
     if lost:
         notes.append(ReadNote("variables that cannot be read or stand twice, left out", path.name, lost))
+    if elsewhere:
+        notes.append(ReadNote("links to other files, or to what was read already, left out", path.name, elsewhere))
     clocks = _own_clocks(arrays)
     titles = _of_one_value(arrays, clocks)
     signals: dict[str, RawSignal] = {}

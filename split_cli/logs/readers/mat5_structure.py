@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from split_cli.errors import LogError
-from split_cli.logs.readers.budget import most_bytes_out
+from split_cli.logs.readers.budget import Unfolded
 
 __all__ = ["check_mat5"]
 
@@ -25,6 +25,8 @@ _OPAQUE = (16, 17, 18)
 _LONGEST_NAME = 4096
 """Of a field [bytes]; judgement: MATLAB allows 63 letters."""
 _DEEPEST = 32
+_MOST_ELEMENTS = 200_000
+"""Of one cell array or structure [1], each an object; judgement: a log of 10,000 signals has 100,000."""
 _HEADER = 128
 
 
@@ -66,6 +68,7 @@ def _check_file(content: memoryview) -> None:
         raise _Damage("its header is cut off")
     order = "little" if bytes(content[126:128]) == b"IM" else "big"
     position = _HEADER
+    unfolded = Unfolded(len(content))
     while position + 8 <= len(content):
         kind = int.from_bytes(content[position : position + 4], order)
         stored = int.from_bytes(content[position + 4 : position + 8], order)
@@ -75,7 +78,9 @@ def _check_file(content: memoryview) -> None:
         inner = content[begin : begin + stored]
         try:
             if kind == _COMPRESSED:
-                _check_variable(memoryview(_unpacked(inner)), order)
+                plain = _unpacked(inner, unfolded.most(position, stored))
+                unfolded.add(position, len(plain))
+                _check_variable(memoryview(plain), order)
             elif kind == _MATRIX:
                 _check_matrix(inner, order, 0)
             else:
@@ -85,8 +90,7 @@ def _check_file(content: memoryview) -> None:
         position = begin + stored
 
 
-def _unpacked(packed: memoryview) -> bytes:
-    limit = most_bytes_out(len(packed))
+def _unpacked(packed: memoryview, limit: int) -> bytes:
     engine = zlib.decompressobj()
     try:
         plain = engine.decompress(packed, limit + 1)
@@ -101,8 +105,11 @@ def _unpacked(packed: memoryview) -> bytes:
 
 def _elements(content: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
     """Yield type and data of elements in a row, padded to eight bytes; a small one has its data in its tag."""
-    position = 0
+    position = count = 0
     while position + 8 <= len(content):
+        count += 1
+        if count > _MOST_ELEMENTS:
+            raise _Damage(f"an array of more than {_MOST_ELEMENTS:,} parts")
         word = int.from_bytes(content[position : position + 4], order)
         kind, size, begin = word, int.from_bytes(content[position + 4 : position + 8], order), position + 8
         if word >> 16:

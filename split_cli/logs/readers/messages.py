@@ -18,11 +18,11 @@ from split_cli.logs.readers.payloads import Columns, PayloadDecoder
 from split_cli.logs.readers.serialized import SerializedDecoder
 from split_cli.logs.scratch import GrowingColumn, let_go, set_aside
 
-__all__ = ["Container", "MessageBatch", "MessageRecording", "Stream", "in_batches"]
+__all__ = ["MOST_CHANNELS", "Container", "MessageBatch", "MessageRecording", "Stream", "in_batches"]
 
 _FLUSH_BYTES = 32 << 20
 _BATCH_BYTES = 1 << 20
-_MOST_CHANNELS = 200_000
+MOST_CHANNELS = 200_000
 """Fields of all topics [1], 100 MB of names; judgement: a car with 300 topics has 30,000."""
 _BYTES_OF_A_MESSAGE = 128
 """Beside its payload [bytes]: the objects that hold it and its two times."""
@@ -289,9 +289,9 @@ class MessageRecording:
     def _counted(self, decoder: PayloadDecoder) -> PayloadDecoder:
         """Return a decoder, unless its fields are too many beside those of other topics."""
         self._fields += len(decoder.paths())
-        if self._fields > _MOST_CHANNELS:
+        if self._fields > MOST_CHANNELS:
             advice = "Leave topics out of the recording."
-            raise LogError(f"with this topic there are more than {_MOST_CHANNELS:,} fields", advice=advice)
+            raise LogError(f"with this topic there are more than {MOST_CHANNELS:,} fields", advice=advice)
         return decoder
 
     def _make_decoder(self, stream: Stream) -> PayloadDecoder:

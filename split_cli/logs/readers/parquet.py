@@ -20,10 +20,11 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
-from split_cli.logs.readers.budget import MOST_FIELDS, refuse_many_columns
+from split_cli.logs.readers.budget import MOST_FIELDS, Unfolded, refuse_many_columns, refuse_unpacked_size
+from split_cli.logs.readers.probe import probe
 from split_cli.logs.scratch import set_aside
 
-__all__ = ["column_values", "numbers_of", "open_arrow", "open_parquet"]
+__all__ = ["column_values", "numbers_of", "open_arrow", "open_parquet", "read_arrow"]
 
 
 def open_parquet(path: Path) -> RawRecording:
@@ -42,10 +43,25 @@ def open_parquet(path: Path) -> RawRecording:
     except (pa.ArrowException, OSError) as error:
         raise _damaged(path, "Parquet", error) from error
 
+    # A column that never changes may stand for any number of rows.
+    size = path.stat().st_size
+    refuse_unpacked_size(8 * file.metadata.num_rows, size, "a column", path.name, Unfolded(size).whole)
+
     def read(name: str) -> Any:
         return file.read(columns=[name])[name]
 
     return _recording(path, "Parquet", file.schema_arrow, file.metadata.num_rows, read)
+
+
+def read_arrow(path: Path) -> Any:
+    """Return the table of an Arrow file: what a compressed part of it becomes, nobody knows before."""
+    import pyarrow as pa
+
+    with pa.memory_map(str(path)) as source:
+        table = pa.ipc.open_file(source).read_all()
+        # A structure whose parts are shorter than it claims ends the process where one of them is taken out.
+        table.validate(full=True)
+    return table
 
 
 def open_arrow(path: Path) -> RawRecording:
@@ -58,11 +74,9 @@ def open_arrow(path: Path) -> RawRecording:
     """
     import pyarrow as pa
 
+    probe(path, read_arrow)
     try:
-        with pa.memory_map(str(path)) as source:
-            table = pa.ipc.open_file(source).read_all()
-            # A structure whose parts are shorter than it claims ends the process where one of them is taken out.
-            table.validate(full=True)
+        table = read_arrow(path)
     except (pa.ArrowException, OSError) as error:
         raise _damaged(path, "Arrow", error) from error
     return _recording(path, "Arrow", table.schema, table.num_rows, table.column)
@@ -91,10 +105,14 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
     if unique.renamed:
         note_once(notes, ReadNote("column names that occur twice, numbered", path.name, unique.renamed))
     units = {info.name: info.unit for info in infos}
+    types = {name: column.type for name, (_, column) in zip(columns, leaves, strict=True)}
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
         above: dict[str, list[str]] = {}
         for name in names:
+            if not _has_numbers(types[name]):
+                advice = "Map a column of numbers."
+                raise LogError(f"column {name!r} holds {types[name]}", where=path.name, advice=advice)
             above.setdefault(columns[name][0], []).append(name)
         values: dict[str, np.ndarray] = {}
         for top, below in above.items():
@@ -119,6 +137,16 @@ def _is_text(kind: Any) -> bool:
 
     value = kind.value_type if pa.types.is_dictionary(kind) else kind
     return pa.types.is_string(value) or pa.types.is_large_string(value) or pa.types.is_binary(value)
+
+
+def _has_numbers(kind: Any) -> bool:
+    """Whether a column can be read: what cannot is not unpacked, however large it may be."""
+    import pyarrow as pa
+
+    known = pa.types
+    kind = kind.value_type if known.is_dictionary(kind) else kind
+    plain = known.is_floating(kind) or known.is_integer(kind) or known.is_null(kind) or known.is_boolean(kind)
+    return plain or known.is_decimal(kind) or _is_time(kind)
 
 
 def _is_time(kind: Any) -> bool:
@@ -166,7 +194,7 @@ def column_values(column: Any, where: str) -> np.ndarray:
         column = column.cast(pa.int64())
     elif pa.types.is_decimal(kind) or pa.types.is_boolean(kind):
         column = column.cast(pa.float64()) if pa.types.is_decimal(kind) else column.cast(pa.uint8())
-    elif not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):
+    elif not _has_numbers(kind):
         raise LogError(f"holds {kind}, not numbers", where=where, advice="Map a column of numbers.")
     column = pc.fill_null(pc.cast(column, pa.float64(), safe=False), float("nan"))
     return numbers_of(column) * scale if scale != 1.0 else numbers_of(column)
