@@ -96,12 +96,13 @@ class OnlineSet:
             return CellChange((), 0)
         begin = self._cells.base[-1] - tally.start_time
         numbers = grid.pack(index[rows])
-        outcome = self._cells._offer(labels, rows, numbers, len(self._sources), begin)
+        # Lists: there are one or two labels, and every call of NumPy costs a microsecond or more.
+        outcome = self._cells._offer(labels, rows, numbers, len(self._sources), begin).tolist()
         tally.accepted += len(rows)
-        tally.insertions += int(np.count_nonzero(outcome == 1))
-        tally.replacements += int(np.count_nonzero(outcome == 2))
-        tally.rejected[_TOO_LITTLE] += int(np.count_nonzero(outcome == 0))
-        taken = numbers[outcome > 0].tolist()
+        tally.insertions += outcome.count(1)
+        tally.replacements += outcome.count(2)
+        tally.rejected[_TOO_LITTLE] += outcome.count(0)
+        taken = [number for number, became in zip(numbers.tolist(), outcome, strict=True) if became]
         return CellChange(tuple(dict.fromkeys(self._cells.position[number] for number in taken)), len(taken))
 
     def end_drive(self, duration: float) -> TrainingSet:
