@@ -66,6 +66,8 @@ __all__ = ["command"]
     metavar="FILE",
     help="Train a new set on the first run, and write it.",
 )
+@click.option("--features", default="z2", show_default=True, help="Inputs of the correction that --set trains: "
+              "as of `split race`.")  # fmt: skip
 @output_option("Drive of the first run to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
 def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **options) -> None:

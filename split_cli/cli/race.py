@@ -91,7 +91,11 @@ __all__ = ["command"]
     help="Inputs of the correction: z2, z1 or a comma-separated list of these, signals and terms with states.",
 )
 @click.option(
-    "--hyperparameters", default="fit", show_default=True, help="Kernel: fit (to lap 0), default, or a YAML file."
+    "--hyperparameters",
+    default="fit",
+    show_default=True,
+    help="Kernel: fit (to lap 0), "
+    "fit-lasting (to lap 0, with errors that last over several labels), default, or a YAML file.",
 )
 @click.option(
     "--iol-update",

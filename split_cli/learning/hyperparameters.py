@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -32,6 +32,9 @@ LENGTH_BOUNDS = (0.5, 100.0)
 LONGEST_SCALE = 1.0
 SIGNAL_BOUNDS = (1e-3, 1e3)
 NOISE_BOUNDS = (1e-5, 1e1)
+#: Bounds of the time over which a lasting error fades, in intervals between labels; judgement: below one it is
+#: white noise, and beyond a hundred (5 s of a race) no longer noise.
+MEMORY_BOUNDS = (1.0, 100.0)
 BLOCK_POINTS = 60
 MAXIMUM_BLOCKS = 100
 FEWEST_TO_FIT = 60
@@ -54,6 +57,10 @@ class KernelFit:
     at_bound : tuple of str
         Hyperparameters that ended on a bound: the labels ask for more, or do not determine them. Not length
         scales at a `longest` that was asked for.
+    lasting_variance : ndarray, shape (3,)
+        Part of the kernel's noise variance that lasts from label to label; zeros where no times were given.
+    memory : float
+        Time over which that part fades to 1/e [s]; 0 where no times were given.
     """
 
     kernel: Kernel
@@ -62,6 +69,8 @@ class KernelFit:
     blocks: int
     evaluations: int
     at_bound: tuple[str, ...]
+    lasting_variance: np.ndarray = field(default_factory=lambda: np.zeros(len(OUTPUTS)))
+    memory: float = 0.0
 
 
 def default_kernel(grid: Grid, y: np.ndarray, noise_variance: np.ndarray | None = None) -> Kernel:
@@ -105,6 +114,7 @@ def fit_kernel(
     start: Kernel,
     *,
     longest: float = LENGTH_BOUNDS[1],
+    times: np.ndarray | None = None,
 ) -> KernelFit:
     """Fit length scales, signal and noise variances by maximum likelihood.
 
@@ -117,6 +127,8 @@ def fit_kernel(
         Where the search begins; its length scales and four times them are tried.
     longest : float
         Upper bound of the length scales, in cell edges; `longest_scale` has the one that sets are trained with.
+    times : ndarray, shape (N,), optional
+        Of the labels, ascending [s]. With them, errors may last from label to label, see below.
 
     Raises
     ------
@@ -129,6 +141,13 @@ def fit_kernel(
     outputs, with length scales in common (Rasmussen and Williams, Gaussian processes for machine learning, 2006,
     eq. 5.8 and 5.9). Labels rather than the points a set keeps, and blocks of 60 rather than of 200, scored best
     on held-out time over several recordings (docs/decisions/0010).
+
+    What features cannot tell is not white: a lag of the car leaves an error that lasts for several labels. Labels
+    of one transient are neighbours in the features too, so a likelihood with white noise takes such an error for
+    a function of the features, with length scales that are too short and a noise that is too small. With `times`
+    the covariance of an output has a third part, c^2 exp(-|t - t'|/tau), tau in common (Rasmussen and Williams,
+    section 2.7, for correlated residuals; the exponential is the first-order process of eq. B.31). It counts as
+    noise of the kernel that is returned.
     """
     from scipy.optimize import minimize
 
@@ -136,6 +155,7 @@ def fit_kernel(
 
     inside = grid.index(z)[1]
     z, y = z[inside], y[inside]
+    t = np.arange(float(len(z))) if times is None else times[inside]
     if len(z) < FEWEST_TO_FIT:
         raise SetError(
             f"{len(z)} valid labels are too few to fit hyperparameters to, {FEWEST_TO_FIT} are needed",
@@ -143,29 +163,40 @@ def fit_kernel(
         )
     if len(z) > _AT_MOST:
         thinned = np.linspace(0, len(z) - 1, _AT_MOST).round().astype(int)
-        z, y = z[thinned], y[thinned]
+        z, y, t = z[thinned], y[thinned], t[thinned]
     blocks = neighbour_blocks(grid.index(z)[0], BLOCK_POINTS)
     if len(blocks) > MAXIMUM_BLOCKS:
         chosen = np.linspace(0, len(blocks) - 1, MAXIMUM_BLOCKS).round().astype(int)
         blocks = [blocks[i] for i in chosen]
     rows = np.concatenate(blocks)
     offsets = np.concatenate([[0], np.cumsum([len(block) for block in blocks])])
-    z_blocks, y_blocks, points = z[rows], y[rows], len(rows)
+    z_blocks, t_blocks, y_blocks, points = z[rows], t[rows], y[rows], len(rows)
     mean_square = np.maximum(np.mean(np.square(y), axis=0), 1e-12)
     low, high = _bounds(grid, mean_square, longest)
+    interval = float(np.median(np.diff(t)))
+    if times is not None:
+        low, high = (
+            np.concatenate([bound, np.log(mean_square * noise), [np.log(interval * memory)]])
+            for bound, noise, memory in zip((low, high), NOISE_BOUNDS, MEMORY_BOUNDS, strict=True)
+        )
 
     def objective(theta: np.ndarray) -> tuple[float, np.ndarray]:
-        value, gradient = blocks_likelihood(z_blocks, y_blocks, offsets, *_split(theta))
+        value, gradient = blocks_likelihood(z_blocks, t_blocks, y_blocks, offsets, *_parts(theta, dimension))
         # K fails to factor only where the noise is some 1e-16 of the signal: a wall, should the search touch it.
-        return (value / points, gradient / points) if np.isfinite(value) else (1e25, np.zeros_like(theta))
+        if not np.isfinite(value):
+            return 1e25, np.zeros_like(theta)
+        return value / points, gradient[: len(theta)] / points
 
-    found = []
+    dimension, found = z.shape[1], []
     for factor in (1.0, 4.0):
-        kernel = Kernel(factor * start.length_scales, start.signal_variance, start.noise_variance)
-        begin = np.clip(_pack(kernel), low, high)
+        share = 1.0 if times is None else 0.5  # of the noise that is white where the search begins
+        begin = _pack(Kernel(factor * start.length_scales, start.signal_variance, share * start.noise_variance))
+        if times is not None:
+            middle = interval * np.sqrt(np.prod(MEMORY_BOUNDS))
+            begin = np.concatenate([begin, np.log(0.5 * start.noise_variance), [np.log(middle)]])
         one = minimize(
             objective,
-            begin,
+            np.clip(begin, low, high),
             jac=True,
             method="L-BFGS-B",
             bounds=list(zip(low, high, strict=True)),
@@ -173,18 +204,22 @@ def fit_kernel(
         )
         found.append(one)
     best = min(found, key=lambda one: float(one.fun))
-    names = [f"length scale {i + 1}" for i in range(z.shape[1])]
+    names = [f"length scale {i + 1}" for i in range(dimension)]
     names += [f"{what} of {output}" for what in ("signal", "noise") for output in OUTPUTS]
     on_bound = np.isclose(best.x, low, atol=1e-6) | np.isclose(best.x, high, atol=1e-6)
     if longest < LENGTH_BOUNDS[1]:  # asked for: neither the labels nor the search are at fault
-        on_bound[: z.shape[1]] = np.isclose(best.x, low, atol=1e-6)[: z.shape[1]]
+        on_bound[:dimension] = np.isclose(best.x, low, atol=1e-6)[:dimension]
+    scales, signal, white, lasting, memory = _parts(best.x, dimension)
     return KernelFit(
-        kernel=Kernel(*_split(best.x), origin="fitted"),
+        kernel=Kernel(scales, signal, white + lasting, origin="fitted"),
         negative_log_likelihood=float(best.fun) / len(OUTPUTS),
         points=points,
         blocks=len(blocks),
         evaluations=sum(int(one.nfev) for one in found),
-        at_bound=tuple(name for name, on in zip(names, on_bound, strict=True) if on),
+        # A part of the noise that is not there ends on its bound, and nothing is wrong with that.
+        at_bound=tuple(name for name, on in zip(names, on_bound, strict=False) if on),
+        lasting_variance=lasting,
+        memory=memory if times is not None else 0.0,
     )
 
 
@@ -221,6 +256,14 @@ def _split(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     values = np.exp(theta)
     dimension = len(theta) - 2 * len(OUTPUTS)
     return values[:dimension], values[dimension : dimension + 3], values[dimension + 3 :]
+
+
+def _parts(theta: np.ndarray, dimension: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+    """Return length scales, signal, white and lasting variances, and the memory; 0 and 1 where nothing lasts."""
+    values, ends = np.exp(theta), dimension + len(OUTPUTS) * np.arange(4)
+    parts = tuple(values[begin:end] for begin, end in zip(ends[:-1], ends[1:], strict=True))
+    lasting = parts[2] if len(theta) > ends[2] else np.zeros(len(OUTPUTS))
+    return values[:dimension], parts[0], parts[1], lasting, float(values[-1]) if len(theta) > ends[2] else 1.0
 
 
 def neighbour_blocks(index: np.ndarray, most: int) -> list[np.ndarray]:

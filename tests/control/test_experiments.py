@@ -22,8 +22,9 @@ def lap(number: int, time: float | None, outside: float = 0.0) -> dict:
     }  # fmt: skip
 
 
-def result(name: str, model: str, laps: list[dict]) -> dict:
-    told = {"name": name, "group": "small", "model": model, "settings": {"seed": 0}}
+def result(name: str, model: str, laps: list[dict], group: str = "small", grip: float = 1.0) -> dict:
+    settings = {"seed": 0, "car": "road_car", "track": "small", "grip": grip, "max_speed": 22.0}
+    told = {"name": name, "group": group, "model": model, "settings": settings}
     trace = np.zeros((20, 13))
     trace[:, 1], trace[:, 5] = np.arange(20), 10.0
     traces = {f"lap{one['number']}": trace for one in laps}
@@ -45,6 +46,18 @@ def test_every_start_set_is_written_by_an_experiment_before_it():
     assert len(set(names)) == len(names)
     with pytest.raises(SplitError, match="no experiment begins with"):
         PLAN.chosen(("smal-nominal",))
+
+
+def test_races_of_another_group_are_compared_with_the_nominal_ones_of_their_road():
+    races = {
+        "a": result("a", "nominal", [lap(0, 40.0)]),
+        "b": result("b", "nominal", [lap(0, 50.0)], "wet", 0.5),
+        "c": result("c", "split", [lap(0, 50.0), lap(1, 45.0)], "lagged-wet", 0.5),
+    }
+    made = tables(races)
+    assert made["gain-lagged-wet"].endswith("| split | 0 | 1 of 1 | 45.00 | 10.0 | 45.00 | 10.0 |")
+    del races["b"]
+    assert tables(races)["gain-lagged-wet"].endswith("| 45.00 | - | 45.00 | - |")
 
 
 def test_a_lap_off_the_track_does_not_count_and_the_page_is_filled(tmp_path, sample_logs):

@@ -20,7 +20,7 @@ from split_cli.plant.tracks import TRACK_NAMES, find_track
 from split_cli.prediction import PREDICTORS
 from split_cli.vehicle.parameters import Vehicle, vehicle_to_mapping
 from split_cli.workflows.racing.closed_loop import path_of
-from split_cli.workflows.racing.settings import LEARNERS, RaceSettings
+from split_cli.workflows.racing.settings import FITS, LEARNERS, RaceSettings
 
 __all__ = [
     "check_car",
@@ -58,7 +58,7 @@ def check_settings(settings: RaceSettings) -> None:
         raise SplitError(f"is {settings.laps}, a number of laps from 0 was expected", where="--laps")
     _check_numbers(settings)
     features = parse_features(settings.features)
-    if settings.hyperparameters not in ("fit", "default"):
+    if settings.hyperparameters not in (*FITS, "default"):
         read_kernel(settings.hyperparameters, features)
     check_predictor(settings.predictor, features if settings.learner == "split" else None)
     if settings.learner == "iol" and settings.start_set is not None:

@@ -76,6 +76,7 @@ _TRACKS = {"small": {"track": "small", "max_speed": 22.0}, "handling": {"track":
 _SMALL = _TRACKS["small"]
 # Tyres that nobody knows on a road of lower grip ask for more care: the nominal model begins at less of its peak.
 _WITH_THE_PAST = (("split", "split", "bcm"), ("split projected", "split", "projected"), ("iol", "iol", "bcm"))
+_PAST_FEATURES = "z2,feature_lag"
 _PAST = EffectSpec("feature_lag", {"tau": 0.08})
 """Judgement [s], from labels of races with seed 100, which no experiment drives; docs/experiments.md says so."""
 _WET, _WORN = ({"grip": grip, "told_grip": grip, "first_share": _CAREFUL, **_SMALL} for grip in (0.5, 0.85))
@@ -108,8 +109,8 @@ def _rivals_and_roads() -> list[Experiment]:
     found = []
     for learner, laps in (("none", 2), ("split", 3)):
         found.append(_race("limit", learner, 0, "limit", laps=laps, **_SMALL))
-        for group, road in (("worn", _WORN), ("wet", _WET)):
-            found.append(_race(group, learner, 0, laps=laps, **road))
+        found.append(_race("worn", learner, 0, laps=laps, **_WORN))
+        found += [_race("wet", learner, seed, laps=laps, **_WET) for seed in _SEEDS]
     for seed in _SEEDS:
         for learner, laps in (("none", 1), ("split", 2)):
             car = {"car": "formula_car", "model": "nominal" if learner == "none" else learner}
@@ -120,16 +121,31 @@ def _rivals_and_roads() -> list[Experiment]:
     memory = "alpha_f,alpha_r,torque_ratio,drive_lag.torque,tire_relaxation.front,tire_relaxation.rear"
     options = {"laps": 3, "features": memory, "predictor": "projected", **_SMALL}
     found.append(_race("memory", "split", 0, "physics", model="split physics memory", **options))
-    # The recent past of slip angles and torque as features, beside any vehicle file.
+    found += _with_the_past()
+    # The kernel fitted with errors that last over several labels, as a lag leaves them.
     for seed in _SEEDS:
-        for model, learner, predictor in _WITH_THE_PAST:
-            options = {"laps": 5, "features": "z2,feature_lag", "predictor": predictor, **_SMALL}
-            found.append(_race("lagged", learner, seed, "lagged", model=model, **options))
+        for group, track in (*_TRACKS.items(), ("wet", _WET)):
+            options = {"laps": 3, "hyperparameters": "fit-lasting", **track}
+            found.append(_race(f"lasting-{group}", "split", seed, model="split lasting", **options))
     # v_x as a fourth feature: what hangs on the speed.
     features = "alpha_f,alpha_r,torque_ratio,vx"
     found.append(_race("feature", "split", 0, model="split vx", laps=3, features=features, **_SMALL))
     return found
 
+
+def _with_the_past() -> list[Experiment]:
+    """Return races with the recent past of slip angles and torque as features, beside any vehicle file."""
+    found = []
+    for seed in _SEEDS:
+        for group, laps, road in _LAGGED:
+            for model, learner, predictor in _WITH_THE_PAST:
+                options = {"laps": laps, "features": _PAST_FEATURES, "predictor": predictor, **road}
+                found.append(_race(group, learner, seed, "lagged", model=model, **options))
+    return found
+
+
+_LAGGED = (("lagged", 5, _SMALL), ("lagged-handling", 10, _TRACKS["handling"]), ("lagged-wet", 3, _WET))
+"""Races with the recent past as features: group, laps, and the road."""
 
 _SWEEPS = {
     ("iso3888-1", 1.0): (14, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27),
@@ -143,9 +159,12 @@ _SWEEPS = {
 
 
 def _maneuvers() -> list[Experiment]:
+    past = {"vehicle": "lagged", "features": _PAST_FEATURES, "laps": 1}
     found = [_race("lap1", "split", 0, model="split dry", laps=1, **_SMALL),
              _race("lap1", "split", 0, model="split wet", laps=1, **_WET),
-             _race("lap1", "split", 0, "physics", model="split dry physics", laps=1, **_SMALL)]  # fmt: skip
+             _race("lap1", "split", 0, "physics", model="split dry physics", laps=1, **_SMALL),
+             _race("lap1", "split", 0, model="split dry lagged", **past, **_SMALL),
+             _race("lap1", "split", 0, model="split wet lagged", **past, **_WET)]  # fmt: skip
     for seed in _SEEDS:
         for (scenario, grip), speeds in _SWEEPS.items():
             road = "dry" if grip == 1.0 else "wet"
@@ -154,6 +173,7 @@ def _maneuvers() -> list[Experiment]:
             )  # fmt: skip
             for vehicle in ("gentle", "physics") if seed == 0 else ("gentle",):
                 found += _sweeps(f"{scenario}-{road}", basic, vehicle)
+            found += _sweeps_with_the_past(f"{scenario}-{road}", basic)
     return found
 
 
@@ -168,6 +188,24 @@ def _sweeps(group: str, basic: ManeuverSettings, vehicle: str) -> list[Experimen
     origin = nominal.name if basic.scenario == "iso3888-1" else f"lap1-split-{road}{end}-0"
     learned = replace(basic, start_set=origin)
     return [nominal, Experiment(f"{group}-split{end}-{basic.seed}", group, f"split{words}", learned, vehicle)]
+
+
+def _sweeps_with_the_past(group: str, basic: ManeuverSettings) -> list[Experiment]:
+    """Return the sweeps of a set with the recent past as features, as a committee and as one process.
+
+    The nominal run that such a set is learned from is driven at the sweep's first speed alone; its file differs
+    from the gentle one in nothing that moves the car.
+    """
+    origin, found = f"lap1-split-{group.rpartition('-')[2]}-lagged-0", []
+    if basic.scenario == "iso3888-1":
+        first = replace(basic, speeds=basic.speeds[:1], features=_PAST_FEATURES)
+        found = [Experiment(f"{group}-nominal-lagged-{basic.seed}", group, "nominal lagged", first, "lagged")]
+        origin = found[0].name
+    for predictor, model in (("bcm", "split lagged"), ("projected", "split lagged projected")):
+        learned = replace(basic, start_set=origin, predictor=predictor)
+        name = f"{group}-{model.replace(' ', '-')}-{basic.seed}"
+        found.append(Experiment(name, group, model, learned, "lagged"))
+    return found
 
 
 PLAN = ExperimentPlan((*_races(), *_maneuvers()))

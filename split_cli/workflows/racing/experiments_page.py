@@ -68,16 +68,15 @@ def tables(results: dict[str, dict]) -> dict[str, str]:
     for result in results.values():
         groups.setdefault(result["group"], []).append(result)
     made = {f"laps-{name}": _lap_table(group) for name, group in groups.items() if "laps" in group[0]["result"]}
+    races = [result for result in results.values() if "laps" in result["result"]]
     made |= {
-        f"gain-{name}": _gain_table(group, groups.get("small", []))
-        for name, group in groups.items()
-        if "laps" in group[0]["result"]
+        f"gain-{name}": _gain_table(group, races) for name, group in groups.items() if "laps" in group[0]["result"]
     }
     made |= {
         f"errors-{name}": _error_table(group) for name, group in groups.items() if "laps" in group[0]["result"]
     }
-    sweeps = [result for result in results.values() if "runs" in result["result"]]
-    races = [result for result in results.values() if "laps" in result["result"]]
+    # A run at one speed only teaches what a sweep then drives with.
+    sweeps = [result for result in results.values() if len(result["result"].get("runs", ())) > 1]
     made |= {"maneuvers": _sweep_table(sweeps)} if sweeps else {}
     made |= {"timing": _timing_table(races)} if races else {}
     return made
@@ -151,15 +150,18 @@ def _own_laps(race: dict) -> list[dict]:
     return [lap for lap in race["result"]["laps"] if nominal or lap["number"] > 0]
 
 
-def _gain_table(group: list[dict], reference: list[dict]) -> str:
+def _gain_table(group: list[dict], races: list[dict]) -> str:
     """Return the clean laps of each race, best and median, against the nominal ones of the same group and seed.
 
+    A group without nominal races is compared with those of the same road among all `races`.
     Laps scatter, and the best of many is better than the best of few: so the medians stand beside the best.
     """
     rows = []
     bases = [race for race in group if race["model"] == "nominal"]
     bases = bases or [race for race in group if race["model"].startswith("nominal")]
-    bases = bases or [race for race in reference if race["model"] == "nominal"]
+    bases = bases or [
+        race for race in races if race["model"] == "nominal" and _road(race) == _road(group[0])
+    ]  # fmt: skip
     nominal = {race["settings"]["seed"]: clean_times(race) for race in bases}
     for race in group:
         own, base = clean_times(race), nominal.get(race["settings"]["seed"])
@@ -173,6 +175,10 @@ def _gain_table(group: list[dict], reference: list[dict]) -> str:
     header = ["model", "seed", "clean laps", "best clean lap s", "gain on nominal %", "median clean lap s",
               "gain on nominal %"]  # fmt: skip
     return _markdown(header, rows)
+
+
+def _road(race: dict) -> tuple:
+    return tuple(race["settings"][name] for name in ("car", "track", "grip", "max_speed"))
 
 
 def _sweep_table(sweeps: list[dict]) -> str:

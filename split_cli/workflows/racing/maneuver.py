@@ -12,7 +12,7 @@ from split_cli.control.exported import ExportedResidual
 from split_cli.control.grip import PeakShift, learned_grip, tells_peaks
 from split_cli.control.learner import learning_region
 from split_cli.control.limits import Limits, nominal_share
-from split_cli.control.model import ControlModel
+from split_cli.control.model import ControlModel, check_features
 from split_cli.control.mpc import Mpc, MpcSettings, SpeedController
 from split_cli.control.path import contour_and_lag
 from split_cli.control.policy import P_LONG, SHARE_LEARNED
@@ -22,7 +22,7 @@ from split_cli.control.scenarios import Scenario, build_scenario, cones_hit
 from split_cli.errors import SplitError
 from split_cli.files import refuse_overwriting_inputs, refuse_what_cannot_be_written
 from split_cli.learning.cells import learn
-from split_cli.learning.features import Z2
+from split_cli.learning.features import FeatureSet, parse_features
 from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fit_kernel, scatter_variance
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import build_grid
@@ -66,6 +66,8 @@ class ManeuverSettings:
         Share of the peak [1]; by default what races use with the nominal model, or with what was learned.
     guarded : bool
         As of `Limits`; the peaks are those that the set's labels tell.
+    features : str
+        Of a set that the first run trains.
     """
 
     scenario: str = "iso3888-1"
@@ -82,6 +84,7 @@ class ManeuverSettings:
     p_long: float = P_LONG
     p_ellipse: float | None = None
     guarded: bool = True
+    features: str = "z2"
 
     def limits(self, vehicle: Vehicle) -> Limits:
         """Return the limits of the controller that drives with a vehicle file, and with the start set if any."""
@@ -197,6 +200,9 @@ def run_maneuvers(
     residual, model, grip = _residual(settings, vehicle)
     width = settings.width or body_width(car)
     scenarios = [build_scenario(settings.scenario, width, v) for v in settings.speeds or (None,)]
+    features = parse_features(settings.features)
+    if set_output is not None:
+        check_features(vehicle, features, scenarios[0].step)
     runs, worlds = [], []
     for scenario in scenarios:
         say(f"{scenario.name} at {scenario.entry_speed:g} m/s")
@@ -206,7 +212,7 @@ def run_maneuvers(
     if output is not None:
         _write(worlds[0], FilePath(output))
     if set_output is not None:
-        _learn(worlds[0], vehicle, scenarios[0].step, set_output)
+        _learn(worlds[0], vehicle, features, scenarios[0].step, set_output)
     return ManeuverResult(
         scenario=settings.scenario, car=car.name, vehicle=vehicle.name, model=model, grip=settings.grip,
         width=width, runs=tuple(runs), highest_passed=_highest(runs),
@@ -269,11 +275,13 @@ def _write(world: World, output: FilePath) -> None:
         write_drive(drive, output)
 
 
-def _learn(world: World, vehicle: Vehicle, step: float, output: str | FilePath) -> None:
+def _learn(
+    world: World, vehicle: Vehicle, features: FeatureSet, step: float, output: str | FilePath
+) -> None:  # fmt: skip
     """Learn one run into a new set, its kernel fitted to the same run."""
     limits = Limits()
     region = learning_region(vehicle, limits.alpha_max, limits.dalpha_max, limits.p_long)
-    labels = compute_labels(world.recording(name="maneuver"), vehicle, Z2, region, horizon=step)
+    labels = compute_labels(world.recording(name="maneuver"), vehicle, features, region, horizon=step)
     good = labels.accepted
     if not good.any():
         raise SplitError(
@@ -281,7 +289,7 @@ def _learn(world: World, vehicle: Vehicle, step: float, output: str | FilePath) 
             where=str(output),
             advice="Lower --speed, so that the run lasts longer.",
         )
-    grid = build_grid(Z2, vehicle, region)
+    grid = build_grid(features, vehicle, region, labels.z[good])
     kernel = default_kernel(grid, labels.y[good], scatter_variance(labels))
     if np.count_nonzero(good) >= FEWEST_TO_FIT:
         kernel = fit_kernel(labels.z[good], labels.y[good], grid, kernel).kernel

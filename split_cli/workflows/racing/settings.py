@@ -9,9 +9,11 @@ from split_cli.control.limits import Limits
 from split_cli.control.mpcc import MpccSettings
 from split_cli.control.policy import FIRST_DEVIATION, MARGIN, RACE_P_LONG, SHARE_LEARNED
 
-__all__ = ["LEARNERS", "LEARNING", "RaceSettings"]
+__all__ = ["FITS", "LEARNERS", "LEARNING", "RaceSettings"]
 
 LEARNERS = ("none", "iol", "split")
+
+FITS = ("fit", "fit-lasting")
 
 LEARNING = MpccSettings(limits=Limits(p_long=RACE_P_LONG, p_ellipse=SHARE_LEARNED, guarded=True), margin=MARGIN)
 """How a race is driven: one setting for all tracks and models, but for the share of the peak (`first_share`)."""
@@ -49,7 +51,8 @@ class RaceSettings:
         Evaluates the set; ``bcm`` and ``projected`` follow every update of a learner, others are built anew after
         each lap.
     hyperparameters : str
-        ``fit`` (to lap 0), ``default``, or a kernel's YAML.
+        ``fit`` (to lap 0), ``fit-lasting`` (the same with errors that last from label to label, see
+        `fit_kernel`), ``default``, or a kernel's YAML.
     width : float or None
         Of the car's body [m].
     printed_iol : bool

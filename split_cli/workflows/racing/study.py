@@ -18,7 +18,7 @@ from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.workflows.racing.settings import RaceSettings
+from split_cli.workflows.racing.settings import FITS, RaceSettings
 
 __all__ = ["blank_header", "make_learner", "studied_header"]
 
@@ -53,14 +53,15 @@ def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]
     start = default_kernel(grid, labels.y[good], scatter_variance(labels))
     if asked == "default":
         return start
-    if asked != "fit":
+    if asked not in FITS:
         return read_kernel(asked, parse_features(settings.features))
     if np.count_nonzero(good) < FEWEST_TO_FIT:
         notes.append(
             f"lap 0 has {np.count_nonzero(good)} valid labels, too few to fit a kernel; the default kernel is used"
         )
         return start
-    return fit_kernel(labels.z[good], labels.y[good], grid, start).kernel
+    times = labels.t[good] if asked == "fit-lasting" else None
+    return fit_kernel(labels.z[good], labels.y[good], grid, start, times=times).kernel
 
 
 def make_learner(settings: RaceSettings, training_set: TrainingSet) -> Learner:
