@@ -81,13 +81,18 @@ def test_the_margin_is_what_the_lap_before_has_needed():
 
 
 def test_a_lane_change_is_driven_between_its_cones(tmp_path):
-    done = invoke("maneuver", "iso3888-2", "--vehicle", CAR, "-o", str(tmp_path / "run.mcap"), "--json")
+    trained = tmp_path / "run.split"
+    done = invoke(
+        "maneuver", "iso3888-2", "--vehicle", CAR, "-o", str(tmp_path / "run.mcap"), "--json",
+        "--set", str(trained), "--features", "alpha_f,alpha_r,r",
+    )  # fmt: skip
     assert done.exit_code == 0, done.output
     (run,) = json.loads(done.stdout)["runs"]
     assert run["hit"] == 0 and not run["ended"] and run["failures"] == 0
     assert run["entered"] == pytest.approx(10.0, abs=0.3)
     assert run["deviation"] < 0.4
     assert (tmp_path / "run.mcap").stat().st_size > 10_000
+    assert read_set(trained).features.names == ("alpha_f", "alpha_r", "r")
 
 
 def test_lanes_are_those_of_the_papers_table_at_its_width():
@@ -148,6 +153,7 @@ def test_what_cannot_be_driven_is_refused_before_the_first_step(options, says):
         ({"car": "f1tenth_car"}, "wheelbase"),
         ({"seed": -2}, "from 0"),
         ({"scenario": "moose"}, "moose"),
+        ({"features": "alpha_f,alpha_r,drive_lag.torque"}, "drive_lag.torque"),
     ],
 )
 def test_manoeuvres_that_cannot_be_driven_are_refused(options, says):
@@ -232,6 +238,7 @@ def test_learners_are_compared_in_one_report(tmp_path):
     done = invoke(
         "race", "--vehicle", CAR, "--track", str(ring(tmp_path)), "--laps", "0", "--max-speed", "10",
         "--learner", "none", "--learner", "split", "--report", str(report), "--json",
+        "--hyperparameters", "fit-lasting",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     (first,), (second,) = (result["laps"] for result in json.loads(done.stdout))

@@ -201,8 +201,7 @@ def run_maneuvers(
     width = settings.width or body_width(car)
     scenarios = [build_scenario(settings.scenario, width, v) for v in settings.speeds or (None,)]
     features = parse_features(settings.features)
-    if set_output is not None:
-        check_features(vehicle, features, scenarios[0].step)
+    check_features(vehicle, features, scenarios[0].step)
     runs, worlds = [], []
     for scenario in scenarios:
         say(f"{scenario.name} at {scenario.entry_speed:g} m/s")
