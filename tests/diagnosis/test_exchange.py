@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.search import form_error
-from split_cli.diagnosis.search.exchange import joined, merged, said_of, split
+from split_cli.diagnosis.search.exchange import alone, joined, merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing, select_terms
@@ -53,6 +53,22 @@ def test_a_peak_and_both_stiffnesses_merge_into_a_curve():
     assert said_of(both, found) == "another variant in place of tire_stiffness"
     alone = select_terms(objective, explore.candidates, VARIANCE_INFLATION)
     assert [term.id for term in alone.terms] == ["friction_scale"]
+
+
+def test_one_term_takes_the_place_of_two_that_imitate_it_and_of_no_true_pair():
+    turned, slow = CATALOGUE["steer_gain"]({"gain": 0.9}, ""), CATALOGUE["steer_delay"]({"delay": 0.06}, "")
+    starts = {"tire_stiffness": {"front_scale": 0.9, "rear_scale": 0.95}, "steer_delay": {"delay": 0.02}}
+
+    def found(effects) -> Fit | None:
+        objective = noisy_objective(driven(33, effects), 4)
+        explore = explorer(objective, "steer_gain", "tire_stiffness", "steer_delay")
+        both = fitted(explore, **starts)
+        assert alone(explore, nothing(objective), both, (True, False)) is None
+        return alone(explore, nothing(objective), both, (True, True))
+
+    (part,) = found([turned]).parts
+    assert part.candidate.term == "steer_gain" and part.values["gain"] == pytest.approx(0.9, abs=0.01)
+    assert found([CATALOGUE["tire_stiffness"]({"front_scale": 0.8, "rear_scale": 0.9}, ""), slow]) is None
 
 
 @pytest.fixture(scope="module")

@@ -230,6 +230,28 @@ def test_a_variant_that_witnesses_deny_is_far_off_however_large_model_form_error
     assert abs(excess([])) < 1e-3 and excess(felt) > 100.0
 
 
+def test_witnesses_speak_for_a_rival_whatever_model_form_error_makes_of_its_cost(late_yaw_rate):
+    """A late yaw rate told as late steering: yaw and a_y say which, by what a chi squared of 1.5 is in doubt."""
+    candidates = tuple(candidates_of(late_yaw_rate, "channel_delay", "steer_delay"))
+    (late,) = (one for one in candidates if one.variant == "r")
+    (steer,) = (one for one in candidates if one.term == "steer_delay")
+
+    def excess(objective) -> tuple[float, Fit, Fit]:
+        chosen = fit_at(objective, Part(steer, {"delay": 0.04}))
+        others, _ = rivals_of(Explorer(objective, candidates, 1.5), chosen, 0, nothing(objective))
+        (rival,) = (one for one in others if one.fit.parts[-1].candidate is late)
+        return rival.excess, rival.fit, chosen
+
+    told, fit, chosen = excess(replace(late_yaw_rate, form_error_inflation=150.0))
+    own = late_yaw_rate.of_witnesses(fit.residuals) ** 2 - late_yaw_rate.of_witnesses(chosen.residuals) ** 2
+    assert told == pytest.approx((fit.cost - chosen.cost - own.sum()) / 150.0 + own.sum() / 1.5)
+    # Where halves of the simulation contradict themselves as much, they say nothing.
+    floors = {late.effect: 1e6}
+    mute, fit, chosen = excess(replace(late_yaw_rate, form_error_inflation=150.0, witness_floors=floors))
+    assert mute == pytest.approx((fit.cost - chosen.cost) / 150.0)
+    assert told < mute
+
+
 def test_witnesses_alone_confirm_a_delay_and_by_how_much(late_yaw_rate):
     rules = late_yaw_rate.policy.selection
     (one,) = (c for c in candidates_of(late_yaw_rate, "channel_delay") if c.variant == "r")

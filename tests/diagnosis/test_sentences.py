@@ -16,7 +16,7 @@ from split_cli.diagnosis.statement.result import (
     RemainderTest,
 )
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, sentence_for, separations, summarise
-from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separation
+from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separation, told_apart_by_lacking
 from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import road_car
@@ -156,6 +156,19 @@ def test_exactness_depends_on_the_variant():
     assert exact_mimics("road_grade", "stretch") == ()
     assert "other direction" in separation("road_grade", "stretch", "rolling_resistance").hint
     assert exact_mimics("friction_scale", "") == () != exact_mimics("friction_scale", "curve")
+
+
+def test_what_a_missing_channel_alone_would_tell_apart_is_declared_by_either():
+    inertial = {"vx", "vy", "r", "ay", "yaw"}
+    assert set(told_apart_by_lacking("sensor_lever_arm", "", inertial)) == {
+        "cg_shift+tire_stiffness",
+        "tire_stiffness",
+    }
+    assert set(told_apart_by_lacking("steer_delay", "", inertial)) == {"channel_delay"}
+    assert set(told_apart_by_lacking("channel_delay", "r", inertial)) == {"steer_lag", "steer_delay"}
+    assert set(told_apart_by_lacking("channel_delay", "vx", inertial)) == {"drive_lag", "drive_delay"}
+    for term in ("sensor_lever_arm", "steer_delay", "channel_delay"):
+        assert not told_apart_by_lacking(term, "", {*inertial, "X", "Y"})
 
 
 def test_a_sentence_names_alternatives_in_words_with_the_id_once():

@@ -16,7 +16,7 @@ from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["is_better_beside_form_error", "joined", "merged", "said_of", "split"]
+__all__ = ["alone", "is_better_beside_form_error", "joined", "merged", "said_of", "split"]
 
 
 def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
@@ -119,6 +119,30 @@ def joined(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> 
         fit = fit_parts(explore.objective, (*others, Part(one, nearest_start(one, own[0]))), known=chosen)
         if explore.price(fit) < least:
             best, least = fit, explore.price(fit)
+    return best
+
+
+def alone(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
+    """Return one term in the place of several names, where it leaves no more beside model-form error; else None.
+
+    Two terms may imitate one, and fit better by what a single track gets wrong of the one: a tyre that is softer
+    and a steering that is late are a steering that turns less. One term with fewer parameters that leaves no more,
+    the model-form errors of both explanations free, is the simpler one. It saves nearly as much by itself.
+    """
+    if sum(named) < 2:
+        return None
+    enough = (1.0 - explore.rules.fair_share) * (base.cost - chosen.cost)
+    taken = {part.candidate.term for part in chosen.parts}
+    best, least = None, np.inf
+    for fit in explore(base)[: explore.rules.full_fits]:
+        own = fit.parts[-1]
+        if base.cost - fit.cost < enough or own.candidate.term in taken or fit.complexity >= chosen.complexity:
+            continue
+        if own.candidate.at_limit(own.values) or own.candidate.is_everyday(own.values):
+            continue
+        here, there = costs_beside_form_error(explore.objective, [chosen, fit])
+        if there <= here and there - here < least:
+            best, least = fit, there - here
     return best
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.exchange import is_better_beside_form_error, joined, merged, said_of, split
+from split_cli.diagnosis.search.exchange import alone, is_better_beside_form_error, joined, merged, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts, fits_without
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
@@ -179,6 +179,11 @@ def select_terms(
             break
         history += grown.history
         selection = _examined(explore, base, grown.chosen)
+    # Last: whatever were added to it again, or took its place, would be part of the explanation that it replaced.
+    single = alone(explore, base, selection.chosen, selection.named)
+    if single is not None:
+        history.append(said_of(selection.chosen, single))
+        selection = _examined(explore, base, single)
     partly = cache(lambda: strongest_part(objective, explore.lines(), base.residuals, variance_inflation))
     return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first), partly=partly)
 
@@ -356,10 +361,10 @@ def rivals_of(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> tuple[tuple[
             continue
         difference = (objective.block_sums(fit.residuals**2) - reference) / variance_inflation
         total = float(difference.sum()) + explore.rules.price * (fit.complexity - chosen.complexity)
-        # Model-form error moves no witness: there a rival's excess is what chance alone makes of it.
-        denied, error = _denied(objective, fit, chosen)
+        # Model-form error moves no witness: what these say between the two is in doubt by chance alone.
+        told, error = _told_by_witnesses(objective, fit, chosen)
         apart = 1.0 / explore.variance_inflation - 1.0 / variance_inflation
-        total, spread = total + apart * denied, np.hypot(error_of_sum(difference), apart * error)
+        total, spread = total + apart * told, np.hypot(error_of_sum(difference), apart * error)
         rivals.append(Rival(fit, total, total / spread))
     rivals.sort(key=lambda rival: rival.excess)
     of_own = [rival.fit.parts[-1].candidate.term == own.term for rival in rivals]
@@ -369,11 +374,20 @@ def rivals_of(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> tuple[tuple[
     )
 
 
-def _denied(objective: MarginalLikelihood, fit: Fit, chosen: Fit) -> tuple[float, float]:
-    """Return by how much witnesses deny a fit more than another, and the standard error; zeros if they do not."""
+def _told_by_witnesses(objective: MarginalLikelihood, fit: Fit, chosen: Fit) -> tuple[float, float]:
+    """Return by how much more witnesses deny a fit than another, and the standard error; zeros if they are mute.
+
+    They speak for a fit only by a sensor's fault of its last part, and by more than between halves of the
+    simulation.
+    """
     more = objective.of_witnesses(fit.residuals) ** 2 - objective.of_witnesses(chosen.residuals) ** 2
-    total = float(more.sum())
-    return (total, error_of_sum(more)) if total > 0.0 and len(more) > 1 else (0.0, 0.0)
+    total, last = float(more.sum()), len(fit.parts) - 1
+    if total < 0.0:
+        floor = objective.witness_floors.get(fit.parts[last].candidate.effect, 0.0)
+        least = max(floor, objective.policy.selection.price)
+        if -total < least or not is_witnessed(objective, fit, last):
+            return 0.0, 0.0
+    return (total, error_of_sum(more)) if len(more) > 1 else (0.0, 0.0)
 
 
 def _worth_a_fit(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> float:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 from split_cli.diagnosis.statement.wording import term_name
 from split_cli.vehicle.effects import CATALOGUE, Mimic
 
-__all__ = ["Separation", "exact_mimics", "look_alike", "separation"]
+__all__ = ["Separation", "exact_mimics", "look_alike", "separation", "told_apart_by_lacking"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,18 @@ def exact_mimics(term: str, variant: str) -> tuple[str, ...]:
     """Return what explains any recording as well as this term does in this variant."""
     mimics = CATALOGUE[term].mimics
     return tuple(one.terms for one in mimics if one.exact and one.holds(variant) and one.terms != term)
+
+
+def told_apart_by_lacking(term: str, variant: str, measured: Container[str]) -> tuple[str, ...]:
+    """Return what only channels tell from a term of which one was not measured, by declaration of either."""
+
+    def lacking(mimic: Mimic) -> bool:
+        return any(channel not in measured for channel in mimic.without)
+
+    own = [one.terms for one in CATALOGUE[term].mimics if one.holds(variant) and lacking(one)]
+    return *own, *(
+        kind.id for kind in CATALOGUE.values() for one in kind.mimics if one.terms == term and lacking(one)
+    )
 
 
 def look_alike(term: str, other: str) -> bool:

@@ -10,16 +10,18 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD, Abstention, Policy
+from split_cli.diagnosis.recording.screening import measures
 from split_cli.diagnosis.remainder.autocorrelation import ResidualAutocorrelation, residual_autocorrelation
 from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.search.baselines import SearchOutcome
+from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well, without_parts
 from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
-from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
+from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, told_apart_by_lacking
 from split_cli.diagnosis.verdict.constancy import Bend, bends, parameter_drifts
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
@@ -54,7 +56,7 @@ def describe(
         unexplained, kept = True, {one.term for one in findings if not one.exported}
     elif unexplained:
         kept -= _imitating(findings, remainder, bent, rules) - _told_by_witnesses(objective, selection)
-    kept -= _vague(selection, findings, rules)
+    kept -= _vague(objective, selection, findings)
     while len(kept) < len(findings):
         # Those that stay are fitted again without the others, and asked again. What is not believed may yet be
         # there, so that values hold with and without it.
@@ -63,7 +65,7 @@ def describe(
         left = residuals_beside_form_error(objective, selection.chosen)
         remainder = _remainder(structure, selection, variance_inflation, left)
         findings = _findings(objective, selection, remainder.share, beside)
-        kept = {one.term for one in findings} - _vague(selection, findings, rules)
+        kept = {one.term for one in findings} - _vague(objective, selection, findings)
         bent = _sure_bends(objective, selection, variance_inflation)
         kept -= _imitating(findings, remainder, bent, rules) - _told_by_witnesses(objective, selection)
     return selection, findings, remainder, unexplained
@@ -111,23 +113,32 @@ def _imitating(
         out |= more
 
 
-def _vague(selection: Selection, findings: Sequence[Finding], rules: Abstention) -> set[str]:
+def _declared(objective: MarginalLikelihood, own: Candidate) -> tuple[str, ...]:
+    """Return what is known to explain recordings like these as well as a term does, whatever the data say."""
+    if objective.form_error_inflation <= objective.policy.selection.much_over_noise:
+        return exact_mimics(own.term, own.variant)
+    drives = [one.series.drive for one in objective.evidence]
+    measured = {name for name in drives[0].columns if all(measures(drive, name) for drive in drives)}
+    return *exact_mimics(own.term, own.variant), *told_apart_by_lacking(own.term, own.variant, measured)
+
+
+def _vague(objective: MarginalLikelihood, selection: Selection, findings: Sequence[Finding]) -> set[str]:
     """Return terms that the data do not single out.
 
     Many others do as well, nothing tells where they act, or no parameter's interval leaves out no effect at all.
     """
-    ranges = {part.candidate.term: part.candidate.ranges for part in selection.chosen.parts}
-    out = set()
+    candidates = {part.candidate.term: part.candidate for part in selection.chosen.parts}
+    rules, out = objective.policy.abstention, set()
     for one in findings:
-        exact = exact_mimics(one.term, one.variant)
-        if sum(name not in exact for name in one.alternatives) > rules.most_alternatives:
+        declared = _declared(objective, candidates[one.term])
+        if sum(name not in declared for name in one.alternatives) > rules.most_alternatives:
             out.add(one.term)
         if not is_apart_from_none(one):
             out.add(one.term)
         for name in ("s_start", "s_end"):
             if name in one.parameters:
                 low, high = one.parameters[name].interval_95
-                if high - low > rules.greater_part * ranges[one.term][name].upper:
+                if high - low > rules.greater_part * candidates[one.term].ranges[name].upper:
                     out.add(one.term)
     return out
 
@@ -286,11 +297,15 @@ def _covering(
 
 
 def _alternatives(objective: MarginalLikelihood, selection: Selection, k: int) -> tuple[str, ...]:
-    """Return terms that fit as well here, and those that always would: exact degeneracies."""
+    """Return terms that fit as well here, and those that always would: exact degeneracies.
+
+    Where there is much model-form error, the shape of an effect does not tell a term from those that a channel
+    would tell it from which was not recorded.
+    """
     own = selection.chosen.parts[k].candidate
     rivals = explaining_as_well(objective, selection, k, selection.rivals[k])
     names = [rival.fit.parts[-1].candidate.term for rival in rivals]
-    names += exact_mimics(own.term, own.variant)
+    names += _declared(objective, own)
     taken = {part.candidate.term for part in selection.chosen.parts}
     return tuple(name for name in dict.fromkeys(names) if name not in taken)
 

@@ -32,6 +32,7 @@ _WORDS = {
 
 
 _POSITION = "position recorded beside the velocities"
+_PLACE = ("X", "Y", "yaw")
 
 
 class _Instrument(Term):
@@ -240,7 +241,9 @@ class SpeedScale(_Scale):
     subject = "the velocity"
     mimics: ClassVar = (
         Mimic("drive_gain+aero_drag", "straight driving, without position", _POSITION),
-        Mimic("yaw_rate_scale", "without position and yaw: only v_x r is seen", "position and yaw"),
+        Mimic(
+            "yaw_rate_scale", "without position and yaw: only v_x r is seen", "position and yaw", without=_PLACE
+        ),
     )
 
 
@@ -281,10 +284,16 @@ class ChannelDelay(_Instrument):
     moves_samples = True
     mimics: ClassVar = (
         Mimic("yaw_inertia", "gentle transients, without yaw", "yaw against yaw rate", variants=("r",)),
-        Mimic("drive_lag", "without position: speed that answers late", _POSITION, variants=("vx", "velocity")),
-        Mimic("drive_delay", "without position: speed that answers late", _POSITION, variants=("vx", "velocity")),
-        Mimic("steer_lag", "without position: a late answer", _POSITION, variants=("r", "vy", "velocity")),
-        Mimic("steer_delay", "without position: a late answer", _POSITION, variants=("r", "vy", "velocity")),
+        *(
+            Mimic(
+                term, f"without position: {what} that answers late", _POSITION, variants=variants, without=_PLACE
+            )
+            for what, terms, variants in (
+                ("speed", ("drive_lag", "drive_delay"), ("vx", "velocity")),
+                ("a turn", ("steer_lag", "steer_delay"), ("r", "vy", "velocity")),
+            )
+            for term in terms
+        ),
         Mimic("sensor_lever_arm", "one speed, yaw rate that changes slowly", "turns at several speeds"),
     )
 

@@ -21,6 +21,8 @@ _COMMANDS = ("t", "T", "delta", "s")
 _NOSE, _TAIL = 0.35, 0.45
 _INSIDE = "a velocity sensor sits within the body: overhangs of up to 0.35 and 0.45 wheelbases, judgement"
 _TURNED = "judgement: a mounting that is off by more than eleven degrees is seen"
+_POSITION = ("X", "Y", "yaw")
+_V_Y = "position and yaw, from which v_y follows"
 # [rad] half a degree, judgement: a crossfall of 2.5 %, conicity and the toe of an axle make any car move askew by
 # some tenths of a degree, and so does a road that leans otherwise on another day.
 _CRABS = 0.0087
@@ -43,7 +45,8 @@ class SensorLeverArm(Term):
     family = "measurement"
     exported = False
     mimics: ClassVar = (
-        Mimic("cg_shift+tire_stiffness", "without position and yaw", "position and yaw, from which v_y follows"),
+        Mimic("cg_shift+tire_stiffness", "without position and yaw", _V_Y, without=_POSITION),
+        Mimic("tire_stiffness", "without position and yaw: a v_y that turns bring", _V_Y, without=_POSITION),
     )
 
     @classmethod

@@ -42,6 +42,9 @@ class Mimic:
         Whether the same right-hand side can be reached with the other's parameters.
     variants : tuple of str
         Variants of the term of which this is true; empty for all.
+    without : tuple of str
+        Measured channels of which the two look alike in any recording that lacks one; empty where other conditions
+        have to hold as well.
     """
 
     terms: str
@@ -49,6 +52,7 @@ class Mimic:
     separated_by: str = ""
     exact: bool = False
     variants: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
 
     def holds(self, variant: str) -> bool:
         """Return whether a variant of the term is mimicked."""
