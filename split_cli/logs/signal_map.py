@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -346,10 +347,8 @@ def _one_of(value: Any, known: tuple[str, ...], where: str, what: str) -> str:
 def _number(value: Any, where: str, what: str) -> float:
     """Return a finite number, or one written as a quotient: ``1/15.3`` of a steering ratio."""
     above, _, below = value.partition("/") if isinstance(value, str) else ("", "", "")
-    try:
+    with suppress(ValueError, ZeroDivisionError):
         value = float(above) / float(below) if below else value
-    except (ValueError, ZeroDivisionError):
-        pass
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise MapError(
             f"{what} is {value!r}, a finite number was expected",

@@ -110,8 +110,8 @@ def _messages_of_fields(sniffed: Sniffed) -> dict[str, dict[int, str]]:
             message = title
         elif title and message:
             found.setdefault(title, {})[index] = message
-    several = {title: places for title, places in found.items() if len(set(places.values())) > 1}
-    return {title: places for title, places in several.items() if len(places) == sniffed.header.count(title)}
+    count = Counter(sniffed.header)
+    return {t: places for t, places in found.items() if len(set(places.values())) > 1 and len(places) == count[t]}
 
 
 def _is_text(sniffed: Sniffed, index: int) -> bool:
