@@ -56,6 +56,21 @@ def test_v_x_of_a_car_that_records_wheel_speeds_alone_is_that_of_the_rear_wheels
     assert "mean speed of the rear wheels" in made.drive.metadata.kinds["vx"]
 
 
+def test_wheels_of_one_axle_are_in_one_unit_though_a_circle_makes_one_of_them_slower(planted):
+    """Left turns of 10 m radius alone: the left wheel in km/h rolls at 3.3 times v_x, which looks like ft/s."""
+    t = np.arange(0.0, 60.0, 0.02)
+    vx = 6.0 + 2.0 * np.sin(0.4 * t)
+    r = vx / 10.0
+    still = np.zeros_like(t)
+    columns = {"t": t, "vx": vx, "vy": still, "r": r, "T": still, "delta": still}
+    columns |= {f"wheel_speed_f{side}": 3.6 * (vx + hand * HALF_TRACK * r) for side, hand in (("l", -1), ("r", 1))}
+    kinds = dict.fromkeys(("vy", "T", "delta"), NOT_RECORDED)
+    drive = Drive("log", columns, np.zeros(len(t), dtype=np.int32), 0.02)
+    texts = [f.text for f in check_consistency(drive, planted.vehicle, kinds).findings if "wheel" in f.channel]
+    assert texts and not any("ft/s" in text for text in texts)
+    assert any("km/h" in text for text in texts)
+
+
 def test_without_a_judge_the_size_of_an_angle_tells_degrees(driven, tmp_path):
     """A yaw rate of 25, a steering wheel at 300: no car does that in radians, and no v_x judges them here."""
     t, c = driven

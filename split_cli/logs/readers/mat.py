@@ -191,8 +191,8 @@ def _label(item: Any) -> str:
 class _Hdf5:
     """What is collected from an HDF5 file.
 
-    Every group is looked into once, since groups may hold each other. All variables share one budget, since one may
-    have a million names. What lies in another file is none of this one.
+    Every group is looked into once, since groups may hold each other. All variables share one budget, since one
+    may have a million names. What lies in another file is none of this one.
 
     Attributes
     ----------
