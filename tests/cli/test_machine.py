@@ -1,4 +1,4 @@
-"""A full disk, a closed stdout and a stop at any moment leave the old file or the new one."""
+"""A full disk, a closed stdout and a stop at any moment leave the old file, or none, or the new one."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ def no_room() -> None:
 def test_a_full_disk_leaves_the_old_output(here):
     for output, command in (
         ("d0.parquet", ("ingest", "lap.csv", "-o", "d0.parquet")),
+        ("l.parquet", ("label", "d0.parquet", "--vehicle", "car.yaml", "-o", "l.parquet")),
         ("z.mcap", ("simulate", "--track", "small", "--duration", 3, "-o", "z.mcap")),
         ("out", ("export", "a.split", "--target", "npz", "--queries", 200, "-o", "out")),
     ):
-        before = state(output)
+        before, beside = state(output), sorted(os.listdir("."))
         run = spawn(*command, preexec_fn=no_room)
         err = run.communicate(timeout=120)[1].splitlines()
         assert run.returncode == 1
         assert "cannot be written" in err[-1] and "Traceback" not in "".join(err)
-        assert state(output) == before
+        assert state(output) == before and sorted(os.listdir(".")) == beside
 
 
 def test_a_stdout_that_is_full_or_closed_is_no_error_of_this_program(here):

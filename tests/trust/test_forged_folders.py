@@ -42,19 +42,20 @@ def split(*arguments) -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Path:
-    """Two drives, a set, an export of it, labels, a comparison, a diagnosis."""
+    """Two short drives, a set, an export of it, labels, a comparison on a longer drive, a diagnosis."""
     folder = tmp_path_factory.mktemp("made")
     write_vehicle(CAR, folder / "car.yaml")
-    for seed in range(2):
-        terms = [MissingForce({"front_lateral": 150.0})]
-        drive = make_drive(seed, segments=8, seconds=3.0, vehicle=CAR, terms=terms, name=f"d{seed}.parquet")
+    terms = [MissingForce({"front_lateral": 150.0})]
+    # Points enter with their cube where they are learned again; a comparison takes four blocks for an interval.
+    for seed, segments in enumerate((5, 5, 12)):
+        drive = make_drive(seed, segments, 2.0, vehicle=CAR, terms=terms, name=f"d{seed}.parquet")
         write_drive(drive, folder / drive.name)
     car = ("--vehicle", folder / "car.yaml")
     split("train", folder / "d0.parquet", *car, "-o", folder / "a.split")
     split("train", folder / "d1.parquet", *car, "-o", folder / "a.split", "--append")
     split("label", folder / "d0.parquet", *car, "-o", folder / "l.parquet")
-    split("export", folder / "a.split", "--target", "json", "-o", folder / "export", "--insist")
-    on = ("--on", folder / "d1.parquet", "--horizon", "0.5")
+    split("export", folder / "a.split", "--target", "json", "-o", folder / "export", "--insist", "--queries", 200)
+    on = ("--on", folder / "d2.parquet", "--horizon", "0.5")
     split("compare", folder / "car.yaml", folder / "a.split", *on, "-o", folder / "compared")
     write_diagnosis(mismatch("d0.parquet"), CAR, folder / "diagnosis", [read_drive(folder / "d0.parquet")])
     return folder
@@ -237,13 +238,24 @@ def test_a_number_of_a_comparison(folder):
     table = folder / "compared" / "compare.csv"
     rows = table.read_text().splitlines()
     cells = rows[1].split(",")
+    assert all(float(cell) > 0.0 for cell in cells[5:8])
     cells[5] = str(0.5 * (float(cells[6]) + float(cells[7])))  # within its interval
     table.write_text("\n".join([rows[0], ",".join(cells), *rows[2:]]) + "\n")
     assert failed(folder / "compared") == {"compare.csv", "report against compare.csv"}
     write_digests(folder / "compared")
     assert failed(folder / "compared") == {"report against compare.csv"}
+    cells[5] = str(1.01 * float(cells[7]))  # outside
+    table.write_text("\n".join([rows[0], ",".join(cells), *rows[2:]]) + "\n")
+    assert "report against compare.csv" in failed(folder / "compared")
     (folder / "compared" / DIGESTS).write_text("../../../etc/passwd\n")
     assert "digests" in failed(folder / "compared")
+
+
+def test_a_comparison_of_too_few_blocks_for_an_interval_is_whole(folder):
+    models, on = (folder / "car.yaml", folder / "a.split"), ("--on", folder / "d1.parquet", "--horizon", "0.2")
+    split("compare", *models, *on, "-o", folder / "short")
+    assert ",nan,nan," in (folder / "short" / "compare.csv").read_text()
+    assert failed(folder / "short") == set()
 
 
 def test_a_page_that_was_cut(folder):

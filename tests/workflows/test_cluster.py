@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.main import group
+from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.together import handing_out
 from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
@@ -55,6 +58,14 @@ def test_a_set_is_the_same(folder, tmp_path, address):
         run("train", folder / "in", "--vehicle", folder / "car.yaml", "-o", tmp_path / f"{name}.split", *way)
     sets = {(tmp_path / f"{name}.split").read_bytes() for name in ways(address)}
     assert len(sets) == 1
+
+
+@pytest.mark.slow
+def test_labels_are_the_same(folder, tmp_path, address):
+    for name, way in ways(address).items():
+        run("label", folder / "in", "--vehicle", folder / "car.yaml", "-o", tmp_path / name, *way)
+    written = [{path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ways(address)]
+    assert written[0] == written[1] and len(written[0]) == 3
 
 
 @pytest.mark.slow
@@ -114,6 +125,9 @@ def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
         return handing_out(noted)
 
     monkeypatch.setattr("split_cli.workflows.diagnose.handing_out", noting)
+    # What travels is asked for here, not what a long search finds.
+    short = STANDARD.altered("selection", full_fits=3, followed=2, rounds=2)
+    monkeypatch.setattr("split_cli.workflows.diagnose.diagnose", partial(diagnose, policy=short))
     for name, way in ways(address).items():
         told[name] = json.loads(run("diagnose", *given, "--out", tmp_path / name, "--json", *way))
         assert (tmp_path / name / "report.html").exists()
