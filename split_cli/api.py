@@ -30,7 +30,7 @@ from split_cli.scoring.report import EvaluationSettings
 from split_cli.scoring.run import EvaluationRun
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.compare import ComparedModel, ModelComparison, compare_models
-from split_cli.workflows.diagnose import corrected_vehicle
+from split_cli.workflows.diagnose import IMPROVEMENT_COLUMNS, corrected_vehicle, improvement_rows
 from split_cli.workflows.evaluate import evaluate as evaluate_drives
 from split_cli.workflows.pictures import diagnosis_charts, recording_charts
 from split_cli.workflows.recordings import RecordingCorrection
@@ -61,13 +61,13 @@ __all__ = [
 ]
 
 
-def _frame(rows: Any) -> Any:
+def _frame(rows: Any, columns: Sequence[str] | None = None) -> Any:
     """Return rows (or columns by name) as a pandas DataFrame."""
     try:
         import pandas
     except ImportError:
         raise SplitError("tables need pandas", advice="pip install 'split-cli[notebook]'.") from None
-    return pandas.DataFrame(rows)
+    return pandas.DataFrame(rows, columns=columns)
 
 
 def drive_table(drive: Drive) -> Any:
@@ -130,6 +130,16 @@ class EvaluationResult:
             if one.coverage_95 is not None:
                 row |= dict(zip(("in95_vx", "in95_vy", "in95_r"), map(float, one.coverage_95), strict=True))
             rows.append(row)
+        return _frame(rows)
+
+    @cached_property
+    def rollouts(self) -> Any:
+        """Errors of runs on recorded inputs, a row a model and horizon, as a DataFrame."""
+        rows = []
+        for one in self.run.report.rollouts:
+            row = {"model": one.name, "features": one.features, "horizon": one.horizon, "starts": one.starts}
+            row |= dict(zip(("rmse_vx", "rmse_vy", "rmse_r"), map(float, one.rmse), strict=True))
+            rows.append(row | {"distance": one.distance, "diverged": one.diverged})
         return _frame(rows)
 
     @cached_property
@@ -233,6 +243,22 @@ class DiagnosisResult:
             for name, value in one.parameters.items()
         ]  # fmt: skip
         return _frame(rows)
+
+    @cached_property
+    def detectable(self) -> Any:
+        """A row a parameter: the size from which on its term would have been named, as a DataFrame."""
+        rows = [
+            (one.term, name, value, unit)
+            for one in self.diagnosis.detectable
+            for name, (value, unit) in one.parameters.items()
+        ]
+        return _frame(rows, ("term", "parameter", "value", "unit"))
+
+    @cached_property
+    def improvement(self) -> Any:
+        """Held-out errors before and after, a row a horizon, model and channel, as a DataFrame."""
+        found = self.diagnosis.improvement
+        return _frame(improvement_rows(found) if found else [], IMPROVEMENT_COLUMNS)
 
     @property
     def corrected_vehicle(self) -> Vehicle:

@@ -6,11 +6,18 @@ import ast
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib
+import numpy as np
 import pytest
 
+from split_cli.api import DiagnosisResult, EvaluationResult
+from split_cli.diagnosis.statement.result import Diagnosis
+from split_cli.scoring.report import RolloutScore
 from split_cli.vehicle.parameters import Vehicle
+from tests.diagnosis.test_report import mismatch
+from tests.factories import road_car
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOK = json.loads((ROOT / "docs" / "notebook.ipynb").read_text(encoding="utf-8"))
@@ -77,6 +84,20 @@ def test_tables_and_figures_are_what_a_notebook_knows(ran):
     assert len(table) > 500 and set(table.columns) >= {"t", "y_vx", "y_vy", "y_r", "reason"}
     low, high = names["found"].interval
     assert low < names["found"].gradient < high
+
+
+def test_every_table_of_a_result_is_a_frame():
+    told = DiagnosisResult(mismatch(), road_car(), (), ())
+    assert list(told.improvement.columns[:3]) == ["horizon_s", "stage", "channel"]
+    before = told.improvement[told.improvement.stage == "before"]
+    for one in told.diagnosis.improvement.rollouts:
+        assert tuple(before[before.horizon_s == one.horizon].rmse) == one.before
+    assert len(told.detectable) == sum(len(one.parameters) for one in told.diagnosis.detectable)
+    nothing = DiagnosisResult(Diagnosis("undecided", None, 0.0), road_car(), (), ())
+    assert len(nothing.improvement) == len(nothing.detectable) == 0 and "unit" in nothing.detectable
+    score = RolloutScore("nominal", "", 0.5, 40, 1, np.array([0.1, 0.2, 0.3]), 0.05)
+    (row,) = EvaluationResult(SimpleNamespace(report=SimpleNamespace(rollouts=(score,)))).rollouts.itertuples()
+    assert (row.model, row.starts, row.rmse_vy, row.distance, row.diverged) == ("nominal", 40, 0.2, 0.05, 1)
 
 
 def test_the_calibrated_file_is_no_worse_than_its_start(ran):

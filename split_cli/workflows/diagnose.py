@@ -26,13 +26,24 @@ from split_cli.workflows.pictures import diagnosis_charts
 from split_cli.workflows.recordings import RecordingCorrection
 from split_cli.workflows.report.page import report_page
 
-__all__ = ["FIGURES", "STAGES", "corrected_vehicle", "diagnose_files", "read_and_diagnose", "write_diagnosis"]
+__all__ = [
+    "FIGURES",
+    "IMPROVEMENT_COLUMNS",
+    "STAGES",
+    "corrected_vehicle",
+    "diagnose_files",
+    "improvement_rows",
+    "read_and_diagnose",
+    "write_diagnosis",
+]
 
 #: What may lie in the folder ``figures``.
 FIGURES = frozenset({"where.png", "what.png", "help.png", "help.csv"})
 _UNJUDGED = "Not judged: no held-out time to compare it with the vehicle given."
 #: Models compared on held-out time, as `Improvement` and `HorizonErrors` name them.
 STAGES = ("before", "physics", "split_only", "after", "persistence")
+#: Of the table of held-out errors.
+IMPROVEMENT_COLUMNS = ("horizon_s", "stage", "channel", "unit", "rmse", "low_95", "high_95")
 CHANNELS, LABEL_UNITS, STATE_UNITS = ("v_x", "v_y", "r"), ("m/s^2", "m/s^2", "rad/s^2"), ("m/s", "m/s", "rad/s")
 _ONE_STEP = 0.05
 #: Rows of all drives from which on memory and time are told [1]: 18,000 took 0.7 GB, 180,000 over 1.9 GB.
@@ -171,24 +182,31 @@ def _judged(diagnosis: Diagnosis) -> str:
     return f"NOT ACCEPTED. {not_accepted(corrected)} "
 
 
-def _write_help(improvement: Improvement, path: Path) -> None:
-    """Write held-out errors as a table; the first step has a horizon of 0.05 s and its error in label units."""
+def improvement_rows(improvement: Improvement) -> list[tuple[object, ...]]:
+    """Return held-out errors as rows of `IMPROVEMENT_COLUMNS`; an interval that is not known is None.
+
+    The first step has a horizon of 0.05 s and its error in label units.
+    """
     steps = [(_ONE_STEP, improvement, LABEL_UNITS)]
     steps += [(one.horizon, one, STATE_UNITS) for one in improvement.rollouts]
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for horizon, errors, units in steps:
         for stage in (*STAGES, "noise_floor"):
             values = getattr(errors, stage)
-            intervals = errors.confidence.get(stage) or [("", "")] * 3
+            intervals = errors.confidence.get(stage) or [(None, None)] * 3
             if values is not None:
                 rows += [
                     (horizon, stage, channel, unit, value, *interval)
                     for channel, unit, value, interval in zip(CHANNELS, units, values, intervals, strict=True)
                 ]
+    return rows
+
+
+def _write_help(improvement: Improvement, path: Path) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("horizon_s", "stage", "channel", "unit", "rmse", "low_95", "high_95"))
-        writer.writerows(rows)
+        writer.writerow(IMPROVEMENT_COLUMNS)
+        writer.writerows(improvement_rows(improvement))
 
 
 def _write_gap(diagnosis: Diagnosis, drives: Sequence[Drive], vehicle: Vehicle, path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -27,10 +28,17 @@ def set_file(small_set, tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def written(set_file, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("export") / "out"
+    export_set(set_file, folder, ["c", "npz"], queries=300)
+    return folder
+
+
 @pytest.fixture
-def exported(set_file, tmp_path):
-    export_set(set_file, tmp_path / "out", ["c", "npz"], queries=300)
-    return tmp_path / "out"
+def exported(written, tmp_path):
+    """A copy of its own, to change."""
+    return shutil.copytree(written, tmp_path / "out")
 
 
 def test_every_target_from_the_command_line(set_file, tmp_path, compiler):

@@ -71,7 +71,7 @@ class Outcome:
 RACE = ("race", "--vehicle", "road_car.yaml", "--laps", "1", "--max-speed", "11", "--report", "race.html",
         "--set", "race.split", "-o", "race.parquet")  # fmt: skip
 MANEUVER = ("maneuver", "brake-avoid", "--vehicle", "road_car.yaml", "--set", "turn.split", "-o", "turn.parquet")
-EXPORT = ("export", "--target", "json", "-o", "export")
+EXPORT = ("export", "--target", "json", "--queries", "200", "-o", "export")
 CASES = (
     Case("ingest", ("ingest", "lap.csv", "-o", "lap.parquet", "--rate", "40"), ("lap.parquet",)),
     Case("ingest folder", ("ingest", "archive", "-o", "drives", "--rate", "40"), ("drives",)),
