@@ -45,9 +45,12 @@ def pair_known(value: float, error: float) -> tuple[Told, Told]:
 
 
 def three_digits(value: float) -> Told:
-    """Return an rms error printed to three digits: two models are told apart to about one per cent of it."""
+    """Return an rms error printed to three digits, zeros included: models are told apart to about one per cent."""
     told = Told(value)
-    told.text = plausible(float(f"{value:.3g}"))
+    rounded = float(f"{value:.3g}")
+    told.text = plausible(rounded)
+    if rounded and 1e-4 <= abs(rounded) < 1e3:
+        told.text = f"{rounded:.{2 - math.floor(math.log10(abs(rounded)))}f}"
     return told
 
 

@@ -191,7 +191,8 @@ def test_numbers_are_printed_with_digits_that_can_be_known():
     measured |= {(-0.00012, 0.003): "0.000", (101.482, 14.0): "101", (12.3456, float("inf")): "12.35"}
     assert {pair: known_to(*pair).text for pair in measured} == measured
     assert [one.text for one in pair_known(0.855, 0.0102)] == ["0.855", "0.010"]
-    assert three_digits(0.38823).text == "0.388" and three_digits(2183.0).text == "2180"
+    numbers = {0.38823: "0.388", 0.98: "0.980", 3.5: "3.50", 2183.0: "2180", 0.0: "0", 999.6: "1000"}
+    assert {value: three_digits(value).text for value in numbers} == numbers
 
 
 def test_the_manual_page_holds_every_command_and_option():
