@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from split_cli.cli.digits import three_digits
 from split_cli.cli.options import (
     existing_file,
     json_option,
@@ -90,9 +91,16 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
         print_json(result.summary())
         return
     click.echo(f"{result.scenario}, grip {result.grip:g}, car {result.width:.2f} m wide, {result.model}")
-    header = ["speed m/s", "entered", "left", "cones hit", "deviation m", "|ay| m/s^2", "failures", "ended"]
+    header = ["speed m/s", "entry m/s", "exit m/s", "cones hit", "deviation m", "|ay| m/s^2", "failures", "ended"]
     rows = [
-        [run.speed, run.entered, run.left, run.hit, run.deviation, run.max_lateral, run.failures, run.ended or "-"]
+        [
+            run.speed,
+            *map(three_digits, (run.entered, run.left)),
+            run.hit,
+            *map(three_digits, (run.deviation, run.max_lateral)),
+            run.failures,
+            run.ended or "-",
+        ]
         for run in result.runs
     ]
     print_table(header, rows)

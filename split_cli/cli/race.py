@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from split_cli.cli.digits import three_digits
 from split_cli.cli.options import (
     existing_file,
     json_option,
@@ -188,8 +189,9 @@ def _tell(result) -> None:
     for lap in result.laps:
         share = [a / b if b else None for a, b in zip(lap.error_after, lap.error_before, strict=True)]
         told = "/".join("-" if s is None else f"{s:.2f}" for s in share)
-        rows.append([lap.number, lap.time, lap.mean_speed, lap.max_lateral, lap.updates, lap.size, lap.cells,
-                     *lap.error_after, told, lap.outside, lap.failures])  # fmt: skip
+        rows.append([lap.number, lap.time, *map(three_digits, (lap.mean_speed, lap.max_lateral)), lap.updates,
+                     lap.size, lap.cells, *map(three_digits, lap.error_after), told, lap.outside,
+                     lap.failures])  # fmt: skip
     print_table(header, rows)
     print_table(
         ["lap", "solver ms (median, 99 %, worst)", "step ms (median, 99 %, worst)", "learning ms"],
