@@ -45,7 +45,7 @@ def test_the_page_holds_the_laps_and_loads_nothing():
     assert all(abs(lap["s"][0]) < 1.0 for lap in numbers["laps"])
     gap = np.linalg.norm(np.array(numbers["left"]) - np.array(numbers["right"]), axis=1)
     assert gap == pytest.approx(np.full(len(gap), 8.0), abs=0.02)
-    assert "20.11 s (lap 1), 20.0 % less than the best nominal one" in page
+    assert "20.11 s (lap 1), 20.0\u00a0% less than the best nominal one" in page
     assert not re.search(r"""(src|href)=["']?(?!data:)[a-z]+:""", page)
 
 
@@ -66,7 +66,7 @@ def test_the_best_lap_is_compared_with_the_best_nominal_one():
     laps = learned.laps[0], replace(learned.laps[2], time=22.344)
     nobody = replace(learned, learner="none", laps=laps, traces=learned.traces[:2])
     page = race_page([nobody, learned], learned.path)
-    assert "20.11 s (split, lap 1), 10.0 % less than the best nominal one" in page
+    assert "20.11 s (split, lap 1), 10.0\u00a0% less than the best nominal one" in page
 
 
 def test_the_best_clean_lap_of_each_learner_is_shown_at_first():
