@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,14 +80,14 @@ def _trained_set(path: Path) -> FileDescription:
         valid = valid_cell_count(trained.vehicle, trained.region, trained.grid)
         facts.append(("valid region", f"{valid} cells, {trained.cell_count / valid:.1%} non-empty"))
     facts += [
-        ("cell edges", ", ".join(f"{edge:g}" for edge in trained.grid.edges)),
+        ("cell edges", _named(trained.features.names, trained.grid.edges)),
         ("label interval", f"{trained.horizon:g} s"),
         ("trust", trained.trust.words()),
         *([("intervals", _ONE_DRIVE)] if lone else []),
         *((f"found beyond the file: {effect.term}", _numbers(effect.parameters)) for effect in trained.found),
-        ("length scales", ", ".join(f"{v:.4g}" for v in kernel.length_scales) + f" ({kernel.origin})"),
-        ("signal deviation", ", ".join(f"{v:.4g}" for v in np.sqrt(kernel.signal_variance))),
-        ("noise deviation", ", ".join(f"{v:.4g}" for v in np.sqrt(kernel.noise_variance))),
+        ("length scales", f"{_named(trained.features.names, kernel.length_scales)} ({kernel.origin})"),
+        ("signal deviation", _named(_LABELS, np.sqrt(kernel.signal_variance))),
+        ("noise deviation", _named(_LABELS, np.sqrt(kernel.noise_variance))),
         ("threshold", f"{trained.threshold:g}"),
         ("forgetting", "off" if trained.forgetting is None else f"{trained.forgetting:g} s"),
     ]
@@ -172,8 +172,14 @@ def _yaml(path: Path) -> FileDescription:
     return FileDescription(str(path), "vehicle", tuple(facts))
 
 
+_LABELS = ("v_x [m/s^2]", "v_y [m/s^2]", "r [rad/s^2]")
 _ONE_DRIVE = "hold for other stretches of the same driving only, since the set was trained on one drive or two"
 _READS = "Name a drive, a trained set, labels, a vehicle file, a map, a diagnosis or an export."
+
+
+def _named(names: Sequence[str], values: Iterable[float]) -> str:
+    """Return values with their names, to three digits."""
+    return ", ".join(f"{name} {value:.3g}" for name, value in zip(names, values, strict=True))
 
 
 def _load_json(path: Path) -> dict:
