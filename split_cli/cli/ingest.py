@@ -185,6 +185,7 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
     progress.close()
     if options["report"] is not None:
         _write_report(run, vehicle_path, options["report"])
+    _tell_what_was_left(logs)
     _show(run, as_json)
     return 1 if run.failures else 0
 
@@ -211,6 +212,18 @@ def _show(run, as_json: bool) -> None:
         click.echo(f"split: {len(run.failures)} of {made + len(run.failures)} logs gave no drive:", err=True)
     for failure in run.failures:
         click.echo(f"split: {failure.error}", err=True)
+
+
+def _tell_what_was_left(logs) -> None:
+    """Say which files of given folders are no recordings by their endings."""
+    from split_cli.workflows.sources import left_alone
+
+    left = left_alone(logs)
+    if left:
+        kinds = ", ".join(f"{count} {ending}" for ending, count in list(left.items())[:8])
+        click.echo(
+            f"note: files of other endings left alone: {kinds}; a pattern such as '*.json' names them", err=True
+        )
 
 
 def _list_maps(as_json: bool) -> int:

@@ -7,18 +7,20 @@ import glob
 import hashlib
 import re
 import shutil
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 
 from split_cli.errors import SplitError
 from split_cli.files import ScratchFolder, sha256_of_file
 
-__all__ = ["DRIVE_SUFFIXES", "LOG_SUFFIXES", "SourceFile", "find_sources", "is_remote"]
+__all__ = ["DRIVE_SUFFIXES", "LOG_SUFFIXES", "SourceFile", "find_sources", "is_remote", "left_alone"]
 
 LOG_SUFFIXES = (
-    ".mcap", ".bag", ".db3", ".csv", ".txt", ".vbo", ".parquet", ".feather", ".mat", ".mf4", ".blf", ".asc",
+    ".mcap", ".bag", ".db3", ".csv", ".txt", ".vbo", ".parquet", ".feather", ".mat", ".mf4", ".mdf", ".blf",
+    ".asc", ".trc", ".jsonl", ".ascii", ".lvm", ".tsv", ".arrow",
 )  # fmt: skip
 DRIVE_SUFFIXES = (".parquet", ".pq", ".csv")
 _COPY_BYTES = 1 << 22
@@ -144,6 +146,33 @@ def find_sources(
     return list(found.values())
 
 
+def left_alone(addresses: Sequence[str | Path], suffixes: Sequence[str] = LOG_SUFFIXES) -> dict[str, int]:
+    """Return how many files of the folders among `addresses` `find_sources` does not take, by their endings."""
+    counts: Counter[str] = Counter()
+    for address in addresses:
+        text = _text(address)
+        if is_remote(text):
+            system, path = _system(text)
+            with _told(text):
+                below = system.find(path) if not glob.has_magic(path) and system.isdir(path) else []
+            places = [PurePosixPath(name.removeprefix(path).lstrip("/")) for name in below]
+        else:
+            folder = Path(text.removeprefix("file://"))
+            places = [place.relative_to(folder) for place in _files_below(folder)]
+        others = (place.suffix.lower() for place in places if not _hidden(place))
+        counts.update(suffix or "no ending" for suffix in others if suffix not in suffixes)
+    return dict(counts.most_common())
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    if folder.is_dir() and not _is_bag(folder):
+        for entry in folder.iterdir():
+            if not entry.is_dir():
+                yield entry
+            elif not entry.is_symlink():
+                yield from _files_below(entry)
+
+
 def _local(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
     path = Path(text.removeprefix("file://"))
     if path.is_dir() and not _is_bag(path):
@@ -190,7 +219,7 @@ def _place(path: Path, base: Path) -> str:
     return path.relative_to(base).as_posix() if path.is_relative_to(base) else path.name
 
 
-def _hidden(path: Path) -> bool:
+def _hidden(path: PurePath) -> bool:
     return any(part.startswith(".") for part in path.parts)
 
 
@@ -211,6 +240,6 @@ def _remote(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
     sources = []
     for hit in sorted(hits):
         place = hit.removeprefix(base).lstrip("/")
-        if not _hidden(PurePosixPath(place)):  # type: ignore[arg-type]
+        if not _hidden(PurePosixPath(place)):
             sources.append(SourceFile(system.unstrip_protocol(hit), place or PurePosixPath(hit).name))
     return sources

@@ -17,7 +17,7 @@ from split_cli.workflows.engine import open_engine
 from split_cli.workflows.ingesting.ingest import ingest_logs
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
-from split_cli.workflows.sources import find_sources
+from split_cli.workflows.sources import find_sources, left_alone
 
 
 @pytest.fixture(scope="session")
@@ -87,6 +87,21 @@ def test_one_bad_log_is_told_and_the_rest_is_there(archive, tmp_path):
     assert [f.log for f in run.failures] == ["bad.mcap"] and len(run.results) == 3
     again = ingest_logs([archive], tmp_path / "drives", keep_going=True)
     assert len(again.unchanged) == 3 and len(again.failures) == 1
+
+
+def test_what_a_folder_holds_beside_recordings_is_told(tmp_path, capsys):
+    """Nothing was said of it: logs of an ending that is not looked for were thought to be in."""
+    for name in ("a.csv", "b.jsonl", "c.md", "d.JSON", "e", ".f.md", "more/g.md", ".git/h.md"):
+        (tmp_path / "logs" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "logs" / name).write_text("")
+    (tmp_path / "logs" / "bag.md").mkdir()
+    (tmp_path / "logs" / "bag.md" / "x.db3").write_text("")
+    (tmp_path / "logs" / "loop").symlink_to(tmp_path / "logs")
+    assert left_alone([tmp_path / "logs"]) == {".md": 2, ".json": 1, "no ending": 1}
+    assert left_alone([tmp_path / "logs" / "a.csv", f"{tmp_path}/logs/*"]) == {}
+    system = fsspec.filesystem("memory")
+    system.put(str(tmp_path / "logs" / "more"), "/left/more", recursive=True)
+    assert left_alone(["memory://left"]) == {".md": 1}
 
 
 def test_a_damaged_manifest_says_what_to_do(archive, tmp_path):

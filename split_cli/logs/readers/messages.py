@@ -278,7 +278,7 @@ class MessageRecording:
     def _decoder(self, stream: Stream) -> PayloadDecoder:
         if stream.key not in self._decoders:
             try:
-                self._decoders[stream.key] = self._counted(self._make_decoder(stream))
+                self._decoders[stream.key] = self._counted(stream)
             except LogError as error:
                 self._decoders[stream.key] = error
         decoder = self._decoders[stream.key]
@@ -286,13 +286,15 @@ class MessageRecording:
             raise decoder
         return decoder
 
-    def _counted(self, decoder: PayloadDecoder) -> PayloadDecoder:
-        """Return a decoder, unless its fields are too many beside those of other topics."""
-        self._fields += len(decoder.paths())
-        if self._fields > MOST_CHANNELS:
-            advice = "Leave topics out of the recording."
-            raise LogError(f"with this topic there are more than {MOST_CHANNELS:,} fields", advice=advice)
-        return decoder
+    def _counted(self, stream: Stream) -> PayloadDecoder:
+        """Make a decoder, unless its fields are too many beside those of other topics."""
+        if self._fields <= MOST_CHANNELS:
+            decoder = self._make_decoder(stream)
+            self._fields += len(decoder.paths())
+            if self._fields <= MOST_CHANNELS:
+                return decoder
+        advice = "Leave topics out of the recording."
+        raise LogError(f"with this topic there are more than {MOST_CHANNELS:,} fields", advice=advice)
 
     def _make_decoder(self, stream: Stream) -> PayloadDecoder:
         expected = _SCHEMAS_OF_ENCODING.get(stream.encoding)
