@@ -69,6 +69,7 @@ def test_of_a_grown_folder_only_what_is_new_is_learned(folder, tmp_path):
     train_set([tmp_path / "in"], folder / "car.yaml", tmp_path / "a.split", DEFAULT)
     (tmp_path / "c.parquet").rename(tmp_path / "in" / "later" / "c.parquet")
     result = train_set([tmp_path / "in"], folder / "car.yaml", tmp_path / "a.split", append=True)
+    assert any("drives were learned before and are left out" in note for note in result.notes)
     assert [row.drive for row in result.rows] == ["c.parquet"]
     before = (tmp_path / "a.split").read_bytes()
     with pytest.raises(SetError, match="all 3 drives were learned before"):

@@ -217,7 +217,7 @@ def train_set(
 
 
 def _not_learned(paths: Sequence[Path], known: TrainingSet) -> tuple[list[Path], tuple[str, ...]]:
-    """Return the drives of a grown folder that the set has not learned, and what to say of those that changed.
+    """Return the drives of a grown folder that the set has not learned, and what to say of the others.
 
     Raises
     ------
@@ -233,7 +233,9 @@ def _not_learned(paths: Sequence[Path], known: TrainingSet) -> tuple[list[Path],
             f"all {len(paths)} drives were learned before; the set is as it was",
             advice="Give drives that are new.",
         )
-    return new, tuple(
+    skipped = len(paths) - len(new)
+    known_before = (f"{skipped} of {len(paths)} drives were learned before and are left out",) if skipped else ()
+    return new, known_before + tuple(
         f"{path.name} has changed since the set learned it, and is learned again; what was learned of it before "
         "stays (train anew to leave it out)"
         for path in new
