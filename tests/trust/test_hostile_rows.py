@@ -14,6 +14,7 @@ from split_cli.logs.raw import UniqueNames
 from split_cli.logs.readers import json_document
 from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
 from split_cli.logs.readers.definitions import Definitions
+from split_cli.logs.readers.frames_csv import frames_of
 from split_cli.logs.readers.json_document import JsonDocument
 from split_cli.logs.readers.objects import JsonDecoder
 from split_cli.logs.readers.opening import open_recording
@@ -96,3 +97,12 @@ def test_an_export_of_pi_toolbox_has_no_more_columns_than_a_message_may_have(tmp
     rows = "".join(f"{k}\t1\t2\t3\n" for k in range(30))
     (tmp_path / "o.txt").write_text(f"PiToolbox\n{{ChannelBlock}}\nt\ta\ta\ta\n{rows}")
     assert [info.name for info in open_recording(tmp_path / "o.txt").channels()] == ["t", "a", "a_2", "a_3"]
+
+
+def test_a_cell_without_an_end_costs_its_row_and_no_other(tmp_path):
+    """A quote that is never closed took all frames with it."""
+    sound = "0.5,0x101,0,0x0102030405060708\n"
+    path = tmp_path / "frames.csv"
+    path.write_text(f'time,addr,bus,data\n{sound}1.5,0x101,0,"{"00" * 70_000}\n{sound}')
+    frames = list(frames_of(path))
+    assert frames[0] == frames[-1] and frames[0].data == bytes(range(1, 9)) and None in frames

@@ -190,6 +190,13 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
         notes.append(ReadNote(what, path.name, unread.count + cut))
     if unknown:
         notes.append(ReadNote("frames of ids that no database defines", path.name, sum(unknown.values())))
+    if not decoded and unfit:
+        known = ", ".join(name for name, _ in unfit.most_common(5))
+        raise LogError(
+            f"none of {sum(unfit.values())} frames fits its definition ({known})",
+            where=path.name,
+            advice="Is it the DBC of this car, and of this year's software?",
+        )
     if not decoded:
         seen = ", ".join(f"0x{i:X}" for i, _ in unknown.most_common(5)) or "none"
         raise LogError(

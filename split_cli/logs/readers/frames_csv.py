@@ -48,7 +48,16 @@ def frames_of(path: Path) -> Iterator[TextFrame | None]:
         by_byte = "d1" in titles
         first = titles.index("d1" if by_byte else "data")
         place = titles.index("id" if by_byte else "addr")
-        for row in rows:
+        while True:
+            try:
+                row = next(rows)
+            except StopIteration:
+                return
+            except (
+                csv.Error
+            ):  # a cell without an end, or a quote that is never closed: it goes on with the next line
+                yield None
+                continue
             try:
                 time = float(row[0]) * (1e-6 if by_byte else 1.0)
                 if by_byte:

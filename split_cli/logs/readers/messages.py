@@ -175,12 +175,14 @@ class MessageRecording:
 
     def _split(self, name: str) -> tuple[str, str]:
         """Return topic and field of a name that exists, or raise."""
-        candidates = [topic for topic in self._topics if name == topic or name.startswith(topic + "/")]
-        if not candidates:
+        # The longest beginning of it that is a topic.
+        topic, below = name, "/"
+        while topic not in self._topics and below:
+            topic, below, _ = topic.rpartition("/")
+        if not below or topic not in self._topics:
             raise LogError(
                 f"no topic of {name!r}", where=self.name, advice=_nearest_topics(name, list(self._topics))
             )
-        topic = max(candidates, key=len)
         path = name[len(topic) + 1 :]
         decoders, problem = [], None
         for stream in self._topics[topic]:
