@@ -270,6 +270,13 @@ def _print_report(report) -> None:
             (r.name, r.features, r.horizon, r.starts, *map(three_digits, r.rmse), _number(r.distance))
             for r in report.rollouts
         ])  # fmt: skip
+    if report.intervals:
+        click.echo("\nLabels inside intervals of v_x/v_y/r, within a length scale of the set's points and beyond")
+        print_table(("model", "features", "samples", "share", "in 50 %", "in 90 %", "in 95 %"), [
+            (s.name, s.features, "within" if s.near else "beyond", f"{100 * s.share:.0f} %",
+             *map(_shares, (s.coverage_50, s.coverage_90, s.coverage_95)))
+            for s in report.intervals
+        ])  # fmt: skip
 
 
 def _score_row(score) -> list:

@@ -19,7 +19,7 @@ from split_cli.export.provenance import Provenance
 from split_cli.export.straight_line import number, straight_line
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables, Constants, TableData
-from split_cli.learning.trust import kept_share
+from split_cli.learning.trust import kept_share, supported_variance
 
 __all__ = ["CSource", "c_identifier", "c_source", "fill", "memory_parts", "template"]
 
@@ -135,6 +135,7 @@ def c_source(
     real = tables.real
     with_step = graph.features is not None
     table_text, table_bytes = _tables(tables)
+    supported = supported_variance(tables.trust, tables.doubt, tables.signal_variance)
     values = {
         "NAME": name,
         "UPPER": name.upper(),
@@ -152,6 +153,7 @@ def c_source(
         "LOW_SPEED": f"{graph.low_speed:g}",
         "KEPT": ", ".join(f"{value:g}" for value in _kept(tables).tolist()),
         "DOUBT": ", ".join(f"{value:g}" for value in tables.doubt.tolist()),
+        "SUPPORTED": ", ".join(number(value, real) for value in supported.tolist()),
         "TABLES": table_text,
         "PLACE_TIME": f", {name}_real t, {name}_real s" if graph.needs_place_and_time else "",
         "RESIDUAL": "h g(z)" if plain else "h Phi g(z)",

@@ -46,6 +46,7 @@ from split_cli.export.tables import Constants, TableData, build_tables, require_
 from split_cli.export.validity import valid_function
 from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.learning.training_set import TrainingSet
+from split_cli.learning.trust import supported_variance
 from split_cli.prediction import Predictor, make_predictor
 from split_cli.prediction.projected import ProjectedPredictor
 from split_cli.prediction.table import TablePredictor
@@ -421,6 +422,7 @@ def _manifest(
         "conventions": provenance.conventions,
         **({"memory": provenance.memory} if provenance.memory is not None else {}),
         "trust": list(training_set.trust.share),
+        "supported_variance": supported_variance(tables.trust, tables.doubt, tables.signal_variance).tolist(),
         "tables_sha256": tables.digest(),
         "predictor_error": oracle.predictor_error,
         **({"table": tables.error} if isinstance(tables, TableData) else {}),

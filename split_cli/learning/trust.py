@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.learning.kernel import OUTPUTS
 
-__all__ = ["Trust", "kept_share"]
+__all__ = ["Trust", "kept_share", "supported_variance"]
 
 ORIGINS = ("full", "given", "held-out", "unjudged")
 
@@ -17,6 +17,26 @@ def kept_share(share: np.ndarray, doubt: np.ndarray, signal_variance: np.ndarray
     """Return the share a of the process's variance that counts beside the doubt, shape (3,); see `Trust`."""
     kept: np.ndarray = np.maximum(np.square(share), 1.0 - doubt / signal_variance)
     return kept
+
+
+def supported_variance(share: np.ndarray, doubt: np.ndarray, signal_variance: np.ndarray) -> np.ndarray:
+    """Return the believed variance up to which labels support an interval, shape (3,).
+
+    Parameters
+    ----------
+    share, doubt, signal_variance : ndarray, shape (3,)
+        As of `kept_share`.
+
+    Notes
+    -----
+    a (1 - 1/e) S0 + w: the process then knows at least the share 1/e of the prior's variance, as a single exact
+    label at the distance of a length scale would tell it. Beyond, an interval is mostly the size that the residual
+    had in the training drives, and no label says whether it still has it. Where a is 0 the variance is w
+    everywhere and says nothing of the data.
+    """
+    open_share = 1.0 - np.exp(-1.0)
+    supported: np.ndarray = kept_share(share, doubt, signal_variance) * open_share * signal_variance + doubt
+    return supported
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["Belonging", "belonging", "share_beyond"]
+__all__ = ["Belonging", "belonging", "near_points", "share_beyond"]
 
 #: Ratios beyond which no wrong value of one car explains it: a car of another size. A steering ratio left out or a
 #: mass off by half stay inside; a 1:10 car against a road car is off by 8.
@@ -116,16 +116,24 @@ def _ratio(recorded: np.ndarray, expected: np.ndarray) -> float | None:
     return product / sizes[1]
 
 
-def share_beyond(training_set: TrainingSet, z: np.ndarray) -> float:
-    """Return the share of features `z`, shape (N, D), farther than a length scale from every point of the set.
+def near_points(training_set: TrainingSet, z: np.ndarray) -> np.ndarray:
+    """Return which features `z`, shape (N, D), lie within a length scale of a point of the set, bool shape (N,).
 
     Notes
     -----
-    There the nearest point's correlation is below e^-1/2, and its square, the largest share of the variance that
-    one point can tell, below 0.37: the correction fades and the nominal model remains.
+    Farther away the nearest point's correlation is below e^-1/2, and its square, the largest share of the variance
+    that one point can tell, below 0.37: the correction fades and the nominal model remains. Intervals are those of
+    the residual's size in the training drives there. False where a feature is not finite.
     """
-    z = z[np.isfinite(z).all(axis=1)] / training_set.kernel.length_scales
-    if not len(z) or not training_set.size:
-        return float(len(z) > 0)
-    tree = cKDTree(training_set.z / training_set.kernel.length_scales)
-    return float(np.mean(np.isinf(tree.query(z, distance_upper_bound=1.0)[0])))
+    near, finite = np.zeros(len(z), dtype=bool), np.isfinite(z).all(axis=1)
+    if training_set.size and finite.any():
+        tree = cKDTree(training_set.z / training_set.kernel.length_scales)
+        distance = tree.query(z[finite] / training_set.kernel.length_scales, distance_upper_bound=1.0)[0]
+        near[finite] = np.isfinite(distance)
+    return near
+
+
+def share_beyond(training_set: TrainingSet, z: np.ndarray) -> float:
+    """Return the share of finite features `z`, shape (N, D), farther than a length scale from every point."""
+    z = z[np.isfinite(z).all(axis=1)]
+    return float(1.0 - near_points(training_set, z).mean()) if len(z) else 0.0

@@ -1,22 +1,62 @@
-"""Do the intervals of a set hold on a drive? A warning in words where they are too narrow beyond chance."""
+"""Do the intervals of a set hold on a drive, near its points and beyond? A warning where they are too narrow."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.stats import norm, t
 
+from split_cli.learning.training_set import TrainingSet
+from split_cli.scoring.belonging import near_points
+from split_cli.scoring.report import IntervalShares
 from split_cli.scoring.run import Trace
 from split_cli.scoring.verdict import STATES, number_blocks
 
-__all__ = ["interval_warnings", "too_narrow"]
+__all__ = ["interval_shares", "interval_warnings", "too_narrow"]
 
 _LEVEL = 0.95
+_LEVELS = (0.5, 0.9, _LEVEL)
 #: By how much an interval of 95 % may miss what it promises [1]: docs/prediction.md states 3 points.
 _ALLOWED = 0.03
 #: Fewer blocks of time show no chance.
 _FEWEST_BLOCKS = 4
+
+
+def interval_shares(traces: Sequence[Trace], sets: Mapping[str, TrainingSet]) -> tuple[IntervalShares, ...]:
+    """Return the shares that intervals held, by predictor, near the points of the set and beyond.
+
+    Parameters
+    ----------
+    traces : sequence of Trace
+    sets : mapping of str to TrainingSet
+        By features.
+
+    Notes
+    -----
+    Training drives show how wrong a correction is near its points. Beyond them an interval carries only the size
+    that the residual had in training, and no label says how much larger it becomes (docs/decisions/0032).
+    """
+    found = []
+    for name, features in dict.fromkeys((trace.name, trace.features) for trace in traces):
+        same = [trace for trace in traces if (trace.name, trace.features) == (name, features)]
+        ratio = np.concatenate([_ratios(trace) for trace in same])
+        near = np.concatenate([near_points(sets[features], trace.tested.z) for trace in same])
+        finite = np.isfinite(ratio).all(axis=1)
+        for inside in (True, False):
+            part = ratio[finite & (near == inside)]
+            if len(part):
+                held = (np.mean(part <= norm.ppf(0.5 + 0.5 * level), axis=0) for level in _LEVELS)
+                share = len(part) / int(finite.sum())
+                found.append(IntervalShares(name, features, inside, len(part), share, *held))
+    return tuple(found)
+
+
+def _ratios(trace: Trace) -> np.ndarray:
+    """Return errors over the deviations that were predicted, label noise included, shape (N, 3)."""
+    deviation = np.sqrt(trace.prediction.variance + trace.noise_variance)
+    ratio: np.ndarray = np.abs(trace.tested.y - trace.prediction.mean) / deviation
+    return ratio
 
 
 def too_narrow(error: np.ndarray, deviation: np.ndarray, block: np.ndarray) -> tuple[float, float] | None:
@@ -48,20 +88,22 @@ def too_narrow(error: np.ndarray, deviation: np.ndarray, block: np.ndarray) -> t
     return share, float(np.quantile(ratio, _LEVEL))
 
 
-def interval_warnings(traces: Sequence[Trace]) -> list[str]:
+def interval_warnings(traces: Sequence[Trace], shares: Sequence[IntervalShares] = ()) -> list[str]:
     """Return a warning for every state whose intervals are too narrow on these drives, by predictor.
 
     Parameters
     ----------
     traces : sequence of Trace
         Of any predictors; of each, one a drive.
+    shares : sequence of IntervalShares
+        The warning says of the last predictor named whether it is near the points or beyond.
     """
     narrow = {
         name: _narrow_states([trace for trace in traces if trace.name == name])
         for name in dict.fromkeys(trace.name for trace in traces)
     }
     told = []
-    for state in STATES:
+    for number, state in enumerate(STATES):
         found = {name: states[state] for name, states in narrow.items() if state in states}
         if not found:
             continue
@@ -71,8 +113,16 @@ def interval_warnings(traces: Sequence[Trace]) -> list[str]:
             f"WARNING: intervals of {state} are too narrow here: the 95 % intervals hold only {held} of the "
             f"labels. They would have to be {'up to ' if len(found) > 1 else ''}{factor:.1f} times as wide. This "
             "driving differs from that of the training; add drives like this one to it"
+            f"{_by_distance([s for s in shares if s.name == list(found)[-1]], number)}"
         )
     return told
+
+
+def _by_distance(shares: Sequence[IntervalShares], state: int) -> str:
+    """Return what 95 % intervals of one predictor hold near the points and beyond, empty without either."""
+    where = {True: "within a length scale of the set's points", False: "beyond"}
+    told = [f"{100.0 * s.coverage_95[state]:.0f} % {where[s.near]}" for s in shares]
+    return f". They hold {' and '.join(told)} ({shares[0].name})" if len(told) > 1 else ""
 
 
 def _narrow_states(traces: Sequence[Trace]) -> dict[str, tuple[float, float]]:
@@ -82,11 +132,9 @@ def _narrow_states(traces: Sequence[Trace]) -> dict[str, tuple[float, float]]:
         drive = trace.held.drive
         block = number_blocks(drive["t"], drive.segment, first)
         first = int(block.max()) + 1
-        error = trace.tested.y - trace.prediction.mean
-        deviation = np.sqrt(trace.prediction.variance + trace.noise_variance)
-        parts.append((error, deviation, block[trace.tested.row]))
-    error, deviation, block = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    finite = np.isfinite(error).all(axis=1)
-    error, deviation, block = error[finite], deviation[finite], block[finite]
-    found = {state: too_narrow(error[:, k], deviation[:, k], block) for k, state in enumerate(STATES)}
+        parts.append((_ratios(trace), block[trace.tested.row]))
+    ratio, block = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    finite = np.isfinite(ratio).all(axis=1)
+    ratio, block = ratio[finite], block[finite]
+    found = {state: too_narrow(ratio[:, k], np.ones(len(ratio)), block) for k, state in enumerate(STATES)}
     return {state: narrow for state, narrow in found.items() if narrow}

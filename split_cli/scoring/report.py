@@ -19,6 +19,7 @@ __all__ = [
     "DriveFacts",
     "Evaluation",
     "EvaluationSettings",
+    "IntervalShares",
     "RolloutScore",
     "SetFacts",
     "SizeScore",
@@ -154,6 +155,33 @@ class RolloutScore:
 
 
 @dataclass(frozen=True)
+class IntervalShares:
+    """What the intervals of one predictor held, near the points of its set or beyond, pooled over drives.
+
+    Attributes
+    ----------
+    name, features : str
+        Of the predictor.
+    near : bool
+        Whether these samples lie within a length scale of a point (`belonging.near_points`).
+    samples : int
+    share : float
+        Of all test samples [1].
+    coverage_50, coverage_90, coverage_95 : ndarray, shape (3,)
+        Observed share of labels inside the central intervals, of v_x, v_y and r [1].
+    """
+
+    name: str
+    features: str
+    near: bool
+    samples: int
+    share: float
+    coverage_50: np.ndarray
+    coverage_90: np.ndarray
+    coverage_95: np.ndarray
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """The result of `split evaluate`.
 
@@ -173,6 +201,8 @@ class Evaluation:
         Corrected beside nominal and persistence, by state and horizon, with intervals.
     verdicts : tuple of str
         One sentence a predictor and feature set.
+    intervals : tuple of IntervalShares
+        What the intervals of each predictor held near the points of its set and beyond.
     notes : tuple of str
         What the reader must know: recorded future used, in-sample scores, what could not be computed.
     format : str
@@ -188,5 +218,6 @@ class Evaluation:
     sizes: tuple[SizeScore, ...]
     comparisons: tuple[Comparison, ...]
     verdicts: tuple[str, ...]
+    intervals: tuple[IntervalShares, ...]
     notes: tuple[str, ...]
     format: str = EVALUATION_FORMAT

@@ -33,7 +33,7 @@ from split_cli.scoring.evaluation import (
 )
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, informative_sets
-from split_cli.scoring.intervals import interval_warnings
+from split_cli.scoring.intervals import interval_shares, interval_warnings
 from split_cli.scoring.report import Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
 from split_cli.scoring.run import EvaluationRun, Trace
@@ -144,6 +144,8 @@ def evaluate(
     rollouts, rollout_scores, rolled = _rollouts(nominal, model, predictors, settings, engine)
     comparisons, verdicts = _comparisons(model, nominal, traces, rolled, settings)
     sizes = _sizes(contestants, baselines, settings, say)
+    shown = [trace for trace in traces if trace.name in settings.predictors]
+    intervals = interval_shares(shown, {name: own for name, _, own in contestants})
     say("noise floor")
     facts = tuple(drive_facts(h, model, trained) for h in nominal)
     report = Evaluation(
@@ -160,6 +162,7 @@ def evaluate(
         sizes=tuple(sizes),
         comparisons=comparisons,
         verdicts=verdicts,
+        intervals=intervals,
         notes=(
             *doubts,
             *notes_of(facts, contestants[0][1], settings, rollout_scores),
@@ -167,7 +170,7 @@ def evaluate(
             *correct.notes,
             *(lag_note(own) for *_, own in contestants if own.found),
             *warnings_of([c for c in comparisons if c.name in settings.predictors]),
-            *(interval_warnings([t for t in traces if t.name in settings.predictors]) if trained else ()),
+            *(interval_warnings(shown, intervals) if trained else ()),
         ),
     )
     sets = tuple(own for *_, own in contestants)

@@ -84,6 +84,7 @@ def _trained_set(path: Path) -> FileDescription:
         ("label interval", f"{trained.horizon:g} s"),
         ("trust", trained.trust.words()),
         *([("intervals", _ONE_DRIVE)] if lone else []),
+        *([("intervals hold", _NEAR_POINTS)] if trained.trust.origin == "held-out" else []),
         *((f"found beyond the file: {effect.term}", _numbers(effect.parameters)) for effect in trained.found),
         ("length scales", f"{_named(trained.features.names, kernel.length_scales)} ({kernel.origin})"),
         ("signal deviation", _named(_LABELS, np.sqrt(kernel.signal_variance))),
@@ -174,6 +175,7 @@ def _yaml(path: Path) -> FileDescription:
 
 _LABELS = ("v_x [m/s^2]", "v_y [m/s^2]", "r [rad/s^2]")
 _ONE_DRIVE = "hold for other stretches of the same driving only, since the set was trained on one drive or two"
+_NEAR_POINTS = "within a length scale of the points; beyond they only carry the size of the residual in training"
 _READS = "Name a drive, a trained set, labels, a vehicle file, a map, a diagnosis or an export."
 
 

@@ -68,6 +68,7 @@ def test_the_keys_of_the_json_are_a_promise(told):
             "sizes",
             "comparisons",
             "verdicts",
+            "intervals",
             "notes",
             "format",
         ]
@@ -76,7 +77,9 @@ def test_the_keys_of_the_json_are_a_promise(told):
         skill_label_held nlpd coverage_50 coverage_95 time_per_query uses_recorded_future"""
     drives = "name sha256 duration labels tested tested_valid in_sample held_out noise_floor notes"
     rollouts = "name features horizon starts diverged rmse distance"
-    for part, names in (("scores", scores), ("drives", drives), ("rollouts", rollouts)):
+    intervals = "name features near samples share coverage_50 coverage_90 coverage_95"
+    parts = (("scores", scores), ("drives", drives), ("rollouts", rollouts), ("intervals", intervals))
+    for part, names in parts:
         assert sorted(told[part][0]) == sorted(names.split())
     assert sorted(told["sets"][0]) == sorted(["features", "points", "cells", "kernel", "trust", "found"])
     names = "protocol predictors features sizes blocks holdout guard rollout horizon held trust any_vehicle"

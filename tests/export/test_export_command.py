@@ -16,7 +16,8 @@ from split_cli.errors import ExportError, SplitError
 from split_cli.export import targets
 from split_cli.export.verify import verify_folder
 from split_cli.files import sha256_of_file
-from split_cli.learning.training_set import write_set
+from split_cli.learning.training_set import read_set, write_set
+from split_cli.prediction import make_predictor
 from split_cli.workflows.export import export_set
 from split_cli.workflows.verifying.verify import verify, verify_set
 
@@ -53,6 +54,13 @@ def test_every_target_from_the_command_line(set_file, tmp_path, compiler):
     assert all(entry["check"]["mean_error"] <= 1e-12 for entry in report["targets"])
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["set"] == {"name": "my car.split", "sha256": sha256_of_file(set_file)}
+    macro = (folder / "my_car.h").read_text().split("MY_CAR_SUPPORTED_VARIANCE {")[1].split("}")[0]
+    assert [float(value) for value in macro.split(",")] == manifest["supported_variance"]
+    trained = read_set(set_file)
+    told = trained.trust.array > 0.0  # of an output without trust the variance is the same everywhere
+    for z, supported in ((trained.z, True), (trained.z + 1e3 * trained.kernel.length_scales, False)):
+        below = make_predictor("bcm", trained).predict(z).variance <= manifest["supported_variance"]
+        assert (below[:, told] == supported).mean() > 0.9
     assert manifest["vehicle"]["mass"] == 1500.0 and "frame" in manifest["conventions"]
     written = {path.name for path in folder.iterdir()}
     assert written == set(manifest["files"]) | {"manifest.json"}

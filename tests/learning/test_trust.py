@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from split_cli.learning.training_set import read_set, write_set
-from split_cli.learning.trust import Trust
+from split_cli.learning.trust import Trust, supported_variance
 from tests.factories import make_training_set, write_forged_set
 
 SIGNAL = np.array([0.5, 2.0, 0.1])
@@ -46,6 +46,19 @@ def test_far_from_the_data_the_variance_of_the_prior_returns_however_little_is_t
     found = trust.apply(np.zeros((1, 3)), signal, SIGNAL)[1][0]
     np.testing.assert_allclose(found, SIGNAL * [1.0, 1.0, 0.81 + 0.5], rtol=1e-14)
     np.testing.assert_allclose(trust.apply(np.zeros((1, 3)), 0.0 * signal, SIGNAL)[1][0], trust.doubt)
+
+
+def test_an_interval_is_supported_as_far_as_one_exact_label_reaches():
+    """One exact label leaves (1 - e^(-d^2)) S0 at d length scales: the bound lies at one, whatever the trust."""
+    share, doubt = np.array([0.2, 0.0, 0.9]), SIGNAL * [0.3, 1.2, 0.5]
+    trust = Trust(tuple(share), "held-out", 9, tuple(doubt))
+    for distance in (0.9, 1.1):
+        left = (1.0 - np.exp(-(distance**2))) * SIGNAL[None]
+        believed = trust.apply(np.zeros((1, 3)), left, SIGNAL)[1][0]
+        # v_y: with a doubt of the whole prior the variance is the same everywhere and tells nothing.
+        np.testing.assert_array_equal(
+            believed <= supported_variance(share, doubt, SIGNAL), [distance < 1.0, True, distance < 1.0]
+        )
 
 
 def test_a_doubt_that_is_no_variance_is_refused():

@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from split_cli.scoring.intervals import interval_warnings, too_narrow
+from split_cli.scoring.intervals import interval_shares, interval_warnings, too_narrow
+from tests.factories import make_training_set
 
 BLOCKS, ROWS = 20, 60
 
@@ -63,3 +64,28 @@ def test_each_predictor_that_is_shown_is_judged_by_its_own_intervals():
     shares = [float(part) for part in found.groups()]
     assert shares == pytest.approx([37.6, 67.3, 4.0], rel=0.06) and "projected" not in told[1]
     assert "rbcm" not in told[0]
+
+
+def test_shares_near_the_points_and_beyond_are_told_apart_and_in_the_warning():
+    """Errors of one deviation on the points, of three a thousand length scales away, and intervals for one."""
+    trained, random = make_training_set(seed=3, points=40), np.random.default_rng(5)
+    trace = traces_of("projected", 1.0, 3)
+    rows = len(trace.tested.row)
+    far = np.arange(rows) % 4 == 0
+    trace.features = "z2"
+    trace.tested.y = random.normal(size=(rows, 3)) * np.where(far, 3.0, 1.0)[:, None]
+    trace.tested.z = trained.z[random.integers(len(trained.z), size=rows)]
+    trace.tested.z[far] += 1e3 * trained.kernel.length_scales
+    trace.tested.y[8] = np.nan  # what cannot be labelled counts for neither
+    near, beyond = interval_shares([trace], {"z2": trained})
+    assert (near.near, near.samples, beyond.near, beyond.samples) == (True, 900, False, 299)
+    assert near.share + beyond.share == pytest.approx(1.0)
+    for share, coverage in zip(
+        (0.5, 0.9, 0.95), (near.coverage_50, near.coverage_90, near.coverage_95), strict=True
+    ):
+        np.testing.assert_allclose(coverage, share, atol=0.05)  # three standard errors of 900 labels
+    # Within a third of 1.96 deviations lie 48.6 %.
+    np.testing.assert_allclose(beyond.coverage_95, 0.486, atol=0.09)
+    told = interval_warnings([trace], (near, beyond))
+    figures = re.search(r"hold (\d+) % within a length scale of the set's points and (\d+) % beyond", told[2])
+    assert [float(part) for part in figures.groups()] == [round(100 * s.coverage_95[2]) for s in (near, beyond)]

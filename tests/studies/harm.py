@@ -96,11 +96,25 @@ def main() -> None:
     print()
     for predictor in predictors:
         print("\n".join(summary([report for _, report in reports], predictor)))
-    print("\n| judged on another part | in 50 % | in 95 % |\n|---|---|---|")
+    print(
+        "\n| judged on another part | in 50 % | in 95 % | samples near the points | in 95 % there | beyond |\n"
+        "|---|---|---|---|---|---|"
+    )
     for title, report in reports:
         score = next(s for s in report["scores"] if s["name"] == predictors[0] and not s["drive"])
-        shares = ("/".join(f"{100 * s:.0f}" for s in score[f"coverage_{level}"]) for level in (50, 95))
-        print(f"| {title} | " + " | ".join(shares) + " |")
+        near, beyond = (
+            next((s for s in report["intervals"] if s["name"] == predictors[0] and s["near"] == inside), None)
+            for inside in (True, False)
+        )
+        cells = [shares_of(score["coverage_50"]), shares_of(score["coverage_95"])]
+        cells.append(f"{100 * near['share']:.0f} %" if near else "0 %")
+        cells += [shares_of(part["coverage_95"]) if part else "" for part in (near, beyond)]
+        print(f"| {title} | " + " | ".join(cells) + " |")
+
+
+def shares_of(values: list[float]) -> str:
+    """Return 95/93/75: shares of v_x, v_y and r in per cent."""
+    return "/".join(f"{100 * value:.0f}" for value in values)
 
 
 HEADER = """| trained on → judged on | trust v_x, v_y, r | state | one step | 0.5 s | 1 s | 2 s | worse | over persistence at 1 s | full trust at 1 s |

@@ -19,6 +19,7 @@ from split_cli.plots.pictures import (
 from split_cli.plots.pictures.tires import LearnedForces
 from split_cli.prediction import make_predictor
 from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, predictor_names
+from split_cli.scoring.report import IntervalShares
 from split_cli.scoring.rollouts import Correction
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.verdict import Comparison
@@ -201,7 +202,30 @@ def _tables(run: EvaluationRun) -> str:
         "<p>Errors are those of the label, the rate that the vehicle file's model lacks. The norm is the root of "
         "the sum of their squares. Skill is 1 − MSE over the MSE of persistence: 1 is perfect, 0 no better.</p>"
     )
-    return section("scores", "Scores", words + plain_table(heads, rows, "table-scores"))
+    scores = words + plain_table(heads, rows, "table-scores")
+    return section("scores", "Scores", scores) + _intervals(run.report.intervals)
+
+
+def _intervals(shares: Sequence[IntervalShares]) -> str:
+    """Return the shares that intervals held near the points of the set and beyond."""
+    if not shares:
+        return ""
+    names = predictor_names([(s.name, s.features) for s in shares])
+    rows = [
+        (
+            names[s.name, s.features],
+            "within" if s.near else "beyond",
+            percent(s.share),
+            *(percent(float(value)) for value in s.coverage_95),
+        )
+        for s in shares
+    ]
+    words = (
+        "<p>Shares of labels inside 95 % intervals, within a length scale of the set's points and beyond. Beyond "
+        "the points an interval only carries the size that the residual had in the training drives.</p>"
+    )
+    heads = ("Predictor", "Test samples", "Share", "v_x", "v_y", "r")
+    return section("intervals", "Intervals near the points and beyond", words + plain_table(heads, rows))
 
 
 def _notes(notes: Sequence[str]) -> str:
