@@ -8,6 +8,7 @@ from typing import Any
 
 __all__ = [
     "OUR_FAULT",
+    "ClockError",
     "DriveError",
     "ExportError",
     "LogError",
@@ -74,6 +75,13 @@ def _rebuild(kind: type[SplitError], what: str, where: str | None, advice: str |
 
 class LogError(SplitError):
     """A recording cannot be read or holds nothing usable."""
+
+
+class ClockError(LogError):
+    """The time of a recording is in another unit than it is taken in."""
+
+    unit = ""
+    """The unit that it is probably in; empty where it travelled between processes."""
 
 
 class MapError(SplitError):

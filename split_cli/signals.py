@@ -263,6 +263,8 @@ _SUFFIXES = {
 _SUFFIX_UNITS = {suffix.lower(): unit for suffix, symbol in _SUFFIXES.items() if (unit := find_unit(symbol))}
 # The longest first: deg_s before s, mps2 before any shorter one.
 _SUFFIX_ORDER = sorted(_SUFFIX_UNITS, key=len, reverse=True)
+# An element of an array, q[0]; a unit of 1 stands apart, throttle [1].
+_INDEXED = re.compile(r"\S\[\d+\]$")
 # _ms is milliseconds on a time and metres a second on a speed, so the name must say which.
 _TIME_IN_MS = re.compile(r"(^|.*_)(t|time|timestamp|stamp|dt|delay|duration|latency|period)_ms$")
 
@@ -272,7 +274,8 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
 
     ``vx(m/s)``, ``vx [m/s]`` and ``vx|m/s|0|90|50`` (unit, range and rate, as RaceCapture writes them) give
     ``("vx", "m/s")``; a known suffix as in ``vx_mps`` gives
-    ``("vx_mps", "m/s")`` with the name left as it is, since users address columns by it.
+    ``("vx_mps", "m/s")`` with the name left as it is, since users address columns by it. The bracket of ``q[0]``
+    holds an index.
 
     Returns
     -------
@@ -281,6 +284,8 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
         the bracket's own text when not known, None when nothing was said.
     """
     text = header.strip().lstrip("#").strip().strip('"').strip()
+    if _INDEXED.search(text):
+        return text, None
     match = _BARRED.fullmatch(text) or _BRACKETED.match(text)
     if match and match["name"] and match["unit"].strip().lower() not in ("x", "y", "z"):
         unit = find_unit(match["unit"]) if match["unit"].strip() else None

@@ -76,8 +76,12 @@ def evaluate_files(
     Raises
     ------
     SplitError
-        If neither vehicle nor set is given, or they are not of the same physics.
+        If neither vehicle nor set is given, they are not of the same physics, or a set stands where drives do.
     """
+    swapped = next((Path(path) for path in drives if Path(path).suffix == ".split"), None)
+    if swapped is not None:
+        advice = f"Name drives first, then the set: split evaluate DRIVE --set {swapped.name}"
+        raise SplitError("is a trained set, not a drive", where=swapped.name, advice=advice)
     trained = read_set(set_path) if set_path else None
     if vehicle is None and trained is None:
         raise SplitError("needs a vehicle or a trained set", advice="Give --vehicle or --set.")

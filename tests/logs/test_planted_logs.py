@@ -22,8 +22,8 @@ def planted() -> PlantedDrive:
     return PlantedDrive(seconds=90.0)
 
 
-def ingested(planted, *, time=1.0, backwards=False, wheels=None, **altered):
-    """Ingest a table at 50 Hz; `time` multiplies its clock, `altered` changes channels."""
+def ingested(planted, *, time=1.0, unit="s", backwards=False, wheels=None, **altered):
+    """Ingest a table at 50 Hz; `time` multiplies its clock, read in `unit`; `altered` changes channels."""
     t = np.arange(0.0, planted.seconds, 0.02)
     columns = {c: planted.at(c, t) for c in CHANNELS}
     if wheels:
@@ -37,7 +37,7 @@ def ingested(planted, *, time=1.0, backwards=False, wheels=None, **altered):
         columns = {c: v[::-1] for c, v in columns.items()}
     signals = {c: RawSignal(c, None, v, UNITS.get(c, "m/s")) for c, v in {"t": time * t, **columns}.items()}
     signals["t"] = replace(signals["t"], unit="s")
-    named = {"time": {"source": "t", "unit": "s"}, "channels": {c: {"source": c} for c in columns}}
+    named = {"time": {"source": "t", "unit": unit}, "channels": {c: {"source": c} for c in columns}}
     recording = TableRecording("log.csv", Path("log.csv"), signals)
     return assemble_drive(recording, map_from_mapping(named, where="map"), planted.vehicle).quality.consistency
 
@@ -152,3 +152,23 @@ def test_a_copied_and_a_computed_yaw_rate_are_told_and_judge_nobody(planted):
     assert (finding.channel, finding.check) == ("r", "copied") and finding.measured == pytest.approx(
         1 / 2.6, rel=1e-3
     )
+
+
+@pytest.mark.parametrize(("time", "unit"), [(1e3, "s"), (1.0, "ms")])
+def test_a_clock_in_another_unit_hides_no_second_mistake(time, unit, planted):
+    with pytest.raises(LogError, match="probably in") as alone:
+        ingested(planted, time=time, unit=unit)
+    assert "With the time in" not in str(alone.value)
+    with pytest.raises(LogError, match="probably in") as error:
+        ingested(planted, time=time, unit=unit, r=lambda t, v: np.degrees(v))
+    assert "With the time in" in str(error.value) and "r is in deg/s" in str(error.value)
+
+
+def test_a_late_steer_angle_in_steps_is_told_and_one_that_is_only_in_steps_is_not(planted):
+    def in_steps(late):
+        return lambda t, v: np.repeat(np.interp(t - late, t, v)[::3], 3)[: len(t)]
+
+    assert ingested(planted, delta=in_steps(0.0)).findings == ()
+    finding = only(ingested(planted, delta=in_steps(0.3)))
+    assert (finding.channel, finding.check) == ("delta", "delay")
+    assert finding.measured == pytest.approx(0.3, abs=0.03)

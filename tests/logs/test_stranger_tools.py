@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from split_cli.logs.assembling.assemble import assemble_drive
 from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.drive import read_drive, write_drive
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.delimited import degrees_of, seconds_of
 from split_cli.logs.readers.opening import open_recording
-from tests.logs.planted import PlantedDrive
+from split_cli.logs.signal_map import map_from_mapping
+from tests.logs.planted import UNITS, PlantedDrive
 from tests.logs.test_stranger_exports import ingested
 from tests.logs.test_stranger_styles import DEG
 
@@ -107,3 +110,16 @@ def test_gravity_along_z_tells_of_a_right_handed_sensor_where_y_points(down, for
     assert draft.of("ay").sources == (across,) and draft.of("ay").scale == 1.0
     assert ("right-positive" if to_left < 0.0 else "left-positive") in draft.by_gravity
     assert ("frame: frd" in draft.by_gravity) == (to_left < 0.0)
+
+
+def test_elements_of_arrays_beside_the_channels_are_kept_and_read_again(planted, tmp_path):
+    t = np.arange(0.0, 20.0, 0.02)
+    names = {c: f"{c} [{UNITS[c]}]" for c in ("vx", "vy", "r", "delta", "T")}
+    beside = {"q[0]": np.cos(t), "q[1]": np.sin(t)}
+    write(tmp_path / "log.csv", {"t": t, **{names[c]: planted.at(c, t) for c in names}, **beside})
+    found = map_from_mapping({"time": {"source": "t"}, "channels": {c: {"source": c} for c in names}})
+    made = assemble_drive(open_recording(tmp_path / "log.csv"), found, planted.vehicle)
+    write_drive(made.drive, tmp_path / "drive.parquet")
+    again = read_drive(tmp_path / "drive.parquet")
+    np.testing.assert_array_equal(again.columns["q[1]"], made.drive.columns["q[1]"])
+    assert {"q[0]", "q[1]"} <= set(again.columns)

@@ -10,6 +10,7 @@ said, also that a relation is not judged; *silent*; and *false*, a channel witho
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -30,6 +31,7 @@ _CORNERS = {"fl": (1, -1), "fr": (1, 1), "rl": (-1, -1), "rr": (-1, 1)}
 _TRACK = 0.58
 """Of a car's wheelbase, for the wheel speeds that are made for it [1]."""
 _ROWS = 12_000
+_IN_MS = "the map says ms"
 Columns = dict[str, np.ndarray]
 
 
@@ -54,7 +56,7 @@ def _late(channel: str, seconds: float) -> Callable[[Columns], Columns]:
 DEG, G, MPH = 180.0 / np.pi, 9.80665, 0.44704
 PLANTED: dict[str, Planted] = {
     "clock in ms as s": Planted(lambda c: {"t": c["t"] * 1e3}, ("time",), "probably in ms"),
-    "clock in s as ms": Planted(lambda c: {"t": c["t"] * 1e-3}, ("time",), "probably in s"),
+    "clock in s as ms": Planted(lambda c: {"t": c["t"], _IN_MS: c["t"]}, ("time",), "probably in s"),
     "rows newest first": Planted(lambda c: {n: v[::-1] for n, v in c.items() if n != "t"}, ("time",), "backwards"),
     "yaw rate in deg/s": Planted(_times("r", DEG), ("r",), "is in deg/s"),
     "yaw rate clockwise": Planted(_times("r", -1.0), ("r",), "left-handed"),
@@ -115,10 +117,10 @@ def columns_of(drive: Drive, vehicle: Vehicle) -> Columns:
 
 def said_of(columns: Columns, vehicle: Vehicle) -> dict[str, str]:
     """Return what ingest says of a log, by channel; ``time`` holds what it says of clocks and of the whole."""
-    shown = {name: v for name, v in columns.items() if name not in ("lr", "radius")}
+    shown = {name: v for name, v in columns.items() if name not in ("lr", "radius", _IN_MS)}
     signals = {n: RawSignal(n, None, v, _UNITS.get(n, "m/s" if n in _CORNERS else None)) for n, v in shown.items()}
     entries = {_SHOWN_BY.get(n, n): {"source": n, "unit": signals[n].unit} for n in shown if n != "t"}
-    named = {"time": {"source": "t", "unit": "s"}, "channels": entries}
+    named = {"time": {"source": "t", "unit": "ms" if _IN_MS in columns else "s"}, "channels": entries}
     missing = [c for c in ("T",) if c not in entries]
     settings = IngestSettings(derive=("torque-from-acceleration",) if missing else ())
     try:
@@ -129,7 +131,13 @@ def said_of(columns: Columns, vehicle: Vehicle) -> dict[str, str]:
             settings,
         )
     except SplitError as error:
-        return {"time": str(error)}
+        # What the checks say with the right clock stands behind it, channel by channel.
+        told, *others = re.split(r" (?=(?:" + "|".join([*_UNITS, *_SHOWN_BY.values()]) + r"): )", str(error))
+        said = {"time": told}
+        for text in others:
+            channel, _, words = text.partition(": ")
+            said[channel] = f"{said.get(channel, '')} {words}".strip()
+        return said
     found: dict[str, str] = {}
     quality = made.quality
     for finding in quality.consistency.findings:
@@ -165,7 +173,7 @@ def _verdict(names: tuple[str, ...], said: dict[str, str], before: dict[str, str
 
 def _changed(name: str) -> set[str]:
     probe: Columns = {c: np.linspace(1.0, 2.0, 5) for c in (*_UNITS, *_CORNERS, "t", "lr", "radius")}
-    return set(PLANTED[name].change(probe))
+    return set(PLANTED[name].change(probe)) - {_IN_MS}
 
 
 def main() -> int:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from split_cli.errors import DriveError, MapError, nearest_names
+from split_cli.errors import ClockError, DriveError, MapError, SplitError, nearest_names
 from split_cli.files import sha256_of_file
 from split_cli.logs.assembling.clean import join_clock_resets
 from split_cli.logs.assembling.conversion import RawSeries
@@ -47,6 +47,8 @@ _USUAL_GAP = 0.1
 """Longest step that is interpolated unless said otherwise [s]."""
 MOST_CHECKED = 2**20
 """Rows in the middle of a drive whose channels are checked against each other: hours show any wrong unit."""
+_MOST_BESIDE_A_CLOCK = 3
+"""Findings that are told beside a clock in another unit [1]: an error is a line."""
 _DELAY_PASSES = 6
 """At most so many; identities of three channels are right only once all three are in time."""
 
@@ -118,9 +120,32 @@ def assemble_drive(
     MapError
         If sources are missing or of the wrong unit, or a required channel is neither mapped nor derived.
     LogError
-        If nothing usable remains.
+        If nothing usable remains, or the time is in another unit: with what the checks say with the right one.
     """
     settings = settings or IngestSettings()
+    try:
+        return _assemble(recording, signal_map, vehicle, settings)
+    except ClockError as error:
+        if not error.unit or signal_map.time.unit == error.unit:
+            raise
+        right = replace(signal_map, time=replace(signal_map.time, unit=error.unit))
+        more = _said_then(lambda: _assemble(recording, right, vehicle, settings))
+        advice = f"{error.advice}{more and f' With the time in {error.unit}: {more}'}"
+        raise ClockError(error.what, where=error.where, advice=advice) from error
+
+
+def _said_then(assemble: Callable[[], Assembled]) -> str:
+    """Return what else is wrong with a log once its clock is right; empty where nothing is."""
+    try:
+        found = assemble().quality.consistency.findings
+    except SplitError as error:
+        return str(error)
+    return " ".join(f"{finding.channel}: {finding.text}" for finding in found[:_MOST_BESIDE_A_CLOCK])
+
+
+def _assemble(
+    recording: RawRecording, signal_map: SignalMap, vehicle: Vehicle | None, settings: IngestSettings
+) -> Assembled:
     gap = _USUAL_GAP if settings.gap is None else settings.gap
     if not gap > 0:
         raise MapError(f"the gap is {gap:g} s, it must be positive", advice="Give --gap in seconds.")

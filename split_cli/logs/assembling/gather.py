@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.errors import LogError, MapError, nearest_names
+from split_cli.errors import ClockError, LogError, MapError, nearest_names
 from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.conversion import ConversionNotes, Converter, RawSeries, expected_unit
 from split_cli.logs.map_entries import ChannelMap, SignalMap, SignalSource
@@ -339,12 +339,14 @@ def _common_time(
     step = float(np.median(np.abs(np.diff(time[finite])))) if finite.sum() > 1 else 0.0
     if step > _SLOWEST:
         fits = unit_of_time(raw.values[finite])
-        raise LogError(
+        error = ClockError(
             f"samples of {column!r} are {step:.3g} s apart, its unit being taken as {unit or 's'}",
             where=recording.name,
             advice=f"No drive is recorded so: it is probably in {fits}. "
             f"Set `time: {{source: {column}, unit: {fits}}}`.",
         )
+        error.unit = fits
+        raise error
     return time, float(convert_to_si(np.array([first]), unit or "s")[0]), f"column {column}"
 
 

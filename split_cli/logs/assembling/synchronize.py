@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.errors import LogError
+from split_cli.errors import ClockError, LogError
 from split_cli.logs.assembling.clean import CleanSeries, clean_series
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.assembling.noise import estimate_noise, sum_of_noise
@@ -195,11 +195,13 @@ def lay_grid(channels: Channels, rate: float | None, where: str) -> tuple[Sample
     ends = [end for span in spans for run in span for end in run]
     lasts = max(ends, default=0.0) - min(ends, default=0.0)
     if slowest < _DENSE and lasts < _SHORT:
-        raise LogError(
+        error = ClockError(
             f"lasts {lasts:.3g} s, with rows {slowest:.3g} s apart: no drive is recorded like that",
             where=where,
             advice="The time is probably in s, not in ms or us. Set its unit in the entry `time:` of the map.",
         )
+        error.unit = "s"
+        raise error
     period = _period(slowest, rate, where)
     grid, left_out = make_grid(spans, period)
     if not len(grid.index):

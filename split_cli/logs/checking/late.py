@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +28,8 @@ _MOST = 3
 """Channels that are told [1]; with more than that something else is wrong."""
 _HELD = 0.3
 """Share of rows that repeat the one before, from which on a channel is one of steps [1]."""
+_COMPARED = ("delta", "ax", "ay")
+"""Channels that no other is compared with: their steps put off nothing but themselves."""
 _UNTRUSTED = ("scale", "sign", "hand", "swapped", "world", "constant", "copied", "course")
 
 
@@ -57,17 +60,20 @@ def late_channels(
     vy_judged = any(relation.name == ACROSS for relation in known.relations)
     whole = corrected_columns(part.columns, known.factors, vy_judged)
     segments = [slice(-(-s.start // stride), -(-s.stop // stride)) for s in part.segments()]
+    holds = {channel: _hold(values, drive.period) for channel, values in whole.items()}
     columns = {
         channel: values[::stride]
         for channel, values in whole.items()
-        if not kinds.get(channel, "").startswith("derived") and channel not in wrong and not _in_steps(values)
+        if not kinds.get(channel, "").startswith("derived")
+        and channel not in wrong
+        and (channel in _COMPARED or not holds[channel])
     }
     if "vx" not in columns:
         return []
     found: list[ConsistencyFinding] = []
     period = drive.period * stride
     for _ in range(_MOST):
-        late = _latest(columns, period, segments, vehicle, kinds)
+        late = _latest(columns, period, segments, vehicle, kinds, holds)
         if late is None:
             break
         told = "late" if late.delay > 0.0 else "early"
@@ -83,9 +89,10 @@ def late_channels(
     return found
 
 
-def _in_steps(values: np.ndarray) -> bool:
-    """Whether a channel keeps its value from row to row: held, it is late by half a hold and that is no clock."""
-    return len(values) < 2 or float(np.mean(np.diff(values) == 0.0)) > _HELD
+def _hold(values: np.ndarray, period: float) -> float:
+    """Return how long a channel in steps keeps its value on average [s], 0 for one that is not in steps."""
+    kept = float(np.mean(np.diff(values) == 0.0)) if len(values) > 1 else 1.0
+    return period / max(1.0 - kept, 1e-9) if kept > _HELD else 0.0
 
 
 def _latest(
@@ -94,11 +101,18 @@ def _latest(
     segments: list[slice],
     vehicle: Vehicle | None,
     kinds: Mapping[str, str],
+    holds: Mapping[str, float],
 ) -> DelayEstimate | None:
-    """Return the estimate that is the surest of those to be told; None where none is."""
+    """Return the estimate that is the surest of those to be told; None where none is.
+
+    A value that is held shows half a hold late, and that is no clock: it is taken off.
+    """
     late = [
         e
-        for e in estimate_delays(columns, period, segments, vehicle, {c: c for c in columns})
+        for e in (
+            replace(e, delay=e.delay - 0.5 * holds.get(e.channel, 0.0))
+            for e in estimate_delays(columns, period, segments, vehicle, {c: c for c in columns})
+        )
         if not e.refusal
         and not e.channel.startswith("wheel_speed")
         and abs(e.delay) >= max(_LATE, _SURE * e.error)
