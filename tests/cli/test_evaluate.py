@@ -206,7 +206,7 @@ def test_figures_are_written_and_named(garage, tmp_path):
     [
         (("--vehicle", "other.yaml", "--set", "a.split"), "was trained for another vehicle than 'test car'"),
         ((), "needs a vehicle or a trained set"),
-        (("a.split",), "is a trained set, not a drive. Name drives first, then the set: split evaluate DRIVE --set"),
+        (("a.split",), "is a trained set, not a drive. Name drives first, then the set: split eval"),
         (("--set", "a.split", "--predictor", "bmc"), "no predictor 'bmc'. Did you mean bcm"),
         (("--vehicle", "car.yaml", "--features", "alpha_f,alpha_q"), "no feature 'alpha_q'. Did you mean alpha_"),
         (("--set", "a.split", "--protocol", "paper"), "the paper's protocol trains on the lap that it scores"),
