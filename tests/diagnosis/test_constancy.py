@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -11,7 +13,7 @@ from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.form_error import form_error_columns
 from split_cli.diagnosis.search.selection import nothing, select_terms
 from split_cli.diagnosis.verdict import constancy
-from split_cli.diagnosis.verdict.constancy import bends, parameter_drifts
+from split_cli.diagnosis.verdict.constancy import bends, beyond_form_error, parameter_drifts
 from split_cli.diagnosis.verdict.findings import _sure_bends
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
@@ -148,3 +150,45 @@ def test_a_selection_that_bends_is_not_all():
         selection = select_terms(objective, candidates_of(objective, "steer_gain"), 1.5)
         assert [one.id for one in selection.terms] == ["steer_gain"]
         assert bool(_sure_bends(objective, selection, 1.5)) is bent
+
+
+class Bending(Term):
+    """An engine that gives less than twice as much at full pedal as at half."""
+
+    id = "bending"
+
+    def __init__(self, bend: float) -> None:
+        super().__init__({})
+        self.bend = bend
+
+    def actuate(self, flow) -> None:
+        """Bend the driving torque."""
+        flow.T = flow.T * (1.0 - self.bend * np.clip(flow.T / 1000.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(("bend", "gain", "beyond"), [(0.5, 1.0, True), (0.0, 0.7, False)])
+def test_a_gain_that_would_err_by_more_than_a_single_track_is_not_all_that_acts(bend, gain, beyond):
+    """Free to err by torque, a gain takes all of an engine map that bends, and bends no more."""
+    term = Bending(bend) if bend else CATALOGUE["drive_gain"]({"drive_gain": gain, "brake_gain": 1.0})
+    objective = objective_of(term)
+    fit = fit_of(objective, "drive_gain")
+    (p_value,) = beyond_form_error(objective, fit, [True], 1.5).values()
+    assert (p_value < 1e-6) is beyond and (beyond or p_value > 0.5)
+    assert beyond_form_error(objective, fit, [False], 1.5) == {}
+
+
+def test_model_form_errors_as_large_as_the_prior_has_them_are_none_too_many():
+    """Weights drawn from their prior exceed chi squared of as many no more often than the level; five times do."""
+    objective = objective_of(CATALOGUE["drive_gain"]({"drive_gain": 0.7, "brake_gain": 0.7}))
+    fit = fit_of(objective, "drive_gain")
+    columns, rng = form_error_columns(objective, fit), np.random.default_rng(6)
+
+    def p_value(size: float) -> float:
+        drawn = columns @ rng.normal(0.0, size, columns.shape[1])
+        (found,) = beyond_form_error(
+            objective, replace(fit, residuals=fit.residuals + drawn), [True], 1.0
+        ).values()
+        return found
+
+    assert sum(p_value(1.0) < 0.1 for _ in range(40)) <= 8
+    assert all(p_value(5.0) < 1e-3 for _ in range(10))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.search import form_error
-from split_cli.diagnosis.search.exchange import alone, joined, merged, said_of, split
+from split_cli.diagnosis.search.exchange import alone, joined, merged, relieved, said_of, split
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing, select_terms
@@ -145,3 +145,25 @@ def test_late_sensors_stay_one_where_they_are():
     one = fitted(explore, sensor_delay={"delay": 0.045})
     assert split(explore, nothing(objective), one, (True,)) is None
     assert merged(explore, nothing(objective), one, (True,)) is None
+
+
+def test_two_terms_that_imitate_a_moved_centre_of_gravity_give_way_to_it():
+    """A CG further ahead changes arms and slips, as stiffnesses and a sensor elsewhere do in part."""
+    objective = noisy_objective(driven(31, [CATALOGUE["cg_shift"]({"dx": 0.05}, "loaded")]), 2)
+    explore = explorer(objective, "cg_shift", "tire_stiffness", "sensor_lever_arm")
+    stiff = {"front_scale": 1.03, "rear_scale": 0.97}
+    both = fitted(explore, tire_stiffness=stiff, sensor_lever_arm={"dx": 0.05})
+    rivals = [
+        fitted(explore, tire_stiffness=stiff, cg_shift__loaded={"dx": 0.02}),
+        fitted(explore, sensor_lever_arm={"dx": 0.05}, cg_shift__loaded={"dx": 0.02}),
+    ]
+    found = relieved(explore, both, rivals)
+    (part,) = found.parts
+    assert part.candidate.label == "cg_shift (loaded)" and part.values["dx"] == pytest.approx(0.05, abs=0.005)
+    assert said_of(both, found) == "cg_shift in place of sensor_lever_arm and tire_stiffness"
+    # Where all of them act none is needless.
+    true = [CATALOGUE["cg_shift"]({"dx": 0.05}, "loaded"), CATALOGUE["tire_stiffness"](stiff, "")]
+    explore = explorer(noisy_objective(driven(31, true), 2), "cg_shift", "tire_stiffness", "sensor_lever_arm")
+    both = fitted(explore, tire_stiffness=stiff, cg_shift__loaded={"dx": 0.05})
+    other = fitted(explore, tire_stiffness=stiff, sensor_lever_arm={"dx": 0.05})
+    assert relieved(explore, both, [other]) is None

@@ -2,9 +2,12 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from split_cli.diagnosis.policy import STANDARD
+from split_cli.diagnosis.search.fitting import Fit
+from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
 from split_cli.diagnosis.verdict import findings
 from split_cli.diagnosis.verdict.constancy import Bend
@@ -19,6 +22,16 @@ def test_values_hold_with_and_without_what_is_not_believed():
     covering = findings._covering(alone, {"scale": ParameterEstimate(0.45, 0.05, "1", (0.34, 0.56))})
     assert covering["scale"].value == 0.68 and covering["scale"].interval_95 == (0.34, 0.78)
     assert findings._covering(alone, {}) == alone
+
+
+def test_a_term_that_is_not_singled_out_stays_in_the_fit_without_a_name():
+    def part(term: str) -> SimpleNamespace:
+        return SimpleNamespace(candidate=SimpleNamespace(term=term))
+
+    chosen = Fit(tuple(map(part, ("cg_shift", "mass", "wind"))), 0.0, np.zeros(3), np.zeros((3, 3)))
+    selection = Selection(chosen, chosen, (), (), (), (True, True, False))
+    found = findings._nameless(selection, {"mass"})
+    assert found.named == (True, False, False) and found.chosen is chosen
 
 
 def finding(term: str, **intervals: tuple[float, float]) -> Finding:

@@ -9,14 +9,15 @@ import numpy as np
 
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
-from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, fits_without, tangent
 from split_cli.diagnosis.search.form_error import costs_beside_form_error, free_to_form_error
 from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
+from split_cli.diagnosis.search.joint import promised_without
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["alone", "is_better_beside_form_error", "joined", "merged", "said_of", "split"]
+__all__ = ["alone", "is_better_beside_form_error", "joined", "merged", "relieved", "said_of", "split"]
 
 
 def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
@@ -102,6 +103,35 @@ def is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:
     there, here = costs_beside_form_error(explore.objective, [than, fit])
     price = rules.price * (fit.complexity - than.complexity)
     return (there - here) / explore.variance_inflation > price + least
+
+
+def relieved(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> Fit | None:
+    """Return the best of an explanation and its rivals with one part less, where none of these is better.
+
+    Two terms may imitate one that is not among them. Beside either of them the one saves little, and takes no
+    place. Where it makes the other needless, it takes both. Of explanations that are as good, the one with fewer
+    terms stays. Straight lines tell what is worth a fit.
+
+    Parameters
+    ----------
+    explore : Explorer
+    chosen : Fit
+    rivals : sequence of Fit
+        The same with another term in the place of one, which is the last part.
+    """
+    rules, promising = explore.rules, []
+    limit = min(explore.price(chosen) - rules.tie, *(explore.price(fit) + rules.tie for fit in rivals or [chosen]))
+    for fit in (chosen, *rivals) if len(chosen.parts) > 1 else ():
+        others = len(fit.parts) - (fit is not chosen)
+        for k, dearer in enumerate(promised_without(explore, fit)[:others]):
+            if explore.price(fit) + dearer < limit:
+                promising.append((explore.price(fit) + dearer, fit, k))
+    best, least = None, limit
+    for _, fit, k in sorted(promising, key=lambda one: one[0])[: rules.considered]:
+        (rest,) = fits_without(explore.objective, fit, [k])
+        if explore.price(rest) < least:
+            best, least = rest, explore.price(rest)
+    return best
 
 
 def joined(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:

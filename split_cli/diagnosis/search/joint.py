@@ -19,7 +19,7 @@ from split_cli.diagnosis.search.fitting import Fit, Part, Prior, fit_parts, fit_
 from split_cli.diagnosis.together import apart_with
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["all_at_once", "cheapest_first", "promised_by_all", "without_needless"]
+__all__ = ["all_at_once", "cheapest_first", "promised_by_all", "promised_without", "without_needless"]
 
 _NEAR_NONE = 0.1  # of a start, where a term that is not in the explanation yet begins
 _NO_EFFECT = 1e-12  # curvature, in chi squared by a step, of what changes nothing
@@ -89,10 +89,15 @@ def without_needless(explore: Explorer, fit: Fit) -> Fit:
 
 def cheapest_first(explore: Explorer, fit: Fit) -> list[int]:
     """Return the numbers of a fit's parts, by what leaving them costs beyond their price by straight lines."""
+    return [int(k) for k in np.argsort(promised_without(explore, fit))]
+
+
+def promised_without(explore: Explorer, fit: Fit) -> np.ndarray:
+    """Return what leaving each part of a fit costs beyond its price by straight lines, (parts,) [chi squared]."""
     steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
     slopes = fit.sensitivity * steps
     worth = _worth(explore, _blocks(fit.parts), slopes.T @ slopes, np.zeros(len(steps)))
-    return [int(k) for k in np.argsort([one for one, _ in worth])]
+    return np.array([one for one, _ in worth])
 
 
 def _fit_from(

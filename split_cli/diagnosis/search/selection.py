@@ -11,7 +11,15 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.exchange import alone, is_better_beside_form_error, joined, merged, said_of, split
+from split_cli.diagnosis.search.exchange import (
+    alone,
+    is_better_beside_form_error,
+    joined,
+    merged,
+    relieved,
+    said_of,
+    split,
+)
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts, fits_without
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
@@ -214,6 +222,11 @@ def _refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
 def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
     """Let other terms take places while that saves, and say so; return whether any did."""
     rules, base, exchanged = explore.rules, selection.base, False
+    rivals = [rival.fit for several in (*selection.rivals, *selection.siblings) for rival in several]
+    fewer = relieved(explore, selection.chosen, rivals)
+    if fewer is not None:
+        history.append(said_of(selection.chosen, fewer))
+        selection, exchanged = _examined(explore, base, fewer), True
     for _ in range(rules.swaps * max(len(selection.chosen.parts), 1)):
         # A variant was chosen before what was found later; it may be another now.
         rivals = [several[0] for several in (*selection.rivals, *selection.siblings) if several]
@@ -303,16 +316,20 @@ def _believed_together(
 def _better_beside_form_error(explore: Explorer, selection: Selection) -> tuple[Fit | None, float]:
     """Return the best alternative with every effect's model-form error free, and what it saves; else None.
 
-    Alternatives differ from the chosen explanation by less than what a single track gets wrong of either.
+    Alternatives lack no more than a fair share of what the part saves: by chance, or since a single track gets
+    some of either wrong, which this comparison asks.
     """
-    alternatives = {}
+    alternatives, rules = {}, explore.rules
     for k, rivals in enumerate(selection.rivals):
-        for rival in explaining_as_well(explore.objective, selection, k, rivals):
-            alternatives.setdefault((k, rival.fit.parts[-1].candidate.term), rival.fit)
+        saved = selection.without[k].cost - selection.chosen.cost
+        lacking = rules.fair_share * saved / explore.variance_inflation
+        for rival in rivals:
+            if rival.excess < lacking:
+                alternatives.setdefault((k, rival.fit.parts[-1].candidate.term), rival.fit)
     best, most = None, 0.0
     for fit in alternatives.values():
         here, there = costs_beside_form_error(explore.objective, [selection.chosen, fit])
-        price = explore.rules.price * (fit.complexity - selection.chosen.complexity)
+        price = rules.price * (fit.complexity - selection.chosen.complexity)
         saved = (here - there) / explore.variance_inflation - price
         if saved > most:
             best, most = fit, saved

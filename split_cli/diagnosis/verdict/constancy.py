@@ -5,7 +5,8 @@ depends on. Few parameters are tested, so the test sees what a flexible fit of t
 
 A single track is wrong about a term by operating point, by a share of what the term does. It is not by the side of
 the turn, by time, or by how hot what slides, brakes or works has become. A term that bends with any of these by
-more than it may be wrong is not all that acts; one that bends by the greater part of itself is another.
+more than it may be wrong is not all that acts; one that bends by the greater part of itself is another. Nor is one
+all that acts whose model-form error by operating point would have to be larger than a single track's ever is.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from split_cli.diagnosis.search.form_error import form_error_columns
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import first_order_response
 
-__all__ = ["Bend", "Drift", "bends", "parameter_drifts"]
+__all__ = ["Bend", "Drift", "bends", "beyond_form_error", "parameter_drifts"]
 
 _WAVES = 4  # half waves over a recording
 _HEAT_SECONDS = (2.0, 6.0, 20.0)  # in which something heats and cools, those of the flexible fit's memory
@@ -146,6 +147,44 @@ def bends(
             p_value = minimum_effect_p(saved, freedom, size, noise, allowance=share)
             out.append(Bend(part.candidate.term, name, size, p_value))
     return tuple(sorted(out, key=lambda bend: bend.p_value))
+
+
+def beyond_form_error(
+    objective: MarginalLikelihood, fit: Fit, named: Sequence[bool], variance_inflation: float
+) -> dict[str, float]:
+    """Return p values of named terms' model-form errors, by the term: of errors no larger than a single track's.
+
+    An engine whose torque bends is a gain with an error by torque. Where that error is free to take what it likes,
+    it leaves nothing; it is the size it would need that tells.
+
+    Parameters
+    ----------
+    objective : MarginalLikelihood
+    fit : Fit
+    named : sequence of bool, length of the parts
+    variance_inflation : float
+
+    Notes
+    -----
+    With M as in `costs_beside_form_error` and e the residuals, both over the root of what noise is widened by, the
+    likeliest weights are w = (I + M^T M)^-1 M^T e. They are a draw of N(0, I - (I + M^T M)^-1) where the prior
+    holds, so that the w_k^T w_k of one term exceeds chi squared of as many degrees of freedom as it has weights no
+    more often than that does.
+    """
+    from scipy.stats import chi2
+
+    if not any(named):
+        return {}
+    noise = max(variance_inflation, objective.form_error_inflation)
+    form_error = form_error_columns(objective, fit) / np.sqrt(noise)
+    normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
+    weights = np.linalg.solve(normal, form_error.T @ fit.residuals) / np.sqrt(noise)
+    by_part = weights.reshape(len(fit.parts), -1)
+    return {
+        part.candidate.term: float(chi2.sf(own @ own, len(own)))
+        for part, own, is_named in zip(fit.parts, by_part, named, strict=True)
+        if is_named
+    }
 
 
 def _steps_from_none(part: Part) -> np.ndarray:

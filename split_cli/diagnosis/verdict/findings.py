@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -22,7 +22,7 @@ from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, told_apart_by_lacking
-from split_cli.diagnosis.verdict.constancy import Bend, bends, parameter_drifts
+from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error, parameter_drifts
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -50,24 +50,31 @@ def describe(
     findings = _findings(objective, selection, remainder.share)
     autocorrelation = residual_autocorrelation(structure, left)
     bent = _sure_bends(objective, selection, variance_inflation)
-    unexplained = not findings or _is_unexplained(findings, remainder, autocorrelation, outcome) or bool(bent)
+    unexplained = not findings or _is_unexplained(findings, remainder, autocorrelation, outcome)
+    unexplained |= bool(bent) or _errs_too_much(objective, selection, variance_inflation)
     kept = {one.term for one in findings}
     if contradicted:
         unexplained, kept = True, {one.term for one in findings if not one.exported}
     elif unexplained:
         kept -= _imitating(findings, remainder, bent, rules) - _told_by_witnesses(objective, selection)
-    kept -= _vague(objective, selection, findings)
+    vague = _vague(objective, selection, findings) & kept
+    kept -= vague
     while len(kept) < len(findings):
         # Those that stay are fitted again without the others, and asked again. What is not believed may yet be
         # there, so that values hold with and without it.
         unexplained, beside = True, {one.term: one.parameters for one in findings}
-        selection = _only(objective, selection, kept)
-        left = residuals_beside_form_error(objective, selection.chosen)
-        remainder = _remainder(structure, selection, variance_inflation, left)
-        findings = _findings(objective, selection, remainder.share, beside)
-        kept = {one.term for one in findings} - _vague(objective, selection, findings)
-        bent = _sure_bends(objective, selection, variance_inflation)
-        kept -= _imitating(findings, remainder, bent, rules) - _told_by_witnesses(objective, selection)
+        alone = _only(objective, selection, kept, without=vague)
+        left = residuals_beside_form_error(objective, alone.chosen)
+        remainder = _remainder(structure, alone, variance_inflation, left)
+        bent = _sure_bends(objective, alone, variance_inflation)
+        without = _findings(objective, alone, remainder.share, beside)
+        imitating = _imitating(without, remainder, bent, rules) - _told_by_witnesses(objective, alone)
+        # A term that the data do not single out acts all the same: without it the others would take it up.
+        selection = _nameless(_only(objective, selection, kept | vague), vague) if vague else alone
+        findings = _findings(objective, selection, remainder.share, beside) if vague else without
+        doubted = _vague(objective, selection, findings) - imitating
+        kept = {one.term for one in findings} - doubted - imitating
+        vague |= doubted
     return selection, findings, remainder, unexplained
 
 
@@ -75,6 +82,12 @@ def _sure_bends(objective: MarginalLikelihood, selection: Selection, variance_in
     """Return how named terms have to change by more than a single track gets wrong: something else acts, too."""
     found = bends(objective, selection.chosen, selection.named, variance_inflation)
     return [one for one in found if one.p_value * len(found) < objective.policy.selection.level]
+
+
+def _errs_too_much(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> bool:
+    """Return whether a named term's error by operating point were larger than what a single track gets wrong."""
+    found = beyond_form_error(objective, selection.chosen, selection.named, variance_inflation)
+    return any(p_value * len(found) < objective.policy.selection.level for p_value in found.values())
 
 
 def _told_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> set[str]:
@@ -206,12 +219,17 @@ def _remainder(
     return RemainderTest(left.p_value, share, left.effect_to_noise, left.group_saved, drifts=drifts)
 
 
-def _only(objective: MarginalLikelihood, selection: Selection, terms: set[str]) -> Selection:
-    """Return an explanation with these of its named terms, refitted; what was kept as a nuisance stays."""
+def _only(
+    objective: MarginalLikelihood, selection: Selection, terms: set[str], without: Set[str] = frozenset()
+) -> Selection:
+    """Return an explanation with these of its named terms, refitted; what was kept as a nuisance stays.
+
+    Except nuisances among `without`.
+    """
     keep = [
         k
         for k, (part, named) in enumerate(zip(selection.chosen.parts, selection.named, strict=True))
-        if part.candidate.term in terms or not named
+        if part.candidate.term in terms or not (named or part.candidate.term in without)
     ]
     parts = tuple(selection.chosen.parts[k] for k in keep)
     chosen = fit_parts(objective, parts) if parts else selection.base
@@ -226,6 +244,15 @@ def _only(objective: MarginalLikelihood, selection: Selection, terms: set[str]) 
         siblings=tuple(selection.siblings[k] for k in keep),
         named=tuple(selection.named[k] for k in keep),
     )
+
+
+def _nameless(selection: Selection, terms: set[str]) -> Selection:
+    """Return a selection in which these terms are nuisances: in the fit, and without a name."""
+    named = tuple(
+        one and part.candidate.term not in terms
+        for one, part in zip(selection.named, selection.chosen.parts, strict=True)
+    )
+    return replace(selection, named=named)
 
 
 def _as_another(part: Part, rivals: Sequence[Rival]) -> Part:
