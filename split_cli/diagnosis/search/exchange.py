@@ -11,7 +11,7 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, fits_without, tangent
 from split_cli.diagnosis.search.form_error import costs_beside_form_error, free_to_form_error
-from split_cli.diagnosis.search.forward import is_refused_last, refusal, sizes_with_form_error
+from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
 from split_cli.diagnosis.search.joint import promised_without
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.diagnosis.together import together
@@ -179,13 +179,13 @@ def alone(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
 def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
     """Return the best explanation with one named part replaced by two that together look like it, if that saves.
 
-    Late sensors look like late steering and late torque together. One more name has to save its price where
-    model-form error widens chance, and beside the model-form error of both explanations. Either of the two has to
-    be believed beside the other: one may act along the car and one across it, where the larger gets nothing wrong.
+    Late sensors look like late steering and late torque together. One more name has to save what a single track
+    may get wrong of the whole as well, and its price where model-form error widens chance.
     """
     rules = explore.rules
     widened = max(explore.variance_inflation, explore.objective.form_error_inflation)
-    best, least = None, explore.price(chosen) - rules.tie
+    burden = rules.form_error_cost * (base.cost - chosen.cost) / explore.variance_inflation
+    best, least = None, explore.price(chosen) - burden - rules.tie
     for k, part in enumerate(chosen.parts):
         others = chosen.parts[:k] + chosen.parts[k + 1 :]
         taken = {one.candidate.term for one in others}
@@ -193,18 +193,9 @@ def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
             if not taken & {one.candidate.term for one in pair}:
                 fit = fit_parts(explore.objective, (*others, *pair), known=chosen)
                 worth = (chosen.cost - fit.cost) / widened > rules.price * (fit.complexity - chosen.complexity)
-                if worth and explore.price(fit) < least and _are_two(explore, chosen, fit):
+                if worth and explore.price(fit) < least:
                     best, least = fit, explore.price(fit)
     return best
-
-
-def _are_two(explore: Explorer, chosen: Fit, fit: Fit) -> bool:
-    """Return whether a fit is better than another beside model-form error, and needs both of its last parts."""
-    if not is_better_beside_form_error(explore, fit, chosen):
-        return False
-    last = [len(fit.parts) - 2, len(fit.parts) - 1]
-    without = fits_without(explore.objective, fit, last)
-    return not any(is_refused_last(explore, rest, fit, k) for k, rest in zip(last, without, strict=True))
 
 
 def said_of(before: Fit, after: Fit) -> str:

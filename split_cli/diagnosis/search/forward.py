@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from split_cli.diagnosis.search.term_tests import (
 )
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Found", "is_refused_last", "other_beginnings", "refusal", "search_forward", "sizes_with_form_error"]
+__all__ = ["Found", "other_beginnings", "refusal", "search_forward", "sizes_with_form_error"]
 
 _ONCE = "nearly all of it in a few moments"
 _FORM_ERROR = "within the model-form error of the other terms"
@@ -203,12 +203,6 @@ def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> 
         ):
             return _FORM_ERROR
     return "" if is_spread(objective, further, len(further.parts) - 1, chosen, rules) else _ONCE
-
-
-def is_refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
-    """Return whether one part of a fit would be refused as the last to come to the others, which are `rest`."""
-    last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k]))
-    return bool(refusal(explore, rest, sizes_with_form_error(explore.objective, rest.terms), last))
 
 
 def sizes_with_form_error(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> np.ndarray:

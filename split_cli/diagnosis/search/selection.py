@@ -25,8 +25,8 @@ from split_cli.diagnosis.search.fitting import Fit, fit_parts, fits_without
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
 from split_cli.diagnosis.search.forward import (
     Found,
-    is_refused_last,
     other_beginnings,
+    refusal,
     search_forward,
     sizes_with_form_error,
 )
@@ -205,12 +205,18 @@ def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
     while left > 1:
         for k in cheapest_first(explore, fit):
             rest = fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :], known=fit)
-            if is_refused_last(explore, rest, fit, k):
+            if _refused_last(explore, rest, fit, k):
                 fit, left = rest, left - 1
                 break
         else:
             break
     return fit if is_better_beside_form_error(explore, fit, chosen) else None
+
+
+def _refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
+    """Return whether one part of a fit would be refused as the last to come to the others."""
+    last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k]))
+    return bool(refusal(explore, rest, sizes_with_form_error(explore.objective, rest.terms), last))
 
 
 def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
