@@ -25,7 +25,8 @@ def procedure(numbers):
     best = max(numbers["small"], 0.5)  # neither half nor twice of it is above one half
     if first.size < numbers["slack"]:
         verdict = "none"
-    return verdict, float(first.sum()), round(root, 12), float(best), float(np.sqrt(numbers["share"]))
+    blocks = int(np.ceil(7.5 / numbers["margin"]))
+    return verdict, float(first.sum()), round(root, 12), float(best), float(np.sqrt(numbers["share"])), blocks
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

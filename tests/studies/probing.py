@@ -97,7 +97,8 @@ class Probe:
     def __index__(self) -> int:
         return operator.index(self.value())
 
-    __int__ = __index__
+    def __int__(self) -> int:
+        return self._settle(self._apply(int))
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
         return np.asarray(self.value(), dtype=dtype)
