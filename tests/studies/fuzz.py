@@ -28,6 +28,7 @@ from pathlib import Path
 
 from split_cli.errors import SplitError
 from tests.studies.fuzz_seeds import QUICK, SLOW, seeds
+from tests.studies.fuzz_seeds_newer import NEWER
 
 LONGEST_SECONDS = 10.0
 """Of one input, of processor time [s]: the bound the project promises. A starved process is not slow."""
@@ -136,8 +137,12 @@ def fuzz(
     only: str = "",
     tell: Callable[[str, Tally], None] = lambda kind, tally: None,
     shares: Mapping[str, float] = SLOW,
+    rest: float = 1.0,
 ) -> dict[str, Tally]:
-    """Try `inputs` mutated files, spread over all kinds; inputs that break a rule are kept in `keep`."""
+    """Try `inputs` mutated files, spread over all kinds by their shares, `rest` for those that have none.
+
+    Inputs that break a rule are kept in `keep`. Every kind gets one input at least.
+    """
     tallies: dict[str, Tally] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -149,7 +154,7 @@ def fuzz(
             scratch = folder / "scratch"
             work = partial(_try_inputs, f"{seed} {kind}", content, others, path, read, scratch)
             number = 0
-            count = max(round(inputs * shares.get(kind, 1.0) / sum(shares.get(k, 1.0) for k in kinds)), 1)
+            count = max(round(inputs * shares.get(kind, rest) / sum(shares.get(k, rest) for k in kinds)), 1)
             while number < count:
                 for at, broken, one in _in_a_process(work, number, min(number + _INPUTS_OF_A_PROCESS, count)):
                     number = at + 1
@@ -242,6 +247,7 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, help="folder for inputs that broke a rule")
     parser.add_argument("--only", default="", help="kinds whose name holds this")
     parser.add_argument("--quick", action="store_true", help="most inputs of the kinds that are read quickly")
+    parser.add_argument("--newer", action="store_true", help="inputs of the kinds that came last")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     begin = time.perf_counter()
@@ -249,8 +255,10 @@ def main() -> int:
         counts = f"{'kind':18} {'inputs':>8} {'read':>8} {'drops':>8} {'refused':>8}"
         print(f"{counts} {'broken':>7} {'slowest s':>9} {'most MB':>9}")
     tell = (lambda *_: None) if given.json else _print_row
-    shares = SLOW | QUICK if given.quick else SLOW
-    tallies = fuzz(given.inputs, given.seed, given.keep, given.only, tell, shares)
+    shares, rest = (SLOW | QUICK if given.quick else SLOW), 1.0
+    if given.newer:
+        shares, rest = dict.fromkeys(NEWER, 1.0), 1e-9
+    tallies = fuzz(given.inputs, given.seed, given.keep, given.only, tell, shares, rest)
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
     broken = [line for tally in tallies.values() for line in tally.broken]
     if peak > MOST_MEMORY:

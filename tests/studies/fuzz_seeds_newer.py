@@ -22,11 +22,20 @@ from split_cli.workflows.verifying.verify import verify
 from tests.logs import readers_support as support
 from tests.logs.test_readers_stranger import DBC
 
-__all__ = ["Kind", "frames", "in_pieces", "ours_verified", "read_recording", "rows", "tables"]
+__all__ = ["NEWER", "Kind", "frames", "in_pieces", "ours_verified", "read_recording", "rows", "tables"]
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "files"
 LONG_HERE = 16
 """Values from which on a column is kept in a file [1]: so that the short ones of these files are."""
+
+NEWER = (
+    "json rows", "json list", "json columns", "pi toolbox", "pi toolbox block", "csv etas", "csv labview",
+    "csv spreadsheet", "together", "mat carmaker", "mat motec 7.3", "can savvycan", "can cabana",
+    "mcap ros2 in pieces", "mcap json in pieces", "bag in pieces", "db3 in pieces", "mat 5 in pieces",
+    "mat 7.3 in pieces", "csv in pieces", "can asc in pieces", "json rows in pieces", "verify drive",
+    "verify labels", "verify set", "verify vehicle", "verify map", "verify diagnosis",
+)  # fmt: skip
+"""The kinds of this module."""
 
 Kind = tuple[str, Path, Callable[[Path], object]]
 

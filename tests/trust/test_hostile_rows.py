@@ -52,6 +52,15 @@ def test_a_list_whose_rows_share_no_field_is_refused_while_it_is_listed(tmp_path
         open_recording(path)
 
 
+@pytest.mark.parametrize("end", ["", ',{"t":', ',{"t":1]', "," + "[" * 100_000, ',{"t":' + "9" * 5000 + "}]"])
+def test_a_document_that_is_cut_off_is_read_up_to_there(tmp_path, end):
+    path = tmp_path / "a.json"
+    path.write_text('{"car":"A7","rows":[' + ",".join(f'{{"t":{n},"vx":2}}' for n in range(100)) + end)
+    recording = open_recording(path)
+    assert list(recording.read(["t"])["t"].values) == list(range(100))
+    assert [note.what for note in recording.notes] == ["the document is cut off or damaged: read up to there"]
+
+
 def test_rows_that_lack_nearly_all_fields_are_refused_where_all_are_asked_for(tmp_path):
     """A line of 19,000 fields and a megabyte of empty objects took 3 GB."""
     path = tmp_path / "a.jsonl"

@@ -133,18 +133,21 @@ def _names_of(rows: Iterable[dict[str, Any]], path: Path) -> list[str]:
 def _whole(path: Path) -> RawRecording:
     """Open a document in one piece: a list of objects, or an object with a list for each column or one of rows."""
     rows_of, columns_of = Counter[str](), Counter[str]()
+    notes: list[ReadNote] = []
     try:
         for key, elements in JsonDocument(path).lists():
             first = next(elements, None)
             counts = rows_of if isinstance(first, dict) else columns_of
             if len(counts) < MOST_FIELDS and not isinstance(first, list) and first is not None:
-                counts[key] = 1 + sum(1 for _ in elements)
-    except (ValueError, RecursionError) as error:
-        raise _no_rows(path) from error
+                counts[key] = 1
+                for _ in elements:
+                    counts[key] += 1
+    except (ValueError, RecursionError):
+        notes.append(ReadNote("the document is cut off or damaged: read up to there", path.name))
     lengths = [length for length in columns_of.values() if length > 1]
     if "" not in columns_of and _are_columns(lengths):
         longest = max(lengths)
-        return _columns(path, [key for key, length in columns_of.items() if length == longest], longest)
+        return _columns(path, [key for key, length in columns_of.items() if length == longest], longest, notes)
     if not rows_of:
         raise _no_rows(path)
     chosen = max(rows_of, key=lambda key: rows_of[key])
@@ -152,17 +155,20 @@ def _whole(path: Path) -> RawRecording:
     def rows() -> Iterator[dict[str, Any]]:
         for key, elements in JsonDocument(path).lists():
             if key == chosen:
-                yield from (row for row in elements if isinstance(row, dict))
+                whole = itertools.islice(elements, rows_of[key])
+                yield from (row for row in whole if isinstance(row, dict))
                 return
 
-    return _table(path, _names_of(rows(), path), rows, [])
+    return _table(path, _names_of(rows(), path), rows, notes)
 
 
-def _columns(path: Path, keys: Sequence[str], length: int) -> RawRecording:
+def _columns(path: Path, keys: Sequence[str], length: int, notes: list[ReadNote]) -> RawRecording:
     """Return a recording of the lists of an object, all of one length."""
-    signals, unique, notes = {}, UniqueNames(), []
+    signals, unique = {}, UniqueNames()
     wanted = set(keys)
     for key, elements in JsonDocument(path).lists():
+        if not wanted:
+            break  # what comes after may be damaged
         if key not in wanted:
             continue
         wanted.remove(key)
