@@ -15,6 +15,7 @@ from split_cli.logs.readers import json_document
 from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.frames_csv import frames_of
+from split_cli.logs.readers.guard import GuardedRecording
 from split_cli.logs.readers.json_document import JsonDocument
 from split_cli.logs.readers.objects import JsonDecoder
 from split_cli.logs.readers.opening import open_recording
@@ -115,3 +116,23 @@ def test_a_cell_without_an_end_costs_its_row_and_no_other(tmp_path):
     path.write_text(f'time,addr,bus,data\n{sound}1.5,0x101,0,"{"00" * 70_000}\n{sound}')
     frames = list(frames_of(path))
     assert frames[0] == frames[-1] and frames[0].data == bytes(range(1, 9)) and None in frames
+
+
+def test_a_time_stamp_of_thousands_of_digits_is_none():
+    """It ended in an internal error: an integer too large for a double, while the clocks were listed."""
+    decoder = JsonDecoder(b"", b'{"x":1.5,"timestamp":' + b"9" * 4000 + b"}", 10**18)
+    assert decoder.stamp is None
+    columns = decoder.decode([b'{"x":2.5}', b'{"x":' + b"9" * 4000 + b"}"], ["x"])
+    assert columns.values[0] == 2.5 and columns.readable.tolist() == [True, False]
+
+
+def test_whatever_a_reader_raises_while_clocks_are_listed_becomes_an_error_of_the_recording(tmp_path):
+    class Damaged:
+        name, path, origin = "a", tmp_path / "a", 0.0
+
+        @property
+        def clocks(self):
+            raise OverflowError("too large")
+
+    with pytest.raises(LogError, match="not as its format demands"):
+        GuardedRecording(Damaged())

@@ -58,7 +58,9 @@ class GuardedRecording:
         self._inner = inner
         self._real: dict[str, str] = {}
         self.name = printable(inner.name)
-        self.path, self.origin, self.clocks = inner.path, inner.origin, inner.clocks
+        self.path, self.origin = inner.path, inner.origin
+        # Which clocks there are stands in the definitions: to tell is reading.
+        self.clocks = guarded(inner.path, lambda: inner.clocks)
 
     @property
     def notes(self) -> list[ReadNote]:

@@ -18,6 +18,7 @@ from split_cli.logs.readers.payloads import STAMP_FIELDS, Columns
 __all__ = ["JsonDecoder", "ProtobufDecoder"]
 
 _DEEPEST = 12
+_LATEST_STAMP = 2**63  # of any unit [1]: nanoseconds have 64 bits with their sign
 _LISTED_ELEMENTS = 64
 _SECOND_NAMES = ("sec", "secs", "seconds")
 _NANOSECOND_NAMES = ("nsec", "nsecs", "nanosec", "nanos", "nanoseconds")
@@ -251,7 +252,7 @@ class JsonDecoder:
         number = _json_number(name)
         if example is not None:
             value = number(example)
-            if value is None:
+            if value is None or abs(value) > _LATEST_STAMP:
                 return None
             units = {1_000_000_000: "s", 1_000_000: "ms", 1_000: "us", 1: "ns"}
             self._unit = min(units, key=lambda unit: abs(float(value) * unit - self._origin))
