@@ -22,10 +22,10 @@ def planted() -> PlantedDrive:
     return PlantedDrive(seconds=90.0)
 
 
-def ingested(planted, *, time=1.0, unit="s", backwards=False, wheels=None, **altered):
+def ingested(planted, *, time=1.0, unit="s", backwards=False, wheels=None, without=(), **altered):
     """Ingest a table at 50 Hz; `time` multiplies its clock, read in `unit`; `altered` changes channels."""
     t = np.arange(0.0, planted.seconds, 0.02)
-    columns = {c: planted.at(c, t) for c in CHANNELS}
+    columns = {c: planted.at(c, t) for c in CHANNELS if c not in without}
     if wheels:
         half = 0.7
         side = {"fl": -1, "fr": 1, "rl": -1, "rr": 1}
@@ -172,3 +172,22 @@ def test_a_late_steer_angle_in_steps_is_told_and_one_that_is_only_in_steps_is_no
     finding = only(ingested(planted, delta=in_steps(0.3)))
     assert (finding.channel, finding.check) == ("delta", "delay")
     assert finding.measured == pytest.approx(0.3, abs=0.03)
+
+
+def test_without_a_pose_a_late_yaw_rate_is_told_by_two_channels_and_left_open_by_one(planted):
+    late = {"r": lambda t, v: np.interp(t - 0.3, t, v)}
+    pose = ("X", "Y", "yaw")
+    finding = only(ingested(planted, without=pose, **late))
+    assert (finding.channel, finding.check) == ("r", "delay") and "against delta and ay" in finding.text
+    assert finding.measured == pytest.approx(0.3, abs=0.03)
+    one = only(ingested(planted, without=pose, delta=lambda t, v: 0.01 * np.sin(40.0 * t), **late))
+    assert one.channel == "ay" and "Or r is as much late" in one.text
+
+
+def test_a_v_y_that_nothing_judges_is_beyond_every_car_in_millimetres(planted):
+    def sideways(t, v):
+        return 1e3 * v * np.sin(3.0 * t)  # of no car that turns like this one
+
+    found = ingested(planted, without=("X", "Y", "yaw"), vy=sideways).findings
+    assert {(f.channel, f.check) for f in found} == {("vy", "range")}
+    assert "v_y/v_x reaches" in found[0].text

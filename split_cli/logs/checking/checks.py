@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from split_cli.logs.checking.kinematics import Kinematics, Slope, block_interval, fit_slope
+from split_cli.logs.checking.kinematics import (
+    Kinematics,
+    Slope,
+    block_interval,
+    fit_slope,
+    median_of,
+    scaled_parts,
+)
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS, reach_of
 from split_cli.logs.checking.relations import ConsistencyFinding, Plausible, Relation
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
@@ -19,7 +26,6 @@ __all__ = ["ACROSS", "Checks", "Unjudged"]
 
 LEAST_CORRELATION = 0.8
 """Below it two signals that should be equal say nothing about a factor."""
-
 _STRAIGHT_SECONDS = 3.0
 _STEER_TOLERANCE = 0.7
 """Of the logarithm of steer angle over the steady one: a factor of two, see `Checks._steer_angle`."""
@@ -39,6 +45,8 @@ _CROOKED = 0.015
 """Road-wheel angle on straights that is no play of the steering [rad]: 13 deg of a steering wheel."""
 _SIGN_ONLY = 5.0
 """Tolerance of a relation whose size says nothing."""
+_MOST_SIDEWAYS = 3.0
+"""99 % quantile of |v_y/v_x| in motion that no car reaches [1]: 72 degrees of sideslip."""
 NOT_RECORDED = "derived: nothing"
 """Kind of a required channel that a draft has to fill in and nothing recorded."""
 
@@ -103,7 +111,9 @@ class Checks:
         """Return what the 99 % quantiles of channels reach, with what no car reaches."""
         k, found = self.k, []
 
-        def add(name: str, values: np.ndarray, raw: np.ndarray, powers: dict[str, int], high: float, unit: str):
+        def add(
+            name: str, values: np.ndarray, raw: np.ndarray, powers: dict[str, int], high: float, unit: str
+        ) -> None:
             values = np.abs(values[np.isfinite(values)])
             if len(values) > 50:
                 found.append(Plausible(name, powers, reach_of(values, raw), high, unit))
@@ -115,6 +125,9 @@ class Checks:
             turning = k.columns["vx"] * k.columns["r"]
             high = NO_CAR_EXCEEDS["ay"][0]
             add("v_x r", k.of("vx r", lambda: turning), turning, {"vx": 1, "r": 1}, high, "m/s^2")
+        if self.usable("vx", "vy"):
+            sideways = k.signal("vy")[k.moving] / k.signal("vx")[k.moving]
+            add("v_y/v_x", sideways, sideways, {"vy": 1, "vx": -1}, _MOST_SIDEWAYS, "")
         return found
 
     def relate(
@@ -251,7 +264,7 @@ class Checks:
             self.unjudged.append(Unjudged(name, "the car hardly turns"))
             return
         delta = k.signal("delta")
-        corrected = _scaled_parts(delta, parts, lambda vx, r: (vx / r, 1.0 / (vx * r)), k.moving)
+        corrected = scaled_parts(delta, parts, lambda vx, r: (vx / r, 1.0 / (vx * r)), k.moving)
         self.relate(name, delta, sum(parts), {"delta": 1, "r": -1, "vx": 1}, _STEER_TOLERANCE, corrected)
 
     def _torque(self) -> None:
@@ -264,7 +277,7 @@ class Checks:
             car.wheel_radius * car.drag_coefficient * k.signal("vx") ** 2,
         )
         torque = k.signal("T")
-        corrected = _scaled_parts(torque, parts, lambda vx, r: (1.0 / vx, 1.0 / vx**2), k.moving)
+        corrected = scaled_parts(torque, parts, lambda vx, r: (1.0 / vx, 1.0 / vx**2), k.moving)
         name = "T against the torque that dv_x/dt takes"
         self.relate(name, torque, sum(parts), {"T": 1, "vx": -1}, 0.5, corrected)
 
@@ -286,7 +299,7 @@ class Checks:
         if self.usable("ay"):
             plain = float(np.nanmedian(k.signal("ay")[straight]))
             rest = k.signal("ay") - k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
-            bias, error = _median_of(rest[straight])
+            bias, error = median_of(rest[straight])
             tilt = np.degrees(np.arcsin(np.clip(bias / 9.80665, -1.0, 1.0)))
             if abs(bias) > 0.25 and abs(bias) > 4.0 * error:
                 found.append(
@@ -306,7 +319,7 @@ class Checks:
     def _delta_on_straights(self, straight: np.ndarray) -> list[ConsistencyFinding]:
         k, car = self.k, self.vehicle
         rest = k.signal("delta") - car.wheelbase * k.signal("r") / k.signal("vx")
-        bias, error = _median_of(rest[straight])
+        bias, error = median_of(rest[straight])
         if abs(bias) < _CROOKED or abs(bias) < 4.0 * error:
             return []
         text = (
@@ -319,7 +332,7 @@ class Checks:
     def _vy_on_straights(self, straight: np.ndarray, speed: float) -> list[ConsistencyFinding]:
         # A hundredth of a radian of sideslip from rest of turning: v_y of a place at most 2 m from the CG.
         rest = self.k.signal("vy")[straight]
-        bias, error = _median_of(rest)
+        bias, error = median_of(rest)
         k = self.k
         course = course_of(
             straight_stretches(k.times(), k.signal("vx"), k.signal("vy"), straight, k.period, k.segments)
@@ -493,37 +506,3 @@ class Checks:
             text = f"{where}, the CG is at {l_r:.2f} m: it is near the front axle: `position: front_axle`."
             return [ConsistencyFinding("place", "vy", text, float(p), float(p_error))]
         return []
-
-
-def _scaled_parts(
-    y: np.ndarray,
-    parts: Sequence[np.ndarray],
-    factors: Callable[[float, float], tuple[float, ...]],
-    mask: np.ndarray,
-) -> Callable[[float, float], float]:
-    """Return the ratio of y to the sum of `parts` as a function of the factors in v_x and r that are corrected.
-
-    The ratio of deviations with the correlation's sign, as `fit_slope` measures it, from the covariance of y and
-    the parts: each part scales by its own power of v_x and r.
-    """
-    use = mask & np.isfinite(y) & np.all([np.isfinite(part) for part in parts], axis=0)
-    if np.count_nonzero(use) < 50:
-        return lambda vx, r: float("nan")
-    rows = np.stack([y[use], *(part[use] for part in parts)])
-    rows = np.clip(rows, *(np.quantile(rows, q, axis=1, keepdims=True) for q in (0.005, 0.995)))
-    covariance = np.cov(rows)
-
-    def ratio(vx: float, r: float) -> float:
-        weights = np.array(factors(vx, r))
-        variance = float(weights @ covariance[1:, 1:] @ weights)
-        if variance <= 0.0:
-            return float("nan")
-        return float(np.copysign(np.sqrt(covariance[0, 0] / variance), covariance[0, 1:] @ weights))
-
-    return ratio
-
-
-def _median_of(values: np.ndarray) -> tuple[float, float]:
-    values = values[np.isfinite(values)]
-    median, error = block_interval(lambda rows: np.array([np.median(values[rows])]), len(values))
-    return float(median[0]), float(error[0])

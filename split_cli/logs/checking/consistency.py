@@ -115,7 +115,9 @@ def check_consistency(
             # Whether v_y has the unit of v_x is open: a place that only one of the two gives is none.
             as_it_is = {**finer.k.columns, "vy": drive.columns["vy"]}
             placed = Checks(as_it_is, drive, vehicle, kinds, certain).sideslip_place() and placed
-        findings += [*finer.straight_line(), *placed, *finer.grip()]
+        # Of a v_y that is off by what nothing tells, neither bias nor grip can be told.
+        findings += [f for f in finer.straight_line() if f.channel != "vy" or "vy" not in wrong]
+        findings += [*placed, *(finer.grip() if "vy" not in wrong else ())]
     if "r" not in wrong:
         findings += finer.wheel_sides()
     if not {"X", "Y", "yaw"} & wrong:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Kinematics", "Slope", "around_mean", "block_interval", "fit_slope"]
+__all__ = ["Kinematics", "Slope", "around_mean", "block_interval", "fit_slope", "median_of", "scaled_parts"]
 
 _BLOCKS = 10
 _MOST_SAMPLES = 50_000
@@ -198,3 +198,38 @@ def block_interval(estimate: Callable[[np.ndarray], np.ndarray], count: int) -> 
     left_out = np.stack([estimate(np.setdiff1d(rows, block, assume_unique=True)) for block in blocks])
     spread = left_out - left_out.mean(axis=0)
     return full, np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum(spread**2, axis=0))
+
+
+def scaled_parts(
+    y: np.ndarray,
+    parts: Sequence[np.ndarray],
+    factors: Callable[[float, float], tuple[float, ...]],
+    mask: np.ndarray,
+) -> Callable[[float, float], float]:
+    """Return the ratio of y to the sum of `parts` as a function of the factors in v_x and r that are corrected.
+
+    The ratio of deviations with the correlation's sign, as `fit_slope` measures it, from the covariance of y and
+    the parts: each part scales by its own power of v_x and r.
+    """
+    use = mask & np.isfinite(y) & np.all([np.isfinite(part) for part in parts], axis=0)
+    if np.count_nonzero(use) < 50:
+        return lambda vx, r: float("nan")
+    rows = np.stack([y[use], *(part[use] for part in parts)])
+    rows = np.clip(rows, *(np.quantile(rows, q, axis=1, keepdims=True) for q in (0.005, 0.995)))
+    covariance = np.cov(rows)
+
+    def ratio(vx: float, r: float) -> float:
+        weights = np.array(factors(vx, r))
+        variance = float(weights @ covariance[1:, 1:] @ weights)
+        if variance <= 0.0:
+            return float("nan")
+        return float(np.copysign(np.sqrt(covariance[0, 0] / variance), covariance[0, 1:] @ weights))
+
+    return ratio
+
+
+def median_of(values: np.ndarray) -> tuple[float, float]:
+    """Return the median of finite values, and its standard error from blocks of time."""
+    values = values[np.isfinite(values)]
+    median, error = block_interval(lambda rows: np.array([np.median(values[rows])]), len(values))
+    return float(median[0]), float(error[0])

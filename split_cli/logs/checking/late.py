@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -66,7 +66,8 @@ def late_channels(
         for channel, values in whole.items()
         if not kinds.get(channel, "").startswith("derived")
         and channel not in wrong
-        and (channel in _COMPARED or not holds[channel])
+        # Steps shorter than those between the rows that are looked at do not show.
+        and (channel in _COMPARED or holds[channel] <= _STEP)
     }
     if "vx" not in columns:
         return []
@@ -76,17 +77,29 @@ def late_channels(
         late = _latest(columns, period, segments, vehicle, kinds, holds)
         if late is None:
             break
-        told = "late" if late.delay > 0.0 else "early"
-        text = (
-            f"{late.channel} is {abs(late.delay):.3f} +- {late.error:.3f} s {told} against {late.reference} "
-            f"(from {' and '.join(late.identities)}). `--estimate-delays` moves it, or "
-            f"`--delay {late.channel}={late.delay:.3g}`."
-        )
-        found.append(ConsistencyFinding("delay", late.channel, text, late.delay, late.error))
+        found.append(_finding(late))
         # What is late makes others seem early: with it put right they are looked at again.
         t = period * np.arange(len(columns["vx"]))
         columns[late.channel] = np.interp(t + late.delay, t, columns[late.channel])
     return found
+
+
+def _finding(late: DelayEstimate) -> ConsistencyFinding:
+    """Put a delay into words; where nothing ties it to v_x, the yaw rate may be what is late."""
+    told, other = ("late", "early") if late.delay > 0.0 else ("early", "late")
+    remedy = f"`--estimate-delays` moves it, or `--delay {late.channel}={late.delay:.3g}`."
+    if late.reference == "r":
+        remedy = (
+            f"Or r is as much {other}: nothing recorded decides. Pass `--delay {late.channel}={late.delay:.3g}` "
+            f"or `--delay r={-late.delay:.3g}`."
+        )
+    elif late.channel == "r" and late.reference != "vx":
+        remedy = f"`--delay r={late.delay:.3g}` moves it; `--estimate-delays` would move the others."
+    text = (
+        f"{late.channel} is {abs(late.delay):.3f} +- {late.error:.3f} s {told} against {late.reference} "
+        f"(from {' and '.join(late.identities)}). {remedy}"
+    )
+    return ConsistencyFinding("delay", late.channel, text, late.delay, late.error)
 
 
 def _hold(values: np.ndarray, period: float) -> float:
@@ -107,16 +120,33 @@ def _latest(
 
     A value that is held shows half a hold late, and that is no clock: it is taken off.
     """
+    known = [
+        replace(e, delay=e.delay - 0.5 * holds.get(e.channel, 0.0))
+        for e in estimate_delays(columns, period, segments, vehicle, {c: c for c in columns})
+        if not e.refusal and not e.channel.startswith("wheel_speed")
+    ]
     late = [
         e
-        for e in (
-            replace(e, delay=e.delay - 0.5 * holds.get(e.channel, 0.0))
-            for e in estimate_delays(columns, period, segments, vehicle, {c: c for c in columns})
-        )
-        if not e.refusal
-        and not e.channel.startswith("wheel_speed")
-        and abs(e.delay) >= max(_LATE, _SURE * e.error)
+        for e in known
+        if abs(e.delay) >= max(_LATE, _SURE * e.error)
         # What the car lags behind its command is the actuator's doing.
         and not ("command" in kinds.get(e.channel, "") and e.delay < 0.0)
     ]
-    return max(late, key=lambda e: abs(e.delay) / e.error, default=None)
+    return _yaw_rate_itself(late, known) or max(late, key=lambda e: abs(e.delay) / e.error, default=None)
+
+
+def _yaw_rate_itself(late: Sequence[DelayEstimate], known: Sequence[DelayEstimate]) -> DelayEstimate | None:
+    """Return the delay of r where all that is compared with it is early, or late, alike; None elsewhere.
+
+    What nothing ties to v_x is compared with r, which is taken to be on time. Two channels with the same delay are
+    one that they are compared with.
+    """
+    compared = [e for e in known if e.reference == "r"]
+    early = len({e.delay < 0.0 for e in compared}) == 1
+    if len(compared) < 2 or not early or any(e not in late for e in compared):
+        return None
+    weights = np.array([1.0 / e.error**2 for e in compared])
+    delay = -float(weights @ [e.delay for e in compared] / weights.sum())
+    identities = tuple(dict.fromkeys(name for e in compared for name in e.identities))
+    error = float(weights.sum() ** -0.5)
+    return DelayEstimate("r", delay, error, " and ".join(e.channel for e in compared), identities)

@@ -28,7 +28,10 @@ def tell(
     others = [_in_words(story) for story in rivals]
     others = list(dict.fromkeys(others))[:3]
     alternative = f" Or: {'; or '.join(others)}: nothing recorded decides." if others else ""
-    reach = [f"{m.name} reaches {m.value:.3g} {m.unit}, no car's exceeds {m.high:g}" for m in beyond]
+    reach = [
+        f"{' '.join([m.name, f'reaches {m.value:.3g}', m.unit]).strip()}, no car's exceeds {m.high:g}"
+        for m in beyond
+    ]
     # What every story says is not in doubt.
     doubt = {m: "" if all(m in rival.mistakes for rival in rivals) else alternative for m in best.mistakes}
     found = [_finding(mistake, broken, doubt[mistake], (), reach) for mistake in best.shared]
