@@ -121,3 +121,12 @@ def test_a_folder_of_drives_against_its_manifest(folder):
     (folder / "nothing").mkdir()
     with pytest.raises(SplitError, match="neither an export"):
         verify(folder / "nothing")
+
+
+def test_a_file_of_a_folder_is_checked_with_it(folder):
+    """Of both it was said that this program does not write them."""
+    with pytest.raises(SplitError, match="checked with the export that it lies in"):
+        verify(next((folder / "export-1").glob("*_check.json")))
+    (folder / "ingest-manifest.json").write_text("[]")
+    with pytest.raises(SplitError, match="no manifest of this version"):
+        verify(folder / "ingest-manifest.json")

@@ -10,6 +10,7 @@ from split_cli.errors import SplitError
 from split_cli.files import refuse_no_regular_file, sha256_of_file
 from split_cli.learning.kernel import correlation
 from split_cli.learning.training_set import TrainingSet, read_set
+from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.verifying.relabelled import points_against_drives
 from split_cli.workflows.verifying.verification import Verification, VerifiedItem
 from split_cli.workflows.verifying.verification import item as _item
@@ -23,6 +24,8 @@ from split_cli.workflows.verifying.verify_folders import (
 
 __all__ = ["Verification", "VerifiedItem", "verify", "verify_set"]
 
+_OF_A_FOLDER = ("manifest.json", "diagnosis.json", MANIFEST_NAME)
+"""Files that stand for the folder they lie in."""
 GAIN_TOLERANCE = 1e-9
 """Absolute, of gains between 0 and 1: LAPACK's inverse against the factors that learning keeps."""
 
@@ -37,7 +40,7 @@ def verify(path: str | Path) -> Verification:
     """
     path = Path(path)
     refuse_no_regular_file(path)
-    if path.name in ("manifest.json", "diagnosis.json") and path.is_file():
+    if path.name in _OF_A_FOLDER and path.is_file():
         path = path.parent
     if path.is_dir():
         return _folder(path)
@@ -54,6 +57,9 @@ def verify(path: str | Path) -> Verification:
         return Verification(str(path), *verify_yaml(path))
     if path.suffix.lower() in (".html", ".htm"):
         return Verification(str(path), "page", verify_page(path))
+    if (path.parent / "manifest.json").is_file():
+        advice = f"Its folder is checked as a whole: `split verify {path.parent}`."
+        raise SplitError("is checked with the export that it lies in", where=str(path), advice=advice)
     raise SplitError(
         "is no file that this program writes",
         where=str(path),
