@@ -211,6 +211,18 @@ def test_a_tree_of_pages_that_unfolds_is_cut_by_the_work_that_reading_it_is(tmp_
     assert time.process_time() - began < 5.0
 
 
+def test_a_message_of_the_year_1677_costs_itself_only(tmp_path):
+    """Its time, negative, was taken as the recording's first, and no message was read."""
+    bag_of_one_message(tmp_path / "old.db3")
+    with sqlite3.connect(tmp_path / "old.db3") as database:
+        row = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)"
+        database.executemany(row, ((time, struct.pack("<Id", 256, 1.5)) for time in (-(2**63), "soon", 2.5, 7)))
+    recording = open_recording(tmp_path / "old.db3")
+    (signal,) = recording.channels()
+    assert len(recording.read([signal.name])[signal.name].values) == 2
+    assert [note.count for note in recording.notes] == [3]
+
+
 def test_messages_that_are_computed_are_none(tmp_path):
     bag_of_one_message(tmp_path / "made.db3", "data BLOB AS (zeroblob(900000000))")
     with pytest.raises(LogError, match="messages is computed"):

@@ -61,7 +61,9 @@ class SqliteContainer:
             self._database = sqlite3.connect(uri, uri=True)
             self._refuse_what_no_recorder_writes()
             self.streams = self._read_streams()
-            first = self._database.execute("SELECT MIN(timestamp) FROM messages").fetchone()[0]
+            # Rows with other times are left out, and counted, when they are read.
+            query = "SELECT MIN(timestamp) FROM messages WHERE typeof(timestamp) = 'integer' AND timestamp >= 0"
+            first = self._database.execute(query).fetchone()[0]
         except sqlite3.Error as error:
             raise LogError(
                 f"is damaged, or no rosbag2 database ({error})", where=path.name, advice="Record it again."
