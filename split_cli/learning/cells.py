@@ -186,7 +186,8 @@ def recompute_gains(training_set: TrainingSet) -> np.ndarray:
 
 def warm_up() -> None:
     """Load or compile the fast loops, so that a time measured afterwards is that of the work."""
-    from split_cli.learning._compiled import update_cells, window_errors
+    from split_cli.learning._compiled import update_cells
+    from split_cli.learning._windows_numba import window_errors
 
     whole, one = np.zeros(1, dtype=np.int64), np.ones(2)
     window_errors(one, one, one, one, one, whole, 1, 1.0, np.ones(16), False, one)

@@ -283,7 +283,7 @@ def nominal_errors(
         As of `flow_along`.
     """
     if compiled and not model.terms:
-        from split_cli.learning._compiled import window_errors
+        from split_cli.learning._windows_numba import window_errors
 
         # Copies: columns of a file are read-only, a type of its own to the compiler.
         vx, vy, r, T, delta = (np.array(drive[name], dtype=float) for name in (*_VELOCITIES, "T", "delta"))
