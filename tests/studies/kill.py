@@ -121,8 +121,10 @@ def run(folder: Path, arguments: Sequence[str]) -> int:
     return start(folder, arguments).wait()
 
 
-def prepare(folder: Path, names: Collection[str], made: Callable[[Path, Sequence[str]], int] = run) -> None:
-    """Write inputs, and an old output of every case of `names`; `made` runs a command."""
+def prepare(
+    folder: Path, names: Collection[str], made: Callable[[Path, Sequence[str]], int] = run, segments: int = 10
+) -> None:
+    """Write inputs, and an old output of every case of `names`; `made` runs a command, drives have `segments`."""
     from split_cli.workflows.simulate import SimulateSettings, simulate_log
 
     car = road_car()
@@ -130,7 +132,7 @@ def prepare(folder: Path, names: Collection[str], made: Callable[[Path, Sequence
     shutil.copy(Path(__file__).parents[2] / "sample_logs" / "road_car.yaml", folder)
     for seed in range(2):
         terms = [MissingForce({"front_lateral": 150.0})]
-        drive = make_drive(seed, segments=10, seconds=3.0, vehicle=car, terms=terms, name=f"d{seed}.parquet")
+        drive = make_drive(seed, segments, seconds=3.0, vehicle=car, terms=terms, name=f"d{seed}.parquet")
         write_drive(drive, folder / drive.name)
     (folder / "archive").mkdir()
     for seed in range(3):

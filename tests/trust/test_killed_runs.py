@@ -23,7 +23,8 @@ EXPORT, APPEND = (next(case for case in CASES if case.name == name) for name in 
 def ready(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("kill") / "ready"
     folder.mkdir()
-    prepare(folder, (EXPORT.name, APPEND.name), in_this_process)
+    # An export is checked after each step; what that takes grows with the cube of its points.
+    prepare(folder, (EXPORT.name, APPEND.name), in_this_process, segments=6)
     return folder
 
 
