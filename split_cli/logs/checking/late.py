@@ -30,7 +30,7 @@ _HELD = 0.3
 """Share of rows that repeat the one before, from which on a channel is one of steps [1]."""
 _COMPARED = ("delta", "ax", "ay")
 """Channels that no other is compared with: their steps put off nothing but themselves."""
-_UNTRUSTED = ("scale", "sign", "hand", "swapped", "world", "constant", "copied", "course")
+_UNTRUSTED = ("scale", "sign", "range", "hand", "swapped", "world", "constant", "copied", "course")
 
 
 def late_channels(
@@ -51,6 +51,8 @@ def late_channels(
     """
     wrong = {f.channel for f in known.findings if f.check in _UNTRUSTED}
     wrong -= {"X" if channel == "hand" else channel for channel in known.factors}
+    if not any("vy" in relation.powers for relation in known.relations):
+        wrong.add("vy")  # nothing judged it: an identity that needs it may be off by v_y as well as by a clock
     if {"vx", "r", "time"} & wrong or any(f.check == "place" for f in known.findings):
         return []
     stride = max(1, round(_STEP / drive.period))
