@@ -297,4 +297,4 @@ def _unnamed(remainder: RemainderTest, findings: Sequence[Finding]) -> str:
         if findings and rest > _WORTH_A_WORD
         else ""
     )
-    return f"{share} is explained by no effect of the catalogue.{lead}{formula}{noted}"
+    return f"{share[:1].upper()}{share[1:]} is explained by no effect of the catalogue.{lead}{formula}{noted}"
