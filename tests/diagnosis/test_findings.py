@@ -73,3 +73,31 @@ def test_what_explains_no_more_than_is_left_and_its_untrusted_look_alikes_has_no
     for size, out in ((0.3, set()), (0.7, {"cg_shift", "tire_stiffness"})):
         bent = [Bend("cg_shift", "front slip", size, 1e-9)]
         assert findings._imitating(told, nothing_left, bent, RULES) == out
+
+
+@pytest.mark.parametrize(
+    ("inflation", "columns", "left", "declared"),
+    [
+        (30.0, "vx vy r ay", 10.0, {"cg_shift+tire_stiffness", "tire_stiffness"}),
+        (30.0, "vx vy r ay", 5.0, set()),  # the accelerometer bears it out
+        (30.0, "vx vy r ay X Y yaw", 10.0, set()),
+        (2.0, "vx vy r ay", 10.0, set()),  # the shape of the effect tells
+    ],
+)
+def test_a_missing_channel_leaves_look_alikes_where_neither_shape_nor_witness_tells(
+    inflation, columns, left, declared
+):
+    own = SimpleNamespace(term="sensor_lever_arm", variant="")
+    part = SimpleNamespace(candidate=own, term=SimpleNamespace(corrects=True))
+    selection = SimpleNamespace(
+        chosen=SimpleNamespace(parts=(part,), residuals=left), without=(SimpleNamespace(residuals=10.0),)
+    )
+    metadata = SimpleNamespace(kinds={}, lateral_velocity_is_integrated=False)
+    drive = SimpleNamespace(columns=dict.fromkeys(columns.split()), metadata=metadata)
+    objective = SimpleNamespace(
+        form_error_inflation=inflation,
+        policy=STANDARD,
+        evidence=(SimpleNamespace(series=SimpleNamespace(drive=drive)),),
+        witnesses_cost=lambda residuals: residuals,
+    )
+    assert set(findings._declared(objective, selection, own)) == declared

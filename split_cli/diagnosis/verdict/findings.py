@@ -126,9 +126,13 @@ def _imitating(
         out |= more
 
 
-def _declared(objective: MarginalLikelihood, own: Candidate) -> tuple[str, ...]:
-    """Return what is known to explain recordings like these as well as a term does, whatever the data say."""
-    if objective.form_error_inflation <= objective.policy.selection.much_over_noise:
+def _declared(objective: MarginalLikelihood, selection: Selection, own: Candidate) -> tuple[str, ...]:
+    """Return what is known to explain recordings like these as well as a term does, whatever the data say.
+
+    Witnesses of a sensor's fault are data enough: they need no other channel.
+    """
+    little = objective.form_error_inflation <= objective.policy.selection.much_over_noise
+    if little or own.term in _told_by_witnesses(objective, selection):
         return exact_mimics(own.term, own.variant)
     drives = [one.series.drive for one in objective.evidence]
     measured = {name for name in drives[0].columns if all(measures(drive, name) for drive in drives)}
@@ -143,7 +147,7 @@ def _vague(objective: MarginalLikelihood, selection: Selection, findings: Sequen
     candidates = {part.candidate.term: part.candidate for part in selection.chosen.parts}
     rules, out = objective.policy.abstention, set()
     for one in findings:
-        declared = _declared(objective, candidates[one.term])
+        declared = _declared(objective, selection, candidates[one.term])
         if sum(name not in declared for name in one.alternatives) > rules.most_alternatives:
             out.add(one.term)
         if not is_apart_from_none(one):
@@ -332,7 +336,7 @@ def _alternatives(objective: MarginalLikelihood, selection: Selection, k: int) -
     own = selection.chosen.parts[k].candidate
     rivals = explaining_as_well(objective, selection, k, selection.rivals[k])
     names = [rival.fit.parts[-1].candidate.term for rival in rivals]
-    names += _declared(objective, own)
+    names += _declared(objective, selection, own)
     taken = {part.candidate.term for part in selection.chosen.parts}
     return tuple(name for name in dict.fromkeys(names) if name not in taken)
 
