@@ -83,6 +83,7 @@ def search_forward(
     """
     objective, rules, variance_inflation = explore.objective, explore.rules, explore.variance_inflation
     chosen, history, first_p, refused = base if begun is None else begun, [], 1.0, None
+    alone: tuple[Fit, int, int, Fit] | None = None  # what was believed before a term that saves in a few moments
 
     def price_saved(fit: Fit) -> float:
         return explore.price(chosen) - explore.price(fit)
@@ -103,6 +104,12 @@ def search_forward(
                 best, _ = _first_believed(explore, chosen, beyond[: rules.considered])
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
+            if reason == _ONCE and nuisances < rules.most_nuisances:
+                # What else is missing bends what it saves block by block: it may be told beside a further one.
+                alone = alone or (chosen, nuisances, len(history), fits[0])
+                history.append(f"{label} saves {saved:.0f}, {reason}")
+                chosen, nuisances = fits[0], nuisances + 1
+                continue
             history.append(f"{label} would save {saved:.0f}, {reason}")
             refused = fits[0]
             break
@@ -128,6 +135,11 @@ def search_forward(
         history.append(f"added {label}, saves {saved:.0f}")
         chosen, dropped = _prune(explore, best)
         history += dropped
+        alone = None
+    if alone is not None:
+        chosen, nuisances, begun_at, refused = alone
+        label, saved = refused.parts[-1].candidate.label, price_saved(refused)
+        history[begun_at:] = [f"{label} would save {saved:.0f}, {_ONCE}"]
     names = len(chosen.parts) - nuisances
     return Found(chosen, refused or chosen, names, tuple(history), first_p)
 
