@@ -24,7 +24,7 @@ def depot(tmp_path_factory) -> Path:
     for number in range(2):
         drive = make_drive(
             number,
-            segments=20,
+            segments=12,
             seconds=3.0,
             vehicle=car,
             terms=[MissingForce({"front_lateral": 150.0})],
