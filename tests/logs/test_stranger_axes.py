@@ -17,6 +17,7 @@ from split_cli.logs.readers.together import open_together
 from split_cli.logs.signal_map import map_from_mapping
 from tests.logs.planted import PlantedDrive, planted_map
 from tests.logs.test_stranger_styles import DEG, G, Style, bearing, compare, degrees_of, written
+from tests.optional import needed
 
 CHANNELS = ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay", "delta", "T")
 
@@ -213,7 +214,7 @@ def test_files_with_epochs_in_nanoseconds_are_one_drive(planted, tmp_path):
 
 
 def test_columns_inside_structures_of_parquet_are_read(tmp_path):
-    pa = pytest.importorskip("pyarrow")
+    pa = needed("pyarrow")
     import pyarrow.parquet as pq
 
     rng = np.random.default_rng(5)

@@ -20,6 +20,7 @@ from split_cli.workflows.ingesting.ingest import ingest_logs
 from split_cli.workflows.ingesting.init import init_project
 from tests.factories import road_car
 from tests.logs.planted import UNITS, PlantedDrive
+from tests.optional import needed
 
 DEG, G = 180.0 / np.pi, 9.80665
 
@@ -56,7 +57,7 @@ def test_structures_of_motec_are_channels_with_their_units(version, planted, tmp
     if version == "5":
         savemat(path, {n: {"Time": t + 237.9, "Value": v, "Units": u} for n, (v, u) in fields.items()})
     else:
-        h5py = pytest.importorskip("h5py")
+        h5py = needed("h5py")
         with h5py.File(path, "w") as file:
             for name, (values, unit) in fields.items():
                 group = file.create_group(name)

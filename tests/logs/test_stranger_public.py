@@ -14,6 +14,7 @@ from split_cli.workflows.ingesting.ingest import ingest_logs
 from tests.factories import road_car
 from tests.logs.planted import PlantedDrive
 from tests.logs.test_stranger_styles import DEG, G, Style, written
+from tests.optional import needed
 
 CHANNELS = ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay", "delta", "T")
 
@@ -218,7 +219,7 @@ def test_an_acceleration_without_a_direction_is_tried_as_the_one_along(tmp_path)
 
 
 def test_a_bus_recording_of_can_beside_lin_asks_for_its_database(tmp_path):
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     path = tmp_path / "bus.mf4"
     file = asammdf.MDF(version="4.10")
     stamps = np.arange(0.0, 2.0, 0.01)

@@ -16,9 +16,10 @@ from split_cli.diagnosis.together import handing_out
 from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
 from tests.factories import MissingForce, make_drive, road_car
+from tests.optional import needed
 
-pytest.importorskip("cloudpickle")
-distributed = pytest.importorskip("distributed")
+needed("cloudpickle")
+distributed = needed("distributed")
 
 
 @pytest.fixture(scope="module")
