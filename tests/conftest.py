@@ -44,6 +44,22 @@ def sample_logs() -> Path:
     return ROOT / "sample_logs"
 
 
+_LONGEST = (
+    "workflows/test_cluster.py",
+    "diagnosis/test_engine.py",
+    "proof/test_multibody.py",
+    "trust/test_killed_runs.py",
+    "trust/test_bombs.py",
+    "test_types.py",
+)
+"""Files of few tests that take long: xdist would leave them for the end, where one worker waits for the other."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest files; the others keep their order."""
+    items.sort(key=lambda item: not item.path.as_posix().endswith(_LONGEST))
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Count statements where CI says that the tests are complete."""
     if COUNTING is not None:

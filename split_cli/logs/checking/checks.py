@@ -19,6 +19,7 @@ from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS, reach_of
 from split_cli.logs.checking.relations import ConsistencyFinding, Plausible, Relation
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.logs.drive import Drive
+from split_cli.logs.drive_metadata import is_derived
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
@@ -73,7 +74,7 @@ class Checks:
         self.vehicle = vehicle
         self.certain = certain
         self.k = Kinematics(columns, drive.period, drive.segments())
-        self.derived = {channel for channel, kind in kinds.items() if kind.startswith("derived")}
+        self.derived = {channel for channel, kind in kinds.items() if is_derived(kind)}
         self.absent = {channel for channel in self.derived if kinds[channel] == NOT_RECORDED}
         self.pose_fits = True
         self.arm = 0.0

@@ -18,6 +18,7 @@ from split_cli.logs.checking.explanations import explain
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
 from split_cli.logs.checking.relations import ConsistencyFinding, Relation
 from split_cli.logs.drive import Drive
+from split_cli.logs.drive_metadata import is_derived
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Consistency", "ConsistencyFinding", "Unjudged", "check_consistency", "corrected_columns"]
@@ -86,7 +87,7 @@ def check_consistency(
     if shared:
         if {"X", "hand", "yaw"} & set(shared):
             # What was derived from the pose before it was right judges nobody.
-            kinds = {c: NOT_RECORDED if kind.startswith("derived") else kind for c, kind in kinds.items()}
+            kinds = {c: NOT_RECORDED if is_derived(kind) else kind for c, kind in kinds.items()}
         # The path may judge v_y now; where it does not, v_y has the unit of v_x.
         for judged in (True, False):
             finer = Checks(corrected_columns(drive.columns, shared, judged), drive, vehicle, kinds, certain)

@@ -10,6 +10,7 @@ import numpy as np
 from split_cli.logs.checking.checks import NOT_RECORDED
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.drive import Drive
+from split_cli.logs.drive_metadata import is_derived
 
 __all__ = ["copied_channels", "without_copies"]
 
@@ -41,7 +42,7 @@ def copied_channels(drive: Drive, kinds: Mapping[str, str]) -> list[ConsistencyF
     found: list[ConsistencyFinding] = []
     told: set[str] = set()
     columns = drive.columns
-    measured = [c for c in _MEASURED if c in columns and not kinds.get(c, "").startswith("derived")]
+    measured = [c for c in _MEASURED if c in columns and not is_derived(kinds.get(c, ""))]
     for first, second in combinations(measured, 2):
         if second in told or {first, second} == {"X", "Y"}:
             continue

@@ -12,6 +12,7 @@ from split_cli.logs.checking.consistency import Consistency, corrected_columns
 from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.drive import Drive
+from split_cli.logs.drive_metadata import is_derived
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["late_channels"]
@@ -66,7 +67,7 @@ def late_channels(
     columns = {
         channel: values[::stride]
         for channel, values in whole.items()
-        if not kinds.get(channel, "").startswith("derived")
+        if not is_derived(kinds.get(channel, ""))
         and channel not in wrong
         # Steps shorter than those between the rows that are looked at do not show.
         and (channel in _COMPARED or holds[channel] <= _STEP)
