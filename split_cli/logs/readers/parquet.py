@@ -112,7 +112,7 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
         for name in names:
             if not _has_numbers(types[name]):
                 advice = "Map a column of numbers."
-                raise LogError(f"column {name!r} holds {types[name]}", where=path.name, advice=advice)
+                raise LogError(f"column {name!r} holds {types[name]}, not numbers", where=path.name, advice=advice)
             above.setdefault(columns[name][0], []).append(name)
         values: dict[str, np.ndarray] = {}
         for top, below in above.items():
