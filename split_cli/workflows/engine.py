@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -27,6 +28,8 @@ _AHEAD = 2
 """Items handed out beyond those being worked on, per worker [1]; judgement: enough that no worker waits."""
 _HELD = 2
 """Objects kept on every worker for further calls [1]; judgement: a diagnosis searches twice at most."""
+_FAREWELL = 10.0
+"""For a worker to remove its unfinished files when its parent has ended [s]; judgement."""
 _MOST_UNASKED = 4
 """Processes that are started where nobody says how many [1]; judgement: each holds a recording in memory."""
 
@@ -156,6 +159,9 @@ def _start_worker(told: Connection) -> None:
     def listen() -> None:
         told.poll(None)
         os.kill(os.getpid(), signal.SIGTERM)
+        # A main thread that waits for what a killed sibling holds never comes to the signal.
+        time.sleep(_FAREWELL)
+        os._exit(128 + signal.SIGTERM)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, stop)

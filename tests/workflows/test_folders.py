@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -18,6 +21,7 @@ from split_cli.workflows.ingesting.ingest import ingest_logs
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
 from split_cli.workflows.sources import find_sources, left_alone
+from tests.conftest import ROOT
 
 
 @pytest.fixture(scope="session")
@@ -225,6 +229,45 @@ def test_an_interrupt_waits_for_no_worker_and_leaves_no_unfinished_file(tmp_path
             time.sleep(0.1)
         raise KeyboardInterrupt
     assert time.monotonic() - begun < 50.0 and not list(tmp_path.iterdir())
+
+
+def _hear_nothing(path: Path) -> None:
+    """Stand for a main thread that waits for a lock of a killed sibling: no signal reaches it."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    path.write_text(str(os.getpid()))
+    time.sleep(60.0)
+
+
+def _runs(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc, as Linux has it"
+)
+def test_no_worker_outlives_a_killed_parent(tmp_path):
+    program = (
+        "import sys, pathlib\nfrom split_cli.workflows.engine import open_engine\n"
+        "from tests.workflows.test_folders import _hear_nothing\n"
+        "with open_engine(jobs=2) as engine:\n"
+        "    list(engine.map(_hear_nothing, map(pathlib.Path, sys.argv[1:])))\n"
+    )
+    files = [tmp_path / "first", tmp_path / "second"]
+    parent = subprocess.Popen([sys.executable, "-c", program, *map(str, files)], cwd=ROOT)
+    until = time.monotonic() + 60.0
+    while not all(file.exists() and file.read_text() for file in files) and time.monotonic() < until:
+        time.sleep(0.1)
+    parent.kill()
+    parent.wait()
+    workers = [int(file.read_text()) for file in files]
+    until = time.monotonic() + 30.0
+    while any(map(_runs, workers)) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not any(map(_runs, workers))
 
 
 @pytest.mark.slow
