@@ -37,7 +37,9 @@ COLUMNS: dict[str, dict[str, str]] = {
         "capacity": "largest number of points in a cell",
         "cell edge": "edge length of a cell as a multiple of the standard edge",
         "error": "error of one step over that of the nominal model, on blocks used for choosing [1]",
+        "share": "share of the labels that lie within a length scale of the set's points, or beyond [%]",
         "in 50 %": "share of labels inside the 50 % interval, of v_x/v_y/r [%]",
+        "in 90 %": "share of labels inside the 90 % interval, of v_x/v_y/r [%]",
         "in 95 %": "share of labels inside the 95 % interval, of v_x/v_y/r [%]; far below 95 means overconfident",
         "model": "predictor; nominal: the vehicle file alone; velocity held: persistence; last label held: the "
         "last label as correction; noise floor: error of sensor noise alone",

@@ -12,6 +12,7 @@ from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
 from split_cli.diagnosis.verdict import findings
 from split_cli.diagnosis.verdict.constancy import Bend
 from split_cli.diagnosis.verdict.findings import is_apart_from_none
+from split_cli.logs.drive_metadata import DriveMetadata
 
 RULES = STANDARD.abstention
 
@@ -92,7 +93,7 @@ def test_a_missing_channel_leaves_look_alikes_where_neither_shape_nor_witness_te
     selection = SimpleNamespace(
         chosen=SimpleNamespace(parts=(part,), residuals=left), without=(SimpleNamespace(residuals=10.0),)
     )
-    metadata = SimpleNamespace(kinds={}, lateral_velocity_is_integrated=False)
+    metadata = DriveMetadata()
     drive = SimpleNamespace(columns=dict.fromkeys(columns.split()), metadata=metadata)
     objective = SimpleNamespace(
         form_error_inflation=inflation,
