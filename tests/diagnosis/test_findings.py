@@ -69,6 +69,10 @@ def test_what_explains_no_more_than_is_left_and_its_untrusted_look_alikes_has_no
     # A lag of the drive looks like neither.
     beside = SimpleNamespace(term="drive_lag", gap_explained=0.1)
     assert findings._imitating([*told, beside], left, (), RULES) == {"cg_shift", "tire_stiffness"}
+    # A stiffness that stays in the fit without a name explains no less for that.
+    without, beside = [told[0], told[1]], {"tire_stiffness": 0.03}
+    assert findings._imitating(without, left, (), RULES, beside) == {"cg_shift", "tire_stiffness"}
+    assert findings._imitating(without, left, (), RULES, {"drive_lag": 0.5}) == {"drive_lag"}
     # What has to bend by the greater part of itself stands for something else, and so may what looks like it.
     nothing_left = SimpleNamespace(share=0.0)
     for size, out in ((0.3, set()), (0.7, {"cg_shift", "tire_stiffness"})):

@@ -63,15 +63,17 @@ def describe(
         # Those that stay are fitted again without the others, and asked again. What is not believed may yet be
         # there, so that values hold with and without it.
         unexplained, beside = True, {one.term: one.parameters for one in findings}
-        alone = _only(objective, selection, kept, without=vague)
-        left = residuals_beside_form_error(objective, alone.chosen)
-        remainder = _remainder(structure, alone, variance_inflation, left)
-        bent = _sure_bends(objective, alone, variance_inflation)
-        without = _findings(objective, alone, remainder.share, beside)
-        imitating = _imitating(without, remainder, bent, rules) - _told_by_witnesses(objective, alone)
         # A term that the data do not single out acts all the same: without it the others would take it up.
-        selection = _nameless(_only(objective, selection, kept | vague), vague) if vague else alone
-        findings = _findings(objective, selection, remainder.share, beside) if vague else without
+        selection = _only(objective, selection, kept | vague)
+        left = residuals_beside_form_error(objective, selection.chosen)
+        remainder = _remainder(structure, selection, variance_inflation, left)
+        nameless = _shares(selection, vague)
+        selection = _nameless(selection, vague)
+        bent = _sure_bends(objective, selection, variance_inflation)
+        findings = _findings(objective, selection, remainder.share, beside)
+        imitating = _imitating(findings, remainder, bent, rules, nameless) - _told_by_witnesses(
+            objective, selection
+        )
         doubted = _vague(objective, selection, findings) - imitating
         kept = {one.term for one in findings} - doubted - imitating
         vague |= doubted
@@ -102,25 +104,31 @@ def _told_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> s
 
 
 def _imitating(
-    findings: Sequence[Finding], remainder: RemainderTest, bent: Sequence[Bend], rules: Abstention
+    findings: Sequence[Finding],
+    remainder: RemainderTest,
+    bent: Sequence[Bend],
+    rules: Abstention,
+    nameless: Mapping[str, float] = MappingProxyType({}),
 ) -> set[str]:
     """Return terms that explain no more than is left, which they may imitate: that has no name.
 
     So do terms that have to bend by the greater part of what they do: a steering offset that shows in hard turns
     and not in gentle ones is a tyre that is weaker to one side.
 
-    What a term took that is not believed for this has no name either. It may as well be of the terms that are
+    What a term took that is not believed for this has no name either, nor has what those of `nameless` took, as
+    shares of the gap. It may as well be of the terms that are
     declared to look like it, of which each has to explain more than both: a centre of gravity that pulls against a
     stiffness, say, where the balance of the axles is all that is left.
     """
-    shares = {one.term: one.gap_explained * (1.0 - remainder.share) for one in findings}
-    out = {one.term for one in bent if one.term in shares and one.size > rules.greater_part}
+    explained = {**{one.term: one.gap_explained for one in findings}, **nameless}
+    shares = {term: share * (1.0 - remainder.share) for term, share in explained.items()}
+    out = {one.term for one in bent if one.term in shares and one.size > rules.greater_part} | set(nameless)
     while True:
-        nameless = {
+        unnamed = {
             term: remainder.share + sum(shares[other] for other in out if look_alike(term, other))
             for term in shares
         }
-        more = {term for term in shares if term not in out and shares[term] <= nameless[term]}
+        more = {term for term in shares if term not in out and shares[term] <= unnamed[term]}
         if not more:
             return out
         out |= more
@@ -223,17 +231,23 @@ def _remainder(
     return RemainderTest(left.p_value, share, left.effect_to_noise, left.group_saved, drifts=drifts)
 
 
-def _only(
-    objective: MarginalLikelihood, selection: Selection, terms: set[str], without: Set[str] = frozenset()
-) -> Selection:
-    """Return an explanation with these of its named terms, refitted; what was kept as a nuisance stays.
+def _shares(selection: Selection, terms: Set[str]) -> dict[str, float]:
+    """Return by which share of what is explained each of these terms explains more than the others [1]."""
+    chosen = selection.chosen
+    total = max(selection.base.cost - chosen.cost, 1e-9)
+    return {
+        part.candidate.term: float(np.clip((without.cost - chosen.cost) / total, 0.0, 1.0))
+        for part, without in zip(chosen.parts, selection.without, strict=True)
+        if part.candidate.term in terms
+    }
 
-    Except nuisances among `without`.
-    """
+
+def _only(objective: MarginalLikelihood, selection: Selection, terms: set[str]) -> Selection:
+    """Return an explanation with these of its named terms, refitted; what was kept as a nuisance stays."""
     keep = [
         k
         for k, (part, named) in enumerate(zip(selection.chosen.parts, selection.named, strict=True))
-        if part.candidate.term in terms or not (named or part.candidate.term in without)
+        if part.candidate.term in terms or not named
     ]
     parts = tuple(selection.chosen.parts[k] for k in keep)
     chosen = fit_parts(objective, parts) if parts else selection.base
@@ -277,7 +291,7 @@ def _findings(
     """Return what is named; intervals also hold what `beside` tells of a term's parameters."""
     chosen = selection.chosen
     estimates = parameter_estimates(objective, chosen)
-    total = max(selection.base.cost - chosen.cost, 1e-9)
+    shares = _shares(selection, {part.candidate.term for part in chosen.parts})
     out = []
     for k, (part, rivals) in enumerate(zip(chosen.parts, selection.rivals, strict=True)):
         if not selection.named[k]:
@@ -291,7 +305,7 @@ def _findings(
                 term,
                 variant,
                 parameters,
-                float(np.clip((selection.without[k].cost - chosen.cost) / total, 0.0, 1.0)),
+                shares[term],
                 alternatives,
                 sentence_for(term, variant, parameters, alternatives, objective.evidence[0].vehicle),
                 term_size(objective, chosen, k),
