@@ -18,6 +18,7 @@ from split_cli.logs.checking.kinematics import (
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS, reach_of
 from split_cli.logs.checking.relations import ConsistencyFinding, Plausible, Relation
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
+from split_cli.logs.checking.wheels import AXLES, without_turning
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import is_derived
 from split_cli.signals import REQUIRED_CHANNELS
@@ -31,9 +32,6 @@ _STRAIGHT_SECONDS = 3.0
 _STEER_TOLERANCE = 0.7
 """Of the logarithm of steer angle over the steady one: a factor of two, see `Checks._steer_angle`."""
 ACROSS = "v_y/v_x against the path across yaw"
-_AXLES = (("wheel_speed_fl", "wheel_speed_fr"), ("wheel_speed_rl", "wheel_speed_rr"))
-_SIDES_APART = 0.25
-"""Of the logarithm of one wheel's speed over the other's: a track over the radius of the tightest turn [1]."""
 _GRAVITY = 9.80665
 _GRIP_MARGIN = 1.1
 """Over the sum of both D: banking of 5 degrees or a cresting road gives as much [1]."""
@@ -224,21 +222,8 @@ class Checks:
         for channel in self.k.columns:
             if channel.startswith("wheel_speed"):
                 powers = {channel: 1, "vx": -1}
-                speed = self._without_turning(channel)
+                speed = without_turning(self.k, channel, self.usable)
                 self.relate(f"{channel} against v_x", speed, self.k.signal("vx"), powers, 0.05)
-
-    def _without_turning(self, channel: str) -> np.ndarray:
-        """Return a wheel's speed [m/s], shape (N,): of both of its axle where only turning parts them.
-
-        In a bend the outer wheel is faster than v_x by half the track times r, the inner one slower.
-        """
-        other = next((b for pair in _AXLES for a, b in (pair, pair[::-1]) if a == channel), "")
-        speed = self.k.signal(channel)
-        if not self.usable(channel, other):
-            return speed
-        ratio = fit_slope(self.k.signal(other), speed, self.k.moving)
-        alike = ratio is not None and abs(np.log(max(ratio.slope, 1e-9))) < _SIDES_APART
-        return 0.5 * (speed + self.k.signal(other)) if alike else speed
 
     def _steer_angle(self) -> None:
         """Compare delta with the steady single track, L r/v_x + K v_x r with the vehicle file's understeer K.
@@ -448,7 +433,7 @@ class Checks:
     def wheel_sides(self) -> list[ConsistencyFinding]:
         """Compare right less left wheel speed with r: in a left turn the right wheels are faster."""
         found = []
-        for left, right in _AXLES:
+        for left, right in AXLES:
             if not self.usable(left, right, "r"):
                 continue
             slope = fit_slope(self.k.signal(right) - self.k.signal(left), self.k.signal("r"), self.k.moving)
