@@ -55,11 +55,12 @@ def clock_of_rows(
         return None, needed, False
     count = len(bare[0].values)
     pair = seconds_and_nanoseconds(infos)
-    whole, part = (recording.read([name])[name].values for name in pair) if pair else (None, None)
-    # A whole second of nanoseconds is none: the stamp of another clock, or one that was read wrongly.
-    if pair is not None and row_rate is None and float(np.nanmax(part)) < 1e9:
-        line = f"time: {{source: {quoted(pair[0])}, nanoseconds: {quoted(pair[1])}}}"
-        return (whole - np.nanmin(whole)) + 1e-9 * part, line, True
+    if pair is not None and row_rate is None:
+        whole, part = (recording.read([name])[name].values for name in pair)
+        # A whole second of nanoseconds is none: the stamp of another clock, or one that was read wrongly.
+        if not np.any(part >= 1e9):
+            line = f"time: {{source: {quoted(pair[0])}, nanoseconds: {quoted(pair[1])}}}"
+            return (whole - np.nanmin(whole)) + 1e-9 * part, line, True
     found = time_column(infos)
     timed = [i for i in infos if re.search("time|stamp", i.name, re.IGNORECASE) and not counts_rows(i.name)]
     clocks = [found] if found is not None else timed
