@@ -117,8 +117,8 @@ def _imitating(
 
     What a term took that is not believed for this has no name either, nor has what those of `nameless` took, as
     shares of the gap. It may as well be of the terms that are declared to look like it, of which each has to
-    explain more than both: a centre of gravity that pulls against a stiffness, say, where the balance of the axles is all
-    that is left.
+    explain more than both: a centre of gravity that pulls against a stiffness, say, where the balance of the axles
+    is all that is left.
     """
     explained = {**{one.term: one.gap_explained for one in findings}, **nameless}
     shares = {term: share * (1.0 - remainder.share) for term, share in explained.items()}
