@@ -54,7 +54,7 @@ def main() -> int:
         names = {text.split(">=")[0].lower() for text in _dependencies()}
         print(" ".join(line for line in listed.stdout.split() if line.split("==")[0].lower() in names))
         done = subprocess.run(
-            [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *given.tests],
+            [python, "-m", "pytest", "-p", "no:cacheprovider", *given.tests],
             cwd=ROOT, capture_output=True, text=True, check=False,
         )  # fmt: skip
         lines = (done.stdout.strip() or done.stderr.strip()).splitlines()
