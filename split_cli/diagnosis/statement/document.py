@@ -121,6 +121,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "gap_explained": finding.gap_explained,
         "alternatives": list(finding.alternatives),
         "sentence": finding.sentence,
+        "combination": None if finding.combination is None else _plain(asdict(finding.combination)),
     }
 
 

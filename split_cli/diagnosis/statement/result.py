@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 __all__ = [
+    "Combination",
     "CorrectedVehicle",
     "Detectable",
     "Diagnosis",
@@ -51,6 +52,28 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True)
+class Combination:
+    """A weighted sum of a finding's parameters that is known, where none of them is by itself.
+
+    Attributes
+    ----------
+    weights : mapping of str to float
+        By parameter; the largest is 1.
+    value : float
+        Weighted sum of how far the parameters are from neutral.
+    unit : str
+        Of the parameters; empty where they differ in it, the weights then having units.
+    interval_95 : tuple of float
+        Of the sum, simultaneous with all other sums (Scheffe).
+    """
+
+    weights: Mapping[str, float]
+    value: float
+    unit: str
+    interval_95: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class RivalSummary:
     """Another term in a finding's place.
 
@@ -90,6 +113,8 @@ class Finding:
         Excitations that would tell alternatives apart.
     exported : bool
         Whether it belongs into the vehicle file; sensor faults do not.
+    combination : Combination or None
+        What is known of the parameters together, where no interval of one leaves out its neutral value.
     """
 
     term: str
@@ -102,6 +127,7 @@ class Finding:
     runners_up: tuple[RivalSummary, ...] = ()
     separated_by: tuple[str, ...] = ()
     exported: bool = True
+    combination: Combination | None = None
 
     @property
     def placebo(self) -> RivalSummary | None:

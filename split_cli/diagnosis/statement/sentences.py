@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from split_cli.diagnosis.statement.result import (
+    Combination,
     CorrectedVehicle,
     Finding,
     HorizonErrors,
@@ -42,7 +43,12 @@ _STANDS_FOR = 0.4  # of what place explains, from which on another variable is n
 
 
 def sentence_for(
-    term: str, variant: str, parameters: Parameters, alternatives: Sequence[str], vehicle: Vehicle | None = None
+    term: str,
+    variant: str,
+    parameters: Parameters,
+    alternatives: Sequence[str],
+    vehicle: Vehicle | None = None,
+    combination: Combination | None = None,
 ) -> str:
     """Return what a finding means, with what it cannot be told from and what would tell it.
 
@@ -54,9 +60,13 @@ def sentence_for(
         Ids; a combination is written ``a+b``.
     vehicle : Vehicle, optional
         The nominal model, to tell effects in its forces.
+    combination : Combination, optional
+        What is known of the parameters together, where none is known by itself.
     """
     lacks = "; the simulation lacks this effect" if CATALOGUE[term].exported else ""
     sentences = [f"{statement_for(term, variant, parameters, vehicle)}{lacks}."]
+    if combination is not None:
+        sentences.append(_only_together(combination))
     for one in (separation(term, variant, alternative) for alternative in alternatives):
         name = term_with_id(one.alternative)
         if one.exact:
@@ -64,6 +74,23 @@ def sentence_for(
         else:
             sentences.append(f"These data do not distinguish it from {name}; this would: {one.hint}.")
     return " ".join(sentences)
+
+
+def _only_together(one: Combination) -> str:
+    """Return which sum of a finding's parameters is known."""
+    names = [name.replace("_", " ") for name in one.weights]
+    text = f"No interval of {' or '.join(names)} leaves out no effect"
+    if not one.unit:
+        return f"{text}, but their joint 95 % region does."
+    weights = [number(abs(weight), 2) for weight in one.weights.values()]
+    signs = ["-" if weight < 0.0 else "+" for weight in one.weights.values()]
+    each = [f"{sign} {weight} {name}" for sign, weight, name in zip(signs, weights, names, strict=True)]
+    unit = f" {one.unit}".removesuffix(" 1")
+    low, high = (number(end) for end in one.interval_95)
+    total = " ".join(each).removeprefix("+ ")
+    return (
+        f"{text}. Their changes are known together: {total} = {number(one.value)}{unit} (95 %: {low} to {high})."
+    )
 
 
 def lead_sentence(
@@ -179,6 +206,7 @@ def summarise(
         statement = statement_for(finding.term, finding.variant, finding.parameters, vehicle)
         others = " or ".join(term_with_id(one) for one in finding.alternatives)
         parts.append(f"{statement}." + (f" These data are explained as well by {others}." if others else ""))
+        parts.append("" if finding.combination is None else _only_together(finding.combination))
     lacking = sum(finding.exported for finding in findings)
     lacks = (
         "",

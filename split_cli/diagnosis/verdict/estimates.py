@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
@@ -9,15 +11,39 @@ from split_cli.diagnosis.search.fitting import Fit, Part
 from split_cli.diagnosis.search.form_error import moved_between_load_laws
 from split_cli.diagnosis.search.term_tests import term_size, witnesses_disagree
 from split_cli.diagnosis.statement.result import ParameterEstimate
+from split_cli.diagnosis.verdict.region import Region, least_above, radius_95
 from split_cli.vehicle.effects.search import Range
 
-__all__ = ["parameter_estimates"]
+__all__ = ["PartEstimate", "estimate_parts", "parameter_estimates"]
 
 _CHI2_95 = 3.84  # of one parameter
 _PLACES = ("s_start", "s_end")
+_COLLINEAR = 1e-10  # of a scaled normal matrix, below which a direction is not known at all
+
+
+@dataclass(frozen=True)
+class PartEstimate:
+    """What is known of the parameters of one part.
+
+    Attributes
+    ----------
+    parameters : dict of str to ParameterEstimate
+        Each by itself.
+    regions : tuple of Region
+        Of all that have a neutral value together; with another law of load, see `moved_between_load_laws`, a
+        second one. Empty where there is no such parameter.
+    """
+
+    parameters: dict[str, ParameterEstimate]
+    regions: tuple[Region, ...]
 
 
 def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[str, ParameterEstimate], ...]:
+    """Return the parameters of every part, each by itself; see `estimate_parts`."""
+    return tuple(one.parameters for one in estimate_parts(objective, fit))
+
+
+def estimate_parts(objective: MarginalLikelihood, fit: Fit) -> tuple[PartEstimate, ...]:
     """Return the parameters of every part.
 
     Notes
@@ -33,6 +59,8 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
     Intervals end where no real car lies beyond: a time constant is not negative, however little is known of it.
     A parameter that moves all rows by less than one standard deviation over all its range was not shown, a brake's
     gain on a drive without braking: it has its neutral value, and its range for an interval.
+    In the region of several, model-form error of the tyres is each parameter's own, as axles err by themselves;
+    other systematic error is a share of the whole effect.
     """
     from scipy.stats import t as student
 
@@ -40,34 +68,38 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
     form_error = objective.policy.selection.form_error_share
     if not J.shape[1]:
         return ()
-    scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-150
-    normal = np.linalg.pinv((J / scale).T @ (J / scale), rcond=1e-10)
+    scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-120
+    normal = np.linalg.inv((J / scale).T @ (J / scale) + _COLLINEAR * np.eye(J.shape[1]))
     scores = objective.block_sums((J / scale) * fit.residuals[:, None])
     blocks = len(scores)
     middle = scores.T @ scores * blocks / max(blocks - J.shape[1], 1)
     covariance = normal @ middle @ normal / np.outer(scale, scale)
-    plain = np.diag(normal) / scale**2
-    variance = np.maximum(np.diag(covariance), plain * max(objective.form_error_inflation, 1.0))
+    known = normal / np.outer(scale, scale) * max(objective.form_error_inflation, 1.0)
     if objective.fixed_baseline:
-        variance = 2.0 * variance
-    wide = float(student.ppf(0.975, max(blocks - J.shape[1], 2)))
-    moved, out, column = moved_between_load_laws(objective, fit).tolist(), [], 0
+        covariance, known = 2.0 * covariance, 2.0 * known
+    variance = np.maximum(np.diag(covariance), np.diag(known))
+    plain = np.diag(normal) / scale**2
+    freedom = max(blocks - J.shape[1], 2)
+    wide = float(student.ppf(0.975, freedom))
+    moved, out, column = moved_between_load_laws(objective, fit), [], 0
     for k, part in enumerate(fit.parts):
-        size = term_size(objective, fit, k)
-        term, residuals = part.term, {}
+        term, told, names = part.term, {}, []
         systematic = rules.systematic * np.sqrt(max(objective.form_error_inflation, 1.0))
-        relative = np.hypot(systematic / max(size, 1e-9), form_error if term.through_tires else 0.0)
-        relative = np.hypot(relative, _between_recordings(objective, fit, k))
-        relative = np.hypot(relative, witnesses_disagree(objective, fit, k, objective.policy.selection))
+        shared = np.hypot(
+            systematic / max(term_size(objective, fit, k), 1e-9), _between_recordings(objective, fit, k)
+        )
+        shared = np.hypot(shared, witnesses_disagree(objective, fit, k, objective.policy.selection))
+        own = form_error if term.through_tires else 0.0
+        first = column
         for name, unit in term.parameter_units(part.candidate.variant).items():
             value, physical = term.parameters[name], part.candidate.ranges[name]
             neutral = term.neutral.get(name)
             if neutral is not None and scale[column] * (physical.upper - physical.lower) < 1.0:
-                residuals[name] = _not_shown(neutral, unit, physical)
+                told[name] = _not_shown(neutral, unit, physical)
                 column += 1
                 continue
-            away = value - term.neutral.get(name, value)
-            error = float(np.hypot(np.sqrt(variance[column]), 0.0 if name in _PLACES else abs(away) * relative))
+            away = 0.0 if neutral is None else value - neutral
+            error = float(np.hypot(np.sqrt(variance[column]), abs(away) * np.hypot(shared, own)))
             limits = (
                 value - wide * error + min(moved[column], 0.0),
                 value + wide * error + max(moved[column], 0.0),
@@ -76,9 +108,19 @@ def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[s
                 rise = _CHI2_95 * max(float(np.max(variance / np.maximum(plain, 1e-300))), 1.0)
                 limits = _place_limits(objective, fit, k, name, rise)
                 error = (limits[1] - limits[0]) / (2.0 * wide)
-            residuals[name] = ParameterEstimate(value, error, unit, _possible(limits, value, physical))
+            told[name] = ParameterEstimate(value, error, unit, _possible(limits, value, physical))
+            if neutral is not None:
+                names.append(name)
             column += 1
-        out.append(residuals)
+        regions: tuple[Region, ...] = ()
+        if names:
+            at = first + np.flatnonzero([name in names for name in told])
+            away = np.array([told[name].value - term.neutral[name] for name in names])
+            errors = shared**2 * np.outer(away, away) + np.diag((own * away) ** 2)
+            errors += least_above(covariance[np.ix_(at, at)], known[np.ix_(at, at)])
+            region = Region(tuple(names), away, errors, radius_95(len(at), freedom))
+            regions = (region, region.moved(moved[at])) if moved[at].any() else (region,)
+        out.append(PartEstimate(told, regions))
     return tuple(out)
 
 

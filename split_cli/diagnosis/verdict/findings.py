@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -19,16 +19,41 @@ from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well, without_parts
 from split_cli.diagnosis.search.term_tests import term_size
-from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest, RivalSummary
+from split_cli.diagnosis.statement.result import (
+    Combination,
+    Finding,
+    ParameterEstimate,
+    RemainderTest,
+    RivalSummary,
+)
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, told_apart_by_lacking
 from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error, parameter_drifts
-from split_cli.diagnosis.verdict.estimates import parameter_estimates
+from split_cli.diagnosis.verdict.estimates import PartEstimate, estimate_parts
+from split_cli.diagnosis.verdict.region import Region, apart_along
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["describe", "is_apart_from_none", "is_autocorrelated", "with_shares"]
+__all__ = ["describe", "is_apart_from_none", "is_autocorrelated", "known_together", "with_shares"]
 
 _SHOWN_RIVALS = 6
+
+
+@dataclass(frozen=True)
+class _Told:
+    """A finding, and what else was worked out of it.
+
+    Attributes
+    ----------
+    finding : Finding
+    regions : tuple of Region
+        Of its parameters together, by every explanation that may be the true one.
+    declared : tuple of str
+        Which of the alternatives are such whatever the data say.
+    """
+
+    finding: Finding
+    regions: tuple[Region, ...]
+    declared: tuple[str, ...]
 
 
 def describe(
@@ -47,7 +72,8 @@ def describe(
     rules = objective.policy.abstention
     left = residuals_beside_form_error(objective, selection.chosen)
     remainder = _remainder(structure, selection, variance_inflation, left)
-    findings = _findings(objective, selection, remainder.share)
+    told = _findings(objective, selection, remainder.share)
+    findings = _only_findings(told)
     autocorrelation = residual_autocorrelation(structure, left)
     bent = _sure_bends(objective, selection, variance_inflation)
     unexplained = not findings or _is_unexplained(findings, remainder, autocorrelation, outcome)
@@ -57,12 +83,12 @@ def describe(
         unexplained, kept = True, {one.term for one in findings if not one.exported}
     elif unexplained:
         kept -= _imitating(findings, remainder, bent, rules) - _told_by_witnesses(objective, selection)
-    vague = _vague(objective, selection, findings) & kept
+    vague = _vague(objective, selection, told) & kept
     kept -= vague
     while len(kept) < len(findings):
         # Those that stay are fitted again without the others, and asked again. What is not believed may yet be
         # there, so that values hold with and without it.
-        unexplained, beside = True, {one.term: one.parameters for one in findings}
+        unexplained, beside = True, {one.finding.term: one for one in told}
         # A term that the data do not single out acts all the same: without it the others would take it up.
         selection = _only(objective, selection, kept | vague)
         left = residuals_beside_form_error(objective, selection.chosen)
@@ -70,14 +96,19 @@ def describe(
         nameless = _shares(selection, vague)
         selection = _nameless(selection, vague)
         bent = _sure_bends(objective, selection, variance_inflation)
-        findings = _findings(objective, selection, remainder.share, beside)
+        told = _findings(objective, selection, remainder.share, beside)
+        findings = _only_findings(told)
         imitating = _imitating(findings, remainder, bent, rules, nameless) - _told_by_witnesses(
             objective, selection
         )
-        doubted = _vague(objective, selection, findings) - imitating
+        doubted = _vague(objective, selection, told) - imitating
         kept = {one.term for one in findings} - doubted - imitating
         vague |= doubted
     return selection, findings, remainder, unexplained
+
+
+def _only_findings(told: Sequence[_Told]) -> tuple[Finding, ...]:
+    return tuple(one.finding for one in told)
 
 
 def _sure_bends(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> list[Bend]:
@@ -147,36 +178,73 @@ def _declared(objective: MarginalLikelihood, selection: Selection, own: Candidat
     return *exact_mimics(own.term, own.variant), *told_apart_by_lacking(own.term, own.variant, measured)
 
 
-def _vague(objective: MarginalLikelihood, selection: Selection, findings: Sequence[Finding]) -> set[str]:
+def _vague(objective: MarginalLikelihood, selection: Selection, told: Sequence[_Told]) -> set[str]:
     """Return terms that the data do not single out.
 
-    Many others do as well, nothing tells where they act, or no parameter's interval leaves out no effect at all.
+    Many others do as well, nothing tells where they act, or no effect at all is as good: for each parameter by
+    itself, and for all of them together.
     """
     candidates = {part.candidate.term: part.candidate for part in selection.chosen.parts}
     rules, out = objective.policy.abstention, set()
-    for one in findings:
-        declared = _declared(objective, selection, candidates[one.term])
-        if sum(name not in declared for name in one.alternatives) > rules.most_alternatives:
-            out.add(one.term)
-        if not is_apart_from_none(one):
-            out.add(one.term)
+    for one in told:
+        term, parameters = one.finding.term, one.finding.parameters
+        if sum(name not in one.declared for name in one.finding.alternatives) > rules.most_alternatives:
+            out.add(term)
+        if not is_apart_from_none(one.finding):
+            out.add(term)
         for name in ("s_start", "s_end"):
-            if name in one.parameters:
-                low, high = one.parameters[name].interval_95
-                if high - low > rules.greater_part * candidates[one.term].ranges[name].upper:
-                    out.add(one.term)
+            if name in parameters:
+                low, high = parameters[name].interval_95
+                if high - low > rules.greater_part * candidates[term].ranges[name].upper:
+                    out.add(term)
     return out
 
 
 def is_apart_from_none(finding: Finding) -> bool:
-    """Return whether some parameter's 95 % interval leaves out its neutral value, where the term does nothing."""
-    neutral = CATALOGUE[finding.term].neutral
+    """Return whether a parameter's 95 % interval leaves out its neutral value, or all of them together do."""
+    return finding.combination is not None or _is_one_apart(finding.term, finding.parameters)
+
+
+def _is_one_apart(term: str, parameters: Mapping[str, ParameterEstimate]) -> bool:
+    """Return whether some parameter's interval leaves out its neutral value; so it is where none has one."""
+    neutral = CATALOGUE[term].neutral
     told = [
         not low <= neutral[name] <= high
-        for name, (low, high) in ((name, one.interval_95) for name, one in finding.parameters.items())
+        for name, (low, high) in ((name, one.interval_95) for name, one in parameters.items())
         if name in neutral
     ]
     return any(told) or not told
+
+
+def known_together(
+    term: str, parameters: Mapping[str, ParameterEstimate], regions: Sequence[Region]
+) -> Combination | None:
+    """Return the sum of parameters that is surely not that of no effect, where none of them is so by itself.
+
+    Parameters
+    ----------
+    term : str
+    parameters : mapping of str to ParameterEstimate
+    regions : sequence of Region
+        Of the same parameters together, by every explanation that may be the true one.
+    """
+    if not regions or len(regions[0].names) < 2 or _is_one_apart(term, parameters):
+        return None
+    weights = apart_along(regions)
+    if weights is None:
+        return None
+    weights = weights / np.abs(weights).max()
+    if weights @ regions[0].centre < 0.0:
+        weights = -weights
+    ends = [one.along(weights) for one in regions]
+    names = regions[0].names
+    units = {parameters[name].unit for name in names}
+    return Combination(
+        dict(zip(names, weights.tolist(), strict=True)),
+        float(weights @ regions[0].centre),
+        units.pop() if len(units) == 1 else "",
+        (min(low for low, _ in ends), max(high for _, high in ends)),
+    )
 
 
 def _is_unexplained(
@@ -286,52 +354,59 @@ def _findings(
     objective: MarginalLikelihood,
     selection: Selection,
     unnamed: float,
-    beside: Mapping[str, Mapping[str, ParameterEstimate]] = MappingProxyType({}),
-) -> tuple[Finding, ...]:
+    beside: Mapping[str, _Told] = MappingProxyType({}),
+) -> tuple[_Told, ...]:
     """Return what is named; intervals also hold what `beside` tells of a term's parameters."""
     chosen = selection.chosen
-    estimates = parameter_estimates(objective, chosen)
+    estimates = estimate_parts(objective, chosen)
     shares = _shares(selection, {part.candidate.term for part in chosen.parts})
-    out = []
+    vehicle, out = objective.evidence[0].vehicle, []
     for k, (part, rivals) in enumerate(zip(chosen.parts, selection.rivals, strict=True)):
         if not selection.named[k]:
             continue
         term, variant = part.candidate.term, part.candidate.variant
-        alternatives = _alternatives(objective, selection, k)
-        parameters = _with_variants(objective, selection, k, estimates[k], unnamed)
-        parameters = _covering(parameters, beside.get(term, {}))
-        out.append(
-            Finding(
-                term,
-                variant,
-                parameters,
-                shares[term],
-                alternatives,
-                sentence_for(term, variant, parameters, alternatives, objective.evidence[0].vehicle),
-                term_size(objective, chosen, k),
-                _runners_up(rivals),
-                separations(term, variant, alternatives),
-                CATALOGUE[term].exported,
-            )
+        declared = _declared(objective, selection, part.candidate)
+        alternatives = _alternatives(objective, selection, k, declared)
+        parameters, regions = _with_variants(objective, selection, k, estimates[k], unnamed)
+        if term in beside:
+            parameters = _covering(parameters, beside[term].finding.parameters)
+            regions += _of_the_same(regions, beside[term].regions)
+        combination = known_together(term, parameters, regions)
+        finding = Finding(
+            term,
+            variant,
+            parameters,
+            shares[term],
+            alternatives,
+            sentence_for(term, variant, parameters, alternatives, vehicle, combination),
+            term_size(objective, chosen, k),
+            _runners_up(rivals),
+            separations(term, variant, alternatives),
+            CATALOGUE[term].exported,
+            combination,
         )
-    return tuple(sorted(out, key=lambda finding: -finding.gap_explained))
+        out.append(_Told(finding, regions, declared))
+    return tuple(sorted(out, key=lambda one: -one.finding.gap_explained))
 
 
 def _with_variants(
-    objective: MarginalLikelihood,
-    selection: Selection,
-    k: int,
-    own: Mapping[str, ParameterEstimate],
-    unnamed: float,
-) -> dict[str, ParameterEstimate]:
-    """Widen a part's intervals by those of its term's other variants, where they explain the data as well.
+    objective: MarginalLikelihood, selection: Selection, k: int, own: PartEstimate, unnamed: float
+) -> tuple[dict[str, ParameterEstimate], tuple[Region, ...]]:
+    """Widen what is known of a part by its term's other variants, where they explain the data as well.
 
     Of variants that differ by less than the share of the gap that is `unnamed`, either may be the better one.
     """
-    out = dict(own)
+    parameters, regions = dict(own.parameters), own.regions
     for sibling in explaining_as_well(objective, selection, k, selection.siblings[k], unnamed):
-        out = _covering(out, parameter_estimates(objective, sibling.fit)[-1])
-    return out
+        other = estimate_parts(objective, sibling.fit)[-1]
+        parameters = _covering(parameters, other.parameters)
+        regions += _of_the_same(regions, other.regions)
+    return parameters, regions
+
+
+def _of_the_same(regions: Sequence[Region], others: Sequence[Region]) -> tuple[Region, ...]:
+    """Return the others that are of the same parameters."""
+    return tuple(one for one in others if regions and one.names == regions[0].names)
 
 
 def _covering(
@@ -341,16 +416,16 @@ def _covering(
     return {name: one.covering(others[name]) if name in others else one for name, one in own.items()}
 
 
-def _alternatives(objective: MarginalLikelihood, selection: Selection, k: int) -> tuple[str, ...]:
-    """Return terms that fit as well here, and those that always would: exact degeneracies.
+def _alternatives(
+    objective: MarginalLikelihood, selection: Selection, k: int, declared: Sequence[str]
+) -> tuple[str, ...]:
+    """Return terms that fit as well here, and those that are declared to, whatever the data say.
 
     Where there is much model-form error, the shape of an effect does not tell a term from those that a channel
     would tell it from which was not recorded.
     """
-    own = selection.chosen.parts[k].candidate
     rivals = explaining_as_well(objective, selection, k, selection.rivals[k])
-    names = [rival.fit.parts[-1].candidate.term for rival in rivals]
-    names += _declared(objective, selection, own)
+    names = [*(rival.fit.parts[-1].candidate.term for rival in rivals), *declared]
     taken = {part.candidate.term for part in selection.chosen.parts}
     return tuple(name for name in dict.fromkeys(names) if name not in taken)
 

@@ -1,0 +1,115 @@
+"""Joint confidence regions of the parameters of one term: what is known of them together.
+
+Front and rear downforce may each have an interval that holds no effect, while that of their sum does not. Whether
+an effect is there is told by the region of all of a term's parameters, not by the interval of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import eigh
+
+__all__ = ["Region", "apart_along", "least_above", "radius_95"]
+
+_STEPS = 500  # towards the point nearest to no effect
+
+
+@dataclass(frozen=True)
+class Region:
+    """An ellipsoid that holds the true parameters of a term with a probability of 95 %.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters that have a neutral value.
+    centre : ndarray, shape (P,)
+        How far they are from neutral, in their units.
+    covariance : ndarray, shape (P, P)
+    radius : float
+        Mahalanobis distance from the centre to the surface, see `radius_95`.
+    """
+
+    names: tuple[str, ...]
+    centre: np.ndarray
+    covariance: np.ndarray
+    radius: float
+
+    def moved(self, by: np.ndarray) -> Region:
+        """Return the region elsewhere, by a step of the parameters, shape (P,)."""
+        return replace(self, centre=self.centre + by)
+
+    def along(self, weights: np.ndarray) -> tuple[float, float]:
+        """Return the ends of a weighted sum of the parameters over the region (Scheffe)."""
+        middle, half = (
+            float(weights @ self.centre),
+            self.radius * float(np.sqrt(weights @ self.covariance @ weights)),
+        )
+        return middle - half, middle + half
+
+
+def radius_95(count: int, freedom: float) -> float:
+    """Return the Mahalanobis distance that holds 95 % for `count` parameters: Hotelling's T, Student's t for one.
+
+    Notes
+    -----
+    With n degrees of freedom, T^2 = p n/(n - p + 1) F_0.95(p, n - p + 1).
+    """
+    from scipy.stats import f as fisher
+
+    rest = max(freedom - count + 1.0, 1.0)
+    return float(np.sqrt(count * freedom / rest * fisher.ppf(0.95, count, rest)))
+
+
+def least_above(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the least covariance (P, P) that is no smaller than either of two, along their common axes.
+
+    Notes
+    -----
+    With first = A diag(w) A^T and second = A A^T it is A diag(max(w, 1)) A^T.
+    """
+    share, back = eigh(first, second)
+    axes = np.linalg.inv(back).T
+    return (axes * np.maximum(share, 1.0)) @ axes.T
+
+
+def apart_along(regions: Sequence[Region]) -> np.ndarray | None:
+    """Return weights (P,) of a sum of parameters that is positive all over the regions; None where there is none.
+
+    Regions are of explanations of which any may be the true one, and of what lies between them. No effect is left
+    out by the least convex set that holds them all if and only if such a sum exists.
+
+    Parameters
+    ----------
+    regions : sequence of Region
+        Of the same parameters; the first is that of the explanation that was chosen.
+
+    Notes
+    -----
+    Gilbert's (1966) algorithm for the point of a convex set that is nearest to the origin, where the covariance of
+    the first region is the unit matrix. With one region the answer is that of the Wald test, weights V^-1 d.
+    """
+    root = np.linalg.cholesky(regions[0].covariance)
+    shapes = []
+    for one in regions:
+        half = np.linalg.solve(root, np.linalg.cholesky(one.covariance))
+        shapes.append((np.linalg.solve(root, one.centre), half @ half.T, one.radius))
+    nearest = shapes[0][0]
+    for _ in range(_STEPS):
+        if not np.linalg.norm(nearest) > 1e-9:
+            return None
+        ends = [_lowest(nearest, *shape) for shape in shapes]
+        lowest = min(ends, key=lambda end: float(nearest @ end))
+        if float(nearest @ lowest) > 0.0:
+            return np.linalg.solve(root.T, nearest)
+        step = lowest - nearest
+        nearest = nearest + np.clip(-(nearest @ step) / max(float(step @ step), 1e-300), 0.0, 1.0) * step
+    return None
+
+
+def _lowest(along: np.ndarray, centre: np.ndarray, covariance: np.ndarray, radius: float) -> np.ndarray:
+    """Return the point of an ellipsoid that is lowest along a direction."""
+    spread = covariance @ along
+    return centre - radius * spread / max(float(np.sqrt(along @ spread)), 1e-300)
