@@ -11,7 +11,7 @@ from split_cli.diagnosis.search.fitting import Fit, Part
 from split_cli.diagnosis.search.form_error import moved_between_load_laws
 from split_cli.diagnosis.search.term_tests import term_size, witnesses_disagree
 from split_cli.diagnosis.statement.result import ParameterEstimate
-from split_cli.diagnosis.verdict.region import Region, least_above, radius_95
+from split_cli.diagnosis.verdict.joint_region import JointRegion, least_above, radius_95
 from split_cli.vehicle.effects.search import Range
 
 __all__ = ["PartEstimate", "estimate_parts", "parameter_estimates"]
@@ -29,13 +29,13 @@ class PartEstimate:
     ----------
     parameters : dict of str to ParameterEstimate
         Each by itself.
-    regions : tuple of Region
+    regions : tuple of JointRegion
         Of all that have a neutral value together; with another law of load, see `moved_between_load_laws`, a
         second one. Empty where there is no such parameter.
     """
 
     parameters: dict[str, ParameterEstimate]
-    regions: tuple[Region, ...]
+    regions: tuple[JointRegion, ...]
 
 
 def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[str, ParameterEstimate], ...]:
@@ -112,13 +112,13 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit) -> tuple[PartEstimat
             if neutral is not None:
                 names.append(name)
             column += 1
-        regions: tuple[Region, ...] = ()
+        regions: tuple[JointRegion, ...] = ()
         if names:
             at = first + np.flatnonzero([name in names for name in told])
             away = np.array([told[name].value - term.neutral[name] for name in names])
             errors = shared**2 * np.outer(away, away) + np.diag((own * away) ** 2)
             errors += least_above(covariance[np.ix_(at, at)], known[np.ix_(at, at)])
-            region = Region(tuple(names), away, errors, radius_95(len(at), freedom))
+            region = JointRegion(tuple(names), away, errors, radius_95(len(at), freedom))
             regions = (region, region.moved(moved[at])) if moved[at].any() else (region,)
         out.append(PartEstimate(told, regions))
     return tuple(out)

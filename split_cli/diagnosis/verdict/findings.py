@@ -30,7 +30,7 @@ from split_cli.diagnosis.statement.sentences import sentence_for, separations
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, told_apart_by_lacking
 from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error, parameter_drifts
 from split_cli.diagnosis.verdict.estimates import PartEstimate, estimate_parts
-from split_cli.diagnosis.verdict.region import Region, apart_along
+from split_cli.diagnosis.verdict.joint_region import JointRegion, apart_along
 from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = ["describe", "is_apart_from_none", "is_autocorrelated", "known_together", "with_shares"]
@@ -45,14 +45,14 @@ class _Told:
     Attributes
     ----------
     finding : Finding
-    regions : tuple of Region
+    regions : tuple of JointRegion
         Of its parameters together, by every explanation that may be the true one.
     declared : tuple of str
         Which of the alternatives are such whatever the data say.
     """
 
     finding: Finding
-    regions: tuple[Region, ...]
+    regions: tuple[JointRegion, ...]
     declared: tuple[str, ...]
 
 
@@ -217,7 +217,7 @@ def _is_one_apart(term: str, parameters: Mapping[str, ParameterEstimate]) -> boo
 
 
 def known_together(
-    term: str, parameters: Mapping[str, ParameterEstimate], regions: Sequence[Region]
+    term: str, parameters: Mapping[str, ParameterEstimate], regions: Sequence[JointRegion]
 ) -> Combination | None:
     """Return the sum of parameters that is surely not that of no effect, where none of them is so by itself.
 
@@ -225,7 +225,7 @@ def known_together(
     ----------
     term : str
     parameters : mapping of str to ParameterEstimate
-    regions : sequence of Region
+    regions : sequence of JointRegion
         Of the same parameters together, by every explanation that may be the true one.
     """
     if not regions or len(regions[0].names) < 2 or _is_one_apart(term, parameters):
@@ -391,7 +391,7 @@ def _findings(
 
 def _with_variants(
     objective: MarginalLikelihood, selection: Selection, k: int, own: PartEstimate, unnamed: float
-) -> tuple[dict[str, ParameterEstimate], tuple[Region, ...]]:
+) -> tuple[dict[str, ParameterEstimate], tuple[JointRegion, ...]]:
     """Widen what is known of a part by its term's other variants, where they explain the data as well.
 
     Of variants that differ by less than the share of the gap that is `unnamed`, either may be the better one.
@@ -404,7 +404,7 @@ def _with_variants(
     return parameters, regions
 
 
-def _of_the_same(regions: Sequence[Region], others: Sequence[Region]) -> tuple[Region, ...]:
+def _of_the_same(regions: Sequence[JointRegion], others: Sequence[JointRegion]) -> tuple[JointRegion, ...]:
     """Return the others that are of the same parameters."""
     return tuple(one for one in others if regions and one.names == regions[0].names)
 

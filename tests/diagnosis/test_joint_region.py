@@ -7,14 +7,14 @@ from scipy.stats import t
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.statement.sentences import sentence_for
 from split_cli.diagnosis.verdict.findings import known_together
-from split_cli.diagnosis.verdict.region import Region, apart_along, least_above, radius_95
+from split_cli.diagnosis.verdict.joint_region import JointRegion, apart_along, least_above, radius_95
 
 NAMES = ("front", "rear")
 AGAINST = np.array([[1.0, -0.98], [-0.98, 1.0]])  # what one axle has more, the other may have less
 
 
-def region(centre, covariance=AGAINST, radius=2.5) -> Region:
-    return Region(NAMES, np.array(centre, dtype=float), np.array(covariance), radius)
+def region(centre, covariance=AGAINST, radius=2.5) -> JointRegion:
+    return JointRegion(NAMES, np.array(centre, dtype=float), np.array(covariance), radius)
 
 
 def test_one_parameter_has_the_radius_of_students_t():

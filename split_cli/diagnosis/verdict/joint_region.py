@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import eigh
 
-__all__ = ["Region", "apart_along", "least_above", "radius_95"]
+__all__ = ["JointRegion", "apart_along", "least_above", "radius_95"]
 
 _STEPS = 500  # towards the point nearest to no effect
 
 
 @dataclass(frozen=True)
-class Region:
+class JointRegion:
     """An ellipsoid that holds the true parameters of a term with a probability of 95 %.
 
     Attributes
@@ -37,7 +37,7 @@ class Region:
     covariance: np.ndarray
     radius: float
 
-    def moved(self, by: np.ndarray) -> Region:
+    def moved(self, by: np.ndarray) -> JointRegion:
         """Return the region elsewhere, by a step of the parameters, shape (P,)."""
         return replace(self, centre=self.centre + by)
 
@@ -75,7 +75,7 @@ def least_above(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return (axes * np.maximum(share, 1.0)) @ axes.T
 
 
-def apart_along(regions: Sequence[Region]) -> np.ndarray | None:
+def apart_along(regions: Sequence[JointRegion]) -> np.ndarray | None:
     """Return weights (P,) of a sum of parameters that is positive all over the regions; None where there is none.
 
     Regions are of explanations of which any may be the true one, and of what lies between them. No effect is left
@@ -83,7 +83,7 @@ def apart_along(regions: Sequence[Region]) -> np.ndarray | None:
 
     Parameters
     ----------
-    regions : sequence of Region
+    regions : sequence of JointRegion
         Of the same parameters; the first is that of the explanation that was chosen.
 
     Notes
