@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import split_cli.diagnosis.search.forward as forward
 import split_cli.diagnosis.search.selection as selecting
 import split_cli.diagnosis.search.term_tests as term_tests
 from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
@@ -144,6 +145,31 @@ def test_too_small_to_name_is_kept_as_a_nuisance_and_the_search_goes_on():
     assert selection.terms[0].parameters == values["yaw_inertia"]
     assert values["yaw_inertia"]["scale"] == pytest.approx(1.03, abs=0.004)
     assert values["rolling_resistance"]["force"] == pytest.approx(60.0, abs=6.0)
+
+
+def test_the_search_goes_on_beside_a_term_that_saves_in_a_few_moments(monkeypatch):
+    """What is missing bends savings block by block: it stays if a further term is believed beside it alone."""
+    objective = objective_of(*planted(steer_gain=0.95, yaw_inertia=1.12, aero_drag=0.5))
+    candidates = candidates_of(objective, "steer_gain", "yaw_inertia", "aero_drag")
+
+    def explorer(*names: str) -> Explorer:
+        return Explorer(objective, tuple(one for one in candidates if one.term in names), VARIANCE_INFLATION)
+
+    base, everything = nothing(objective), explorer("steer_gain", "yaw_inertia", "aero_drag")
+    begun = everything(base)[0]
+    first, second = begun.names[0], everything(begun)[0].parts[-1].candidate.term
+
+    def often(objective, fit, k, *rest):
+        return fit.parts[k].candidate.term != second and second in fit.names
+
+    monkeypatch.setattr(forward, "is_spread", often)
+    found = forward.search_forward(everything, base, begun=begun)
+    assert set(found.chosen.names) == {"steer_gain", "yaw_inertia", "aero_drag"} and found.names == 2
+    assert second in found.history[0] and "a few moments" in found.history[0]
+    # Nothing else to tell: it is refused as before, and does not end beside the others.
+    alone = forward.search_forward(explorer(first, second), base, begun=begun)
+    assert alone.chosen is begun and alone.with_refused.names == tuple(sorted((first, second)))
+    assert alone.names == 1 and len(alone.history) == 1 and "would save" in alone.history[0]
 
 
 def test_a_fast_effect_is_seen_beside_a_slow_one_of_ten_thousand_times_its_cost():
