@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from split_cli.compiled_code import compiled
 
-__all__ = ["blocks_likelihood", "refresh_cells", "update_cell", "update_cells"]
+__all__ = ["blocks_likelihood", "cell_number", "refresh_cells", "update_cell", "update_cells"]
 
 _INSERTED, _REPLACED = 1, 2
 _JITTERS = np.array([0.0, 1e-13, 1e-12, 1e-11, 1e-10])
@@ -201,6 +201,33 @@ def update_cell(
         forgetting, count[one], z[one], gamma[one], clock[one], origin,
     )  # fmt: skip
     return outcome[0], int(np.argmax(origin[0])), repairs if broken < 0 else -1
+
+
+@compiled(cache=True)
+def cell_number(z: ndarray, y: ndarray, grid: ndarray, bits: int) -> int:
+    """Return `Grid.pack` of `Grid.index` of one sample; -1 where it has no cell, -2 where its label is not finite.
+
+    Parameters
+    ----------
+    z, y : ndarray, shape (D,), (3,)
+    grid : ndarray, shape (5, D)
+        Edges, bounds below and above, indices of the first and the last cell.
+    bits : int
+        Of a cell number, for each feature.
+    """
+    half, number = 1 << (bits - 1), 0
+    for output in range(len(y)):
+        if not math.isfinite(y[output]):
+            return -2
+    for feature in range(len(z)):
+        if not grid[1, feature] <= z[feature] <= grid[2, feature]:
+            return -1
+        position = np.floor(z[feature] / grid[0, feature])
+        position = min(max(position, grid[3, feature]), grid[4, feature])
+        if not abs(position) < half:
+            return -1
+        number = (number << bits) | (int(position) + half)
+    return number
 
 
 @compiled(cache=True)

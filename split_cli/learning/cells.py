@@ -186,7 +186,7 @@ def recompute_gains(training_set: TrainingSet) -> np.ndarray:
 
 def warm_up() -> None:
     """Load or compile the fast loops, so that a time measured afterwards is that of the work."""
-    from split_cli.learning._compiled import update_cells
+    from split_cli.learning._compiled import cell_number, update_cell, update_cells
     from split_cli.learning._windows_numba import window_errors
 
     whole, one = np.zeros(1, dtype=np.int64), np.ones(2)
@@ -195,6 +195,8 @@ def warm_up() -> None:
     update_cells(
         np.arange(2), whole, whole, np.zeros((1, 1)), np.zeros(1), one[:1], 0.5, 0.0, whole.copy(), *cells
     )
+    update_cell(0, 0, 0.0, np.zeros((1, 1)), one[:1], 0.5, 0.0, whole.copy(), *cells[:3])
+    cell_number(np.zeros(1), one, np.ones((5, 1)), 62)
 
 
 def _check_belongs(training_set: TrainingSet, labels: Labels, digest: str | None = None) -> None:
@@ -226,7 +228,12 @@ class _Cells:
     """
 
     def __init__(self, training_set: TrainingSet) -> None:
+        from split_cli.learning._compiled import update_cell
+
         self.set = training_set
+        self.update_cell = update_cell
+        #: What `offer_sample` offers, shape (1, D) and (3,): always the same arrays, of one type to the compiler.
+        self.sample, self.label = np.zeros((1, len(training_set.features.names))), np.zeros(3)
         self.inverse_scales = 1.0 / training_set.kernel.length_scales
         self.base = [0.0]  # clock of learning at which each source begins, and at last where the next will
         for source in training_set.sources:
@@ -321,21 +328,26 @@ class _Cells:
 
     def _offer_one(self, labels: Labels, row: int, number: int, source: int, begin: float) -> np.ndarray:
         """Offer one label as `_offer` does, at a fraction of its time: nothing needs sorting."""
-        from split_cli.learning._compiled import update_cell
+        self.sample[0], self.label[:] = labels.z[row], labels.y[row]
+        became = self.offer_sample(number, labels.t[row], labels.row[row], source, begin, labels.drive)
+        return np.array([became], dtype=np.int8)
 
-        position, time = self.position.get(number), labels.t[row]
+    def offer_sample(self, number: int, t: float, row: int, source: int, begin: float, drive: str) -> int:
+        """Offer what `sample` and `label` hold to the cell `number`; return what became of it, as `_offer`."""
+        position = self.position.get(number)
         if position is None:
             position = int(self._cells_of([number])[0])
         slots = self.slots
-        became, slot, repairs = update_cell(
-            position, row, begin + time, labels.z, self.inverse_scales, self.set.threshold,
+        became, slot, repairs = self.update_cell(
+            position, 0, begin + t, self.sample, self.inverse_scales, self.set.threshold,
             self.set.forgetting or 0.0, self.count, slots["z"], slots["gamma"], slots["clock"],
         )  # fmt: skip
-        self._check(labels.drive, max(repairs, 0), -1 if repairs >= 0 else position)
+        if repairs:
+            self._check(drive, max(repairs, 0), -1 if repairs > 0 else position)
         if became:
-            slots["y"][position, slot], slots["t"][position, slot] = labels.y[row], time
-            slots["row"][position, slot], slots["source"][position, slot] = labels.row[row], source
-        return np.array([became], dtype=np.int8)
+            slots["y"][position, slot], slots["t"][position, slot] = self.label, t
+            slots["row"][position, slot], slots["source"][position, slot] = row, source
+        return became
 
     def _check(self, drive: str, repairs: int, broken: int) -> None:
         """Refuse a cell that no jitter could repair, -1 for none, and warn of those that needed it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,11 +15,12 @@ from split_cli.learning.training_set import SetSource, TrainingSet
 __all__ = ["CellChange", "OnlineSet"]
 
 
-_TOO_LITTLE = Reason.GAIN.word
+#: What `cell_number` returns in place of a cell.
+_WITHOUT_CELL = {-1: int(Reason.GRID), -2: int(Reason.NON_FINITE)}
+_TOO_LITTLE, _WORDS = Reason.GAIN.word, tuple(reason.word for reason in Reason)
 
 
-@dataclass(frozen=True)
-class CellChange:
+class CellChange(NamedTuple):
     """What one offer did.
 
     Attributes
@@ -32,6 +33,9 @@ class CellChange:
 
     changed: tuple[int, ...]
     updates: int
+
+
+_NOTHING = CellChange((), 0)
 
 
 class OnlineSet:
@@ -49,9 +53,14 @@ class OnlineSet:
     """
 
     def __init__(self, training_set: TrainingSet) -> None:
+        from split_cli.learning._compiled import cell_number
+
         self.header = training_set
+        self._number, self._grid, self._bits = cell_number, training_set.grid.table, training_set.grid.bits
+        self._known: Labels | None = None
         self._digest = training_set.vehicle.digest()
         self._cells = _Cells(training_set)
+        self._z = self._cells.sample[0]
         self._sources = list(training_set.sources)
         self._open: _Tally | None = None
 
@@ -78,32 +87,77 @@ class OnlineSet:
 
     def offer(self, labels: Labels) -> CellChange:
         """Offer the labels of one interval."""
-        tally = self._open
-        if tally is None:
+        if self._open is None:
             raise SetError("no drive was begun", where=labels.drive)
-        _check_belongs(self.header, labels, self._digest)
-        grid = self.header.grid
-        index, has_cell = grid.index(labels.z)
-        accepted = labels.accepted
-        if not (accepted & has_cell).all():
-            labels = labels.inside(grid)
-            accepted = labels.accepted
-            tally.rejected.update(labels.counts())
-        tally.samples += len(labels)
-        tally.horizon = labels.horizon
-        rows = np.flatnonzero(accepted)
-        if not len(rows):
-            return CellChange((), 0)
-        begin = self._cells.base[-1] - tally.start_time
-        numbers = grid.pack(index[rows])
-        # Lists: there are one or two labels, and every call of NumPy costs a microsecond or more.
-        outcome = self._cells._offer(labels, rows, numbers, len(self._sources), begin).tolist()
-        tally.accepted += len(rows)
-        tally.insertions += outcome.count(1)
-        tally.replacements += outcome.count(2)
-        tally.rejected[_TOO_LITTLE] += outcome.count(0)
-        taken = [number for number, became in zip(numbers.tolist(), outcome, strict=True) if became]
-        return CellChange(tuple(dict.fromkeys(self._cells.position[number] for number in taken)), len(taken))
+        self._check(labels)
+        self._open.horizon = labels.horizon
+        # Numbers of Python, and few calls of NumPy: each costs as much as a part of the update.
+        z, y, t, row, reason = labels.z, labels.y, labels.t, labels.row, labels.reason
+        if len(row) == 1:
+            return self.offer_one(z[0], y[0], t.item(), row.item(), reason.item())
+        changes = [
+            self.offer_one(z[at], y[at], t.item(at), row.item(at), reason.item(at)) for at in range(len(row))
+        ]
+        cells = [cell for change in changes for cell in change.changed]
+        return CellChange(tuple(dict.fromkeys(cells)), len(cells))
+
+    def offer_one(self, z: np.ndarray, y: np.ndarray, t: float, row: int = 0, reason: int = 0) -> CellChange:
+        """Offer one label of the drive that was begun, from numbers alone.
+
+        Parameters
+        ----------
+        z : ndarray, shape (D,)
+            Features of the set's header, in their order.
+        y : ndarray, shape (3,)
+            Rate that the set's vehicle leaves out, of v_x, v_y [m/s^2] and r [rad/s^2].
+        t : float
+            Time of the window's start on the clock of the drive [s].
+        row : int
+            Its row in the drive.
+        reason : Reason or int
+            Why it may not be learned, 0 (`Reason.ACCEPTED`) where it may: whether a sample lies in the valid
+            region is not asked here. A sample outside the grid is not learned.
+
+        Notes
+        -----
+        For a controller's loop. A label that is not finite is not learned, with `Reason.NON_FINITE`.
+        """
+        tally, cells = self._open, self._cells
+        if tally is None:
+            raise SetError("no drive was begun")
+        tally.samples += 1
+        number = -1
+        if not reason:
+            self._z[:], cells.label[:] = z, y
+            number = self._number(self._z, cells.label, self._grid, self._bits)
+            reason = _WITHOUT_CELL.get(number, 0)
+        if reason:
+            tally.rejected[_WORDS[reason]] += 1
+            return _NOTHING
+        begin = cells.base[-1] - tally.start_time
+        became = cells.offer_sample(number, t, row, len(self._sources), begin, tally.name)
+        tally.accepted += 1
+        if became == 1:
+            tally.insertions += 1
+        elif became:
+            tally.replacements += 1
+        else:
+            tally.rejected[_TOO_LITTLE] += 1
+            return _NOTHING
+        return CellChange((cells.position[number],), 1)
+
+    def _check(self, labels: Labels) -> None:
+        """Refuse labels of another kind than the set's; those of one kind in a row are compared once."""
+        known = self._known
+        if known is None or not (
+            labels.features is known.features
+            and labels.region is known.region
+            and labels.vehicle_digest is known.vehicle_digest
+            and labels.plain is known.plain
+            and labels.horizon == known.horizon
+        ):
+            _check_belongs(self.header, labels, self._digest)
+            self._known = labels
 
     def end_drive(self, duration: float) -> TrainingSet:
         """End the drive and return the set as it is now."""

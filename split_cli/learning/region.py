@@ -116,6 +116,11 @@ class Grid:
         index: np.ndarray = np.ceil(np.array(self.upper) / np.array(self.edges) - 1e-9) - 1.0
         return index
 
+    @cached_property
+    def table(self) -> np.ndarray:
+        """Edges, lower and upper bounds, first and last index, shape (5, D): for compiled code."""
+        return np.stack([*self._arrays, self.first, self.last])
+
     def index(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the cell index a feature, int64 shape (N, D), and whether the sample has a cell, shape (N,)."""
         z = np.asarray(z, dtype=float)

@@ -113,6 +113,20 @@ def our_update(stream: Stream) -> Row:
     return Row("split update (numba), accepted", len(stream.z), s.size, None, *percentiles(times[10:]))
 
 
+def offered(stream: Stream) -> Row:
+    """Time every sample that a controller offers to its set from numbers alone, where it is taken."""
+    online = OnlineSet(without_points(stream.trained))
+    online.begin_drive("stream", 0.0)
+    times = []
+    for sample, (z, y) in enumerate(zip(stream.z, stream.y, strict=True)):
+        became: list[int] = []
+        took = spent(lambda z=z, y=y, at=sample, out=became: out.append(online.offer_one(z, y, 0.0, at).updates))
+        if became[0]:
+            times.append(took)
+    name = "split, offer_one of OnlineSet (Python), accepted"
+    return Row(name, len(stream.z), online.size, None, *percentiles(times[10:]))
+
+
 def online_update(stream: Stream) -> Row:
     """Time every sample offered to a set while driving, the committee decomposing the cell it changes."""
     empty = without_points(stream.trained)
@@ -343,7 +357,7 @@ def measure(
     build = time.perf_counter() - begin
     rows: list[list[Row]] = []
     for _ in range(repeats):
-        found = [our_update(stream), online_update(stream), projected(stream, full)]
+        found = [our_update(stream), offered(stream), online_update(stream), projected(stream, full)]
         if size <= 5000:
             found.append(printed_update(stream))
         if size <= 5000:
@@ -375,7 +389,7 @@ def measure(
 def measure_streaming(size: int, length_scale: float, log_gp: Path | None, sky_gp: Path | None) -> list[Row]:
     """Return rows of the contestants that learn sample by sample, once each, at any size."""
     stream = stream_of(size, length_scale)
-    rows = [our_update(stream), online_update(stream), projected(stream, None)]
+    rows = [our_update(stream), offered(stream), online_update(stream), projected(stream, None)]
     rows += [] if log_gp is None else log_gp_rows(log_gp, stream, None)
     return rows + ([] if sky_gp is None else sky_gp_rows(sky_gp, stream, None))
 
