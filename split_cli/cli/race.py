@@ -69,8 +69,8 @@ __all__ = ["command"]
 )
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force "
               f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].")  # fmt: skip
-@click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share with the nominal model: "
-              f"in lap 0, and in every lap of learner none  [default: --p-ellipse; else {SHARE_LEARNED} if the "
+@click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share with the nominal model, "
+              f"in lap 0 and in every lap of learner none. [default: --p-ellipse; else {SHARE_LEARNED} if the "
               f"vehicle file knows the tyres' peaks from data, {SHARE_NOMINAL} if it assumes them].")  # fmt: skip
 @click.option("--p-unknown", type=float, metavar="SHARE", help="The same share where there are no training data. "
               "It rises to --p-ellipse with the information that the data hold  [default: "

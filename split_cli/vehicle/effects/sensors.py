@@ -31,8 +31,8 @@ _CRABS = 0.0087
 class SensorLeverArm(Term):
     """The velocity sensor is mounted dx ahead of its stated position: recorded v_y = v_y + dx r.
 
-    Variant ``unit``: the accelerometers sit there with it, as in an inertial unit whose place was entered wrongly,
-    or one that was told another centre of gravity: a_x - dx r^2 and a_y + dx r' are recorded. Source: rigid body.
+    Variant ``unit``: the accelerometers sit there with it, as in an inertial unit whose place or centre of gravity
+    was entered wrongly. Then a_x - dx r^2 and a_y + dx r' are recorded. Source: rigid body.
     Witnesses: position and yaw for v_y; a_y = v_y' + v_x r tells the variants apart.
     """
 

@@ -323,8 +323,8 @@ class TireRelaxation(Term):
 class LoadTransfer(Term):
     """Acceleration moves load to the rear axle: dF_z = m a_x h/L, and D follows the load.
 
-    `cg_height` is the total height h. a_x is the specific force in the vehicle plane, from the forces of this
-    same model; the lateral forces in it are those before the transfer. Variants: ``peak`` keeps the stiffness
+    `cg_height` is the total height h. The specific force a_x in the vehicle plane comes from the forces of this
+    same model. The lateral forces in it are those before the transfer. Variants: ``peak`` keeps the stiffness
     and scales the peak only; ``degressive`` scales the peak by the power 0.9 of the load and the stiffness by
     the power 0.5. Source: Rajamani (2012), section 4.1.5 (longitudinal tyre load).
     """
