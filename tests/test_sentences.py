@@ -1,4 +1,4 @@
-"""Sentences of the documentation and of every command's help are short enough to be understood at first reading."""
+"""Sentences of the documentation and of every command's help are short enough to be understood at once."""
 
 from __future__ import annotations
 

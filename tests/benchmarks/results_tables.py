@@ -1,4 +1,4 @@
-"""The tables behind docs/results.md: ``python -m tests.benchmarks.results_tables [--datasets FOLDER]``, some minutes.
+"""The tables behind docs/results.md: ``python -m tests.benchmarks.results_tables [--datasets FOLDER]``, minutes.
 
 Every case runs the commands that are printed above its table, with the same settings.
 """
