@@ -56,6 +56,7 @@ def _told(words) -> list[tuple[str, str, str]]:
         found = [(t, name, columns[name]) for t, columns in COLUMNS.items() for name in names if name in columns]
         if not found:
             known = [*COLUMNS, *(column for columns in COLUMNS.values() for column in columns)]
-            raise click.UsageError(f"no table and no column {word!r}. {nearest_names(word, known)}")
+            advice = f"{nearest_names(word, known)} docs/glossary.md explains words of the reports."
+            raise click.UsageError(f"no table and no column {word!r}. {advice}")
         told += found
     return told

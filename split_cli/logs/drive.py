@@ -243,10 +243,12 @@ def _read_table(path: Path) -> pa.Table:
             table = pa.parquet.read_table(path, page_checksum_verification=True)
     except (pa.ArrowInvalid, pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
+        if "magic bytes not found" in reason:
+            reason = "it is no Parquet file"
         raise DriveError(
             f"cannot be read as a drive ({reason})",
             where=str(path),
-            advice="A drive is the Parquet that `split ingest` writes.",
+            advice="A drive is the Parquet that `split ingest` writes. Give a recording to `split ingest` first.",
         ) from error
     if table.num_rows < 2:
         raise DriveError(f"holds {table.num_rows} samples", where=str(path), advice="A drive needs two or more.")

@@ -189,4 +189,6 @@ def _neighbours(path: Path) -> str:
     folder = path.parent
     if not folder.is_dir():
         return f"The folder {folder} does not exist either."
-    return nearest_names(path.name, [entry.name for entry in folder.iterdir()][:500])
+    names = [entry.name for entry in folder.iterdir()][:500]
+    same = [name for name in names if name.lower().endswith(path.suffix.lower())]
+    return nearest_names(path.name, same) if same else f"No file in {folder} ends in {path.suffix}."
