@@ -178,7 +178,7 @@ def test_a_gain_that_would_err_by_more_than_a_single_track_is_not_all_that_acts(
 
 
 def test_model_form_errors_as_large_as_the_prior_has_them_are_none_too_many():
-    """Weights drawn from their prior exceed chi squared of as many no more often than the level; five times do."""
+    """Weights drawn from their prior exceed what is expected no more often than the level; five times do."""
     objective = objective_of(CATALOGUE["drive_gain"]({"drive_gain": 0.7, "brake_gain": 0.7}))
     fit = fit_of(objective, "drive_gain")
     columns, rng = form_error_columns(objective, fit), np.random.default_rng(6)
@@ -192,3 +192,19 @@ def test_model_form_errors_as_large_as_the_prior_has_them_are_none_too_many():
 
     assert sum(p_value(1.0) < 0.1 for _ in range(40)) <= 8
     assert all(p_value(5.0) < 1e-3 for _ in range(10))
+
+
+def test_an_error_counts_by_what_it_does_and_not_by_its_share_of_next_to_nothing():
+    """A steering gain along the car: ten times what the prior has of nearly nothing is nothing."""
+    objective = objective_of(CATALOGUE["steer_gain"]({"gain": 0.9}))
+    fit = fit_of(objective)
+    columns = form_error_columns(objective, fit)
+    sizes = np.linalg.norm(columns, axis=0)
+    along, across = int(np.argmin(np.where(sizes > 0.0, sizes, np.inf))), int(np.argmax(sizes[1:]) + 1)
+    assert 0.0 < sizes[along] < 0.2 * sizes[across]
+
+    def p_value(k: int, size: float) -> float:
+        moved = replace(fit, residuals=fit.residuals + size * columns[:, k])
+        return beyond_form_error(objective, moved, [True], 1.5)["steer_gain"]
+
+    assert p_value(along, 10.0) > 0.1 > 1e-6 > p_value(across, 10.0)

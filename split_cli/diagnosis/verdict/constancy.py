@@ -166,25 +166,35 @@ def beyond_form_error(
 
     Notes
     -----
-    With M as in `costs_beside_form_error` and e the residuals, both over the root of what noise is widened by, the
-    likeliest weights are w = (I + M^T M)^-1 M^T e. They are a draw of N(0, I - (I + M^T M)^-1) where the prior
-    holds, so that the w_k^T w_k of one term exceeds chi squared of as many degrees of freedom as it has weights no
-    more often than that does.
+    With M as in `costs_beside_form_error`, less what the parameters themselves take of it, and e the residuals,
+    both over the root of what noise is widened by, the likeliest weights are w = (I + M^T M)^-1 M^T e. They are a
+    draw of N(0, C), C = I - (I + M^T M)^-1, where the prior holds. What they make of one term's effect is
+    |M_k w_k|^2: a sum of chi squared weighted by the eigenvalues of C_kk M_k^T M_k, of which two moments are
+    matched (Satterthwaite, 1946). So a weight counts by what it does. A lag does next to nothing along the car,
+    and its error there may be any share of that.
     """
     from scipy.stats import chi2
 
     if not any(named):
         return {}
     noise = max(variance_inflation, objective.form_error_inflation)
-    form_error = form_error_columns(objective, fit) / np.sqrt(noise)
-    normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
+    form_error, own = form_error_columns(objective, fit) / np.sqrt(noise), _orthonormal(fit.sensitivity)
+    form_error = form_error - own @ (own.T @ form_error)
+    products = form_error.T @ form_error
+    normal = np.eye(len(products)) + products
     weights = np.linalg.solve(normal, form_error.T @ fit.residuals) / np.sqrt(noise)
-    by_part = weights.reshape(len(fit.parts), -1)
-    return {
-        part.candidate.term: float(chi2.sf(own @ own, len(own)))
-        for part, own, is_named in zip(fit.parts, by_part, named, strict=True)
-        if is_named
-    }
+    covariance = np.eye(len(products)) - np.linalg.inv(normal)
+    out = {}
+    for k, of_part in enumerate(np.split(np.arange(len(products)), len(fit.parts))):
+        if named[k]:
+            at = np.ix_(of_part, of_part)
+            spread = covariance[at] @ products[at]
+            mean, square = float(np.trace(spread)), float(np.sum(spread * spread.T))
+            energy = float(weights[of_part] @ products[at] @ weights[of_part])
+            told = mean > 0.0
+            p_value = float(chi2.sf(energy * mean / square, mean**2 / square)) if told else 1.0
+            out[fit.parts[k].candidate.term] = p_value
+    return out
 
 
 def _steps_from_none(part: Part) -> np.ndarray:
