@@ -15,6 +15,7 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
 from split_cli.diagnosis.search.form_error import (
     costs_beside_form_error,
+    divided_out,
     free_to_form_error,
     moved_between_load_laws,
     residuals_beside_form_error,
@@ -262,3 +263,18 @@ def test_a_mass_moves_to_what_it_is_with_the_law_between_the_variants(behind, he
     assert moved_between_load_laws(behind, fit) == pytest.approx([0.03], abs=1e-3)
     alone = replace(fit, parts=(), sensitivity=np.empty((len(slope), 0)))
     assert moved_between_load_laws(behind, alone).shape == (0,)
+
+
+@pytest.mark.parametrize("twice", [0.02, 0.5, 1.4, 5.0])
+def test_a_law_of_load_divides_a_term_and_does_not_turn_its_sign(twice):
+    """A law by which a term does 1 + c times as much leaves 1/(1 + c) of it, where a straight line says 1 - c."""
+    rng = np.random.default_rng(4)
+    slopes, away = rng.standard_normal((50, 1)), np.array([0.036])
+    assert away + divided_out(-twice * away, away, slopes) == pytest.approx(away / (1.0 + twice))
+    assert divided_out(twice * away, away, slopes) == pytest.approx(twice * away)
+    # Of two parameters the whole effect is divided; what moves between them stays.
+    slopes, away = np.eye(50)[:, :2], np.array([0.3, 0.4])
+    between = np.array([0.4, -0.3])
+    assert divided_out(between - twice * away, away, slopes) == pytest.approx(
+        between + away / (1.0 + twice) - away
+    )

@@ -23,6 +23,7 @@ from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
     "costs_beside_form_error",
+    "divided_out",
     "form_error_columns",
     "free_to_form_error",
     "moved_between_load_laws",
@@ -75,7 +76,9 @@ def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarr
 
     Notes
     -----
-    The least of (e + J x - V u)^T P (e + J x - V u), as in `saved_beside_form_error`, J the sensitivity.
+    The least of (e + J x - V u)^T P (e + J x - V u), as in `saved_beside_form_error`, J the sensitivity. That is a
+    straight line at the values found, and V grows with the term: a law by which it does (1 + c) times as much
+    leaves 1/(1 + c) of its size, where the line says 1 - c. See `divided_out`.
     """
     laws, slopes = _other_load_laws(objective, fit), fit.sensitivity
     if not laws.shape[1]:
@@ -84,7 +87,37 @@ def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarr
     low = np.repeat([-np.inf, 0.0], [slopes.shape[1], laws.shape[1]])
     columns = np.hstack([-slopes / scale, laws])
     found, _ = _bounded_fit(form_error_columns(objective, fit), columns, fit.residuals, low)
-    return found[: len(scale)] / scale
+    moved, first = found[: len(scale)] / scale, 0
+    for part in fit.parts:
+        own = slice(first, first + len(part.values))
+        if part.term.loads_tires:
+            neutral = part.term.neutral
+            away = np.array([value - neutral.get(name, value) for name, value in part.values.items()])
+            moved[own] = divided_out(moved[own], away, slopes[:, own])
+        first = own.stop
+    return moved
+
+
+def divided_out(moved: np.ndarray, away: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Return how far parameters move, (P,), where a term becomes smaller as another law makes it do more.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (P,)
+        How far by straight lines.
+    away : ndarray, shape (P,)
+        How far the parameters are from no effect.
+    slopes : ndarray, shape (R, P)
+        Derivatives of the residuals by the parameters.
+
+    Notes
+    -----
+    The share p of the term's own effect that lines take away, by least squares on the rows, is -c of 1/(1 + c). So
+    a term does not turn its sign, nor vanish, by a law of load: without any effect there is none to carry.
+    """
+    effect = slopes @ away
+    share = float(effect @ (slopes @ moved)) / max(float(effect @ effect), 1e-300)
+    return moved + (share / (1.0 - share) - share) * away if share < 0.0 else moved
 
 
 def _bounded_fit(
