@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, scaled_features, spread
 from split_cli.diagnosis.innovations.effect_to_noise import windowed
-from split_cli.diagnosis.innovations.evidence import Evidence, integrated
+from split_cli.diagnosis.innovations.evidence import ROW_SECONDS, Evidence, integrated
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["FlexibleRows", "flexible_rows"]
+__all__ = ["FlexibleRows", "flexible_rows", "left_out"]
 
 _HARMONICS = 8
 _KNOTS = 9
+_BESIDE_SECONDS = 0.09  # of samples on either side of what is left out, through which a cubic is fitted
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,12 @@ class FlexibleRows:
 
 
 def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy) -> FlexibleRows:
-    """Return the functions' rows; some at a time, since the rates of all of them fill memory."""
-    series, vehicle = one.series, one.vehicle
+    """Return the functions' rows; some at a time, since the rates of all of them fill memory.
+
+    Noise of a smoothed state is part of the row that the state lies in, too. Functions of it would follow that
+    noise where slips are small beside it, and look like a difference. So they take states from the samples around.
+    """
+    series, vehicle = replace(one.series, smooth=left_out(one.series)), one.vehicle
     groups = {
         "operating point": lambda: discrepancy.blocks(series),
         "left against right": lambda: _asymmetric(series, vehicle),
@@ -63,6 +68,35 @@ def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy) -> FlexibleRows
         np.concatenate([part.windows for part in parts], axis=2),
         tuple(name for part in parts for name in part.groups),
     )
+
+
+def left_out(series: Series) -> np.ndarray:
+    """Return v_x, v_y, r at every sample, (N, 3), by cubics through samples beside the rows that it lies in.
+
+    A sample between two rows is told without either. Where a segment is too short for a cubic beside a row, the
+    smoothed state stays.
+    """
+    size, reach = (max(1, round(seconds / series.period)) for seconds in (ROW_SECONDS, _BESIDE_SECONDS))
+    out = series.smooth.copy()
+    for begin, end in series.recording.segments:
+        values, number = series.measured[begin:end], np.arange(end - begin)
+        for place in range(size):
+            before, after = (size, size) if place == 0 else (place, size - place)
+            offsets = np.r_[-before - reach : -before, after + 1 : after + reach + 1]
+            at = number[place::size]
+            inside = (at + offsets[0] >= 0) & (at + offsets[-1] < len(values))
+            weights = _at_the_middle(offsets)
+            out[begin + at[inside]] = np.tensordot(weights, values[at[inside] + offsets[:, None]], axes=1)
+            for i in at[~inside]:
+                near = offsets[(i + offsets >= 0) & (i + offsets < len(values))]
+                if len(near) >= reach:
+                    out[begin + i] = _at_the_middle(near) @ values[i + near]
+    return out
+
+
+def _at_the_middle(offsets: np.ndarray) -> np.ndarray:
+    """Return weights of samples at these offsets, (K,), for the value at 0 of the cubic through them."""
+    return np.linalg.pinv(np.vander(offsets / np.abs(offsets).max(), 4, increasing=True))[0]
 
 
 def _forces(vehicle: Vehicle) -> np.ndarray:
