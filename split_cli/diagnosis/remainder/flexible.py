@@ -41,13 +41,21 @@ class FlexibleRows:
     groups: tuple[str, ...]
 
 
-def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy) -> FlexibleRows:
+def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy, *, uncompared: bool = False) -> FlexibleRows:
     """Return the functions' rows; some at a time, since the rates of all of them fill memory.
 
-    Noise of a smoothed state is part of the row that the state lies in, too. Functions of it would follow that
-    noise where slips are small beside it, and look like a difference. So they take states from the samples around.
+    Parameters
+    ----------
+    one : Evidence
+    discrepancy : SharedDiscrepancy
+    uncompared : bool
+        Whether no simulation shows what the functions make of noise. Noise of a smoothed state is part of the row
+        that the state lies in, too. Functions of it follow that noise where slips are small beside it, and look
+        like a difference; halves of a simulation show as much. Without one, states are taken from samples around.
     """
-    series, vehicle = replace(one.series, smooth=left_out(one.series)), one.vehicle
+    series, vehicle = one.series, one.vehicle
+    if uncompared:
+        series = replace(series, smooth=left_out(series))
     groups = {
         "operating point": lambda: discrepancy.blocks(series),
         "left against right": lambda: _asymmetric(series, vehicle),

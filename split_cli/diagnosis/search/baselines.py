@@ -228,9 +228,9 @@ def _search(
     known: SelfTest,
 ) -> SearchOutcome:
     objective = known.allow(objective)
-    structure = build_structure(
-        objective, [flexible_rows(one, objective.discrepancy) for one in objective.evidence]
-    )
+    alone = objective.posterior is None
+    rows = [flexible_rows(one, objective.discrepancy, uncompared=alone) for one in objective.evidence]
+    structure = build_structure(objective, rows)
     base = nothing(objective)
     variance_inflation = max(
         objective.policy.comparison.variance_inflation, residual_autocorrelation(structure, base.residuals).ratio
