@@ -29,7 +29,7 @@ from split_cli.diagnosis.together import together
 from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.diagnosis.verdict.detectable import smallest_named
 from split_cli.diagnosis.verdict.findings import describe, is_autocorrelated, with_shares
-from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
+from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.diagnosis.verdict.power import hidden_effects, hidden_in_words, no_match_in_words
@@ -255,6 +255,7 @@ def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy) -> Diagnosis:
     chosen = selection.chosen
     trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen
     findings = with_shares(findings, chosen, explained_shares(split, trained))
+    remainder = replace(remainder, explained=explained_together(split, trained, selection.named))
     named = tuple(term for term, is_named in zip(trained.terms, selection.named, strict=True) if is_named)
     recordings = _held_out(case, split)
     improvement = measure_improvement(recordings, named, case.discrepancy, case.posterior, case.simulated)

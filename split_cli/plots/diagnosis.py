@@ -17,6 +17,7 @@ from split_cli.diagnosis.statement.result import (
     Improvement,
     ParameterEstimate,
 )
+from split_cli.diagnosis.statement.sentences import unexplained_part
 from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.plots.style import EMPTY, LABEL_UNITS, PALETTE, STATES, new_figure, quiet
 
@@ -173,7 +174,7 @@ def draw_what(diagnosis: Diagnosis) -> Figure:
         quiet(axes[-1])
     if findings:
         said = "What the simulation lacks: " + ", ".join(term_name(one.term) for one in findings)
-        said += " and an unexplained part" if diagnosis.unexplained else ""
+        said += f", and {unexplained_part(findings, rest)}" if diagnosis.unexplained else ""
     else:
         said = "No effect of the catalogue explains the gap"
     figure.suptitle(said)

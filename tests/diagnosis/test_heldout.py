@@ -9,7 +9,7 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing
-from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, hold_out
+from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, hold_out
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import bare_objective, candidates_of, driven, light_evidence, noisy, prepared
 
@@ -49,13 +49,17 @@ def test_the_last_time_is_kept_out_and_nothing_is_in_both(paired):
 def test_shares_of_a_pair_are_those_of_each_effect_alone(paired):
     """Drag is seen in v_x and inertia in r: what either explains is what it does alone."""
     split = split_of(paired)
-    shares = explained_shares(split, fitted(split.training, "aero_drag", "yaw_inertia"))
+    fit = fitted(split.training, "aero_drag", "yaw_inertia")
+    shares = explained_shares(split, fit)
     testing = split.testing
     base = testing.residual(())
     alone = np.array([float(np.sum((testing.residual((term,)) - base) ** 2)) for term in PAIR])
     assert 0.05 < alone[0] / alone.sum() < 0.95
     # What is left after both is noise; the floor takes it off, known to some percent of what effects do.
     np.testing.assert_allclose(shares, alone / alone.sum(), atol=0.04)
+    assert explained_together(split, fit, (True, True)) == pytest.approx(1.0, abs=0.04)
+    assert explained_together(split, fit, (True, False)) == pytest.approx(shares[0])
+    assert explained_together(split, fit, (False, False)) is None
 
 
 def test_shares_are_of_what_is_above_the_noise():

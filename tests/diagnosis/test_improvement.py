@@ -79,6 +79,7 @@ class TestPlantedResistance:
         rows = np.searchsorted(series.t, errors.t)
         by_hand = np.square(series.measured[rows + 200] - series.measured[rows])
         np.testing.assert_allclose(errors.squared["persistence"][:, 2], by_hand, rtol=1e-12)
+        assert all(np.array_equal(np.square(errors.signed[name]), one) for name, one in errors.squared.items())
 
 
 def test_no_horizon_fits_into_too_little_held_out_time(resisted):

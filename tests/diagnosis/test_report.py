@@ -279,7 +279,7 @@ def ticks_across(browser, chart: str) -> list[float]:
 class TestInABrowser:
     def test_verdict_channel_and_names(self, browser, tmp_path):
         opened(browser, report_page(mismatch(HOSTILE)), tmp_path)
-        assert one(browser, "#verdict").text == "Steering 4.9 % less than commanded; an unexplained part."
+        assert one(browser, "#verdict").text == "Steering 4.9 % less than commanded; 20 % of the gap unexplained."
         assert one(browser, ".verdict .kicker").text == "Simulation and reality differ."
         assert browser.execute_script("return window.taken") is None
         assert "<img src=x" in one(browser, "header").text

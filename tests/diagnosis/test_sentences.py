@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -15,7 +16,13 @@ from split_cli.diagnosis.statement.result import (
     Place,
     RemainderTest,
 )
-from split_cli.diagnosis.statement.sentences import acting_in_a_part, sentence_for, separations, summarise
+from split_cli.diagnosis.statement.sentences import (
+    acting_in_a_part,
+    sentence_for,
+    separations,
+    summarise,
+    unexplained_part,
+)
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separation, told_apart_by_lacking
 from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.vehicle.effects import CATALOGUE
@@ -220,6 +227,44 @@ def test_held_out_time_without_the_gap_tells_nothing():
         in said
     )
     assert not blind.tells and improvement().tells
+
+
+def test_what_persistence_predicts_better_is_told_with_its_mean_error():
+    """A force of 50 N too much on 1,000 kg is 0.1 m/s after 2 s: most of an error of 0.11 m/s."""
+    car = replace(road_car(), mass=1000.0)
+    last = HorizonErrors(
+        2.0, (0.2, 0.3, 0.01), (0.11, 0.1, 0.01), *([(0.05, 0.2, 0.02)] * 3), (0.01, 0.01, 0.001), {}, 40,
+        mean={"physics": (0.1, 0.0, 0.0)},
+    )  # fmt: skip
+    finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), 0.9, (), "", 1.0)
+    helped = Improvement(*([(0.1,) * 3] * 5), (0.05,) * 3, {}, (last,), {"physics": (0.5, 0.4, 0.6)})
+    said = summarise("mismatch", (finding,), improvement=helped, vehicle=car)
+    assert "Persistence still predicts v_x better. The mean error of v_x is 0.10 m/s, 83 % of the squared" in said
+    assert "as of 50 N of longitudinal force too much." in said and "mean error of v_y" not in said
+    assert last.mean_share("before", 0) is None
+
+
+def test_a_correction_that_is_not_applied_changes_no_error():
+    last = HorizonErrors(2.0, *([(0.5, 0.1, 0.02)] * 4), (0.2, 0.2, 0.2), (0.01, 0.01, 0.001), {}, 40)
+    row = (0.1, 0.1, 0.1)
+    helped = Improvement(
+        row, row, row, row, row, (0.05,) * 3, {}, (last,), {"split_only": (0.0, 0.0, 0.0)},
+        trust={"split_only": (0.0, 0.0, 0.0)},
+    )  # fmt: skip
+    said = summarise("mismatch", (), True, improvement=helped)
+    assert "does not hold on training time, and none is applied. After 2 s of open-loop simulation" in said
+    assert "0.50 m/s in v_x (persistence: 0.20), 0.10 m/s in v_y (persistence: 0.20) and 0.020 rad/s in r" in said
+    assert "falls by" not in said and "changes from" not in said
+
+
+def test_findings_that_explain_little_are_not_headed_by_a_small_unexplained_part():
+    """A quarter explained and 1 % with structure: three quarters have no name, and the heading says so."""
+    finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), 0.25, (), "", 1.0)
+    rest = RemainderTest(1e-9, 0.01, 3.0, ())
+    assert unexplained_part((finding,), rest) == "75 % of the gap unexplained"
+    together = replace(rest, explained=0.97)  # beside another finding, with which its share overlaps
+    assert unexplained_part((finding, finding), together) == "1 % of the gap unexplained"
+    assert unexplained_part((finding,), replace(together, share=0.002)) == "less than 1 % of the gap unexplained"
 
 
 def test_place_does_not_stand_for_what_repeats_every_lap():

@@ -65,7 +65,7 @@ def test_what_ranks_the_chosen_term_before_its_rivals(diagnosis):
     np.testing.assert_allclose(points.get_offsets()[:, 0], [0.0, 4.0, 900.0])
     assert "gain 0.951 (95 %: 0.931 to 0.971)" in rivals.get_title(loc="left")
     assert [bar.get_width() for bar in rest.patches] == [60.0, 20.0]
-    assert "an unexplained part" in figure.get_suptitle()
+    assert "20 % of the gap unexplained" in figure.get_suptitle()
 
 
 def test_help_shows_every_stage_and_the_floor(diagnosis):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -142,12 +142,15 @@ class RolloutErrors:
         By stage; of v_x, v_y [m^2/s^2] and r [rad^2/s^2].
     floor : ndarray, shape (S, H, 3)
         Variance that sensor noise alone makes: at the start, carried along, and at the end.
+    signed : mapping of str to ndarray, shape (S, H, 3)
+        The errors themselves, model less recording [m/s], [m/s], [rad/s].
     """
 
     horizons: tuple[float, ...]
     t: np.ndarray
     squared: Mapping[str, np.ndarray]
     floor: np.ndarray
+    signed: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -240,14 +243,15 @@ def roll_out_stages(
         model = extended_model(evidence.vehicle, terms)
         path = roll_out(model, drive, np.tile(starts, len(names)), steps[-1], window, added)
         for name, own in zip(names, np.split(path, len(names)), strict=True):
-            found[name] = _squared(own[:, at], drive, starts, window, at)
-    squared = {name: found[name] for name in stages}
+            found[name] = _errors(own[:, at], drive, starts, window, at)
+    signed = {name: found[name] for name in stages}
     held_still = hold_velocity(plain, starts, steps[-1], window)
-    squared["persistence"] = _squared(held_still[:, at], plain, starts, window, at)
+    signed["persistence"] = _errors(held_still[:, at], plain, starts, window, at)
     floor = _noise_alone(evidence, starts, window, at)
-    most = np.square(2.0 * np.max(np.abs(series.measured), axis=0))
-    squared = {name: np.fmin(one, most) for name, one in squared.items()}
-    return RolloutErrors(tuple(horizons[: len(steps)]), series.t[starts], squared, floor)
+    most = 2.0 * np.max(np.abs(series.measured), axis=0)
+    signed = {name: np.fmax(np.fmin(one, most), -most) for name, one in signed.items()}
+    squared = {name: np.square(one) for name, one in signed.items()}
+    return RolloutErrors(tuple(horizons[: len(steps)]), series.t[starts], squared, floor, signed)
 
 
 def _drive(series: Series, terms: Sequence[Term]) -> Drive:
@@ -293,11 +297,11 @@ def _added(stages: Sequence[Stage], z: np.ndarray, drive: Drive, window: int) ->
     return Correction(_FEATURES, recorded, residual)
 
 
-def _squared(path: np.ndarray, drive: Drive, starts: np.ndarray, window: int, at: np.ndarray) -> np.ndarray:
+def _errors(path: np.ndarray, drive: Drive, starts: np.ndarray, window: int, at: np.ndarray) -> np.ndarray:
     rows = starts[:, None] + window * (at + 1)
     truth = np.stack([drive[name][rows] for name in ("vx", "vy", "r")], axis=2)
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.square(path - truth)
+        return path - truth
 
 
 def _noise_alone(evidence: Evidence, starts: np.ndarray, window: int, at: np.ndarray) -> np.ndarray:

@@ -149,7 +149,8 @@ def _improvement(improvement: Improvement | None) -> dict[str, Any] | None:
 def _rollout(one: HorizonErrors) -> dict[str, Any]:
     stages = ("before", "physics", "split_only", "after", "persistence", "noise_floor")
     errors = {stage: list(getattr(one, stage)) for stage in stages}
-    return {"horizon": one.horizon, "starts": one.starts, **errors, "confidence": _plain(one.confidence)}
+    rest = {"mean_error": _plain(one.mean), "confidence": _plain(one.confidence)}
+    return {"horizon": one.horizon, "starts": one.starts, **errors, **rest}
 
 
 def _removed(improvement: Improvement) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -222,6 +222,9 @@ class RemainderTest:
         The best sparse formula as a lead; empty when the remainder is noise.
     drifts : tuple of (str, float)
         What the findings' parameters drift with, strongest first, and the cost a drift would save.
+    explained : float or None
+        Share of the held-out squared error above the noise floor that returns when all findings are removed [1];
+        None where it was not measured.
     """
 
     p_value: float
@@ -230,6 +233,17 @@ class RemainderTest:
     by_group: tuple[tuple[str, float], ...]
     formula: str = ""
     drifts: tuple[tuple[str, float], ...] = ()
+    explained: float | None = None
+
+    def without_structure(self, findings: Sequence[Finding]) -> float:
+        """Return the share of the gap [1] that neither findings nor a smooth function explain.
+
+        Shares of single findings may overlap; their sum stands in where they were not measured together.
+        """
+        explained = self.explained
+        if explained is None:
+            explained = sum(finding.gap_explained for finding in findings)
+        return max(1.0 - self.share - explained, 0.0)
 
 
 @dataclass(frozen=True)
@@ -302,6 +316,8 @@ class HorizonErrors:
     starts : int
     change : mapping of str to (float, float, float)
         Of a stage's squared error against ``before``, in standard errors by blocks of time [1].
+    mean : mapping of str to (float, float, float)
+        Mean error of a stage over all starts, model less recording.
     """
 
     horizon: float
@@ -314,6 +330,12 @@ class HorizonErrors:
     confidence: Mapping[str, object]
     starts: int
     change: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    mean: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def mean_share(self, stage: str, k: int) -> float | None:
+        """Return how much of a stage's squared error in channel k its mean error makes [1]; None where unknown."""
+        error = getattr(self, stage)[k]
+        return (self.mean[stage][k] / error) ** 2 if stage in self.mean and error > 0.0 else None
 
     def most_changed(self, stage: str) -> int:
         """Return the channel (0 to 2) whose error a stage changes most in units of noise, for better or worse."""

@@ -23,10 +23,12 @@ __all__ = [
     "acting_in_a_part",
     "lead_sentence",
     "not_accepted",
+    "scatter",
     "sentence_for",
     "separations",
     "statement_for",
     "summarise",
+    "unexplained_part",
 ]
 
 # What a flexible fit calls its groups of functions, for a reader.
@@ -220,7 +222,7 @@ def summarise(
     if unexplained and remainder is not None:
         parts.append(_unnamed(remainder, findings))
     if improvement is not None:
-        parts.append(_help(improvement, "physics" if findings else "split_only"))
+        parts.append(_help(improvement, "physics" if findings else "split_only", vehicle))
     if corrected is not None and not corrected.accepted:
         parts.append(not_accepted(corrected))
     return " ".join(part for part in parts if part)
@@ -257,12 +259,15 @@ def _tells_most(location: Location) -> tuple[str, float]:
     return best
 
 
-def _help(improvement: Improvement, stage: str) -> str:
+def _help(improvement: Improvement, stage: str, vehicle: Vehicle | None = None) -> str:
     model = "the identified effects" if stage == "physics" else "a correction learned by SPLIT alone"
     if not improvement.tells:
         return f"The held-out data show too little of the gap to tell whether {model} would reduce it."
     removed, intro, parts = improvement.removed.get(stage), f"With {model}, on held-out data", []
-    if removed is not None:
+    nothing = stage in improvement.trust and not any(improvement.trust[stage])
+    if nothing:
+        parts.append("A correction learned by SPLIT alone does not hold on training time, and none is applied.")
+    elif removed is not None:
         share, *ends = removed
         verb = "falls" if share >= 0.0 else "rises"
         low, high = sorted(100.0 * end if share >= 0.0 else -100.0 * end for end in ends)
@@ -270,12 +275,38 @@ def _help(improvement: Improvement, stage: str) -> str:
         told = f"{verb} by {percent(abs(share))} (95 %: {low:.0f} to {high:.0f} %{chance})"
         parts.append(f"{intro}, the squared one-step error above the noise floor {told}.")
     if improvement.rollouts:
-        told = _open_loop(improvement.rollouts[-1], stage)
+        told = (_as_it_is if nothing else _open_loop)(improvement.rollouts[-1], stage, vehicle)
         parts.append(told if parts else f"{intro}: {told[:1].lower()}{told[1:]}")
     return " ".join(parts)
 
 
-def _open_loop(last: HorizonErrors, stage: str) -> str:
+def _as_it_is(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) -> str:
+    """Return the errors of all velocities where a stage changes none."""
+    told = [
+        f"{number(getattr(last, stage)[k], 2)} {unit} in {name} (persistence: {number(last.persistence[k], 2)})"
+        for k, (name, unit) in enumerate(_STATES)
+    ]
+    text = f"After {last.horizon:g} s of open-loop simulation the error is {', '.join(told[:-1])} and {told[-1]}."
+    return " ".join([text, *_offsets(last, stage, last.beaten_by_persistence(stage), vehicle)])
+
+
+def _offsets(last: HorizonErrors, stage: str, channels: Sequence[int], vehicle: Vehicle | None) -> list[str]:
+    """Return what of a stage's squared errors is the mean error: of v_x, a force that lasts."""
+    told = []
+    for k in channels:
+        share = last.mean_share(stage, k)
+        if share is None:
+            continue
+        (name, unit), mean = _STATES[k], last.mean[stage][k]
+        text = f"The mean error of {name} is {number(mean, 2)} {unit}, {percent(share)} of the squared error"
+        if k == 0 and vehicle is not None:
+            force = number(abs(mean) * vehicle.mass / last.horizon, 2)
+            text += f", as of {force} N of longitudinal force too {'much' if mean > 0.0 else 'little'}"
+        told.append(f"{text}.")
+    return told
+
+
+def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) -> str:
     """Return what becomes of the error that a stage changes most, and which errors get worse."""
     k = last.most_changed(stage)
     name, unit = _STATES[k]
@@ -296,7 +327,8 @@ def _open_loop(last: HorizonErrors, stage: str) -> str:
     if beaten:
         names = " and ".join(_STATES[i][0] for i in beaten)
         others.append(f"Persistence still predicts {names} better")
-    return " ".join(f"{one}." for one in (text, *others))
+    doubtful = sorted({*beaten, *last.worse(stage)})
+    return " ".join([*(f"{one}." for one in (text, *others)), *_offsets(last, stage, doubtful, vehicle)])
 
 
 def not_accepted(corrected: CorrectedVehicle) -> str:
@@ -313,16 +345,28 @@ def not_accepted(corrected: CorrectedVehicle) -> str:
     )
 
 
+def scatter(remainder: RemainderTest, findings: Sequence[Finding]) -> float:
+    """Return which share of the gap [1] has neither a name nor structure; 0 where it is not worth a word."""
+    rest = remainder.without_structure(findings) if findings else 0.0
+    return rest if rest > _WORTH_A_WORD else 0.0
+
+
+def unexplained_part(findings: Sequence[Finding], remainder: RemainderTest | None) -> str:
+    """Return how much of the gap findings leave without a name: ``less than 1 % of the gap unexplained``."""
+    if remainder is None:
+        return "an unexplained part"
+    return f"{percent(remainder.share + scatter(remainder, findings))} of the gap unexplained"
+
+
 def _unnamed(remainder: RemainderTest, findings: Sequence[Finding]) -> str:
     share = f"{percent(remainder.share)} of the gap" if findings else "The gap"
     kind = remainder.by_group[0][0] if remainder.by_group else ""
     lead = f" It depends mostly on {_KINDS.get(kind, kind)}." if kind else ""
     formula = f" A candidate formula: {remainder.formula}." if remainder.formula else ""
-    # Shares of findings are of held-out time and may overlap; what is left of the whole belongs to nobody.
-    rest = 1.0 - remainder.share - sum(finding.gap_explained for finding in findings)
+    rest = scatter(remainder, findings)
     noted = (
         f" The remaining {percent(rest)} has no structure: scatter, or the model-form error of what is named."
-        if findings and rest > _WORTH_A_WORD
+        if rest
         else ""
     )
     return f"{share[:1].upper()}{share[1:]} is explained by no effect of the catalogue.{lead}{formula}{noted}"

@@ -12,9 +12,9 @@ from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood, build_objective
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
-from split_cli.diagnosis.search.fitting import Fit, fit_parts
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 
-__all__ = ["HeldOut", "explained_shares", "hold_out"]
+__all__ = ["HeldOut", "explained_shares", "explained_together", "hold_out"]
 
 
 @dataclass(frozen=True)
@@ -98,12 +98,19 @@ def explained_shares(split: HeldOut, fit: Fit) -> tuple[float, ...] | None:
     """
     if split.testing is None or not fit.parts:
         return None
-    full = split.testing.cost(fit.terms)
-    bare = split.testing.cost(())
+    return tuple(_share(split, fit, fit.parts[:k] + fit.parts[k + 1 :]) for k in range(len(fit.parts)))
+
+
+def explained_together(split: HeldOut, fit: Fit, named: Sequence[bool]) -> float | None:
+    """Return the same share [1] for all named parts at once, where enough was kept out."""
+    if split.testing is None or not any(named):
+        return None
+    return _share(split, fit, tuple(part for part, one in zip(fit.parts, named, strict=True) if not one))
+
+
+def _share(split: HeldOut, fit: Fit, others: Sequence[Part]) -> float:
+    """Return what of the held-out squared error above the noise floor returns where only `others` are fitted."""
+    full, bare = split.testing.cost(fit.terms), split.testing.cost(())
     above = max(bare - min(full, float(len(split.testing.weight))), 1e-9)
-    out = []
-    for k in range(len(fit.parts)):
-        others = fit.parts[:k] + fit.parts[k + 1 :]
-        without = split.testing.cost(fit_parts(split.training, others).terms) if others else bare
-        out.append(float(np.clip((without - full) / above, 0.0, 1.0)))
-    return tuple(out)
+    without = split.testing.cost(fit_parts(split.training, tuple(others)).terms) if others else bare
+    return float(np.clip((without - full) / above, 0.0, 1.0))

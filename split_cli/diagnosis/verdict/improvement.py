@@ -198,6 +198,10 @@ def _pooled(recordings: Sequence[RolloutErrors]) -> tuple[HorizonErrors, ...]:
                     name: tuple(in_standard_errors(squared[name] - squared["before"], block).tolist())
                     for name in ("physics", "split_only", "after")
                 },
+                {
+                    name: tuple(np.concatenate([one.signed[name][:, k] for one in having]).mean(axis=0).tolist())
+                    for name in squared
+                },
             )
         )  # fmt: skip
     return tuple(out)

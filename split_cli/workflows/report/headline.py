@@ -44,14 +44,21 @@ _THOUSANDTHS = {"s": ("ms", 1.0), "m": ("mm", 0.1), "rad": ("mrad", 0.1)}
 _SHOWN = 3
 
 
-def findings_headline(findings: Sequence[Finding], unexplained: bool = False) -> str:
-    """Return what was found as a headline, strongest first: ``Brakes 14.5 % weak.``"""
+def findings_headline(findings: Sequence[Finding], unexplained: str = "") -> str:
+    """Return what was found as a headline, strongest first: ``Brakes 14.5 % weak.``
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+    unexplained : str
+        How much has no name; empty where nothing is left.
+    """
     parts = [finding_headline(finding) for finding in findings[:_SHOWN]]
     more = len(findings) - len(parts)
     if more > 0:
         parts.append(f"{more} more")
     if unexplained:
-        parts.append("an unexplained part" if parts else "Unexplained")
+        parts.append(unexplained)
     return f"{'; '.join(parts)}." if parts else ""
 
 

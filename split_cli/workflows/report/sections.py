@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from split_cli.diagnosis.statement.document import vehicle_name
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, HorizonErrors, Improvement, Location
-from split_cli.diagnosis.statement.sentences import not_accepted
+from split_cli.diagnosis.statement.sentences import not_accepted, scatter, unexplained_part
 from split_cli.plots.chart import Chart
 from split_cli.workflows.report.findings import what_section
 from split_cli.workflows.report.headline import finding_headline, findings_headline
@@ -54,7 +54,8 @@ _STAGES = (
 
 def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict in plain words: what was found by its part of the car, else whether they differ."""
-    found = findings_headline(diagnosis.findings, diagnosis.unexplained) if diagnosis.findings else ""
+    left = unexplained_part(diagnosis.findings, diagnosis.remainder) if diagnosis.unexplained else ""
+    found = findings_headline(diagnosis.findings, left) if diagnosis.findings else ""
     return found or _HEADLINES[diagnosis.verdict][1]
 
 
@@ -101,7 +102,8 @@ def _chips(diagnosis: Diagnosis) -> str:
         for k, finding in enumerate(diagnosis.findings, 1)
     ]
     if diagnosis.unexplained:
-        words = "and an unexplained part" if chips else "no effect of the catalogue explains it"
+        left = unexplained_part(diagnosis.findings, diagnosis.remainder)
+        words = f"and {left}" if chips else "no effect of the catalogue explains it"
         chips.append(f'<a class="chip open" href="#remainder">{words}</a>')
     if diagnosis.findings and len(chips) < 2:  # the headline says the same
         return ""
@@ -130,7 +132,9 @@ def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
     if diagnosis.improvement is not None and diagnosis.improvement.tells and diagnosis.findings:
         yield from _facts_of_help(diagnosis.improvement)
     if diagnosis.remainder is not None:
-        yield "Unexplained", percent(diagnosis.remainder.share), "of the gap"
+        rest = scatter(diagnosis.remainder, diagnosis.findings)
+        more = f", with structure; {percent(rest)} more has none" if rest else ""
+        yield "Unexplained", percent(diagnosis.remainder.share), f"of the gap{more}"
 
 
 def _facts_of_help(shown: Improvement) -> Iterable[tuple[str, str, str]]:
