@@ -237,16 +237,16 @@ def _p_of_a_part(selection: Selection) -> float:
 def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy) -> Diagnosis:
     """Say where the difference is, what it is, and whether naming it helps."""
     selection, findings, remainder, unexplained = describe(found.outcome, bool(found.contradictions))
-    unexplained = unexplained or found.line is not None
+    structured, unexplained = unexplained, unexplained or found.line is not None
     forces, after = (
         [gap_forces(one, terms, case.discrepancy_rates(one, terms)) for one in case.real]
         for terms in ((), selection.terms)
     )
     if unexplained:
-        lead = (
-            found.line.in_words() if found.line else sparse_formula(case.real, after, case.keep, policy.reporting)
-        )
-        remainder = replace(remainder, formula=lead)
+        # A line may be all that is left, or swing beside much that a smooth function holds.
+        smooth = sparse_formula(case.real, after, case.keep, policy.reporting) if structured else ""
+        line = found.line.in_words() if found.line else ""
+        remainder = replace(remainder, formula="; and ".join(filter(None, (smooth, line))))
     location = locate(case.real, forces, after, case.keep, policy.reporting)
     split = hold_out(
         case.real, case.keep, case.holdout, case.keep_holdout, case.posterior, case.discrepancy, case.kinematics,

@@ -169,7 +169,7 @@ def draw_what(diagnosis: Diagnosis) -> Figure:
         axes[-1].set_yticks(range(len(names)), names)
         axes[-1].invert_yaxis()
         axes[-1].set_xlabel("what a flexible fit of the residual depends on [χ²]")
-        title = f"residual: {percent(rest.share)} of the gap is unexplained"
+        title = f"residual: {f'{percent(rest.share)} of ' if findings else ''}the gap is unexplained"
         axes[-1].set_title(title, fontsize="medium", loc="left")
         quiet(axes[-1])
     if findings:

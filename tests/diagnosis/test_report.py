@@ -245,6 +245,10 @@ def test_what_a_verdict_may_not_show():
     assert "drive for 8 s." in undecided and 'id="where"' not in undecided and 'id="help"' not in undecided
     exact = report_page(replace(mismatch(), findings=(), remainder=None, improvement=None))
     assert "No effect of the catalogue was identified." in exact
+    # 20 % is what a smooth function holds; without a finding all of the gap is unexplained.
+    nameless, named = (report_page(one) for one in (replace(mismatch(), findings=()), mismatch()))
+    assert "<dd>all<small>of the gap</small>" in nameless and "The gap is unexplained, 0.10 times" in nameless
+    assert "<dd>20 %<small>of the gap</small>" in named and "20 % of the gap is unexplained, 0.10 times" in named
 
 
 def opened(browser, page: str | Path, folder: Path, width: int = 1180) -> None:

@@ -26,7 +26,7 @@ def what_section(diagnosis: Diagnosis) -> str:
         cards += f'<div class="note" id="leads"><p>Leads, not findings:</p><ul>{items}</ul></div>'
     remainder = ""
     if diagnosis.remainder is not None:
-        remainder = _remainder(diagnosis.remainder, diagnosis.unexplained, _level(diagnosis))
+        remainder = _remainder(diagnosis.remainder, diagnosis, _level(diagnosis))
     steps = "".join(f"<li>{escape(step)}</li>" for step in diagnosis.history)
     history = (
         f"<details><summary>Steps of the model selection</summary><p>A term <em>saves</em> the amount by which it "
@@ -102,11 +102,13 @@ def _rival(finding: Finding, rival: RivalSummary, most: float) -> str:
     )
 
 
-def _remainder(remainder: RemainderTest, unexplained: bool, level: float) -> str:
+def _remainder(remainder: RemainderTest, diagnosis: Diagnosis, level: float) -> str:
+    unexplained = diagnosis.unexplained
+    how_much = f"{percent(remainder.share)} of the gap" if diagnosis.findings else "The gap"
     title = "The residual has structure" if unexplained else "Residual"
     words = (
-        f"{percent(remainder.share)} of the gap is unexplained, {number(remainder.effect_to_noise, 2)} times "
-        f"sensor noise in a prediction over 0.05 s. Probability that noise alone leaves as much: "
+        f"{how_much} is unexplained, {number(remainder.effect_to_noise, 2)} times sensor noise in a prediction "
+        f"over 0.05 s. Probability that noise alone leaves as much: "
         f"{chance(remainder.p_value)}. Below {level:g} it counts as unexplained."
     )
     total = sum(max(saved, 0.0) for _, saved in remainder.by_group)

@@ -133,8 +133,9 @@ def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
         yield from _facts_of_help(diagnosis.improvement)
     if diagnosis.remainder is not None:
         rest = scatter(diagnosis.remainder, diagnosis.findings)
+        share = percent(diagnosis.remainder.share) if diagnosis.findings else "all"
         more = f", with structure; {percent(rest)} more has none" if rest else ""
-        yield "Unexplained", percent(diagnosis.remainder.share), f"of the gap{more}"
+        yield "Unexplained", share, f"of the gap{more}"
 
 
 def _facts_of_help(shown: Improvement) -> Iterable[tuple[str, str, str]]:
