@@ -104,11 +104,15 @@ class GrowingColumn:
         LogError
             If there is no room for it on the disk.
         """
+        if self._file is not None:
+            with _told_of_a_full_disk():
+                self._file.write(np.ascontiguousarray(values, dtype=self._dtype).data)
+            return
         self._parts.append(np.array(values, dtype=self._dtype))
         self._held += len(values)
-        if self._held >= LONG or self._file is not None:
+        if self._held >= LONG:
             with _told_of_a_full_disk():
-                self._file = self._file or tempfile.TemporaryFile()  # noqa: SIM115 (grows from call to call)
+                self._file = tempfile.TemporaryFile()  # noqa: SIM115 (grows from call to call)
                 for part in self._parts:
                     self._file.write(part.data)
             self._parts, self._held = [], 0

@@ -1,7 +1,8 @@
 """Messages a second of the readers of MCAP and bags against mcap-ros2-support and rosbags, decoding in full.
 
 Run it with ``python -m tests.benchmarks.bench_readers [messages]``. All read the same file of ROS 2 odometry
-and, but for the raw iteration, hand over the same numbers: time and three fields of every message.
+and, but for the raw iteration, hand over the same numbers: time and three fields of every message. With ``csv``
+in place of a number it reads a plain table of a million rows beside pyarrow and pandas instead.
 """
 
 from __future__ import annotations
@@ -13,8 +14,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from pyarrow import csv as arrow_csv
 from rosbags.highlevel import AnyReader
 
 import tests.logs.readers_support as support
@@ -82,6 +86,29 @@ def compare(count: int, path: Path, readers: Sequence[Callable[[Path], np.ndarra
         print(f"{name:<20}{count / seconds:>14,.0f}{reference_time / seconds:>8.1f}")
 
 
+def compare_csv(rows: int = 1_000_000, columns: int = 10) -> None:
+    """Print processor times of reading a plain table, turn by turn: a machine that others use slows all alike."""
+    steps = np.random.default_rng(0).normal(0.0, 0.01, (rows, columns)).cumsum(axis=0)
+    names = [f"c{column}" for column in range(columns)]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "plain.csv"
+        arrow_csv.write_csv(pa.table(dict(zip(names, steps.T, strict=True))), path)
+        readers: dict[str, Callable[[], object]] = {
+            "open_recording": lambda: open_recording(path).read(names),
+            "pyarrow.csv.read_csv": lambda: arrow_csv.read_csv(path),
+            "pandas.read_csv": lambda: pd.read_csv(path),
+        }
+        times: dict[str, list[float]] = {name: [] for name in readers}
+        for _ in range(2 * REPEATS):
+            for name, read in readers.items():
+                start = time.process_time()
+                read()
+                times[name].append(time.process_time() - start)
+        print(f"{path.name}: {rows} rows of {columns} columns, {path.stat().st_size / 1e6:.0f} MB")
+    for name, spent in times.items():
+        print(f"{name:<22}{np.median(spent):>8.2f} s in the median, {min(spent):.2f} s at best")
+
+
 def main(count: int = 50_000) -> None:
     """Write the planted drive in three containers and read it by each of the readers that can."""
     planted = support.plant(count)
@@ -96,4 +123,7 @@ def main(count: int = 50_000) -> None:
 
 
 if __name__ == "__main__":
+    if sys.argv[1:] == ["csv"]:
+        compare_csv()
+        sys.exit()
     main(*(int(argument) for argument in sys.argv[1:]))
