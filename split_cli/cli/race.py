@@ -16,7 +16,7 @@ from split_cli.cli.options import (
     vehicle_option,
 )
 from split_cli.cli.voice import StepBar
-from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL
+from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL, SIZE
 
 __all__ = ["command"]
 
@@ -79,8 +79,9 @@ __all__ = ["command"]
               "controller assumes before it has learned.")  # fmt: skip
 @click.option("--learn-grip/--no-learn-grip", default=True, show_default=True, help="After each lap, move "
               "the slip limits to the tyres' peaks that the labels show.")  # fmt: skip
-@click.option("--margin", type=float, default=MARGIN, show_default=True, metavar="M", help="Distance to keep "
-              "between the car's side and the track border, besides what earlier laps needed.")  # fmt: skip
+@click.option("--margin", type=float, metavar="M", help="Distance to keep between the car's side and the track "
+              f"border, besides what earlier laps needed  [default: {MARGIN} for a wheelbase of {SIZE} m, in "
+              "proportion for others].")  # fmt: skip
 @click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, help="Weight of the longitudinal "
               "force in the friction ellipse.")  # fmt: skip
 @click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "
@@ -122,7 +123,7 @@ __all__ = ["command"]
 @output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
 def command(
-    vehicle_path, output, set_output, report, p_ellipse, p_ellipse_lap0, p_unknown, guarded, margin, p_long,
+    vehicle_path, output, set_output, report, p_ellipse, p_ellipse_lap0, p_unknown, guarded, p_long,
     no_delay, iol_update, learners, as_json, **options,
 ) -> None:  # fmt: skip
     """Race the double-track plant with a contouring controller that learns while it drives.
@@ -151,7 +152,7 @@ def command(
     for learner in learners:
         settings = RaceSettings(
             learner=learner, delay=not no_delay, printed_iol=iol_update == "printed",
-            settings=MpccSettings(limits=limits, margin=margin), first_share=first_share, **options,
+            settings=MpccSettings(limits=limits), first_share=first_share, **options,
         )  # fmt: skip
         say = f"race, {learner}" if len(learners) > 1 else "race"
         with StepBar(settings.laps + 1) as bar:

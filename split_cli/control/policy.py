@@ -39,6 +39,7 @@ __all__ = [
     "SETTLED",
     "SHARE_LEARNED",
     "SHARE_NOMINAL",
+    "SIZE",
     "SLIP_DIFFERENCE_SLACK",
     "SLOWEST",
     "STEER_RATE",
@@ -60,6 +61,11 @@ SHARE_NOMINAL, SHARE_LEARNED, RACE_P_LONG = 0.85, 0.95, 1.2
 MARGIN, FIRST_DEVIATION = 0.3, 0.8
 """Kept from the car's side to the border in races, and on top of it until a lap has shown how far plan and drive
 part [m]; by every controller. Of the same search: its laps came up to 0.75 m nearer to the border than planned."""
+
+SIZE = 2.68
+"""Wheelbase of the car that MARGIN and FIRST_DEVIATION were found with [m]. Cars of other sizes keep these lengths
+in proportion: at equal accelerations the time of a manoeuvre goes with the root of a length (Froude), and what an
+error of acceleration adds up to goes with the square of the time."""
 
 DEVIATION_KEPT = 0.8
 """Share of what was kept on top that the next lap keeps at least [1]: a lap without a mistake is no proof of the

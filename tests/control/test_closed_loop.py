@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from split_cli.cli.main import group
 from split_cli.control.limits import Limits
 from split_cli.control.mpcc import MpccSettings
-from split_cli.control.policy import FIRST_DEVIATION, MARGIN
+from split_cli.control.policy import FIRST_DEVIATION, MARGIN, SIZE
 from split_cli.control.scenarios import CONE_RADIUS, build_scenario, cones_hit
 from split_cli.errors import SplitError
 from split_cli.learning.cells import empty_set
@@ -23,8 +23,9 @@ from split_cli.learning.region import Grid, Region, z2_grid
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import read_drive
+from split_cli.plant.cars import F1TENTH_CAR, ROAD_CAR
 from split_cli.vehicle.parameters import read_vehicle
-from split_cli.workflows.racing.driving import next_deviation
+from split_cli.workflows.racing.driving import Race, next_deviation
 from split_cli.workflows.racing.entry import check_trusted
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
@@ -78,6 +79,17 @@ def test_the_margin_is_what_the_lap_before_has_needed():
     assert next_deviation(0.8, 1.1, -1.1) == pytest.approx(0.64)
     # A car that was off the track needed more than it was given.
     assert next_deviation(0.8, 1.1, 0.1) == pytest.approx(1.2)
+
+
+def test_a_small_car_keeps_lengths_in_proportion_and_its_plans_to_its_actuators():
+    small = RaceSettings(car="f1tenth_car", track="f1tenth")
+    race = Race(small, read_vehicle(ROOT / "sample_logs" / "f1tenth_car.yaml"), None, lambda text: None)
+    share = F1TENTH_CAR.wheelbase / ROAD_CAR.wheelbase
+    assert race.mpcc.margin == pytest.approx(MARGIN * share) and race.deviation == FIRST_DEVIATION * share
+    assert (race.actuators.max_steer, race.actuators.torque_rate) == (0.4189, 40.0)
+    own = Race(replace(small, margin=0.2), race.vehicle, None, lambda text: None)
+    assert own.mpcc.margin == 0.2
+    assert ROAD_CAR.wheelbase == SIZE
 
 
 def test_a_lane_change_is_driven_between_its_cones(tmp_path):
@@ -136,8 +148,8 @@ def test_a_cone_is_hit_when_the_body_reaches_it():
         ({"hyperparameters": "nowhere.yaml"}, "nowhere.yaml"),
         ({"car": "f1tenth_car"}, "wheelbase"),
         ({"settings": MpccSettings(limits=Limits(p_ellipse=1.2))}, "share of the peak"),
-        ({"settings": MpccSettings(margin=-1.0)}, "--margin: is -1"),
-        ({"settings": MpccSettings(margin=4.0)}, "beside the car"),
+        ({"margin": -1.0}, "--margin: is -1"),
+        ({"margin": 4.0}, "beside the car"),
     ],
 )
 def test_what_cannot_be_driven_is_refused_before_the_first_step(options, says):

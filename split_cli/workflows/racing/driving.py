@@ -15,7 +15,7 @@ from split_cli.control.limits import nominal_share
 from split_cli.control.model import ControlModel, check_features
 from split_cli.control.mpcc import Mpcc
 from split_cli.control.path import check_path, contour_and_lag
-from split_cli.control.policy import DEVIATION_KEPT
+from split_cli.control.policy import DEVIATION_KEPT, FIRST_DEVIATION, MARGIN, MAX_STEER, SIZE, TORQUE_RATE
 from split_cli.control.receding import Actuators, ControllerLost, StepInfo
 from split_cli.errors import SplitError
 from split_cli.learning.cells import warm_up
@@ -105,11 +105,18 @@ class Race:
         self.path = find_path(settings.track)
         check_path(self.path, self.width)
         self.start = -min(RUN_UP_SHARE * self.path.length, LONGEST_RUN_UP)
-        check_start(self.path, self.start, self.width, settings.settings.margin)
-        self.mpcc = replace(settings.settings, max_speed=settings.max_speed)
+        size = self.car.wheelbase / SIZE
+        margin = MARGIN * size if settings.margin is None else settings.margin
+        self.deviation = FIRST_DEVIATION * size if settings.deviation is None else settings.deviation
+        check_start(self.path, self.start, self.width, margin)
+        self.mpcc = replace(settings.settings, max_speed=settings.max_speed, margin=margin)
         torque = min(settings.max_torque or vehicle.max_torque, vehicle.max_torque)
         check_torque(vehicle, torque)
-        self.actuators = Actuators(torque, vehicle.max_brake_torque)
+        # No plan asks for what the actuators of the car cannot give.
+        self.actuators = Actuators(
+            torque, vehicle.max_brake_torque, max_steer=min(MAX_STEER, self.car.max_steer_angle),
+            torque_rate=min(TORQUE_RATE, self.car.torque_rate),
+        )  # fmt: skip
         self.start_set: TrainingSet | None = None
         self.exported: ExportedResidual | None = None
         if settings.start_set is not None and FilePath(settings.start_set).is_dir():
@@ -155,7 +162,7 @@ class Race:
             share = nominal_share(self.vehicle) if s.first_share is None else s.first_share
             first = replace(first, limits=replace(first.limits, p_ellipse=share, p_unknown=None))
         self.controller = Mpcc(self.model, self.path, self.actuators, first, self.width, s.tightening)
-        self.controller.deviation = s.deviation
+        self.controller.deviation = self.deviation
         self._take_grip(np.full(2, s.told_grip))
         self.controller.begin(self.model.steady_states(self.world.measured), self.start)
         if self.start_set is not None:
@@ -214,7 +221,7 @@ class Race:
         self.model = ControlModel(self.header.vehicle, self.learner.residual, self.mpcc.step)
         self.controller.model, self.controller.limits = self.model, self.mpcc.limits
         self.controller.half_width = 0.5 * self.width + self.mpcc.margin
-        self.controller.deviation = self.settings.deviation
+        self.controller.deviation = self.deviation
 
     def _learn_grip(self, z: np.ndarray, y: np.ndarray) -> None:
         """Move the tyres' peaks to where labels tell them."""

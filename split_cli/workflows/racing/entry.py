@@ -116,9 +116,9 @@ def _check_numbers(settings: RaceSettings) -> None:
     for name, value in [
         ("--tightening", settings.tightening),
         ("deviation", settings.deviation),
-        ("--margin", settings.settings.margin),
+        ("--margin", settings.margin),
     ]:
-        if not 0.0 <= value < 1e3:
+        if value is not None and not 0.0 <= value < 1e3:
             raise SplitError(f"is {value:g}, 0 or more was expected", where=name)
     if settings.seed < 0:
         raise SplitError(f"is {settings.seed}, a whole number from 0 was expected", where="--seed")

@@ -7,7 +7,7 @@ from pathlib import Path as FilePath
 
 from split_cli.control.limits import Limits
 from split_cli.control.mpcc import MpccSettings
-from split_cli.control.policy import FIRST_DEVIATION, MARGIN, RACE_P_LONG, SHARE_LEARNED
+from split_cli.control.policy import RACE_P_LONG, SHARE_LEARNED
 
 __all__ = ["FITS", "LEARNERS", "LEARNING", "RaceSettings"]
 
@@ -15,7 +15,7 @@ LEARNERS = ("none", "iol", "split")
 
 FITS = ("fit", "fit-lasting")
 
-LEARNING = MpccSettings(limits=Limits(p_long=RACE_P_LONG, p_ellipse=SHARE_LEARNED, guarded=True), margin=MARGIN)
+LEARNING = MpccSettings(limits=Limits(p_long=RACE_P_LONG, p_ellipse=SHARE_LEARNED, guarded=True))
 """How a race is driven: one setting for all tracks and models, but for the share of the peak (`first_share`)."""
 
 
@@ -57,12 +57,16 @@ class RaceSettings:
         Of the car's body [m].
     printed_iol : bool
         Count updates of the dictionary as costly as the papers print them; see `IolLearner`.
-    deviation : float
+    margin : float or None
+        Kept from the car's side to the border [m]; by default `MARGIN`, in proportion to the car's wheelbase.
+    deviation : float or None
         By how much more than the margin the borders are moved in until a lap has shown how far plan and drive part
-        [m]. After each lap it is what the lap needed, and no less than a share of what it was.
+        [m]; by default `FIRST_DEVIATION`, in proportion to the car's wheelbase. After each lap it is what the lap
+        needed, and no less than a share of what it was.
     tightening : float
         Standard deviations by which the borders are moved in [1].
     settings : MpccSettings
+        Its margin and its largest speed are those named above.
     first_share : float or None
         Share of the peak that the nominal model may use [1]: in the run-up, in lap 0, and in all laps of the
         learner none without a start set. By default `nominal_share` of the vehicle file.
@@ -88,7 +92,8 @@ class RaceSettings:
     hyperparameters: str = "fit"
     width: float | None = None
     printed_iol: bool = True
-    deviation: float = FIRST_DEVIATION
+    margin: float | None = None
+    deviation: float | None = None
     tightening: float = 0.0
     settings: MpccSettings = LEARNING
     first_share: float | None = None
