@@ -20,6 +20,9 @@ __all__ = [
 
 _TAYLOR_TERMS = 13
 _MOST_SUBSTEPS = 1_000
+_TOP_SPEED = 150.0
+"""No car is faster [m/s]; a simulation that is has diverged, and it, not a term that reacts in proportion to the
+speed, is to blame for steps that are too long."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,8 @@ def integrate_recorded(
     Raises
     ------
     VehicleError
-        If a term is so fast that following it would take more than 1,000 substeps a sample.
+        If a term is so fast that following it would take more than 1,000 substeps a sample. A state that has
+        diverged goes on to numbers that are not finite.
     """
     return integrate_with_memory(model, state, torque, steer_angle, period, substeps, situation, held=held)[0]
 
@@ -136,7 +140,8 @@ def integrate_with_memory(
             steady = model.flow(vx, vy, r, torque[:, 0], steer_angle[:, 0], yaw=psi, t=situation.t, s=place).values
             memory = np.stack([steady[name] + 0.0 * vx for name in model.state_names], axis=1)
         rows += [np.ascontiguousarray(column) for column in memory.T]
-        fastest = max(term.fastest_rate(float(np.max(rows[2], initial=0.0))) for term in model.terms)
+        speed = min(float(np.fmax.reduce(rows[2], initial=0.0)), _TOP_SPEED)
+        fastest = max(term.fastest_rate(speed) for term in model.terms)
         if not fastest * period <= _MOST_SUBSTEPS:
             raise VehicleError(
                 f"its effects react within {1.0 / fastest:.2g} s, too fast to follow at a period of {period:g} s",

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from split_cli.errors import VehicleError
 from split_cli.vehicle.effects import CATALOGUE, Recording
 from split_cli.vehicle.effects.recording import first_order_response, play_response, shifted
 from split_cli.vehicle.integration import integrate_recorded
@@ -218,3 +219,18 @@ def test_feature_lag_of_no_time_is_the_feature_itself():
     # What is left is 1 ms, the shortest lag that is stepped.
     largest = np.abs(np.diff(flow.front.slip_angle)).max()
     assert np.abs(flow.values["feature_lag.alpha_f"] - flow.front.slip_angle).max() <= 0.11 * largest
+
+
+def test_a_simulation_that_has_diverged_is_no_term_that_is_too_fast():
+    """A relaxation reacts within length/v_x: at the speeds of a diverged rollout that is no time at all."""
+    track = SingleTrack(CAR, [term("tire_relaxation", length=0.1)])
+    still = np.zeros((2, 3))
+    state = np.array([[20.0, 0.0, 0.0], [1e9, 3.0, np.nan]])
+    with np.errstate(all="ignore"):
+        end = integrate_recorded(track, state, still, still, PERIOD)
+    alone = integrate_recorded(track, state[:1], still[:1], still[:1], PERIOD)
+    assert end[0] == pytest.approx(alone[0], rel=1e-6) and not np.isfinite(end[1]).all()
+    with pytest.raises(VehicleError, match="too fast"):
+        integrate_recorded(
+            SingleTrack(CAR, [term("steer_lag", tau=1e-6)]), state[:1], still[:1], still[:1], PERIOD
+        )
