@@ -27,6 +27,7 @@ __all__ = [
     "MARGIN",
     "MAX_STEER",
     "OPEN_ELLIPSE",
+    "PAST",
     "PATIENCE",
     "PROGRESS_ACCELERATION",
     "PROXIMAL",
@@ -152,6 +153,10 @@ longer tells how far it slips."""
 SETTLED = 8.0
 """Time constants after which a lag has forgotten where it began [1]: e^-8 is 3e-4 of the first difference, far
 below what sensors tell of it."""
+
+PAST = 0.08
+"""Time constant behind which slip angles and torque tell of the recent past as features [s]: from labels of races
+with seed 100, which no table has."""
 
 DICTIONARY = 400
 """Points that the dictionary of the rival may keep [1]: more than the 361 that the SPLIT paper's held after ten

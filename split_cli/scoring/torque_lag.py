@@ -21,7 +21,7 @@ from split_cli.scoring.trust import judge_correction
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["Prepared", "decide", "fit_torque_lag", "lag_note", "may_show_a_lag"]
+__all__ = ["Prepared", "decide", "fit_torque_lag", "found_lag", "lag_note", "may_show_a_lag"]
 
 Made = TypeVar("Made")
 
@@ -153,9 +153,14 @@ def lagging(vehicle: Vehicle, tau: float) -> Vehicle:
     return vehicle.with_effects(EffectSpec("drive_lag", {"tau": tau}, "along"))
 
 
+def found_lag(training_set: TrainingSet) -> float | None:
+    """Return the time constant of the torque that training found beyond the vehicle file [s], None without one."""
+    return next((one.parameters["tau"] for one in training_set.found if one.term == "drive_lag"), None)
+
+
 def lag_note(training_set: TrainingSet) -> str:
     """Return what the reader of a training must know of the lag that it found."""
-    tau = training_set.found[-1].parameters["tau"]
+    tau = found_lag(training_set)
     return (
         f"torque follows its command {tau:.3f} s late. The set models this lag (drive_lag), since held-out blocks "
         "improve by it; the vehicle file does not change. --lag none leaves the lag out"

@@ -38,7 +38,7 @@ from split_cli.scoring.report import Evaluation, EvaluationSettings, RolloutScor
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
-from split_cli.scoring.torque_lag import Prepared, decide, lag_note
+from split_cli.scoring.torque_lag import Prepared, decide, found_lag, lag_note
 from split_cli.scoring.verdict import (
     BlockErrors,
     Comparison,
@@ -135,7 +135,9 @@ def evaluate(
     contestants, nominal = [], []
     for features in settings.features:
         say(f"{features}: labels and training")
-        held = _hold_out(drives, vehicle, parse_features(features), settings, trained, engine)
+        held = _hold_out(
+            drives, _remembering(vehicle, trained), parse_features(features), settings, trained, engine
+        )
         nominal = nominal or held
         own = trained or _train(held, vehicle, settings)
         if own.found_effects:
@@ -172,7 +174,7 @@ def evaluate(
             *notes_of(facts, contestants[0][1], settings, rollout_scores),
             *left_out(contestants[0][1], trained is None and _finds_trust(settings)),
             *correct.notes,
-            *(lag_note(own) for *_, own in contestants if own.found),
+            *(lag_note(own) for *_, own in contestants if found_lag(own) is not None),
             *warnings_of([c for c in comparisons if c.name in settings.predictors]),
             *(interval_warnings(shown, intervals) if trained else ()),
         ),
@@ -248,6 +250,13 @@ def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
 
 def _short_name(features: FeatureSet) -> str:
     return {Z1.names: "z1", Z2.names: "z2"}.get(features.names, ",".join(features.names))
+
+
+def _remembering(vehicle: Vehicle, trained: TrainingSet | None) -> Vehicle:
+    """Return the vehicle with those terms that a set found beyond its file whose states are its features."""
+    found = () if trained is None else trained.found
+    named = {name.partition(".")[0] for name in (() if trained is None else trained.features.names)}
+    return vehicle.with_effects(*(effect for effect in found if effect.term in named))
 
 
 def _hold_out(

@@ -38,7 +38,7 @@ from split_cli.workflows.racing.entry import (
 )
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.racing.settings import RaceSettings
-from split_cli.workflows.racing.study import blank_header, make_learner, studied_header
+from split_cli.workflows.racing.study import blank_header, make_learner, remembering, studied_header
 from split_cli.workflows.racing.tally import Tally
 
 __all__ = ["Race", "next_deviation"]
@@ -100,7 +100,8 @@ class Race:
         check_settings(settings)
         self.car = find_car(settings.car)
         check_car(vehicle, self.car)
-        check_features(vehicle, parse_features(settings.features), settings.settings.step)
+        self.features = parse_features(settings.features)
+        check_features(remembering(vehicle, self.features)[0], self.features, settings.settings.step)
         self.width = settings.width or body_width(self.car)
         self.path = find_path(settings.track)
         check_path(self.path, self.width)
@@ -149,7 +150,7 @@ class Race:
             self.car, self.path, speed, self.start, s.grip, None if s.exact_sensors else s.seed
         )  # fmt: skip
         if self.start_set is None:
-            self.header = blank_header(self.vehicle, self.mpcc)
+            self.header = blank_header(self.vehicle, self.features, self.mpcc)
             self.learner: Learner = NoLearner(self.header, self.exported)
         else:
             self.header = self.start_set
@@ -226,7 +227,7 @@ class Race:
     def _learn_grip(self, z: np.ndarray, y: np.ndarray) -> None:
         """Move the tyres' peaks to where labels tell them."""
         if self.settings.learn_grip:
-            self._take_grip(learned_grip(self.vehicle, self.header.features, z, y))
+            self._take_grip(learned_grip(self.vehicle, self.header.features, z, y, self.settings.told_grip))
             self.grips.append(tuple(self.controller.grip.tolist()))
         else:
             self._take_grip(self.controller.grip)

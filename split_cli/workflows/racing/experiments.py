@@ -11,10 +11,11 @@ import numpy as np
 
 from split_cli.errors import SplitError, nearest_names
 from split_cli.files import atomic_path, atomic_write_text
-from split_cli.vehicle.parameters import EffectSpec, read_vehicle, write_vehicle
+from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.settings import RaceSettings
+from split_cli.workflows.racing.study import PAST_TERM
 
 __all__ = ["PLAN", "Experiment", "ExperimentPlan", "run_experiments", "stored"]
 
@@ -77,8 +78,6 @@ _SMALL = _TRACKS["small"]
 # Tyres that nobody knows on a road of lower grip ask for more care: the nominal model begins at less of its peak.
 _WITH_THE_PAST = (("split", "split", "bcm"), ("split projected", "split", "projected"), ("iol", "iol", "bcm"))
 _PAST_FEATURES = "z2,feature_lag"
-_PAST = EffectSpec("feature_lag", {"tau": 0.08})
-"""Judgement [s], from labels of races with seed 100, which no experiment drives; docs/experiments.md says so."""
 _WET, _WORN = ({"grip": grip, "told_grip": grip, "first_share": _CAREFUL, **_SMALL} for grip in (0.5, 0.85))
 
 
@@ -236,7 +235,7 @@ def run_experiments(
     folder.mkdir(parents=True, exist_ok=True)
     if "gentle" in vehicles:
         lagged = folder / "vehicle_lagged.yaml"
-        write_vehicle(read_vehicle(vehicles["gentle"]).with_effects(_PAST), lagged)
+        write_vehicle(read_vehicle(vehicles["gentle"]).with_effects(PAST_TERM), lagged)
         vehicles = {**vehicles, "lagged": lagged}
     ran = []
     for experiment in PLAN.chosen(only):

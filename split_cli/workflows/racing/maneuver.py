@@ -33,6 +33,7 @@ from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.racing.closed_loop import World, body_ends, body_width
 from split_cli.workflows.racing.entry import check_car, check_predictor, check_trusted
+from split_cli.workflows.racing.study import remembering
 
 __all__ = ["ManeuverResult", "ManeuverRun", "ManeuverSettings", "run_maneuvers"]
 
@@ -197,15 +198,15 @@ def run_maneuvers(
     _check(settings)
     vehicle, car = read_vehicle(vehicle_path), find_car(settings.car)
     check_car(vehicle, car)
-    residual, model, grip = _residual(settings, vehicle)
+    driven, residual, model, grip = _residual(settings, vehicle)
     width = settings.width or body_width(car)
     scenarios = [build_scenario(settings.scenario, width, v) for v in settings.speeds or (None,)]
     features = parse_features(settings.features)
-    check_features(vehicle, features, scenarios[0].step)
+    check_features(remembering(vehicle, features)[0], features, scenarios[0].step)
     runs, worlds = [], []
     for scenario in scenarios:
         say(f"{scenario.name} at {scenario.entry_speed:g} m/s")
-        run = _Run(settings, scenario, vehicle, car, residual, grip, width)
+        run = _Run(settings, scenario, driven, car, residual, grip, width)
         runs.append(run.drive())
         worlds.append(run.world)
     if output is not None:
@@ -247,14 +248,18 @@ def _highest(runs: Sequence[ManeuverRun]) -> float | None:
     return best
 
 
-def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Residual, str, np.ndarray]:
-    """Return the residual, what it is called, and the tyres' peaks that its labels tell, shape (2,)."""
+def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Vehicle, Residual, str, np.ndarray]:
+    """Return what the controller's model is made of.
+
+    That is the vehicle with what its set found beyond the file, the residual, what it is called, and the tyres'
+    peaks that its labels tell, shape (2,).
+    """
     if settings.start_set is None:
-        return NoResidual(), "nominal", np.ones(2)
+        return vehicle, NoResidual(), "nominal", np.ones(2)
     if FilePath(settings.start_set).is_dir():
         exported = ExportedResidual(FilePath(settings.start_set), vehicle)
         grip = exported.grip(vehicle, settings.limits(vehicle).alpha_max) if settings.guarded else np.ones(2)
-        return exported, f"export {exported.name} ({exported.predictor})", grip
+        return vehicle, exported, f"export {exported.name} ({exported.predictor})", grip
     training_set = read_set(settings.start_set)
     check_trusted(training_set, vehicle, settings.start_set)
     check_predictor(settings.predictor, training_set.features)
@@ -263,7 +268,7 @@ def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Residual, s
     if settings.guarded and tells_peaks(vehicle, training_set.features):
         grip = learned_grip(vehicle, training_set.features, training_set.z, training_set.y)
         residual.rest_on(PeakShift(vehicle, training_set.features, grip))
-    return residual, f"set ({settings.predictor})", grip
+    return training_set.vehicle, residual, f"set ({settings.predictor})", grip
 
 
 def _write(world: World, output: FilePath) -> None:
@@ -278,6 +283,7 @@ def _learn(
     world: World, vehicle: Vehicle, features: FeatureSet, step: float, output: str | FilePath
 ) -> None:  # fmt: skip
     """Learn one run into a new set, its kernel fitted to the same run."""
+    vehicle, added = remembering(vehicle, features)
     limits = Limits()
     region = learning_region(vehicle, limits.alpha_max, limits.dalpha_max, limits.p_long)
     labels = compute_labels(world.recording(name="maneuver"), vehicle, features, region, horizon=step)
@@ -292,7 +298,8 @@ def _learn(
     kernel = default_kernel(grid, labels.y[good], scatter_variance(labels))
     if np.count_nonzero(good) >= FEWEST_TO_FIT:
         kernel = fit_kernel(labels.z[good], labels.y[good], grid, kernel).kernel
-    write_set(learn([labels], vehicle=vehicle, grid=grid, kernel=kernel), output)
+    trained = learn([labels], vehicle=vehicle, grid=grid, kernel=kernel)
+    write_set(replace(trained, found_effects=added), output)
 
 
 class _Run:

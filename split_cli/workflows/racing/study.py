@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from split_cli.control.iol_learner import IolLearner
 from split_cli.control.learner import Learner, NoLearner, SplitLearner, learning_region
 from split_cli.control.mpcc import MpccSettings
+from split_cli.control.policy import PAST
 from split_cli.control.residual import PredictorResidual
 from split_cli.learning.cells import empty_set
-from split_cli.learning.features import Z2, parse_features
+from split_cli.learning.features import Z2, FeatureSet, parse_features
 from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fit_kernel, scatter_variance
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.kernel_file import read_kernel
@@ -17,20 +20,37 @@ from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.workflows.racing.settings import FITS, RaceSettings
 
-__all__ = ["blank_header", "make_learner", "studied_header"]
+__all__ = ["PAST_TERM", "blank_header", "make_learner", "remembering", "studied_header"]
+
+PAST_TERM = EffectSpec("feature_lag", {"tau": PAST})
+"""The term whose states are the recent past of z2; no force depends on it."""
 
 
-def blank_header(vehicle: Vehicle, mpcc: MpccSettings) -> TrainingSet:
-    """Return an empty set that is only asked for its labels, since no kernel is known yet."""
+def remembering(vehicle: Vehicle, features: FeatureSet) -> tuple[Vehicle, int]:
+    """Return the vehicle with `PAST_TERM` where `features` name its states and the file lacks it.
+
+    The number of terms that this adds comes second; a set counts them as found beyond the file.
+    """
+    asked = any(name.startswith(f"{PAST_TERM.term}.") for name in features.names)
+    if asked and all(effect.term != PAST_TERM.term for effect in vehicle.effects):
+        return vehicle.with_effects(PAST_TERM), 1
+    return vehicle, 0
+
+
+def blank_header(vehicle: Vehicle, features: FeatureSet, mpcc: MpccSettings) -> TrainingSet:
+    """Return an empty set that is only asked for its labels, since no kernel is known yet.
+
+    It is one over z2; `features` are those that will be learned, whose states the model has from the start.
+    """
+    vehicle, added = remembering(vehicle, features)
     limits = mpcc.limits
     region = learning_region(vehicle, limits.alpha_max, limits.dalpha_max, limits.p_long)
     grid = build_grid(Z2, vehicle, region)
-    return empty_set(
-        vehicle, Z2, region, grid, Kernel(np.array(grid.edges), np.ones(3), np.ones(3)), horizon=mpcc.step
-    )
+    kernel = Kernel(np.array(grid.edges), np.ones(3), np.ones(3))
+    return replace(empty_set(vehicle, Z2, region, grid, kernel, horizon=mpcc.step), found_effects=added)
 
 
 def studied_header(
@@ -45,7 +65,7 @@ def studied_header(
     grid = build_grid(features, blank.vehicle, blank.region, labels.z[labels.accepted])
     kernel = _kernel(labels, grid, settings, notes)
     header = empty_set(blank.vehicle, features, blank.region, grid, kernel, horizon=blank.horizon)
-    return header, labels
+    return replace(header, found_effects=blank.found_effects), labels
 
 
 def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]) -> Kernel:
