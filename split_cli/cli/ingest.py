@@ -14,6 +14,7 @@ from split_cli.cli.options import (
     output_option,
     print_json,
     print_table,
+    tell_next,
     vehicle_option,
 )
 from split_cli.cli.voice import StepBar
@@ -187,7 +188,27 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
         _write_report(run, vehicle_path, options["report"])
     _tell_what_was_left(logs)
     _show(run, as_json)
+    if not as_json:
+        _tell_what_follows(run, output, vehicle_path)
     return 1 if run.failures else 0
+
+
+def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
+    """Name the command that takes the drives; where one contradicts itself, what to mend first."""
+    drives = [result.drive_path for result in run.results]
+    faulty = [str(result.drive_path) for result in run.results if result.faults]
+    if faulty:
+        told = f"{', '.join(faulty[:3])}{' ...' if len(faulty) > 3 else ''}"
+        tell_next(before=f"correct the map as `does not fit together` says of {told}, and ingest again")
+    elif drives:
+        vehicle = vehicle_path or "VEHICLE.yaml"
+        doubtful = any(result.quality.consistency.findings for result in run.results)
+        before = "see to what does not fit together, then: " if doubtful else ""
+        before += "" if vehicle_path else "describe the car in VEHICLE.yaml (`split init` drafts one), then: "
+        taken = drives if len(drives) < 4 else [output]
+        tell_next(
+            ["split", "train", *taken, "--vehicle", vehicle, "-o", f"{Path(vehicle).stem}.split"], before=before
+        )
 
 
 def _write_report(run, vehicle_path, path: Path) -> None:

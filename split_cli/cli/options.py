@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ __all__ = [
     "output_option",
     "print_json",
     "print_table",
+    "tell_next",
     "vehicle_option",
 ]
 
@@ -202,3 +204,10 @@ def _cell(value: Any) -> str:
     if isinstance(value, float):
         return plausible(value)
     return str(value)
+
+
+def tell_next(words: Sequence[str | Path] = (), *, before: str = "") -> None:
+    """Print the command to run next on stderr, as a line to copy; `before` says what has to be done first."""
+    line = before + " ".join(shlex.quote(str(word)) for word in words)
+    if line:
+        click.echo(f"next: {line}", err=True)

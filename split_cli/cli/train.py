@@ -14,6 +14,7 @@ from split_cli.cli.options import (
     output_option,
     print_json,
     print_table,
+    tell_next,
     vehicle_option,
 )
 from split_cli.cli.voice import StepBar
@@ -148,6 +149,10 @@ def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jo
     _print_rows(result)
     if result.laps:
         _print_laps(result.laps)
+    # Where the drives are there, without --set: on held-out blocks, since an unseen drive may not exist.
+    named = all(path.is_file() and ".labels" not in path.name for path in drives)
+    scored = drives if named else ["UNSEEN_DRIVE", "--set", output]
+    tell_next(["split", "evaluate", *scored, "--vehicle", vehicle_path, "-o", "figures/"])
 
 
 def _print_laps(laps) -> None:

@@ -255,6 +255,7 @@ def unit_of_time(values: np.ndarray) -> str:
     """
     finite = values[np.isfinite(values)]
     steps = np.diff(finite)
+    steps = steps[steps != 0.0]  # rows that share a stamp of few digits
     step = abs(float(np.median(steps))) if len(steps) else 1.0
     sizes = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     if len(finite) and 1e18 <= finite[0] <= 4.1e18:
@@ -266,10 +267,10 @@ def seconds_and_nanoseconds(infos: Sequence[RawChannelInfo]) -> tuple[str, str] 
     """Return the columns of a time stamp of ROS written out flat, whole seconds and nanoseconds; None if none."""
     names = {info.name for info in infos if info.type_name != "text"}
     for name in sorted(names, key=len):
-        match = re.fullmatch(r"(.*?)(nanosec|nanosecs|nsec|nsecs|nanoseconds)", name, re.IGNORECASE)
+        match = re.fullmatch(r"(.*?)(nanosec|nanosecs|nsec|nsecs|nanoseconds|ns)", name, re.IGNORECASE)
         if match is None or not re.search(r"(^|[._/ ])(stamp|time|header)?[._/ ]?$", match[1], re.IGNORECASE):
             continue
-        whole = next((n for n in (match[1] + w for w in ("sec", "secs", "seconds")) if n in names), None)
+        whole = next((n for n in (match[1] + w for w in ("sec", "secs", "seconds", "s", "S")) if n in names), None)
         if whole is not None:
             return whole, name
     return None

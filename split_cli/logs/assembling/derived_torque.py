@@ -7,6 +7,8 @@ import numpy as np
 from split_cli.errors import MapError, nearest_names
 from split_cli.logs.assembling.derivation import Derivation, DerivationInputs, Derived
 from split_cli.logs.assembling.smoothing import derivative, smooth
+from split_cli.logs.checking.checks import LEAST_CORRELATION
+from split_cli.logs.checking.kinematics import fit_slope
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
 from split_cli.vehicle.tire import lateral_force
@@ -110,13 +112,13 @@ def _run_torque_from_acceleration(situation: DerivationInputs) -> Derived:
     vehicle = situation.require_vehicle("torque-from-acceleration")
     c = situation.columns
     source = situation.settings.get("acceleration", "ax" if "ax" in c else "vx")
+    apart = _contradiction(situation) if "acceleration" not in situation.settings and source == "ax" else ""
+    source = "vx" if apart else source
     if source == "ax":
         ax = c["ax"] - float(situation.settings.get("offset", 0.0))
         how = "from measured a_x"
     elif source == "vx":
-        ax = np.empty(len(c["vx"]))
-        for run in situation.segments:
-            ax[run] = derivative(smooth(c["vx"][run]), situation.period) - c["vy"][run] * c["r"][run]
+        ax = _acceleration_of_the_velocity(situation)
         how = "from dv_x/dt - v_y r of smoothed v_x"
     else:
         raise MapError(
@@ -127,7 +129,28 @@ def _run_torque_from_acceleration(situation: DerivationInputs) -> Derived:
         "T is derived from acceleration: the longitudinal label holds noise and what the derivation got wrong, "
         "and says nothing about the drive train"
     )
+    warning += f"; {apart}" if apart else ""
     return Derived({"T": T}, f"torque {how} by the nominal model of {vehicle.name}", warning)
+
+
+def _acceleration_of_the_velocity(situation: DerivationInputs) -> np.ndarray:
+    """Return dv_x/dt - v_y r of smoothed v_x [m/s^2], shape (N,)."""
+    c = situation.columns
+    ax = np.empty(len(c["vx"]))
+    for run in situation.segments:
+        ax[run] = derivative(smooth(c["vx"][run]), situation.period) - c["vy"][run] * c["r"][run]
+    return ax
+
+
+def _contradiction(situation: DerivationInputs) -> str:
+    """Say that a measured a_x does not follow the velocity and tells no torque; empty where it does."""
+    measured = situation.columns["ax"].copy()
+    for run in situation.segments:
+        measured[run] = smooth(measured[run])
+    found = fit_slope(measured, _acceleration_of_the_velocity(situation), np.ones(len(measured), dtype=bool))
+    if found is None or found.correlation >= LEAST_CORRELATION:
+        return ""
+    return f"measured a_x and dv_x/dt - v_y r correlate by {found.correlation:.2f} only, so a_x was not used for T"
 
 
 def _run_torque_from_pedals(situation: DerivationInputs) -> Derived:

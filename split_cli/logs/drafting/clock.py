@@ -67,6 +67,8 @@ def clock_of_rows(
     clocks = clocks or [i for i in infos if getattr(find_unit(stated_unit(i) or ""), "si", "") == "s"]
     rising = [i for i in clocks if i.name in signals and _counts(signals[i.name].values)]
     rising = rising or [i for i in timed if i.name in signals and _counts(signals[i.name].values)]
+    # A clock of fewer digits than the rows come in stands still between them; ingest drops what shares a stamp.
+    rising = rising or [i for i in clocks if i.name in signals and _never_falls(signals[i.name].values)]
     if not rising:
         # Whatever it is called: what counts evenly since 1970 is a clock.
         rising = [i for i in infos if i.name in signals and _counts_since_1970(signals[i.name].values)]
@@ -77,10 +79,7 @@ def clock_of_rows(
         unit = info.unit if find_unit(info.unit or "") and find_unit(info.unit).si == "s" else stated_unit(info)
         unit = unit if unit in ("s", "ms", "us", "ns", "min") else unit_of_time(values)
         fits = unit_of_time(values)
-        if (
-            fits != unit
-            and not _SHORTEST < abs(float(np.median(np.diff(values)))) * find_unit(unit).factor < _LONGEST
-        ):
+        if fits != unit and not _SHORTEST < _usual_step(values) * find_unit(unit).factor < _LONGEST:
             told = f"the file says {unit}, but its rows are as far apart as those of a drive in {fits}"
             line = f"time: {{source: {quoted(info.name)}, unit: {fits}}}   # CHECK: {told}"
             return (values - np.nanmin(values)) * find_unit(fits).factor, line, True
@@ -128,9 +127,20 @@ def _from_steps(infos: Sequence[RawChannelInfo], recording: RawRecording) -> tup
     return None
 
 
+def _usual_step(values: np.ndarray) -> float:
+    """Return the median of the steps that move on, in the column's unit."""
+    step = np.abs(np.diff(values[np.isfinite(values)]))
+    return float(np.median(step[step > 0.0])) if np.any(step > 0.0) else 0.0
+
+
 def _rises(values: np.ndarray) -> bool:
     step = np.diff(values[np.isfinite(values)])
     return len(step) > 10 and np.mean(step > 0) > 0.95
+
+
+def _never_falls(values: np.ndarray) -> bool:
+    step = np.diff(values[np.isfinite(values)])
+    return np.count_nonzero(step > 0) > 10 and not np.any(step < 0)
 
 
 def _counts(values: np.ndarray) -> bool:

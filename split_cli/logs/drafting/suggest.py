@@ -382,8 +382,12 @@ def _closeness(verdict: Consistency, channel: str) -> float:
 
 def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[str, Suggestion]:
     """Take the clearest candidate of each channel; among rivals the one that contradicts the others least."""
+    # Steering in per cent is a share of the lock, of which an angle beside it is the more.
     ranked = {
-        channel: sorted(options, key=lambda c: (-c.weight, c.unit is None, len(c.sources)))[:_MOST_RIVALS]
+        channel: sorted(
+            options,
+            key=lambda c: (-c.weight, channel == "delta" and c.unit == "%", c.unit is None, len(c.sources)),
+        )[:_MOST_RIVALS]
         for channel, options in usable.items()
     }
     taken: dict[tuple[str, ...], str] = {}

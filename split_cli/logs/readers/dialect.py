@@ -203,8 +203,13 @@ def _candidates(lines: list[str]) -> list[tuple[str, str]]:
     return [entry[2] for entry in scored]
 
 
+_COMMENT_MARK = re.compile(r"^[#%]+[ \t]*(?=[\w\"(\[])")
+"""Before a row of titles or units, as NumPy, gnuplot and CarMaker write it; a column called # stays."""
+
+
 def _split(line: str, separator: str) -> list[str]:
     if separator != _BLANKS:
+        line = _COMMENT_MARK.sub("", line)
         try:
             return next(csv.reader([line.rstrip("\r\n")], delimiter=separator), [])
         except csv.Error:  # a cell of over 128 kB: another separator parts it, or none does
@@ -318,8 +323,9 @@ def _rejoined(row: list[str], width: int) -> list[str]:
 
 def _is_title_row(row: list[str], width: int) -> bool:
     titles = [cell.strip() for cell in row if cell.strip()]
-    # One column more or less: exports disagree on a separator at the end of the line. A row of types names none.
-    alike = all(_TYPE.fullmatch(title) for title in titles)
+    # One column more or less: exports disagree on a separator at the end of the line. A row of types names none,
+    # nor does one that says the same of every column.
+    alike = all(_TYPE.fullmatch(title) for title in titles) or (width > 2 and len(set(titles)) == 1)
     return abs(len(row) - width) <= 1 and len(titles) >= max(1, width // 2) and not alike
 
 

@@ -89,9 +89,15 @@ class InitResult:
         chosen = derivations_for(missing, mapped)
         derived = {channel for name in chosen for channel in DERIVATIONS[name].makes}
         derive = "".join(f" --derive {name}" for name in chosen)
+        opened = {s.channel for s in self.draft.suggestions if s.status == "open"}
         left = [channel for channel in missing if channel not in derived]
-        if left:
-            steps.append(f"Map {', '.join(left)} in {self.map_path}: its comments say what was found.")
+        if found := [channel for channel in left if channel in opened]:
+            steps.append(f"Map {', '.join(found)} in {self.map_path}: its comments say what was found.")
+        if lost := [channel for channel in left if channel not in opened]:
+            steps.append(
+                f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without: another file may hold it "
+                f"(--together), or it has to be recorded. Comments in {self.map_path} say what will do."
+            )
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
         steps.append(f"Run: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o drive.parquet")
         return tuple(steps)
