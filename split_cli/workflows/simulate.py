@@ -188,6 +188,11 @@ def simulate_log(
         for run, what_ran in zip(runs, CALIBRATION_TESTS if settings.calibration_tests else [what], strict=False)
         if run.ended_early
     )
+    if format_name != "mcap" and not settings.calibration_tests:
+        notes += (
+            "the table does not say that T and delta are commands, held between samples: --held T,delta does, or "
+            "`kind: command` in the map",
+        )
     channel = {name: np.concatenate([run.channel(name) for run in runs]) for name in ("vx", "ax", "ay")}
     return SimulatedLog(
         output=output,

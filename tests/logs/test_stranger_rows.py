@@ -186,3 +186,15 @@ def test_an_accelerometer_is_along_the_car_though_the_velocity_beside_it_is_not(
     )
     assert drawn.of("vx").status == drawn.of("vy").status == "open"
     assert drawn.of("ay").status in ("judged", "unsided") and drawn.of("ax").status == "judged"
+
+
+def test_fields_that_begin_late_are_listed_and_those_of_few_rows_told(tmp_path):
+    """A sensor that starts after a third of the log is a column; what one row alone has is counted."""
+    rows = [{"time": 0.01 * n, "vx": 10.0} | ({"imu": {"r": 0.1}} if n > 1000 else {}) for n in range(3000)]
+    rows[700]["rare"] = 1.0
+    (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, rows)) + "\n")
+    recording = open_recording(tmp_path / "log.jsonl")
+    assert [info.name for info in recording.channels()] == ["time", "vx", "imu.r"]
+    read = recording.read(["imu.r"])["imu.r"].values
+    assert np.isnan(read[:1001]).all() and np.all(read[1001:] == 0.1)
+    assert [(note.what, note.count) for note in recording.notes] == [("fields of few rows, not listed: rare", 1)]

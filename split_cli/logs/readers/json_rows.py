@@ -32,6 +32,8 @@ __all__ = ["is_json", "open_json"]
 
 _LISTED_ROWS = 200
 """Rows whose fields are listed: an event writes fields that the first row lacks [1]."""
+_PLACES, _ROWS_A_PLACE, _BYTES_A_PLACE = 16, 25, 1 << 18
+"""Of a file of lines, where further rows are looked at for fields: a sensor may start late [1]."""
 _DEEPEST = 12
 _LISTED_ELEMENTS = 64
 _NUMBERS_AT_ONCE, _ROWS_AT_ONCE = 1 << 20, 4096
@@ -63,7 +65,9 @@ def open_json(path: Path) -> RawRecording:
     if not isinstance(first, dict) or _has_columns(first):
         return _whole(path)
     notes: list[ReadNote] = []
-    known = _names_of(itertools.islice(_rows(path, []), _LISTED_ROWS), path)
+    known = _names_of(
+        itertools.chain(itertools.islice(_rows(path, []), _LISTED_ROWS), _rows_of_places(path)), path
+    )
     return _table(path, known, lambda: _rows(path, notes), notes)
 
 
@@ -82,7 +86,10 @@ def _table(
     if unique.renamed:
         note_once(notes, ReadNote("column names that occur twice, numbered", path.name, unique.renamed))
 
+    listed = set(known)
+
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
+        missed: dict[str, None] = {}
         wanted = {real[name]: place for place, name in enumerate(names)}
         columns = [GrowingColumn() for _ in names]
         count, size = 0, path.stat().st_size
@@ -98,11 +105,16 @@ def _table(
             for name, number in _numbers_of(row):
                 if name in wanted:
                     values[at, wanted[name]] = number
+                elif name not in listed and len(missed) < MOST_FIELDS:
+                    missed[name] = None
             count += 1
             if at + 1 == len(values):
                 _refuse_rows_of_nothing(count * len(names), size, path)
                 hand_over(len(values))
         hand_over(count % len(values))
+        if missed:
+            shown = ", ".join([*missed][:3]) + (", ..." if len(missed) > 3 else "")
+            note_once(notes, ReadNote(f"fields of few rows, not listed: {shown}", path.name, len(missed)))
         read = zip(names, columns, strict=True)
         return {name: RawSignal(name, None, column.finished(), units[name]) for name, column in read}
 
@@ -198,6 +210,22 @@ def _rows(path: Path, notes: list[ReadNote]) -> Iterator[dict[str, Any]]:
                 damaged += 1
     if damaged:
         note_once(notes, ReadNote("lines that hold no object, left out", path.name, damaged))
+
+
+def _rows_of_places(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield some objects from places all over a file of lines; what a place cuts in two is left out."""
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        for place in range(1, _PLACES):
+            stream.seek(size * place // _PLACES)
+            stream.readline(LONGEST_ELEMENT)
+            begin = stream.tell()
+            for _ in range(_ROWS_A_PLACE):
+                row = parsed(stream.readline(LONGEST_ELEMENT))
+                if isinstance(row, dict):
+                    yield row
+                if stream.tell() > begin + _BYTES_A_PLACE:
+                    break
 
 
 def _numbers_of(value: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
