@@ -193,6 +193,9 @@ def test_cut_and_foreign_payloads_are_told_from_good_ones():
     found = decoder.decode(mixed, [last])
     np.testing.assert_array_equal(found.readable, [True, *[False] * len(bad), True])
     np.testing.assert_array_equal(found.values[:, 0], [35.0, *[np.nan] * len(bad), 34.0])
+    # The first bad one takes its equals with it, and none that differs.
+    found = SerializedDecoder(layout, cdr=True).decode([*bad, good[0], *bad, good[1], *bad[::-1]], [last])
+    assert np.flatnonzero(found.readable).tolist() == [len(bad), 2 * len(bad) + 1]
 
 
 @pytest.mark.parametrize(
