@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import json
 import re
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,17 @@ def parsed(text: bytes | str) -> Any:
         return json.loads(text.removeprefix(b"\xef\xbb\xbf") if isinstance(text, bytes) else text)
     except (ValueError, RecursionError):
         return None
+
+
+def _parsed_at_once(text: str) -> Any:
+    """Return what a long text stands for; meanwhile no garbage is looked for: a parser makes no cycles."""
+    looked = gc.isenabled()
+    gc.disable()
+    try:
+        return parsed(text)
+    finally:
+        if looked:
+            gc.enable()
 
 
 class JsonDocument:
@@ -64,8 +77,7 @@ class JsonDocument:
                 if self._next() == "[":
                     elements = self._elements()
                     yield str(key), elements
-                    for _ in elements:  # what the caller did not want
-                        pass
+                    deque(elements, maxlen=0)  # what the caller did not want
                 else:
                     self._value()
                 if self._next() != ",":
@@ -95,7 +107,7 @@ class JsonDocument:
             self._unsplit = False
             ending = _ENDINGS.get(self._next(), ",")
             last = self._text.rfind(ending, self._at) + len(ending) - 1
-            batch = parsed(f"[{self._text[self._at : last]}]") if last > self._at else None
+            batch = _parsed_at_once(f"[{self._text[self._at : last]}]") if last > self._at else None
             if not batch:
                 self._failed += 1
                 return

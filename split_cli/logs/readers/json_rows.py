@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,7 @@ def _table(
 
         for row in rows():
             at = count % len(values)
-            for name, number in _numbers_of(row):
+            for name, number in _numbers_of(row) if row else ():
                 if name in wanted:
                     values[at, wanted[name]] = number
                 elif name not in listed and len(missed) < MOST_FIELDS:
@@ -134,7 +134,7 @@ def _refuse_rows_of_nothing(numbers: int, size: int, path: Path) -> None:
 def _names_of(rows: Iterable[dict[str, Any]], path: Path) -> list[str]:
     """Return the addresses of all numbers in some rows."""
     known: dict[str, None] = {}
-    for row in rows:
+    for row in filter(None, rows):
         known |= dict.fromkeys(name for name, _ in _numbers_of(row))
         refuse_many_columns(len(known), path.name)
     if not known:
@@ -151,9 +151,11 @@ def _whole(path: Path) -> RawRecording:
             first = next(elements, None)
             counts = rows_of if isinstance(first, dict) else columns_of
             if len(counts) < MOST_FIELDS and not isinstance(first, list) and first is not None:
-                counts[key] = 1
-                for _ in elements:
-                    counts[key] += 1
+                passed = itertools.count(1)
+                try:
+                    deque(zip(elements, passed, strict=False), maxlen=0)
+                finally:  # of a document that is cut off, what stands before counts
+                    counts[key] = next(passed)
     except (ValueError, RecursionError):
         notes.append(ReadNote("the document is cut off or damaged: read up to there", path.name))
     lengths = [length for length in columns_of.values() if length > 1]
