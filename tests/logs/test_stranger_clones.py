@@ -147,3 +147,11 @@ def test_no_torque_is_made_of_an_acceleration_that_does_not_follow_the_velocity(
     assert any("a_x was not used for T" in text for text in made.quality.warnings)
     inside = slice(50, -50)
     np.testing.assert_allclose(made.drive["T"][inside], drive.at("T", made.drive["t"])[inside], atol=0.02 * 1700)
+
+
+def test_a_speed_that_no_car_reaches_is_told_with_what_other_units_would_make_of_it(tmp_path):
+    """150 km/h without a unit, and nothing recorded that judges it."""
+    t = np.arange(0.0, 60.0, 0.1)
+    _write({"time": t, "SPEED": 150.0 + 8.0 * np.sin(0.2 * t)}, tmp_path)
+    reason = draft_map(open_recording(tmp_path / "log.csv")).of("vx").reason
+    assert "km/h would make it 43.9, mph would make it 70.6, kn would make it 81.3 m/s" in reason

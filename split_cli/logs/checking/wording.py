@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from split_cli.logs.checking.mistakes import Mistake
+from split_cli.logs.checking.mistakes import COMMON, Mistake, known_mistakes
 from split_cli.logs.checking.relations import OF_THE_BODY, ConsistencyFinding, Leaf, Plausible, Relation, Story
 
 __all__ = ["tell"]
@@ -51,9 +51,24 @@ def tell(
     for magnitude, words in zip(beyond, reach, strict=True):
         if magnitude.cost(left_over) > 0.0:
             first = next(iter(magnitude.powers))
-            text = f"{words}: check the unit of {' and '.join(magnitude.powers)}.{alternative}"
+            units = _units_that_help(magnitude)
+            text = f"{words}: check the unit of {' and '.join(magnitude.powers)}{units}.{alternative}"
             found.append(ConsistencyFinding("range", first, text, magnitude.value))
     return found
+
+
+def _units_that_help(magnitude: Plausible) -> str:
+    """Say what the usual units would make of a magnitude of one channel that no car reaches."""
+    if len(magnitude.powers) != 1:
+        return ""
+    (channel,) = magnitude.powers
+    sizes = {
+        m.unit: magnitude.value / m.low
+        for m in known_mistakes(channel, None)
+        if m.unit and not m.turned and m.cost <= COMMON and magnitude.value <= m.low * magnitude.high
+    }
+    told = [f"{unit} would make it {size:.3g}" for unit, size in sizes.items()]
+    return f" ({', '.join(told)} {magnitude.unit})" if told else ""
 
 
 def _opposite_hands(world: Story, car: Story, broken: Sequence[Relation]) -> list[ConsistencyFinding]:
