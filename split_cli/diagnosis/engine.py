@@ -23,7 +23,14 @@ from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable, limits_of
 from split_cli.diagnosis.search.selection import Selection
-from split_cli.diagnosis.statement.result import Diagnosis, InputFile
+from split_cli.diagnosis.statement.result import (
+    CorrectedVehicle,
+    Diagnosis,
+    Finding,
+    Improvement,
+    InputFile,
+    RemainderTest,
+)
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.together import together
 from split_cli.diagnosis.verdict.corrected import judge_corrected
@@ -64,6 +71,7 @@ def diagnose(
     inputs: Sequence[InputFile] = (),
     policy: Policy = STANDARD,
     progress: Callable[[str], None] = lambda step: None,
+    improved: bool = True,
 ) -> Diagnosis:
     """Diagnose what reality has beyond a simulation.
 
@@ -83,6 +91,9 @@ def diagnose(
         One for all cases; every number that decides.
     progress : callable
         Called with the name of each step.
+    improved : bool
+        Whether to measure on held-out time what naming improves, and to judge the corrected vehicle. Without,
+        only findings are stated, and the shares that they explain are those of all time.
     """
     settings, described = policy.comparison, policy.described()
     drives, notes = clean_drives([*real, *simulated, *holdout], policy.screening)
@@ -158,7 +169,7 @@ def diagnose(
             gaps=_gaps(case), detectable=detectable,
         )  # fmt: skip
     progress("judging")
-    stated = _tell(case, found, policy)
+    stated = _tell(case, found, policy, improved)
     hardly = reach > settings.reach or share < settings.least_share
     if hardly and not stated.findings and not contradictions:
         return _undecided([_FAR_AND_UNNAMED], share, inputs, described)
@@ -234,7 +245,7 @@ def _p_of_a_part(selection: Selection) -> float:
     return 1.0 if partly is None else partly.p_value
 
 
-def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy) -> Diagnosis:
+def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: bool) -> Diagnosis:
     """Say where the difference is, what it is, and whether naming it helps."""
     selection, findings, remainder, unexplained = describe(found.outcome, bool(found.contradictions))
     structured, unexplained = unexplained, unexplained or found.line is not None
@@ -248,18 +259,11 @@ def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy) -> Diagnosis:
         line = found.line.in_words() if found.line else ""
         remainder = replace(remainder, formula="; and ".join(filter(None, (smooth, line))))
     location = locate(case.real, forces, after, case.keep, policy.reporting)
-    split = hold_out(
-        case.real, case.keep, case.holdout, case.keep_holdout, case.posterior, case.discrepancy, case.kinematics,
-        policy, fixed_baseline=found.outcome.structure.objective.fixed_baseline,
-    )  # fmt: skip
-    chosen = selection.chosen
-    trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen
-    findings = with_shares(findings, chosen, explained_shares(split, trained))
-    remainder = replace(remainder, explained=explained_together(split, trained, selection.named))
-    named = tuple(term for term, is_named in zip(trained.terms, selection.named, strict=True) if is_named)
-    recordings = _held_out(case, split)
-    improvement = measure_improvement(recordings, named, case.discrepancy, case.posterior, case.simulated)
-    corrected = judge_corrected(recordings, named)
+    improvement, corrected = None, None
+    if improved:
+        findings, remainder, improvement, corrected = _improve(
+            case, found, selection, (findings, remainder), policy
+        )
     return Diagnosis(
         "mismatch",
         found.p_value,
@@ -284,6 +288,31 @@ def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy) -> Diagnosis:
             corrected,
         ),
         corrected_vehicle=corrected,
+    )
+
+
+def _improve(
+    case: DiagnosisCase,
+    found: _Comparison,
+    selection: Selection,
+    told: tuple[Sequence[Finding], RemainderTest],
+    policy: Policy,
+) -> tuple[tuple[Finding, ...], RemainderTest, Improvement, CorrectedVehicle | None]:
+    """Return findings and remainder with their shares of held-out time, the improvement there, and the vehicle."""
+    findings, remainder = told
+    split = hold_out(
+        case.real, case.keep, case.holdout, case.keep_holdout, case.posterior, case.discrepancy, case.kinematics,
+        policy, fixed_baseline=found.outcome.structure.objective.fixed_baseline,
+    )  # fmt: skip
+    chosen = selection.chosen
+    trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen
+    named = tuple(term for term, is_named in zip(trained.terms, selection.named, strict=True) if is_named)
+    recordings = _held_out(case, split)
+    return (
+        with_shares(findings, chosen, explained_shares(split, trained)),
+        replace(remainder, explained=explained_together(split, trained, selection.named)),
+        measure_improvement(recordings, named, case.discrepancy, case.posterior, case.simulated),
+        judge_corrected(recordings, named),
     )
 
 

@@ -1,0 +1,30 @@
+"""The study of known faults in recordings deals a drive as it says, and fixes lists of faults that exist."""
+
+import numpy as np
+import pytest
+
+from split_cli.proof.injection import FAULTS
+from tests.factories import make_drive
+from tests.studies.recorded_faults import DRIVES, dealt
+from tests.studies.recorded_faults_lists import LISTS
+
+
+@pytest.mark.parametrize("split", ["halves", "blocks", "blocks 6", "swapped halves"])
+def test_two_parts_have_each_sample_once(split):
+    drive = make_drive(segments=10)
+    one, other = dealt(drive, split)
+    assert sorted([*one["t"], *other["t"]]) == sorted(drive["t"])
+    assert (one["t"][0] < other["t"][0]) != split.startswith("swapped")
+
+
+def test_thirds_leave_the_middle_out():
+    one, other = dealt(drive := make_drive(segments=12), "thirds")
+    middle = ~np.isin(drive["t"], [*one["t"], *other["t"]])
+    assert np.ptp(drive["t"][middle]) == pytest.approx(20.0, abs=1.1)
+
+
+def test_each_row_of_a_list_names_a_recording_and_a_fault():
+    for rows in LISTS.values():
+        assert {row.fault for row in rows} <= {"none", *FAULTS}
+        assert {row.pair.split(", ")[0] for row in rows} <= set(DRIVES)
+        assert len(set(rows)) == len(rows)

@@ -1,0 +1,70 @@
+"""Lists of known faults in real recordings, each fixed before its first row was run; see `recorded_faults.py`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["LISTS", "Row"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One fault in one pair.
+
+    Attributes
+    ----------
+    pair : str
+        Recording and split, joined by a comma.
+    fault : str
+        Of `proof.injection.FAULTS`, or ``none``.
+    multiple : float or None
+        Size over the one that the pair without a fault promises to name.
+    value : float or None
+        Size, in the unit of the fault, instead.
+    """
+
+    pair: str
+    fault: str
+    multiple: float | None = None
+    value: float | None = None
+
+
+def _rows(pair: str, *faults: str | tuple[str, float]) -> list[Row]:
+    """Return faults of 1.5 times the promise, or of another multiple."""
+    pairs = [(one, 1.5) if isinstance(one, str) else one for one in faults]
+    return [Row(pair, "none"), *(Row(pair, name, multiple) for name, multiple in pairs)]
+
+
+LISTS: dict[str, list[Row]] = {
+    "first": [
+        *_rows("rubber, blocks", "yaw rate scaled", "torque scaled", "heavier"),
+        *_rows("rubber, blocks", "velocity drifts", "speed scaled", "CG moved")[1:],
+        *_rows("tum, halves", "yaw rate late", "torque scaled", "steering late"),
+        *_rows("free, blocks"),
+        Row("free, blocks", "CG moved", value=0.050),
+        *_rows("free, blocks", "clocks shifted", "torque scaled", "steering late", "yaw rate scaled")[1:],
+        *_rows("kth, halves", "clocks shifted", "lateral velocity late", "steering late"),
+        Row("kth, halves", "yaw rate late", value=0.21),
+        *_rows("slippery, blocks", "steering late", "clocks shifted", "torque late"),
+        *_rows("av21, halves", "yaw rate late", "velocity drifts", "yaw rate biased", "velocity moved"),
+        *_rows("tum, blocks", "steering late", ("steering late", 3.0), "torque late", ("torque late", 3.0)),
+        *_rows("tum, blocks", "clocks shifted")[1:],
+        Row("tum, blocks", "yaw rate late", value=0.074),
+        Row("tum, blocks", "softer tyres", value=0.65),
+        *_rows("genesis, blocks"),
+        Row("genesis, blocks", "lateral velocity late", value=0.90),
+        *_rows("genesis, blocks", "steering late", "steering scaled", "speed scaled", "yaw rate late")[1:],
+        *_rows("genesis, blocks", "yaw rate biased")[1:],
+        *_rows("autorally 5, halves", "clocks shifted", "torque scaled", "lateral velocity late", "speed scaled"),
+    ],
+    "second": [
+        *_rows("tape, swapped blocks", "yaw rate scaled", "velocity biased", "steering scaled"),
+        *_rows("slippery, blocks 6", "speed scaled", "velocity moved", "yaw rate biased"),
+        *_rows("kth, swapped halves", "steering offset", "yaw rate late", "velocity moved"),
+        *_rows("autorally 6, halves", "yaw rate late", "speed scaled", "torque late"),
+        *_rows("tum second file, blocks", "steering scaled", "clocks shifted", "lateral acceleration biased"),
+        *_rows("genesis, swapped halves", "steering offset", "velocity rotated", "speed scaled"),
+    ],
+}
+"""By name. ``first`` are the 42 faults of docs/proof_recordings.md at today's sizes. ``second`` has parts and faults
+that no search had seen when the list was fixed, on 25 November 2026."""
