@@ -261,6 +261,8 @@ def test_a_mass_moves_to_what_it_is_with_the_law_between_the_variants(behind, he
     between = 0.5 * module._other_load_laws(behind, heavier)[:, 0]
     fit = replace(heavier, sensitivity=slope[:, None], residuals=between - 0.03 * slope)
     assert moved_between_load_laws(behind, fit) == pytest.approx([0.03], abs=1e-3)
+    idle = replace(fit, sensitivity=np.column_stack([slope, np.zeros(len(slope))]))  # brakes that are never used
+    assert moved_between_load_laws(behind, idle) == pytest.approx([0.03, 0.0], abs=1e-3)
     alone = replace(fit, parts=(), sensitivity=np.empty((len(slope), 0)))
     assert moved_between_load_laws(behind, alone).shape == (0,)
 

@@ -83,7 +83,8 @@ def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarr
     laws, slopes = _other_load_laws(objective, fit), fit.sensitivity
     if not laws.shape[1]:
         return np.zeros(slopes.shape[1])
-    scale = np.linalg.norm(slopes, axis=0) + 1e-150
+    effect = np.linalg.norm(slopes, axis=0)
+    scale = np.where(effect > 0.0, effect, np.inf)  # what has no effect does not move
     low = np.repeat([-np.inf, 0.0], [slopes.shape[1], laws.shape[1]])
     columns = np.hstack([-slopes / scale, laws])
     found, _ = _bounded_fit(form_error_columns(objective, fit), columns, fit.residuals, low)
@@ -123,12 +124,20 @@ def divided_out(moved: np.ndarray, away: np.ndarray, slopes: np.ndarray) -> np.n
 def _bounded_fit(
     form_error: np.ndarray, columns: np.ndarray, residuals: np.ndarray, low: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Return weights of columns beside model-form error, those from 0 no more than 1, and what they save."""
+    """Return weights of columns beside model-form error, those from 0 no more than 1, and what they save.
+
+    Notes
+    -----
+    The least of |e - M w - V u|^2 + |w|^2 with w free, which is (I + M^T M)^-1 M^T (e - V u). So u is fitted to
+    rows beside M with w below them, by their triangle. V^T P V would square what is nearly singular there, and has no
+    root where a column has no effect, as brakes that were never used.
+    """
+    count, both = columns.shape[1], np.column_stack([columns, residuals])
     normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
-    cleared = columns - form_error @ np.linalg.solve(normal, form_error.T @ columns)
-    curvature = columns.T @ cleared
-    root = np.linalg.cholesky(curvature + 1e-9 * np.diag(np.diag(curvature))).T
-    target = solve_triangular(root, cleared.T @ residuals, trans=1)
+    weights = np.linalg.solve(normal, form_error.T @ both)
+    beside = np.linalg.qr(np.vstack([both - form_error @ weights, weights]), mode="r")[:count]
+    small = np.sqrt(1e-9) * np.diag(np.linalg.norm(beside[:, :count], axis=0))
+    root, target = np.vstack([beside[:, :count], small]), np.concatenate([beside[:, count], np.zeros(count)])
     found = lsq_linear(root, target, (low, np.where(np.isinf(low), np.inf, 1.0)))
     return found.x, float(target @ target) - 2.0 * float(found.cost)
 
