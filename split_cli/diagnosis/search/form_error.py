@@ -129,8 +129,8 @@ def _bounded_fit(
     Notes
     -----
     The least of |e - M w - V u|^2 + |w|^2 with w free, which is (I + M^T M)^-1 M^T (e - V u). So u is fitted to
-    rows beside M with w below them, by their triangle. V^T P V would square what is nearly singular there, and has no
-    root where a column has no effect, as brakes that were never used.
+    rows beside M with w below them, by their triangle. V^T P V would square what is nearly singular there, and
+    has no root where a column has no effect, as brakes that were never used.
     """
     count, both = columns.shape[1], np.column_stack([columns, residuals])
     normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
