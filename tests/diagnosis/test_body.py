@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import split_cli.diagnosis.innovations.objective as objective_module
+import split_cli.diagnosis.baseline.discrepancy as discrepancy_module
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy, tangents
 from split_cli.diagnosis.innovations.case import gather_case
@@ -72,7 +72,7 @@ def test_forces_are_those_of_the_slips_where_the_axles_really_are(variant):
     forces, moved = (rates @ np.linalg.inv(vehicle.force_matrix()).T for rates, vehicle in (
         (discrepancy.rates(series, weights), car), (found, there)))  # fmt: skip
     np.testing.assert_allclose(moved, forces, rtol=1e-6, atol=1e-6 * np.abs(forces).max())
-    stays = at_another_body(discrepancy.rates(replace(series, smooth=ahead), weights), car, (shift,))
+    stays = discrepancy.at_another_car(discrepancy.rates(replace(series, smooth=ahead), weights), series, (shift,))
     assert np.abs(stays - found).max() > 0.01 * np.abs(found).max()
 
 
@@ -101,7 +101,7 @@ def test_an_inertia_is_found_beside_much_that_the_nominal_lacks(monkeypatch):
         return fit.parts[0].values["scale"]
 
     assert fitted() == pytest.approx(1.2, abs=0.02)
-    monkeypatch.setattr(objective_module, "at_another_body", lambda rates, vehicle, terms: rates)
+    monkeypatch.setattr(discrepancy_module, "at_another_body", lambda rates, vehicle, terms: rates)
     assert abs(fitted() - 1.2) > 0.05
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles, moves_axles
-from split_cli.diagnosis.baseline.tires import OtherTires, alters_tires, on_other_tires
+from split_cli.diagnosis.baseline.tires import at_other_tires
 from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.recording import first_order_response
@@ -73,8 +73,7 @@ class SharedDiscrepancy:
         or body.
 
         What the actuators really did, and where the car really was, is what the shared discrepancy answers to; its
-        forces are those of the tyres that are there, at the same points of their curves, see `OtherTires`, and
-        move the body that is there.
+        forces are those of the tyres that are there, at the slips they have, and move the body that is there.
         """
         there = moved_axles(self.vehicle, terms)
         if there is not self.vehicle:
@@ -84,44 +83,44 @@ class SharedDiscrepancy:
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), smooth)
         actual = replace(series, smooth=smooth, torque=torque, steer_angle=steer_angle)
-        tires = tuple(term for term in terms if alters_tires(term))
         entries = tangents()
         of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(entries)])
         # Row by row, and the plain rates taken off once: a sum over all of them is what costs.
-        out = [-of_tangents.sum() * row for row in actual.rate_rows(extended_model(self.vehicle, tires))]
+        out = [-of_tangents.sum() * row for row in actual.rate_rows(extended_model(self.vehicle))]
         for entry, weight in zip(entries, of_tangents, strict=True):
-            for row, added in zip(out, actual.rate_rows(self._altered(*entry, tires)), strict=True):
+            for row, added in zip(out, actual.rate_rows(self._altered(*entry)), strict=True):
                 row += weight * added
         directions = self._directions()
-        on_tires = on_other_tires(actual, self.vehicle, tires)
-        for axis, functions in self._functions(actual, on_tires):
+        for axis, functions in self._functions(actual):
             here, others = np.split(others, [len(functions)])
             total = here @ functions
-            if on_tires is not None and axis:
-                total *= on_tires.force[axis - 1]
             for row, direction in zip(out, directions[:, axis], strict=True):
                 row += direction * total
-        return at_another_body(np.stack(out, axis=1), self.vehicle, terms)
+        return self.at_another_car(np.stack(out, axis=1), actual, terms)
+
+    def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
+        """Return rates (N, 3) with the tyres and the body that terms make of the vehicle's.
+
+        Where terms move axles, the rates are those at the axles' slips there, see `rates`.
+        """
+        there = moved_axles(self.vehicle, terms)
+        some = series if there is self.vehicle else replace(series)  # a series keeps a flow of every vehicle
+        return at_another_body(at_other_tires(rates, some, there, terms), there, terms)
 
     def _directions(self) -> np.ndarray:
         return self.vehicle.force_matrix() * self._peak * _SMOOTH_DEVIATION
 
-    def _functions(self, series: Series, on_tires: OtherTires | None = None) -> list[tuple[int, np.ndarray]]:
+    def _functions(self, series: Series) -> list[tuple[int, np.ndarray]]:
         """Return smooth functions, (F, N) each, with the force they act as: 0 longitudinal, 1 front, 2 rear."""
-        z = features(series, self.vehicle)
-        if on_tires is not None:
-            z[:, :2] *= on_tires.slip.T
-        z = np.ascontiguousarray(_squash(z, self.center, self.width).T)
+        z = np.ascontiguousarray(_squash(features(series, self.vehicle), self.center, self.width).T)
         return [*self._smooth(z), *self._memory(z, series)]
 
-    def _altered(
-        self, kind: type[Term], variant: str, parameter: str, step: float, terms: Sequence[Term] = ()
-    ) -> SingleTrack:
+    def _altered(self, kind: type[Term], variant: str, parameter: str, step: float) -> SingleTrack:
         car = self.vehicle
         scaled = step * kind.sizes(car).get(parameter, 1.0)
         neutral = {key: kind.neutral[key] for key in kind.units}
         term = kind({**neutral, parameter: kind.neutral[parameter] + scaled}, variant)
-        return extended_model(car, (*terms, term))
+        return extended_model(car, (term,))
 
     @staticmethod
     def _smooth(z: np.ndarray) -> list[tuple[int, np.ndarray]]:

@@ -1,15 +1,13 @@
-"""The shared model discrepancy of a car on other tyres, or on another road: it follows the tyres' curves.
+"""The shared model discrepancy of a car on other tyres, or on another road: its lateral forces grow with theirs.
 
-What a single track lacks of an axle's lateral force was learned on one tyre. Were it left as it is, the correction
-that a drive on rubber taught would be as large on ice as the force of the whole axle, and would take from a grip
-what that should explain. Softer tyres slip further at the same force. Were it taken at the slips that they have, a
-correction by powers of the slip would be asked for where no simulation has been.
+What a single track lacks of an axle's lateral force was learned at one grip. On half the grip a tyre carries half
+of it. Were it left as it is, the correction that a drive on rubber taught would be as large on ice as the force of
+the whole axle, and would take from a grip what that should explain.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,9 +16,10 @@ from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.flow import AxleFlow
 from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import same_curve
 from split_cli.vehicle.tire import lateral_force
 
-__all__ = ["OtherTires", "alters_tires", "on_other_tires"]
+__all__ = ["alters_tires", "at_other_tires"]
 
 
 def alters_tires(term: Term) -> bool:
@@ -28,56 +27,40 @@ def alters_tires(term: Term) -> bool:
     return type(term).tire is not Term.tire and not alters_body(term)
 
 
-@dataclass(frozen=True)
-class OtherTires:
-    """Where on the curves of the vehicle's axles those of altered tyres are, sample by sample.
-
-    Attributes
-    ----------
-    slip : ndarray, shape (2, N)
-        B'/B of the front and the rear axle [1]: by it the slip angle is multiplied.
-    force : ndarray, shape (2, N)
-        Lateral force of the altered curve over that of the vehicle's at this slip angle [1]; D'/D with C as it is.
-
-    Notes
-    -----
-    Similarity of tyre curves (Pacejka 2012, section 4.3.1): with the same C, D' sin(C atan(B' alpha)) is D'/D
-    times the vehicle's curve at B' alpha/B. What an axle lacks of its force is taken at the same point of the
-    curve, and is the same share of it.
-    """
-
-    slip: np.ndarray
-    force: np.ndarray
-
-
-def on_other_tires(series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> OtherTires | None:
-    """Return where a vehicle's axles are on their curves with the tyres that terms make of its own.
+def at_other_tires(rates: np.ndarray, series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> np.ndarray:
+    """Return rates whose lateral axle forces are scaled as terms scale those of the axles' tyres.
 
     Parameters
     ----------
+    rates : ndarray, shape (N, 3)
+        Of v_x, v_y [m/s^2] and r [rad/s^2], in the middle of the samples of `series`.
     series : Series
     vehicle : Vehicle
     terms : sequence of Term
         Those that alter no tyre are passed over.
 
-    Returns
-    -------
-    OtherTires or None
-        None where none alters a tyre.
+    Notes
+    -----
+    With (F_x, F_f, F_r) the forces that make the rates, F_f and F_r become F_f g'/g and F_r g'/g, where g is the
+    curve D sin(C atan(B alpha)) of the axle at its slip angle. What is lacked is a share of the axle's force. That
+    is exact where a whole curve is scaled. Where the peak alone is, it is exact for small slip, where nothing
+    changes, and at the limit; in between it stands for the similarity of curves (Pacejka 2012, section 4.2).
     """
     altering = [term for term in terms if alters_tires(term)]
     if not altering:
-        return None
+        return rates
     old, new = (series.flow(extended_model(vehicle, some)) for some in ((), altering))
-    axles = [_of_axle(*pair, len(series)) for pair in ((old.front, new.front), (old.rear, new.rear))]
-    slip, force = (np.stack(several) for several in zip(*axles, strict=True))
-    return OtherTires(slip, force)
+    matrix = vehicle.force_matrix()
+    forces = rates @ np.linalg.inv(matrix).T
+    for k, axle in ((1, "front"), (2, "rear")):
+        before, after = getattr(old, axle), getattr(new, axle)
+        if not same_curve(before, after):
+            forces[:, k] *= _ratio(before, after)
+    return forces @ matrix.T
 
 
-def _of_axle(old: AxleFlow, new: AxleFlow, length: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return B'/B and the ratio of the forces there, (length,) each."""
-    further = new.B / old.B
+def _ratio(old: AxleFlow, new: AxleFlow) -> np.ndarray:
+    """Return the force of one curve over that of another at the slip angles of the other, (N,) [1]."""
     slip = np.where(old.slip_angle == 0.0, 1e-9, old.slip_angle)  # without slip it is that of the stiffnesses
-    before = lateral_force(old.B, old.C, old.D, further * slip)
-    after = lateral_force(new.B, new.C, new.D, slip)
-    return np.broadcast_to(further, length), np.broadcast_to(after / before, length)
+    before, after = (lateral_force(one.B, one.C, one.D, slip) for one in (old, new))
+    return after / before

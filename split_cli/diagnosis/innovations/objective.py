@@ -12,13 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from split_cli.diagnosis.baseline.body import (
-    alters_body,
-    at_another_body,
-    moved_axles,
-    moves_axles,
-    with_cg_ahead,
-)
+from split_cli.diagnosis.baseline.body import alters_body, moved_axles, moves_axles, with_cg_ahead
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.baseline.tires import alters_tires
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
@@ -259,21 +253,20 @@ class MarginalLikelihood:
         if self.posterior is None or not altering:
             return np.zeros(len(self.weight))
         others = [term for term in terms if alters_car(term)]
-        vehicle = self.discrepancy.vehicle
-        axles = [term for term in others if alters_tires(term) or moves_axles(vehicle, term)]
+        moving = [term for term in others if moves_axles(self.discrepancy.vehicle, term)]
 
         def rows() -> np.ndarray:
             moved = []
             for one in self.evidence:
-                rates = [self._rates(one, [*some, *axles]) for some in ((), altering)]
-                here, there = (at_another_body(some, vehicle, others) for some in rates)
+                rates = [self._rates(one, [*some, *moving]) for some in ((), altering)]
+                here, there = (self.discrepancy.at_another_car(some, one.series, others) for some in rates)
                 moved.append(one.whitener(integrated(one.series, there - here)))
             return self.stack(moved)
 
         return self._remembered(("shift", bool(others)), [*altering, *others], rows, for_good=not others)
 
     def _rates(self, one: Evidence, altering: Sequence[Term]) -> np.ndarray:
-        """Return the shared discrepancy's rates (N, 3) where terms alter inputs, sensors, tyres or slips."""
+        """Return the shared discrepancy's rates (N, 3) where terms alter inputs, sensors or the axles' slips."""
         return self._remembered(
             ("discrepancy rates", id(one)),
             altering,
@@ -286,26 +279,22 @@ class MarginalLikelihood:
         if self.posterior is None or not others:
             return None
         there = self._rates_at_axles(one, others)
-        return at_another_body(there, self.discrepancy.vehicle, others) - self._rates(one, ())
+        return self.discrepancy.at_another_car(there, one.series, others) - self._rates(one, ())
 
     def _rates_at_axles(self, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
-        """Return the shared discrepancy's rates (N, 3) on other tyres and at other slips.
+        """Return the shared discrepancy's rates (N, 3) at other slips, in straight lines between shifts of the CG.
 
-        They run in straight lines between shifts of the CG. Slips are smooth in the shift; to evaluate all
-        functions at each step of a fit would take a third of it.
+        Slips are smooth in the shift; to evaluate all functions at each step of a fit would take a third of it.
         """
         vehicle = self.discrepancy.vehicle
         ahead = vehicle.cg_to_front_axle - moved_axles(vehicle, terms).cg_to_front_axle
         step = _SHIFTS * vehicle.wheelbase
         below, share = divmod(ahead / step, 1.0)
-        tires = [term for term in terms if alters_tires(term)]
 
         def at(shift: float) -> np.ndarray:
             there = replace(self.discrepancy, vehicle=with_cg_ahead(vehicle, shift * step))
             return self._remembered(
-                ("rates at axles", id(one), shift),
-                tires,
-                lambda: there.rates(one.series, self.posterior.weights, tires),
+                ("rates at axles", id(one), shift), (), lambda: there.rates(one.series, self.posterior.weights)
             )
 
         return at(below) if share < 1e-9 else (1.0 - share) * at(below) + share * at(below + 1.0)
