@@ -188,7 +188,7 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
         _write_report(run, vehicle_path, options["report"])
     _tell_what_was_left(logs)
     _show(run, as_json)
-    if not as_json:
+    if not as_json and not run.failures:  # else the last lines are those of the logs that failed
         _tell_what_follows(run, output, vehicle_path)
     return 1 if run.failures else 0
 

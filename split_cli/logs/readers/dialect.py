@@ -293,6 +293,8 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
         return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True, most)
     # The names stand next to the values and their units; a row of devices below the units repeats itself more.
     differ = [len({cell.strip() for cell in row} - {""}) for row in above]
+    # A row that says the same of every column names none of them, where another row does.
+    titles = [n for n in titles if differ[n] > 1] or titles
     named = [n for n in titles if not _is_unit_row(above[n], width)] or titles
     chosen = named[0]
     for n in named[1:]:
@@ -323,9 +325,8 @@ def _rejoined(row: list[str], width: int) -> list[str]:
 
 def _is_title_row(row: list[str], width: int) -> bool:
     titles = [cell.strip() for cell in row if cell.strip()]
-    # One column more or less: exports disagree on a separator at the end of the line. A row of types names none,
-    # nor does one that says the same of every column.
-    alike = all(_TYPE.fullmatch(title) for title in titles) or (width > 2 and len(set(titles)) == 1)
+    # One column more or less: exports disagree on a separator at the end of the line. A row of types names none.
+    alike = all(_TYPE.fullmatch(title) for title in titles)
     return abs(len(row) - width) <= 1 and len(titles) >= max(1, width // 2) and not alike
 
 
