@@ -1,7 +1,7 @@
 """Does a learned correction do harm on a drive it was not learned from? Every state and horizon, with intervals.
 
     python -m tests.studies.harm                                         # bundled samples
-    python -m tests.studies.harm --datasets DATASETS --parts recordings,fresh,natural --work FOLDER
+    python -m tests.studies.harm --datasets DATASETS --parts recordings,fresh,natural,dirt --work FOLDER
 
 Every set is trained by `split train` on one part of what was recorded and judged by `split evaluate --set` on
 another: another drive of the same car, or the other half of the same one. Nothing is chosen on what is judged.
@@ -22,9 +22,11 @@ import numpy as np
 
 from split_cli.logs.drive import Drive, read_drive, write_drive
 from tests.benchmarks.results_tables import CASES, ROOT, Case, split
-from tests.foreign.natural import DART_CAR, KTH_CAR, RUBBER, TAPE, dart_drive, kth_drive
+from tests.foreign.natural import (
+    AUTORALLY_CAR, DART_CAR, KTH_CAR, RUBBER, SLIPPERY, TAPE, autorally_drive, dart_drive, kth_drive,
+)  # fmt: skip
 
-PARTS = ("recordings", "fresh", "natural")
+PARTS = ("recordings", "fresh", "natural", "dirt")
 #: (Trained on, judged on) by the title in `results_tables.CASES`; one name twice stands for the halves of a drive.
 AGGRESSIVE, MODERATE = "Road car, two laps at 85 % of the grip", "Road car, two laps at 70 % of the grip"
 SMALL, TUM_RUN, TUM_TRAIN = (
@@ -53,8 +55,14 @@ FRESH_TRAIN = (("small", 0.7, 0), ("small", 0.5, 6), ("oval", 0.8, 1), ("handlin
 FRESH_JUDGE = (("handling", 0.85, 3), ("handling", 0.5, 4), ("small", 0.85, 5))
 #: DART's car on two floors and driven freely; KTH's Volvo in a slalom (038) and a step steer (040).
 DART = ((RUBBER, TAPE), (TAPE, RUBBER), (RUBBER, "free_driving"), ("free_driving", "racetrack_lap_v_1"))
+#: A third floor, whose pose is of 20 Hz.
+DART_SLIPPERY = (
+    (RUBBER, SLIPPERY), (TAPE, SLIPPERY), ("free_driving", SLIPPERY), (SLIPPERY, RUBBER), (SLIPPERY, TAPE),
+)  # fmt: skip
 DART_HALVES = (RUBBER, TAPE, "free_driving")
 KTH = (("038", "040"), ("040", "038"))
+#: Two runs of the 1:5 car on dirt.
+AUTORALLY = ((5, 6), (6, 5))
 STATES, HORIZONS = ("v_x", "v_y", "r"), (0.0, 0.5, 1.0, 2.0)
 TITLES = {0.0: "one step", 0.5: "0.5 s", 1.0: "1 s", 2.0: "2 s"}
 
@@ -83,8 +91,8 @@ def main() -> None:
     parts, predictors = given.parts.split(","), given.predictors.split(",")
     if unknown := set(parts) - set(PARTS):
         parser.error(f"no part {', '.join(unknown)}")
-    if "natural" in parts and given.datasets is None:
-        parser.error("part natural needs --datasets")
+    if {"natural", "dirt"} & set(parts) and given.datasets is None:
+        parser.error("parts natural and dirt need --datasets")
     with tempfile.TemporaryDirectory() as scratch:
         folder = given.work or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
@@ -143,6 +151,8 @@ def pairs(parts: list[str], folder: Path, datasets: Path | None, first_seed: int
         yield from fresh_pairs(folder, first_seed)
     if "natural" in parts:
         yield from natural_pairs(datasets, folder)
+    if "dirt" in parts:
+        yield from dirt_pairs(datasets, folder)
 
 
 def recorded_pairs(cases: dict[str, Case], folder: Path, datasets: Path | None) -> Iterator[Pair]:
@@ -199,6 +209,26 @@ def fresh_pairs(folder: Path, first_seed: int) -> Iterator[Pair]:
         for second in FRESH_JUDGE:
             (from_title, trains), (to_title, judges) = drive(*first), drive(*second)
             yield Pair(f"fresh {from_title} → {to_title}", trains, judges, vehicle)
+
+
+def dirt_pairs(datasets: Path, folder: Path) -> Iterator[Pair]:
+    """Yield the pairs of the 1:5 car on dirt, and of the 1:10 car on a slippery floor."""
+    work = folder / "natural"
+    work.mkdir(exist_ok=True)
+    runs = {number: folder / f"autorally_{number}.parquet" for number in (5, 6)}
+    for number, path in runs.items():
+        if not path.exists():
+            write_drive(replace(autorally_drive(datasets, number, work), name=path.name), path)
+    for first, second in AUTORALLY:
+        yield Pair(f"AutoRally, {first} → {second}", runs[first], runs[second], str(AUTORALLY_CAR))
+    for number, path in runs.items():
+        yield from halves_of(f"AutoRally, {number}", path, str(AUTORALLY_CAR), folder)
+    floors = {name: folder / f"dart_{name}.parquet" for name in dict.fromkeys(sum(DART_SLIPPERY, ()))}
+    for name, path in floors.items():
+        if not path.exists():
+            write_drive(replace(dart_drive(datasets, name, work), name=path.name), path)
+    for first, second in DART_SLIPPERY:
+        yield Pair(f"DART, {first} → {second}", floors[first], floors[second], str(DART_CAR))
 
 
 def natural_pairs(datasets: Path, folder: Path) -> Iterator[Pair]:
