@@ -23,7 +23,15 @@ import numpy as np
 from split_cli.logs.drive import Drive, read_drive, write_drive
 from tests.benchmarks.results_tables import CASES, ROOT, Case, split
 from tests.foreign.natural import (
-    AUTORALLY_CAR, DART_CAR, KTH_CAR, RUBBER, SLIPPERY, TAPE, autorally_drive, dart_drive, kth_drive,
+    AUTORALLY_CAR,
+    DART_CAR,
+    KTH_CAR,
+    RUBBER,
+    SLIPPERY,
+    TAPE,
+    autorally_drive,
+    dart_drive,
+    kth_drive,
 )  # fmt: skip
 
 PARTS = ("recordings", "fresh", "natural", "dirt")
