@@ -23,14 +23,8 @@ from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable, limits_of
 from split_cli.diagnosis.search.selection import Selection
-from split_cli.diagnosis.statement.result import (
-    CorrectedVehicle,
-    Diagnosis,
-    Finding,
-    Improvement,
-    InputFile,
-    RemainderTest,
-)
+from split_cli.diagnosis.statement.improvement import CorrectedVehicle, Improvement
+from split_cli.diagnosis.statement.result import Diagnosis, Finding, InputFile, RemainderTest
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.together import together
 from split_cli.diagnosis.verdict.corrected import judge_corrected

@@ -9,14 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
-from split_cli.diagnosis.statement.result import (
-    Diagnosis,
-    Finding,
-    GapSeries,
-    HorizonErrors,
-    Improvement,
-    ParameterEstimate,
-)
+from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
+from split_cli.diagnosis.statement.result import Diagnosis, Finding, GapSeries, ParameterEstimate
 from split_cli.diagnosis.statement.sentences import unexplained_part
 from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.plots.style import EMPTY, LABEL_UNITS, PALETTE, STATES, new_figure, quiet

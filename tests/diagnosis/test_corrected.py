@@ -11,15 +11,8 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from split_cli.diagnosis.statement.document import diagnosis_to_text, read_schema
-from split_cli.diagnosis.statement.result import (
-    CorrectedVehicle,
-    Diagnosis,
-    Finding,
-    HorizonErrors,
-    Improvement,
-    ParameterEstimate,
-    StateChange,
-)
+from split_cli.diagnosis.statement.improvement import CorrectedVehicle, HorizonErrors, Improvement, StateChange
+from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate
 from split_cli.diagnosis.statement.sentences import summarise
 from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.vehicle.effects import CATALOGUE

@@ -8,11 +8,11 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from split_cli.diagnosis.statement.document import diagnosis_to_text, read_schema
+from split_cli.diagnosis.statement.improvement import Improvement
 from split_cli.diagnosis.statement.result import (
     Detectable,
     Diagnosis,
     Finding,
-    Improvement,
     InputFile,
     Location,
     ParameterEstimate,

@@ -19,13 +19,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.statement.result import (
     Detectable,
     Diagnosis,
     Finding,
     GapSeries,
-    HorizonErrors,
-    Improvement,
     InputFile,
     Location,
     ParameterEstimate,

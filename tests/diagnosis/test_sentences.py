@@ -7,15 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from split_cli.diagnosis.statement.result import (
-    Finding,
-    HorizonErrors,
-    Improvement,
-    Location,
-    ParameterEstimate,
-    Place,
-    RemainderTest,
-)
+from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
+from split_cli.diagnosis.statement.result import Finding, Location, ParameterEstimate, Place, RemainderTest
 from split_cli.diagnosis.statement.sentences import (
     acting_in_a_part,
     sentence_for,

@@ -9,16 +9,8 @@ from importlib.resources import files
 from typing import Any
 
 from split_cli import __version__
-from split_cli.diagnosis.statement.result import (
-    Detectable,
-    Diagnosis,
-    Finding,
-    HorizonErrors,
-    Improvement,
-    Lead,
-    Location,
-    ParameterEstimate,
-)
+from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
+from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Finding, Lead, Location, ParameterEstimate
 
 __all__ = ["VEHICLES", "diagnosis_to_mapping", "diagnosis_to_text", "read_schema", "vehicle_name"]
 

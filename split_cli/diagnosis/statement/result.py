@@ -8,14 +8,13 @@ from typing import Literal
 
 import numpy as np
 
+from split_cli.diagnosis.statement.improvement import CorrectedVehicle, Improvement
+
 __all__ = [
     "Combination",
-    "CorrectedVehicle",
     "Detectable",
     "Diagnosis",
     "Finding",
-    "HorizonErrors",
-    "Improvement",
     "InputFile",
     "Lead",
     "Location",
@@ -23,13 +22,11 @@ __all__ = [
     "Place",
     "RemainderTest",
     "RivalSummary",
-    "StateChange",
     "Verdict",
 ]
 
 _NORMAL_95 = 1.96
 _AS_GOOD = 2.5  # standard errors; of an exact degeneracy another variant may have been fitted, and be worse
-_SHOWS = 1.25  # error before over the noise floor, from which on held-out rollouts show a gap
 
 Verdict = Literal["match", "mismatch", "undecided"]
 
@@ -244,158 +241,6 @@ class RemainderTest:
         if explained is None:
             explained = sum(finding.gap_explained for finding in findings)
         return max(1.0 - self.share - explained, 0.0)
-
-
-@dataclass(frozen=True)
-class StateChange:
-    """Held-out rms errors of one velocity at the end of free running: nominal model and corrected vehicle.
-
-    Attributes
-    ----------
-    channel, unit : str
-    horizon : float
-        [s]
-    nominal, corrected, persistence, noise_floor : float
-        In `unit`.
-    change : float
-        Of the squared error, corrected less nominal, in standard errors by blocks of time [1].
-    """
-
-    channel: str
-    unit: str
-    horizon: float
-    nominal: float
-    corrected: float
-    persistence: float
-    noise_floor: float
-    change: float
-
-    @property
-    def is_worse(self) -> bool:
-        """Whether the corrected vehicle predicts worse than the nominal one, beyond chance and beyond noise."""
-        return self.change > _NORMAL_95 and self.corrected > self.noise_floor
-
-    @property
-    def is_better(self) -> bool:
-        """Whether it predicts better, beyond chance."""
-        return self.change < -_NORMAL_95
-
-
-@dataclass(frozen=True)
-class CorrectedVehicle:
-    """The vehicle with what was found of the car, judged beside the nominal model on held-out time.
-
-    Attributes
-    ----------
-    states : tuple of StateChange
-        Every velocity after one step of 0.05 s and at the longest horizon that fits, 2 s at most.
-    """
-
-    states: tuple[StateChange, ...]
-
-    @property
-    def accepted(self) -> bool:
-        """Whether it is no worse than the nominal model in any state beyond chance."""
-        return not any(one.is_worse for one in self.states)
-
-
-@dataclass(frozen=True)
-class HorizonErrors:
-    """Held-out rms errors of open-loop rollouts of one length: v_x, v_y [m/s], r [rad/s].
-
-    Attributes
-    ----------
-    horizon : float
-        [s]
-    before, physics, split_only, after, persistence : tuple of three floats
-        As in `Improvement`.
-    noise_floor : tuple of three floats
-        What sensor noise at the start and at the end makes.
-    confidence : mapping of str to list
-        95 % intervals by block bootstrap, channel by channel, and the number of ``blocks``.
-    starts : int
-    change : mapping of str to (float, float, float)
-        Of a stage's squared error against ``before``, in standard errors by blocks of time [1].
-    mean : mapping of str to (float, float, float)
-        Mean error of a stage over all starts, model less recording.
-    """
-
-    horizon: float
-    before: tuple[float, ...]
-    physics: tuple[float, ...]
-    split_only: tuple[float, ...]
-    after: tuple[float, ...]
-    persistence: tuple[float, ...]
-    noise_floor: tuple[float, ...]
-    confidence: Mapping[str, object]
-    starts: int
-    change: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    mean: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-
-    def mean_share(self, stage: str, k: int) -> float | None:
-        """Return how much of a stage's squared error in channel k its mean error makes [1]; None where unknown."""
-        error = getattr(self, stage)[k]
-        return (self.mean[stage][k] / error) ** 2 if stage in self.mean and error > 0.0 else None
-
-    def most_changed(self, stage: str) -> int:
-        """Return the channel (0 to 2) whose error a stage changes most in units of noise, for better or worse."""
-        changes = zip(self.before, getattr(self, stage), self.noise_floor, strict=True)
-        sizes = [abs(other - before) / max(noise, 1e-12) for before, other, noise in changes]
-        return sizes.index(max(sizes))
-
-    def worse(self, stage: str) -> tuple[int, ...]:
-        """Return the channels whose error a stage makes larger beyond chance (5 %, two-sided)."""
-        return tuple(k for k, z in enumerate(self.change.get(stage, ())) if z > _NORMAL_95)
-
-    def beaten_by_persistence(self, stage: str) -> tuple[int, ...]:
-        """Return the channels that velocities held as they are predict better than a stage does."""
-        pairs = zip(getattr(self, stage), self.persistence, strict=True)
-        return tuple(k for k, (error, held) in enumerate(pairs) if error > held)
-
-
-@dataclass(frozen=True)
-class Improvement:
-    """Held-out one-step errors in label units, of v_x, v_y [m/s^2] and r [rad/s^2].
-
-    Attributes
-    ----------
-    before, physics, after, split_only, persistence : tuple of three floats
-        Simulation as learned; plus terms; plus terms and SPLIT; plus SPLIT alone; last velocities held.
-    noise_floor : tuple of three floats or None
-    confidence : mapping of str to list
-        95 % intervals by block bootstrap, channel by channel.
-    rollouts : tuple of HorizonErrors
-        Shortest first; none where no horizon fits into the held-out time.
-    removed : mapping of str to (float, float, float) or None
-        For ``physics``, ``split_only`` and ``after``: the share of the squared error above the noise floor that is
-        gone, channels weighed by their noise, and its 95 % interval; None where nothing was left to improve.
-    simulation_part : mapping of str to mapping
-        What of the simulation the models ``before`` and ``physics`` hold, ``longitudinal`` and ``lateral``:
-        ``nominal`` for the nominal model alone, ``taught`` with what the simulation taught at recorded states,
-        ``taught_elsewhere`` also of others.
-    trust : mapping of str to (float, float, float)
-        Share of SPLIT's prediction that ``split_only`` and ``after`` apply, an output [1].
-    """
-
-    before: tuple[float, ...]
-    physics: tuple[float, ...]
-    after: tuple[float, ...]
-    split_only: tuple[float, ...]
-    persistence: tuple[float, ...]
-    noise_floor: tuple[float, ...] | None
-    confidence: Mapping[str, object]
-    rollouts: tuple[HorizonErrors, ...] = ()
-    removed: Mapping[str, tuple[float, float, float] | None] = field(default_factory=dict)
-    simulation_part: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    trust: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-
-    @property
-    def tells(self) -> bool:
-        """Whether held-out time shows the gap at all: an effect of one place may lie outside it."""
-        shown = [
-            b / max(n, 1e-12) for one in self.rollouts for b, n in zip(one.before, one.noise_floor, strict=True)
-        ]
-        return any(self.removed.values()) or max(shown, default=0.0) > _SHOWS
 
 
 @dataclass(frozen=True)

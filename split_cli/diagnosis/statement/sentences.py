@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from split_cli.diagnosis.statement.result import (
-    Combination,
-    CorrectedVehicle,
-    Finding,
-    HorizonErrors,
-    Improvement,
-    Location,
-    ParameterEstimate,
-    RemainderTest,
-)
+from split_cli.diagnosis.statement.improvement import CorrectedVehicle, HorizonErrors, Improvement
+from split_cli.diagnosis.statement.result import Combination, Finding, Location, ParameterEstimate, RemainderTest
 from split_cli.diagnosis.statement.separation import separation
 from split_cli.diagnosis.statement.wording import number, percent, term_with_id, variable_name
 from split_cli.vehicle.effects import CATALOGUE

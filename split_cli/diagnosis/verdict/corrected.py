@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors, Stage, roll_out_stages
-from split_cli.diagnosis.statement.result import CorrectedVehicle, StateChange
+from split_cli.diagnosis.statement.improvement import CorrectedVehicle, StateChange
 from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, blocks_of_time, in_standard_errors
 from split_cli.vehicle.effects import Term
 

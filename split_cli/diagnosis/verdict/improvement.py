@@ -18,7 +18,7 @@ from split_cli.diagnosis.innovations.rollouts import (
     roll_out_stages,
     shared_rates,
 )
-from split_cli.diagnosis.statement.result import HorizonErrors, Improvement
+from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.verdict.correction import learn_correction, without_correction
 from split_cli.diagnosis.verdict.label_errors import (
     BLOCK_SECONDS,

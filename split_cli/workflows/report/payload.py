@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from split_cli.diagnosis.statement.document import diagnosis_to_text
-from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, HorizonErrors, Improvement, Location
+from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
+from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, Location
 from split_cli.workflows.report.words import CHANNELS, FORCE_IDS, FORCES, readable
 
 __all__ = ["chart_numbers", "embedded_json", "packed", "shown_digest", "shows"]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from split_cli.diagnosis.statement.document import vehicle_name
-from split_cli.diagnosis.statement.result import Detectable, Diagnosis, HorizonErrors, Improvement, Location
+from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
+from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Location
 from split_cli.diagnosis.statement.sentences import not_accepted, scatter, unexplained_part
 from split_cli.plots.chart import Chart
 from split_cli.workflows.report.findings import what_section
