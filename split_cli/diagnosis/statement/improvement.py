@@ -1,4 +1,4 @@
-"""What naming improves on held-out time: errors of a step and of free running, and those of the corrected vehicle."""
+"""What naming improves on held-out time: errors of a step and of free running, and the corrected vehicle."""
 
 from __future__ import annotations
 
