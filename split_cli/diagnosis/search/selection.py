@@ -193,23 +193,7 @@ def select_terms(
         history.append(said_of(selection.chosen, single))
         selection = _examined(explore, base, single)
     partly = cache(lambda: strongest_part(objective, explore.lines(), base.residuals, variance_inflation))
-    # A term may be sure beside what came later alone: what is missing bends what it saves block by block.
-    first_p = min(found.first_p, _least_p(explore, selection))
-    return replace(selection, history=tuple(history), first_p=first_p, first=tuple(first), partly=partly)
-
-
-def _least_p(explore: Explorer, selection: Selection) -> float:
-    """Return the smallest p value of a name in an explanation, times the number of terms tried; 1 without any."""
-    objective, chosen = explore.objective, selection.chosen
-    told = [
-        min(
-            term_p(objective, chosen, k, without.cost - chosen.cost, explore.variance_inflation),
-            witnessed_p(objective, chosen, k, without, explore.rules),
-        )
-        for k, (without, named) in enumerate(zip(selection.without, selection.named, strict=True))
-        if named
-    ]
-    return min(1.0, *(p_value * len(explore.candidates) for p_value in told)) if told else 1.0
+    return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first), partly=partly)
 
 
 def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:

@@ -100,8 +100,10 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit) -> tuple[PartEstimat
                 continue
             away = 0.0 if neutral is None else value - neutral
             error = float(np.hypot(np.sqrt(variance[column]), abs(away) * np.hypot(shared, own)))
-            shift = float(moved[column])
-            limits = value - wide * error + min(shift, 0.0), value + wide * error + max(shift, 0.0)
+            limits = (
+                value - wide * error + min(moved[column], 0.0),
+                value + wide * error + max(moved[column], 0.0),
+            )
             if name in _PLACES:
                 rise = _CHI2_95 * max(float(np.max(variance / np.maximum(plain, 1e-300))), 1.0)
                 limits = _place_limits(objective, fit, k, name, rise)
