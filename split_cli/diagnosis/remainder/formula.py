@@ -62,7 +62,7 @@ def sparse_formula(
         size = float(np.mean(gap[:, channel] ** 2))
         gained = size - float(np.mean((gap[:, channel] - columns[:, chosen] @ weights) ** 2))
         if gained > best:
-            sum_ = " ".join(f"{w:+.3g} N {names[k]}" for w, k in zip(weights, chosen, strict=True))
+            sum_ = " ".join(f"{w:+.3g} N {names[k]}".rstrip() for w, k in zip(weights, chosen, strict=True))
             best, text = gained, f"{force} = {sum_.lstrip('+')} ({percent(gained / size)} of it)"
     return text
 
@@ -108,7 +108,7 @@ def _dictionary(one: Evidence, at: np.ndarray) -> dict[str, np.ndarray]:
     drive, brake = np.maximum(torque, 0.0), np.maximum(-torque, 0.0)
     t = one.series.t[at] / max(float(one.series.t[-1]), 1e-9)
     return {
-        "1": np.ones(len(at)), "(v_x/v_95)": speed, "(v_x/v_95)^2": speed**2, "(T/T_max)_+": drive,
+        "": np.ones(len(at)), "(v_x/v_95)": speed, "(v_x/v_95)^2": speed**2, "(T/T_max)_+": drive,
         "(T/T_max)_-": brake, "(T/T_max)_+^2": drive**2, "(T/T_max)_-^2": brake**2,
         "B alpha_f": a_f, "B alpha_r": a_r, "(B alpha_f)^2": a_f**2, "(B alpha_r)^2": a_r**2,
         "(B alpha_f)^3": a_f**3, "(B alpha_r)^3": a_r**3, "|B alpha_f|": np.abs(a_f), "|B alpha_r|": np.abs(a_r),
