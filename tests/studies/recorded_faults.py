@@ -173,7 +173,7 @@ class Study:
             value=fault.value if fault.term else None,
             outcome=judge([fault.term] if fault.term else [], said),
             said=in_words(mapping),
-            inside=None if interval is None else interval[0] <= fault.value <= interval[1],
+            inside=None if interval is None else bool(interval[0] <= fault.value <= interval[1]),
             seconds=time.process_time() - begun,
             history=told.history,
             summary=told.summary,
