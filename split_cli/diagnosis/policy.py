@@ -194,9 +194,9 @@ class SelectionRules:
         0.10,
         "1",
         "model-form error over the size of what makes it: prior deviation of a term's, least share of larger "
-        "terms that is a term of its own, least uncertainty of a parameter that acts through the tyres, by which "
-        "a variant has to run better freely, and of the whole gap, from which on a remainder is unexplained; its "
-        "square is the share of a cost, which grows with the square of a size",
+        "terms and of the shared discrepancy that is a term of its own, least uncertainty of a parameter that "
+        "acts through the tyres, by which a variant has to run better freely, and of the whole gap, from which on "
+        "a remainder is unexplained; its square is the share of a cost, which grows with the square of a size",
         JUDGEMENT + "two curves stand for four tyres",
     )
     deviations: float = number(
@@ -256,8 +256,8 @@ class Allowances:
     unnamed: float = number(
         0.10,
         "effect-to-noise ratio",
-        "size below which a difference without a name is none, nor a term named against the bare nominal model; "
-        "twice that, from which on a remainder is unexplained whatever its share, and in what "
+        "size below which a difference without a name is none, a further term is not named, nor any against the "
+        "bare nominal model; twice that, from which on a remainder is unexplained whatever its share, and in what "
         "a recording knows twice, a sensor's fault is no model-form error",
         CHOSEN,
     )
