@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, GapSeries, ParameterEstimate
-from split_cli.diagnosis.statement.sentences import unexplained_part
+from split_cli.diagnosis.statement.sentences import gap_left, unexplained_part
 from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.plots.style import EMPTY, LABEL_UNITS, PALETTE, STATES, new_figure, quiet
 
@@ -163,7 +163,7 @@ def draw_what(diagnosis: Diagnosis) -> Figure:
         axes[-1].set_yticks(range(len(names)), names)
         axes[-1].invert_yaxis()
         axes[-1].set_xlabel("what a flexible fit of the residual depends on [χ²]")
-        title = f"residual: {f'{percent(rest.share)} of ' if findings else ''}the gap is unexplained"
+        title = f"residual: {gap_left(findings, rest)} is unexplained"
         axes[-1].set_title(title, fontsize="medium", loc="left")
         quiet(axes[-1])
     if findings:

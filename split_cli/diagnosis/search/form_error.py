@@ -133,8 +133,7 @@ def _bounded_fit(
     has no root where a column has no effect, as brakes that were never used.
     """
     count, both = columns.shape[1], np.column_stack([columns, residuals])
-    normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
-    weights = np.linalg.solve(normal, form_error.T @ both)
+    weights = _likeliest_weights(form_error, both)
     beside = np.linalg.qr(np.vstack([both - form_error @ weights, weights]), mode="r")[:count]
     small = np.sqrt(1e-9) * np.diag(np.linalg.norm(beside[:, :count], axis=0))
     root, target = np.vstack([beside[:, :count], small]), np.concatenate([beside[:, count], np.zeros(count)])
@@ -152,8 +151,13 @@ def residuals_beside_form_error(objective: MarginalLikelihood, fit: Fit) -> np.n
     form_error = form_error_columns(objective, fit)
     if not form_error.shape[1]:
         return fit.residuals
+    return fit.residuals - form_error @ _likeliest_weights(form_error, fit.residuals)
+
+
+def _likeliest_weights(form_error: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Return (I + M^T M)^-1 M^T of what is left, (R,) or (R, K): the weights of M that are likeliest."""
     normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
-    return fit.residuals - form_error @ np.linalg.solve(normal, form_error.T @ fit.residuals)
+    return np.linalg.solve(normal, form_error.T @ left)
 
 
 def form_error_columns(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["CorrectedVehicle", "HorizonErrors", "Improvement", "StateChange"]
+__all__ = ["NORMAL_95", "CorrectedVehicle", "HorizonErrors", "Improvement", "StateChange"]
 
-_NORMAL_95 = 1.96
+NORMAL_95 = 1.96  # standard errors on either side that hold 95 % of a normal distribution
 _SHOWS = 1.25  # error before over the noise floor, from which on held-out rollouts show a gap
 
 
@@ -38,12 +38,12 @@ class StateChange:
     @property
     def is_worse(self) -> bool:
         """Whether the corrected vehicle predicts worse than the nominal one, beyond chance and beyond noise."""
-        return self.change > _NORMAL_95 and self.corrected > self.noise_floor
+        return self.change > NORMAL_95 and self.corrected > self.noise_floor
 
     @property
     def is_better(self) -> bool:
         """Whether it predicts better, beyond chance."""
-        return self.change < -_NORMAL_95
+        return self.change < -NORMAL_95
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class HorizonErrors:
 
     def worse(self, stage: str) -> tuple[int, ...]:
         """Return the channels whose error a stage makes larger beyond chance (5 %, two-sided)."""
-        return tuple(k for k, z in enumerate(self.change.get(stage, ())) if z > _NORMAL_95)
+        return tuple(k for k, z in enumerate(self.change.get(stage, ())) if z > NORMAL_95)
 
     def beaten_by_persistence(self, stage: str) -> tuple[int, ...]:
         """Return the channels that velocities held as they are predict better than a stage does."""

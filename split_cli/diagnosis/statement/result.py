@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from split_cli.diagnosis.statement.improvement import CorrectedVehicle, Improvement
+from split_cli.diagnosis.statement.improvement import NORMAL_95, CorrectedVehicle, Improvement
 
 __all__ = [
     "Combination",
@@ -25,7 +25,6 @@ __all__ = [
     "Verdict",
 ]
 
-_NORMAL_95 = 1.96
 _AS_GOOD = 2.5  # standard errors; of an exact degeneracy another variant may have been fitted, and be worse
 
 Verdict = Literal["match", "mismatch", "undecided"]
@@ -44,7 +43,7 @@ class ParameterEstimate:
         """Return this estimate with an interval that also holds another's."""
         low = min(self.interval_95[0], other.interval_95[0])
         high = max(self.interval_95[1], other.interval_95[1])
-        error = max(high - self.value, self.value - low) / _NORMAL_95
+        error = max(high - self.value, self.value - low) / NORMAL_95
         return replace(self, std_error=max(error, self.std_error or 0.0), interval_95=(low, high))
 
 

@@ -13,6 +13,7 @@ from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
     "acting_in_a_part",
+    "gap_left",
     "lead_sentence",
     "not_accepted",
     "scatter",
@@ -350,8 +351,13 @@ def unexplained_part(findings: Sequence[Finding], remainder: RemainderTest | Non
     return f"{percent(remainder.share + scatter(remainder, findings))} of the gap unexplained"
 
 
+def gap_left(findings: Sequence[Finding], remainder: RemainderTest) -> str:
+    """Return what of the gap has structure and no name: ``3 % of the gap``; all of it where nothing is named."""
+    return f"{percent(remainder.share)} of the gap" if findings else "the gap"
+
+
 def _unnamed(remainder: RemainderTest, findings: Sequence[Finding]) -> str:
-    share = f"{percent(remainder.share)} of the gap" if findings else "The gap"
+    share = gap_left(findings, remainder)
     kind = remainder.by_group[0][0] if remainder.by_group else ""
     lead = f" It depends mostly on {_KINDS.get(kind, kind)}." if kind else ""
     formula = f" A candidate formula: {remainder.formula}." if remainder.formula else ""

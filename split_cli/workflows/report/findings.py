@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate, RemainderTest, RivalSummary
+from split_cli.diagnosis.statement.sentences import gap_left
 from split_cli.workflows.report.headline import finding_headline
 from split_cli.workflows.report.markup import bar, bar_row, section, table
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, term_title
@@ -104,11 +105,11 @@ def _rival(finding: Finding, rival: RivalSummary, most: float) -> str:
 
 def _remainder(remainder: RemainderTest, diagnosis: Diagnosis, level: float) -> str:
     unexplained = diagnosis.unexplained
-    how_much = f"{percent(remainder.share)} of the gap" if diagnosis.findings else "The gap"
+    how_much = gap_left(diagnosis.findings, remainder)
     title = "The residual has structure" if unexplained else "Residual"
     words = (
-        f"{how_much} is unexplained, {number(remainder.effect_to_noise, 2)} times sensor noise in a prediction "
-        f"over 0.05 s. Probability that noise alone leaves as much: "
+        f"{how_much[:1].upper()}{how_much[1:]} is unexplained, {number(remainder.effect_to_noise, 2)} times "
+        f"sensor noise in a prediction over 0.05 s. Probability that noise alone leaves as much: "
         f"{chance(remainder.p_value)}. Below {level:g} it counts as unexplained."
     )
     total = sum(max(saved, 0.0) for _, saved in remainder.by_group)
