@@ -212,11 +212,11 @@ def _end(item: int) -> None:
 def _write_for_a_minute(path: Path | None) -> None:
     if path is None:
         return
-    path.write_text("unfinished")
     try:
+        path.write_text("unfinished")
         time.sleep(60.0)
     finally:
-        path.unlink()
+        path.unlink(missing_ok=True)
 
 
 @pytest.mark.slow
