@@ -80,8 +80,6 @@ def labels(drive: Drive, vehicle: Vehicle, features: str = "z2", *, horizon: flo
 
     Parameters
     ----------
-    drive : Drive
-    vehicle : Vehicle
     features : str
         ``z1``, ``z2`` or names separated by commas.
     horizon : float

@@ -90,7 +90,6 @@ def atomic_directory(target: str | os.PathLike[str], without: Iterable[str] = ()
 
     Parameters
     ----------
-    target : path-like
     without : iterable of str
         Files that an earlier run may have written, relative to `target`: those that this one does not write go.
 
@@ -191,10 +190,6 @@ class ScratchFolder:
     ----------
     within : path-like, optional
         Where to make it; by default in the system's folder for temporary files.
-
-    Attributes
-    ----------
-    path : Path
     """
 
     def __init__(self, within: str | os.PathLike[str] | None = None) -> None:

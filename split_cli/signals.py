@@ -85,7 +85,6 @@ class Unit:
         How it is written here.
     si : str
         The SI unit it converts to.
-    factor, offset : float
     """
 
     symbol: str

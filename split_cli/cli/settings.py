@@ -34,7 +34,6 @@ def default_options(group: click.Group, context: click.Context, files: list[Path
 
     Parameters
     ----------
-    group : Group
     context : Context
         Of the group.
     files : list of Path

@@ -44,7 +44,6 @@ class CSource:
     name : str
         Prefix of every public function.
     real : {"double", "float"}
-    header, source : str
     with_step : bool
         Whether features, step and linearisation could be written.
     dimension : int
@@ -117,7 +116,6 @@ def c_source(
         What the predictor evaluates.
     graph : NominalGraph
         Of the set's vehicle.
-    provenance : Provenance
     name : str
         A C identifier.
     valid : casadi.Function

@@ -36,14 +36,12 @@ class CCheck:
 
     Attributes
     ----------
-    predictions : PredictionCheck
     step_error : float or None
         Largest error of step, Runge-Kutta step and linearisation, relative; None when there is no step.
     seconds_predict, seconds_jacobian : float
         Processor time of one query [s], for mean and variance, and for all three.
     code_bytes, constant_bytes : int or None
         As compiled here.
-    compiler : str
     """
 
     predictions: PredictionCheck
@@ -148,11 +146,6 @@ def check_c(
 
     Parameters
     ----------
-    source : CSource
-    graph : NominalGraph
-    training_set : TrainingSet
-    oracle : Oracle
-    compiler : Compiler
     folder : Path
         For what is compiled.
     drives : Drives, optional

@@ -71,7 +71,6 @@ def committee(tables: BcmTables, name: str) -> casadi.Function:
     ----------
     tables : BcmTables
         In double.
-    name : str
 
     Notes
     -----
@@ -113,7 +112,6 @@ def spline_table(tables: TableData, name: str) -> casadi.Function:
     ----------
     tables : TableData
         In double.
-    name : str
 
     Notes
     -----
@@ -224,8 +222,6 @@ def model_step(
     ----------
     predict : casadi.Function
         The predictor.
-    graph : NominalGraph
-    name : str
     plain : bool
         Whether the set's labels are plain differences, so that h g itself is added.
 

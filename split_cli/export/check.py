@@ -56,8 +56,6 @@ class PredictionCheck:
 
     Attributes
     ----------
-    queries : int
-    tolerance : float
     mean_error : float
         Largest, in signal deviations.
     variance_error : float
@@ -86,7 +84,6 @@ class Oracle:
     slopes : ndarray, shape (M, 3, D)
     predictor_error : float
         Largest difference of the predictor from the reference, in signal deviations and variances.
-    reference : Reference
     """
 
     z: np.ndarray
@@ -188,8 +185,6 @@ def check_predictions(answer: ExportAnswer, oracle: Oracle, real: str, what: str
 
     Parameters
     ----------
-    answer : ExportAnswer
-    oracle : Oracle
     real : {"double", "float"}
     what : str
         Named in the error.

@@ -82,7 +82,6 @@ class Driver:
 
     Attributes
     ----------
-    program : Path
     real : {"double", "float"}
     """
 

@@ -26,9 +26,6 @@ def build_generated(
 
     Parameters
     ----------
-    name : str
-    source, scratch : Path
-    compiler : Compiler
     with_step : bool
         Whether there is a discrete step.
     states : int

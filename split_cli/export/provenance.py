@@ -42,10 +42,8 @@ class Provenance:
         As a vehicle file holds it.
     vehicle_digest : str
         SHA-256 of the vehicle's values.
-    features : tuple of str
     horizon : float
         Label interval h [s].
-    predictor : str
     version : str
         Of split.
     memory : mapping or None

@@ -21,10 +21,6 @@ _CHUNK = 256
 class Reference:
     """Mean and latent variance of a predictor of a set, evaluated otherwise than in an export.
 
-    Parameters
-    ----------
-    training_set : TrainingSet
-
     Attributes
     ----------
     deviation : ndarray, shape (3,)
@@ -86,7 +82,6 @@ class CommitteeReference(Reference):
 
     Parameters
     ----------
-    training_set : TrainingSet
     robust : bool
         Whether an expert counts by half the logarithm of what it has learned (`rbcm`).
 
@@ -136,10 +131,6 @@ class CommitteeReference(Reference):
 
 class ProcessReference(Reference):
     """The projected process from the numbers that are exported, in plain NumPy.
-
-    Parameters
-    ----------
-    predictor : ProjectedPredictor
 
     Notes
     -----

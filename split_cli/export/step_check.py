@@ -127,7 +127,6 @@ def compare_drives(step: Stepper, oracle: StepOracle, kind: str, real: str, what
         With drives.
     kind : {"exact", "runge_kutta"}
         Which discretisation `step` is.
-    real, what : str
 
     Raises
     ------
@@ -153,8 +152,6 @@ def compare_memory(name: str, answer: Stepper, oracle: StepOracle, real: str, wh
         Ends in ``start``, ``rates`` or ``arrived``.
     answer : callable
         Rows (N, n + 7), as `StepOracle.asked` with what arrives appended, to answers.
-    oracle : StepOracle
-    real, what : str
 
     Raises
     ------

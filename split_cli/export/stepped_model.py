@@ -61,12 +61,6 @@ def rk4_substeps(memory: Memory | None) -> int:
 
 class SteppedModel:
     """The model with its memory in NumPy; the linear model's Jacobian is the traced one, checked by differences.
-
-    Parameters
-    ----------
-    graph : NominalGraph
-    training_set : TrainingSet
-    reference : Reference
     """
 
     def __init__(self, graph: NominalGraph, training_set: TrainingSet, reference: Reference) -> None:

@@ -112,8 +112,6 @@ def build_nominal(model: SingleTrack, features: FeatureSet, step: float = DEFAUL
 
     Parameters
     ----------
-    model : SingleTrack
-    features : FeatureSet
     step : float
         Of the discrete step that delays are kept for [s].
 

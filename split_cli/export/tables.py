@@ -51,7 +51,6 @@ class BcmTables:
         (V^T y)_j/(lambda_j + rho).
     reach : ndarray, shape (C,)
         Squared scaled distance from the reference beyond which a cell is skipped.
-    skip_tolerance : float
     robust : bool
         Whether an expert counts by b = log(1/(1 - x))/2 (`rbcm`). The bound of `reach` holds all the more, since
         b is below 1 where x is below a half.
@@ -203,7 +202,6 @@ def build_tables(training_set: TrainingSet, real: str = "double", robust: bool =
 
     Parameters
     ----------
-    training_set : TrainingSet
     real : {"double", "float"}
     robust : bool
         For `rbcm`.

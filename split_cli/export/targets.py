@@ -106,15 +106,12 @@ class TargetResult:
 
     Attributes
     ----------
-    target : str
-    files : tuple of str
     check : PredictionCheck or None
         None when the C could not be compiled here.
     step_error : float or None
         Largest relative error of the model step.
     seconds_per_query : float or None
         Mean and variance of one query [s].
-    seconds_with_jacobian : float or None
     table_bytes : int
         Constants, as the target stores them.
     code_bytes : int or None
@@ -173,9 +170,6 @@ def write_export(
 
     Parameters
     ----------
-    training_set : TrainingSet
-    plan : ExportPlan
-    provenance : Provenance
     folder : Path
         Exists and is empty.
     say : callable

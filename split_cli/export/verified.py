@@ -17,7 +17,6 @@ class VerifiedItem:
         What.
     passed : bool or None
         None when it could not be checked here.
-    detail : str
     """
 
     check: str

@@ -22,7 +22,6 @@ class CarParameters:
 
     Attributes
     ----------
-    name : str
     mass : float
         Total [kg].
     yaw_inertia : float

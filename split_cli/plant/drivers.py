@@ -43,7 +43,6 @@ class DriverStyle:
 
     Attributes
     ----------
-    name : str
     preview_time : float
         Within which the driver means to be back on the line [s].
     overlap : float

@@ -25,10 +25,6 @@ class Setting:
 
     Attributes
     ----------
-    car : CarParameters
-    road : Road
-    faults : Faults
-    sensors : tuple of SensorSpec
     lap_length : float
         Of the track's centreline; 0 without a track [m].
     """
@@ -58,7 +54,6 @@ class EffectKind:
     ----------
     about : str
         What the car, road or sensors then have.
-    parameters : mapping of str to Bounds
     apply : callable
         (setting, values) -> setting with the effect.
     """
@@ -74,7 +69,6 @@ class Effect:
 
     Attributes
     ----------
-    name : str
     values : mapping of str to float
         SI.
     """

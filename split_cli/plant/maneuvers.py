@@ -38,8 +38,6 @@ class Maneuver:
 
     Attributes
     ----------
-    name : str
-    script : Script
     speed : float
         At the start [m/s].
     track : Track or None

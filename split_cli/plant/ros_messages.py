@@ -78,7 +78,6 @@ class Topic:
 
     Attributes
     ----------
-    name, type_name : str
     sensor : str
         Name of the `SensorSpec`.
     fill : callable

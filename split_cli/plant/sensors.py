@@ -44,7 +44,6 @@ class SensorSpec:
 
     Attributes
     ----------
-    name : str
     rate : float
         Reports per second [Hz].
     channels : mapping of str to ChannelSpec
@@ -79,7 +78,6 @@ class Reading:
 
     Attributes
     ----------
-    sensor : SensorSpec
     stamp : ndarray, shape (N,)
         Of the device, seconds of the run [s].
     arrival : ndarray, shape (N,)
@@ -167,8 +165,6 @@ def measure(
 
     Parameters
     ----------
-    run : Trajectory
-    sensors : tuple of SensorSpec
     seed : int
         Every device draws from a stream of its own, so that adding one does not change the others.
     one_clock : float, optional

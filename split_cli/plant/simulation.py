@@ -66,7 +66,6 @@ class Trajectory:
 
     Attributes
     ----------
-    car : CarParameters
     t : ndarray, shape (N,)
         [s]
     states : ndarray, shape (N, 24)

@@ -77,7 +77,6 @@ def tire_force(
 
     Parameters
     ----------
-    tire : TireParameters
     slip_ratio : float or ndarray
         kappa, positive when driving [1].
     slip_angle : float or ndarray

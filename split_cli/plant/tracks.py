@@ -19,7 +19,6 @@ class Track:
 
     Attributes
     ----------
-    name : str
     spacing : float
         Arc length between samples [m].
     x, y : ndarray, shape (N,)

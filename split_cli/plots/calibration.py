@@ -56,7 +56,6 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
 
     Parameters
     ----------
-    calibration : Calibration
     path : path
         PNG, SVG or PDF by its suffix.
     """

@@ -20,7 +20,6 @@ class ChartLine:
 
     Attributes
     ----------
-    name : str
     x, y : ndarray, shape (N,)
         NaN breaks a line.
     role : str
@@ -70,13 +69,10 @@ class Chart:
     ----------
     name : str
         Unique on a page; letters, digits and hyphens.
-    title : str
     x, y : str
         Titles of the axes with units.
-    series : tuple of ChartLine
     note : str
         What a reader must know to read it.
-    bands : tuple of Band
     other_x : str
         Title of the other x axis; empty without one.
     other_first : bool

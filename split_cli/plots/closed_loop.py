@@ -53,7 +53,6 @@ class ManeuverPicture:
 
     Attributes
     ----------
-    title : str
     line, cones : ndarray, shape (N, 2), (K, 2)
         [m]
     runs : mapping of str to (ndarray, ndarray)

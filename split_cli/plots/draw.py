@@ -19,7 +19,6 @@ def draw_chart(chart: Chart, *, other_x: bool = False, axes: Axes | None = None)
 
     Parameters
     ----------
-    chart : Chart
     other_x : bool
         Draw over the other x, distance for strips.
     axes : Axes, optional

@@ -46,7 +46,6 @@ def write_figures(run: EvaluationRun, folder: str | Path, also: Mapping[str, str
 
     Parameters
     ----------
-    run : EvaluationRun
     folder : path
         Files of other names that are in it stay.
     also : mapping of str to str, optional

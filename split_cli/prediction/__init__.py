@@ -40,7 +40,6 @@ def make_predictor(name: str, training_set: TrainingSet, **options: Any) -> Pred
     ----------
     name : str
         A key of `PREDICTORS`.
-    training_set : TrainingSet
     **options
         What the predictor's constructor takes beside the set.
 

@@ -28,7 +28,6 @@ class BatchProcess:
     ----------
     z : ndarray, shape (N, D)
     y : ndarray, shape (N, 3)
-    kernel : Kernel
     most : int
         Largest number of points U to project on.
 

@@ -116,7 +116,6 @@ class BcmPredictor(Predictor):
 
     Parameters
     ----------
-    training_set : TrainingSet
     neglect : float
         Cells so far from the query that together they change the variance by less than ``neglect`` S0, and the
         mean by less than ``neglect`` (sqrt(S0) + \\|mean\\|), are skipped. 0 visits every cell.

@@ -36,7 +36,6 @@ class FitcPredictor(Predictor):
 
     Parameters
     ----------
-    training_set : TrainingSet
     situation : _Situation, optional
         Made by `at`.
 

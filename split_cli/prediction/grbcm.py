@@ -42,7 +42,6 @@ class GrbcmPredictor(Predictor):
 
     Parameters
     ----------
-    training_set : TrainingSet
     shared : int
         Points in the communication set: those of greatest marginal gain over the whole set.
 

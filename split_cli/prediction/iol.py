@@ -22,7 +22,6 @@ class IolPredictor(Predictor):
     training_set : TrainingSet
         One learned by ``iol`` is its dictionary already. Of any other, the points are offered to a dictionary in
         order of time.
-    capacity : int
 
     Notes
     -----

@@ -17,7 +17,6 @@ class OnlineCommittee:
 
     Parameters
     ----------
-    online : OnlineSet
     neglect : float
         Cells farther than the distance at which a kernel entry is `neglect` are skipped. 1e-6 of a label is far
         below its noise; `BcmPredictor` bounds the sum rigorously, at several times the cost.

@@ -44,7 +44,6 @@ class ProcessState:
     weights : ndarray, shape (3, U)
     absent : ndarray, shape (3,)
         1 - kappa.
-    threshold : float
     """
 
     points: np.ndarray
@@ -60,7 +59,6 @@ class OnlineProcess:
 
     Parameters
     ----------
-    kernel : Kernel
     most : int
         Largest number U of points.
     threshold : float or None

@@ -48,7 +48,6 @@ class ProjectedPredictor(Predictor):
 
     Parameters
     ----------
-    training_set : TrainingSet
     most : int
         Largest number of points that span the process.
     threshold : float or None

@@ -64,7 +64,6 @@ class TablePredictor(Predictor):
 
     Parameters
     ----------
-    training_set : TrainingSet
     bound : float
         Error of the mean, in signal deviations, from which the spacing of the nodes is found.
     real : {"double", "float"}
@@ -76,7 +75,6 @@ class TablePredictor(Predictor):
     ----------
     spline : Spline
         Of mean (three outputs) and of 1 - deviation/prior deviation (three outputs).
-    error : TableError
     rebuilt : int
         Nodes computed for this table; all of them unless it was made by `updated`.
     least : ndarray, shape (3,)

@@ -22,7 +22,6 @@ class WeightsPredictor(Predictor):
 
     Parameters
     ----------
-    training_set : TrainingSet
     bound : float
         Largest error of the mean, in signal deviations; 0 sums over every point.
     neighbours : int

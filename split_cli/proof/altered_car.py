@@ -56,7 +56,6 @@ def altered_vehicle(vehicle: Vehicle, term: str, value: float) -> Vehicle:
 
     Parameters
     ----------
-    vehicle : Vehicle
     term : str
         Of `ALTERATIONS`.
     value : float
@@ -70,10 +69,8 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
 
     Parameters
     ----------
-    drive : Drive
     vehicle : Vehicle
         Of the car that was recorded; effects are left out.
-    altered : Vehicle
 
     Raises
     ------

@@ -32,8 +32,6 @@ class CarOfProof:
 
     Attributes
     ----------
-    car : CarParameters
-    vehicle : Vehicle
     alignment : Alignment
         How the logger's clock of the commands was aligned.
     noise : ndarray, shape (3,)

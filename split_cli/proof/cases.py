@@ -52,8 +52,6 @@ class ConcealedEffect:
 
     Attributes
     ----------
-    term : str
-    size, severity : float
     parameters : mapping of str to float
         True values: physical where the term has such, else those that fit noise-free paired runs.
     scored : tuple of str
@@ -85,9 +83,6 @@ class Answer:
 
     Attributes
     ----------
-    number : int
-    kind, tier : str
-    effects : tuple of ConcealedEffect
     car, base : str
         The plant's car, and ``bare`` or ``rich``.
     simulation : str
@@ -127,10 +122,6 @@ class Case:
 
     Attributes
     ----------
-    real : Drive
-    sim : Drive or None
-    vehicle : Vehicle
-    answer : Answer
     heldout : ExactDrive or None
         A noise-free drive that no diagnosis sees, to score by; None for nulls.
     noise : ndarray, shape (3,)

@@ -31,7 +31,6 @@ def generate_cases(
     ----------
     root : Path
         Folder; made if missing. One that holds cases of another seed is refused.
-    seed, cases : int
     apply : callable
         ``apply(function, items)`` does the work, as `map` does here; other processes must see the same folder.
     kinds : tuple of str

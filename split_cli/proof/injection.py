@@ -37,7 +37,6 @@ class InjectedFault:
 
     Attributes
     ----------
-    name : str
     term : str
         Id of the catalogue that names it; empty for none.
     parameters : tuple of (str, float)
@@ -70,9 +69,6 @@ class FaultKind:
 
     Attributes
     ----------
-    term, variant : str
-    parameter : str
-    sizes : tuple of float
     also : tuple of str
         Other parameters of the term that get the same value.
     """
@@ -191,8 +187,6 @@ def inject(drive: Drive, fault: InjectedFault, vehicle: Vehicle | None = None) -
 
     Parameters
     ----------
-    drive : Drive
-    fault : InjectedFault
     vehicle : Vehicle, optional
         Of the recorded car; a fault of the car itself needs it.
 

@@ -27,7 +27,6 @@ class MultiBodyFault:
 
     Attributes
     ----------
-    name : str
     term : str
         Id of the catalogue that names it; empty for none or where the catalogue has no name for it.
     parameters : callable

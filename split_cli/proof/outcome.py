@@ -19,10 +19,8 @@ class Named:
 
     Attributes
     ----------
-    term, variant : str
     parameters : mapping of str to (value, low, high)
         With the ends of the 95 % interval.
-    alternatives : tuple of str
     """
 
     term: str
@@ -39,8 +37,6 @@ class Statement:
     ----------
     verdict : str
         match, mismatch or undecided.
-    findings : tuple of Named
-    unexplained : bool
     """
 
     verdict: str
@@ -55,7 +51,6 @@ def judge(truth: Sequence[str], said: Statement, *, in_catalogue: bool = True) -
     ----------
     truth : sequence of str
         The concealed terms; empty for a null.
-    said : Statement
     in_catalogue : bool
         Whether the truth has a name in the catalogue.
 
@@ -100,7 +95,6 @@ class Rate:
 
     Attributes
     ----------
-    hits, of : int
     low, high : float
         [1]; 0 and 1 when nothing was counted.
     """

@@ -40,7 +40,6 @@ class CasePlan:
 
     Attributes
     ----------
-    seed, number : int
     kind : str
         One of `KINDS`.
     terms : tuple of str

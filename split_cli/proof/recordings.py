@@ -98,7 +98,6 @@ def record(
     ----------
     rng : Generator or None
         Of the sensors' noise; None for a simulation, which has none.
-    fault : SensorFault, optional
     """
     first = START
     t = np.arange(int((run.t[-1] - first) * RATE + 1e-6)) / RATE + first

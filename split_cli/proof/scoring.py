@@ -34,9 +34,6 @@ class CaseScore:
 
     Attributes
     ----------
-    name : str
-    answer : Answer
-    said : Statement
     outcome : str
         Of `outcome.OUTCOMES`.
     covered : tuple of (str, bool)
@@ -140,9 +137,7 @@ class CaseSetScore:
         What is asked for, in words; the goal; what was reached; whether it is met (None when nothing counted).
     confusion : tuple of (str, str, int)
         Truth, statement, how often; only where they differ from the truth alone.
-    coverage : Rate
     coverage_by_parameter : tuple of (str, Rate)
-    removed_median : float or None
     seconds_median, seconds_most, memory_most : float
         Of one identification [s], [s], [MB].
     """

@@ -99,11 +99,8 @@ def scripted_drive(
 
     Parameters
     ----------
-    vehicle : Vehicle
     terms : sequence of Term
         Physics of the car, and faults of its sensors.
-    seed : int
-    runs : int
     seconds : float
         Of each run [s].
     """

@@ -47,8 +47,6 @@ class Seal:
     ----------
     sha256 : str
         Of the list of files and their hashes; printed before anything is identified.
-    cases : int
-    seed : int
     version : str
         Of the program that wrote the cases.
     """

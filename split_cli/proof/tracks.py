@@ -19,7 +19,6 @@ def random_track(rng: np.random.Generator, length: float, spacing: float, half_w
 
     Parameters
     ----------
-    rng : Generator
     length, spacing, half_width : float
         [m]; the tightest radius of curvature is at least 1/90 of the length.
 

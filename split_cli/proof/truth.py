@@ -69,7 +69,6 @@ def search_size(
         size -> severity; may raise SplitError where the car cannot be driven any more.
     start, most : float
         First trial, and the largest size allowed.
-    target : float
     tolerance : float
         Relative error of the severity that is accepted [1].
 

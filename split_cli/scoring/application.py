@@ -35,8 +35,6 @@ def predict_rows(predictor: Predictor, drive: Drive, z: np.ndarray, rows: np.nda
 
     Parameters
     ----------
-    predictor : Predictor
-    drive : Drive
     z : ndarray, shape (rows of the drive, D)
         Features of every row: a predictor that needs a situation gets the recorded future from it.
     rows : ndarray of int, shape (N,)
@@ -67,9 +65,6 @@ def features_at(
 
     Parameters
     ----------
-    features : FeatureSet
-    model : SingleTrack
-    drive : Drive
     rows : ndarray of int, shape (N,)
         Where inputs and all that is no function of the state are taken from.
     velocity : ndarray, shape (N, 3)

@@ -47,8 +47,6 @@ class StateScore:
 
     Attributes
     ----------
-    state, unit : str
-    rmse : float
     interval : (float, float)
         95 %, bootstrap over blocks of time; NaN with fewer than four blocks.
     skill : float
@@ -57,7 +55,6 @@ class StateScore:
         100 (1 - ||error||/||measured - mean||) [%], as system identification tools quote it.
     to_best : (float, float, float)
         Rms error over that of the best model, and its 95 % interval from the same draws.
-    is_best : bool
     as_good : bool
         Whether the data cannot tell it from the best.
     """

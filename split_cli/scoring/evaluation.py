@@ -50,8 +50,6 @@ class HeldOutSamples:
 
     Attributes
     ----------
-    drive : Drive
-    split : BlockSplit
     labels : Labels
         All labels of the drive, in order.
     z : ndarray, shape (rows of the drive, D)
@@ -128,7 +126,6 @@ class Score:
         Observed share inside the central intervals.
     time_per_query : float or None
         [s]
-    uses_recorded_future : bool
     """
 
     name: str
@@ -156,8 +153,6 @@ def baseline_tallies(
 
     Parameters
     ----------
-    held : HeldOutSamples
-    model : SingleTrack
     variance : ndarray, shape (3,), or None
         Of the Gaussian that the nominal model's density is scored with.
     """
@@ -230,7 +225,6 @@ def rollout_trajectories(
     ----------
     held : HeldOutSamples
         Says which rows test.
-    model : SingleTrack
     predictors : dict
         (Name, features) to the drive as the predictor's features see it, and the predictor. What its set found
         beyond the vehicle file is part of its model.

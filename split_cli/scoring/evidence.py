@@ -112,7 +112,6 @@ class _HeldOut:
 
     Attributes
     ----------
-    part : TrainingDrive
     test : ndarray of bool, shape (rows,)
         Rows held out.
     block : ndarray of int, shape (rows,)

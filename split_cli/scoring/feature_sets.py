@@ -29,9 +29,6 @@ def point_set(vehicle: Vehicle, labels: Labels, kernel: Kernel, index: np.ndarra
 
     Parameters
     ----------
-    vehicle : Vehicle
-    labels : Labels
-    kernel : Kernel
     index : ndarray of int, shape (P,)
     """
     width = len(labels.features.names)
@@ -59,7 +56,6 @@ def informative_sets(
 
     Parameters
     ----------
-    vehicle : Vehicle
     labels : Labels
         Candidates; only accepted ones are taken.
     kernel : Kernel

@@ -28,7 +28,6 @@ def interval_shares(traces: Sequence[Trace], sets: Mapping[str, TrainingSet]) ->
 
     Parameters
     ----------
-    traces : sequence of Trace
     sets : mapping of str to TrainingSet
         By features.
 

@@ -35,10 +35,8 @@ def late_inputs(
 
     Parameters
     ----------
-    drive : Drive
     labels : Labels
         Of that drive.
-    vehicle : Vehicle
     found : sequence of EffectSpec, optional
         What a trained set models beyond the vehicle file: nothing is left to settle there.
 

@@ -75,7 +75,6 @@ class ProbabilitySums:
         Samples inside the central intervals of `INTERVALS`.
     reliability : ndarray, shape (19, 3)
         Samples inside central intervals of 5, 10, ... 95 % probability.
-    count : int
     """
 
     negative_log_density: np.ndarray

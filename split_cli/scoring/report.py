@@ -36,11 +36,8 @@ class EvaluationSettings:
     ----------
     protocol : {"held-out", "paper"}
         Held-out blocks of time, or the SPLIT paper's in-sample comparison on one lap.
-    predictors, features : tuple of str
     sizes : tuple of int
         Sizes of the feature comparison; 0 is all training samples.
-    blocks : int
-    holdout : float
     guard : float
         [s]
     rollout : tuple of float
@@ -75,7 +72,6 @@ class DriveFacts:
 
     Attributes
     ----------
-    name, sha256 : str
     duration : float
         [s]
     labels, tested, tested_valid : int
@@ -86,7 +82,6 @@ class DriveFacts:
         Time intervals that test [s].
     noise_floor : NoiseFloor
         Of the labels, over the test samples.
-    notes : tuple of str
     """
 
     name: str
@@ -121,7 +116,6 @@ class SizeScore:
     ----------
     size : int
         Asked for; 0 is all. The true size is ``score.points``.
-    score : Score
     """
 
     size: int
@@ -134,7 +128,6 @@ class RolloutScore:
 
     Attributes
     ----------
-    name, features : str
     horizon : float
         [s]
     starts, diverged : int
@@ -164,7 +157,6 @@ class IntervalShares:
         Of the predictor.
     near : bool
         Whether these samples lie within a length scale of a point (`belonging.near_points`).
-    samples : int
     share : float
         Of all test samples [1].
     coverage_50, coverage_90, coverage_95 : ndarray, shape (3,)
@@ -187,16 +179,10 @@ class Evaluation:
 
     Attributes
     ----------
-    settings : EvaluationSettings
-    vehicle : str
-    drives : tuple of DriveFacts
-    sets : tuple of SetFacts
     scores : tuple of Score
         Pooled over drives first, then drive by drive when there are several.
     noise_floor : NoiseFloor
         Pooled over drives.
-    rollouts : tuple of RolloutScore
-    sizes : tuple of SizeScore
     comparisons : tuple of Comparison
         Corrected beside nominal and persistence, by state and horizon, with intervals.
     verdicts : tuple of str
@@ -205,7 +191,6 @@ class Evaluation:
         What the intervals of each predictor held near the points of its set and beyond.
     notes : tuple of str
         What the reader must know: recorded future used, in-sample scores, what could not be computed.
-    format : str
     """
 
     settings: EvaluationSettings

@@ -32,7 +32,6 @@ class Correction:
 
     Attributes
     ----------
-    features : FeatureSet
     z : ndarray, shape (rows of the drive, D)
         Recorded features.
     residual : callable
@@ -221,7 +220,6 @@ def score_rollouts(
 
     Parameters
     ----------
-    drive : Drive
     starts : ndarray of int, shape (N,)
     window : int
         Samples a step.

@@ -26,11 +26,8 @@ class Trace:
 
     Attributes
     ----------
-    name, features : str
-    held : HeldOutSamples
     tested : Labels
         In the order of the predictions.
-    prediction : Prediction
     noise_variance : ndarray, shape (3,)
         Of a label, which its band holds beside the latent variance.
     """
@@ -70,12 +67,10 @@ class EvaluationRun:
 
     Attributes
     ----------
-    report : Evaluation
     sets : tuple of TrainingSet
         One a feature set.
     held : tuple of tuple of HeldOutSamples
         One a feature set, in each one a drive.
-    traces : tuple of Trace
     tallies : mapping of (str, str) to ScoreTally
         Pooled, by name and features.
     rollouts : mapping of (str, str) to RolloutSums

@@ -26,7 +26,6 @@ class SelectionSettings:
         Gain that a point needs to enter a cell with room.
     cell_edges : tuple of float
         Edge of the cells, in usual edges.
-    predictor : str
     horizon : float
         Label interval [s].
     """
@@ -45,9 +44,6 @@ class SetCandidate:
 
     Attributes
     ----------
-    features : str
-    capacity : int
-    threshold : float
     cell_edge : float
         In usual edges.
     error : float
@@ -66,7 +62,6 @@ class SetCandidate:
         Median of one query with variance, asked one at a time [us].
     on_front : bool
         Whether no candidate with as few points has a smaller error.
-    chosen : bool
     usual : bool
         Whether these are the settings of `split train` without options.
     """
@@ -93,11 +88,8 @@ class SetSelection:
 
     Attributes
     ----------
-    vehicle : str
-    drives : tuple of str
     labels, blocks, folds : int
         Held-out labels, the blocks of time they are from, and how many sets each candidate trained.
-    candidates : tuple of SetCandidate
     command : str
         `split train` with the settings chosen.
     """

@@ -49,7 +49,6 @@ def hold_out_blocks(
 
     Parameters
     ----------
-    drive : Drive
     blocks : int
         Number of blocks.
     holdout : float

@@ -111,7 +111,6 @@ def fit_torque_lag(drives: Sequence[TrainingDrive], vehicle: Vehicle) -> Vehicle
     ----------
     drives : sequence of TrainingDrive
         With labels of `vehicle`.
-    vehicle : Vehicle
 
     Returns
     -------

@@ -106,7 +106,6 @@ def compare(name: str, features: str, parts: Sequence[BlockErrors], seed: int = 
 
     Parameters
     ----------
-    name, features : str
     parts : sequence of BlockErrors
         Of any number of drives; those of one horizon are pooled by squares.
     seed : int

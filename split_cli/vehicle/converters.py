@@ -32,7 +32,6 @@ class TireConversion:
 
     Attributes
     ----------
-    axle : str
     law : str
         The source's law, in words.
     largest_deviation : float
@@ -56,10 +55,8 @@ class Conversion:
 
     Attributes
     ----------
-    vehicle : Vehicle
     kind : str
         ``CommonRoad``, ``F1TENTH`` or ``ForzaETH``.
-    tires : tuple of TireConversion
     assumed : tuple of str
         What the source does not hold, in words.
     """

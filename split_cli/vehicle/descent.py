@@ -58,7 +58,6 @@ class Descent(Generic[State]):
     Attributes
     ----------
     parameters : ndarray, shape (P,)
-    cost : float
     state : object
         What `evaluate` returned beside the cost.
     slopes : Slopes

@@ -30,8 +30,6 @@ class Flow:
 
     Attributes
     ----------
-    ops : Operations
-    vehicle : Vehicle
     vx, vy, r : array or symbol
         Velocities at the CG [m/s], [m/s], [rad/s].
     T, delta : array or symbol
@@ -39,7 +37,6 @@ class Flow:
     yaw, t, s : array or symbol
         Yaw angle [rad], time [s], track position [m]; 0 where the caller has none.
     mass, yaw_inertia, l_f, l_r : array or symbol
-    front, rear : AxleFlow
     sine, cosine : array or symbol
         Of `delta` once `actuate` has passed.
     force_x, force_y, moment : array or symbol

@@ -25,7 +25,6 @@ class ForeignParameters:
 
     Attributes
     ----------
-    kind : str
     content : dict
         Keys and numbers of the file.
     deviations : tuple of float
@@ -45,8 +44,6 @@ def foreign_parameters(vehicle: Vehicle, kind: str, alpha_max: float = 0.18) -> 
 
     Parameters
     ----------
-    vehicle : Vehicle
-    kind : str
     alpha_max : float
         Forces are compared over +-alpha_max [rad].
 

@@ -85,7 +85,6 @@ def integrate_recorded(
 
     Parameters
     ----------
-    model : SingleTrack
     state : ndarray, shape (N, 3) or (N, 6)
         (v_x, v_y, r), or (X, Y, yaw, v_x, v_y, r), at the start of each window, SI.
     torque, steer_angle : ndarray, shape (N, K + 1)

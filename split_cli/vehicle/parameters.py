@@ -59,7 +59,6 @@ class Vehicle:
 
     Attributes
     ----------
-    name : str
     mass : float
         m [kg].
     yaw_inertia : float

@@ -46,7 +46,6 @@ class SingleTrack:
 
     Parameters
     ----------
-    vehicle : Vehicle
     terms : sequence of FlowTerm, optional
         Terms to include, in order; by default those of ``vehicle.effects``.
     """

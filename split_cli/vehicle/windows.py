@@ -82,7 +82,6 @@ class Windows:
 
         Parameters
         ----------
-        model : SingleTrack
         state : ndarray, shape (N, 3) or (N, 6)
             (v_x, v_y, r), or (X, Y, yaw, v_x, v_y, r), at the windows' begin.
         jacobian : ndarray, shape (N, 3, 3)
@@ -147,7 +146,6 @@ def recorded_inputs(
 
     Parameters
     ----------
-    model : SingleTrack
     velocity : ndarray, shape (N, 3)
         Recorded (v_x, v_y, r).
     torque, steer_angle : ndarray, shape (N,)

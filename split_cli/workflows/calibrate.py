@@ -27,7 +27,6 @@ class DriveUse:
 
     Attributes
     ----------
-    name, sha256 : str
     seconds : float
         Of what was used [s].
     """
@@ -50,12 +49,10 @@ def calibrate_files(
 
     Parameters
     ----------
-    drives : sequence of path
     start : path
         Vehicle file (or name in the library) with mass, geometry and inertia.
     output : path or None
         Vehicle YAML to write; None writes nothing.
-    settings : CalibrationSettings, optional
     training_blocks : bool
         Leave out the blocks of time (and their guards) that `split evaluate` holds out by default, so that an
         evaluation on the same drives stays clean.

@@ -32,9 +32,6 @@ class ComparedModel:
 
     Attributes
     ----------
-    name : str
-    vehicle : Vehicle
-    trained : TrainingSet or None
     predictor : str
         Name of the predictor; empty without a set.
     """
@@ -51,7 +48,6 @@ class ModelComparison:
 
     Attributes
     ----------
-    models, drives : tuple of str
     starts, diverged : int
         Free runs that count, and those left out for all since some model left the finite numbers.
     scores : tuple of ModelScore
@@ -60,7 +56,6 @@ class ModelComparison:
         Drive by drive, where there are several.
     worse : tuple of str
         Where the first model is worse than another one beyond chance.
-    notes : tuple of str
     """
 
     models: tuple[str, ...]
@@ -126,8 +121,6 @@ def compare_models(
 
     Parameters
     ----------
-    models : sequence of ComparedModel
-    drives : sequence of Drive
     horizons : sequence of float
         [s], rounded to whole steps of about 0.05 s.
     say : callable

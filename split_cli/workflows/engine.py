@@ -42,7 +42,6 @@ class Engine:
     ----------
     name : str
         In words, for the report.
-    workers : int
     apply : callable
         ``apply(function, items)`` yields results in order; an error of an item is raised at its place.
     carries_closures : bool

@@ -108,10 +108,8 @@ def evaluate(
 
     Parameters
     ----------
-    drives : sequence of Drive
     vehicle : Vehicle
         The nominal model; what a set found beyond it (`TrainingSet.found`) corrects like the residual does.
-    settings : EvaluationSettings
     trained : TrainingSet, optional
         Scored on the whole of every drive. Without one, sets are trained on the training blocks, with
         hyperparameters fitted there, and scored on the held-out blocks.

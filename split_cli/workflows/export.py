@@ -23,10 +23,6 @@ class ExportResult:
 
     Attributes
     ----------
-    folder, name : str
-    set_sha256 : str
-    points, cells : int
-    targets : tuple of TargetResult
     doubts : tuple of str
         Why the set should not drive a car yet, exported because the user insisted.
     """
@@ -78,7 +74,6 @@ def export_set(
         Folder; created if its parent exists. Files of the same names are replaced when all targets verified.
     targets : sequence of str
         Of c, casadi, npz, json.
-    predictor : str
     name : str, optional
         Prefix of files and functions; by default the set's file name.
     real : {"double", "float"}

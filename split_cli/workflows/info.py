@@ -21,7 +21,6 @@ class FileDescription:
 
     Attributes
     ----------
-    path : str
     kind : str
         drive, labels, trained set, vehicle, signal map, export, diagnosis, or recording.
     facts : tuple of (str, str)

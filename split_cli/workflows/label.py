@@ -31,12 +31,10 @@ class LabelResult:
 
     Attributes
     ----------
-    drive : str
     horizon : float
         Label interval [s], a whole number of samples.
     window : int
         Samples in it.
-    samples, accepted : int
     rejected : tuple of (str, int)
         By reason, in the order of the tests.
     rms : tuple of float or None
@@ -70,7 +68,6 @@ def label_drive(
 
     Parameters
     ----------
-    drive_path, vehicle_path, output : path
     features : str
         ``z2``, ``z1`` or a comma-separated list of names.
     horizon, stride, plain
@@ -117,7 +114,6 @@ def label_drives(
     ----------
     addresses : sequence of path-like or str
         Drives, folders, globs.
-    vehicle_path : path
     folder : path
         The labels of ``a/lap.parquet`` become ``lap.labels.parquet`` in it, those of a drive in a folder below one
         that is given stand in the same folder below this one.

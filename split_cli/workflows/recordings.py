@@ -73,8 +73,6 @@ def vehicle_doubts(drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool 
 
     Parameters
     ----------
-    drives : sequence of Drive
-    vehicle : Vehicle
     any_vehicle : bool
         Warn, where the drive contradicts the vehicle, instead of refusing.
 

@@ -41,20 +41,16 @@ class SimulateSettings:
 
     Attributes
     ----------
-    car : str
     track : str or None
         Laps of this track with a driver.
     maneuver : str or None
         Instead of laps, a standard test.
     calibration_tests : bool
         Instead of either, the set of gentle tests as one drive, a segment a test.
-    laps : float
     duration : float or None
         Instead of a number of laps [s].
-    driver : str
     aggressiveness : float or None
         Share of the car's grip that is used [1]; by default 0.6 for laps, 0.35 for tests.
-    seed : int
     format : str or None
         mcap, csv or parquet; by default from the name of the output.
     instruments : str
@@ -89,10 +85,8 @@ class SimulatedLog:
 
     Attributes
     ----------
-    output : Path
     sha256 : str
         Of the output.
-    truth : Path or None
     what : str
         The car and what it did, in words.
     duration, distance : float
@@ -105,7 +99,6 @@ class SimulatedLog:
         Device and reports per second [Hz].
     effects : tuple of str
         What was changed, every parameter told.
-    notes : tuple of str
     """
 
     output: Path

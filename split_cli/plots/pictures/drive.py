@@ -35,7 +35,6 @@ class Subject:
 
     Attributes
     ----------
-    name : str
     role : str
         Of the palette.
     drive : Drive
@@ -44,7 +43,6 @@ class Subject:
         The model; None where the drive itself is the subject.
     correction : Correction or None
         A learned residual on top of the model.
-    shown : bool
     """
 
     name: str

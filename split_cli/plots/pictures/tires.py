@@ -28,7 +28,6 @@ class LearnedForces:
 
     Attributes
     ----------
-    name : str
     rows : ndarray of int, shape (K,)
         Rows of the drive that it was asked at.
     prediction : Prediction
@@ -50,7 +49,6 @@ def tire_charts(
 
     Parameters
     ----------
-    drive : Drive
     vehicle : Vehicle
         The nominal model.
     corrected : (Drive, Vehicle), optional

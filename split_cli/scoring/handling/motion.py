@@ -84,8 +84,6 @@ def free_run(
 
     Parameters
     ----------
-    model : SingleTrack
-    drive : Drive
     seconds : float
         Length of a free run [s]; runs follow each other without overlap, and none crosses a gap.
     correction : Correction, optional

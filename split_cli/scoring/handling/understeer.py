@@ -74,7 +74,6 @@ def understeer_of(drive: Drive, vehicle: Vehicle) -> Understeer | None:
 
     Parameters
     ----------
-    drive : Drive
     vehicle : Vehicle
         Only its geometry and, for the limit of the linear range, its grip are used.
 

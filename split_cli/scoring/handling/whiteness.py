@@ -18,7 +18,6 @@ def autocorrelation(values: np.ndarray, run: np.ndarray, lags: int) -> tuple[np.
         Equally spaced inside a run; the mean over all is taken out.
     run : ndarray, shape (N,)
         Changes where samples do not follow each other; no product spans a change.
-    lags : int
 
     Notes
     -----

@@ -77,7 +77,6 @@ class Calibration:
         Calibrated values are marked so, the rest as it was.
     curves : tuple of ForceCurve
         Front and rear; empty when tyres were not fitted.
-    resistance : Resistance or None
     estimates : tuple of IntervalEstimate
         Yaw inertia and splits, where asked for.
     samples, blocks : int
@@ -119,7 +118,6 @@ def calibrate_vehicle(
         Stretches without a gap.
     start : Vehicle
         Gives mass, geometry and inertia, and what the data do not settle.
-    settings : CalibrationSettings, optional
 
     Raises
     ------

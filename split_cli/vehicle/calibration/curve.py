@@ -67,8 +67,6 @@ class ForceCurve:
         Envelope of all curves that fit equally well (within the 95 % likelihood interval of D) [N].
     deviation_covered, deviation_everywhere : float
         Largest distance between two equally good curves, inside the covered slip angles and up to alpha_max [N].
-    held_out : HeldOutError
-    samples, blocks : int
     remarks : tuple of str
         What the reader must know, in sentences.
     """

@@ -38,8 +38,6 @@ class Resistance:
         The resistance C_fr + C_rr + C_w v_x^2 over the speeds covered [m/s], [N], and its 95 % half width [N].
     held_out : HeldOutError
         Of the longitudinal force.
-    samples, blocks : int
-    remarks : tuple of str
     """
 
     drag: float

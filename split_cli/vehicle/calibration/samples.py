@@ -96,7 +96,6 @@ def motion_samples(
 
     Parameters
     ----------
-    runs : sequence of MotionRun
     vehicle : Vehicle
         Gives the axles' distances.
     smoothing : float, optional

@@ -18,7 +18,6 @@ def inside_stretch(ops: Operations, s: Any, s_start: float, s_end: float) -> Any
 
     Parameters
     ----------
-    ops : Operations
     s : array or symbol
         Track position [m].
     s_start, s_end : float

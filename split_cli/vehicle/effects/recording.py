@@ -94,7 +94,6 @@ def first_order_response(target: Any, rate: Any, recording: Recording, name: str
     target : array, shape (N,)
     rate : float or array of shape (N,)
         [1/s], not negative; taken as its mean over a sample.
-    recording : Recording
     name : str
         By which the recording's memory, if it has one, knows y.
 

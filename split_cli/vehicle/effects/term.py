@@ -80,7 +80,6 @@ class Term:
         States the term appends to the model.
     state_units : mapping of str to str
         Their units.
-    mimics : tuple of Mimic
     neutral : mapping of str to float
         Values at which the term vanishes; parameters it does not name are free at that point.
     exported : bool
@@ -117,7 +116,6 @@ class Term:
     ----------
     parameters : mapping of str to float
         Values in the units above: what the real car has beyond the plain vehicle.
-    variant : str
     """
 
     id: ClassVar[str]
@@ -161,10 +159,8 @@ class Term:
 
         Parameters
         ----------
-        vehicle : Vehicle
         course : Course
             Of the real recordings.
-        variant : str
 
         Returns
         -------
@@ -248,7 +244,6 @@ class Term:
 
         Parameters
         ----------
-        flow : Flow
         name : str
             One of `states`.
         target : array or symbol

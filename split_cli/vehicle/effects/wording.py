@@ -68,7 +68,6 @@ def amount(
 
     Parameters
     ----------
-    estimate : Estimate
     neutral : float
         Where the term vanishes.
     more, less : str

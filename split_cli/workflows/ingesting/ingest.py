@@ -44,13 +44,8 @@ class IngestResult:
 
     Attributes
     ----------
-    log : str
-    drive_path : Path
-    rows : int
     period : float
         [s].
-    quality : QualityReport
-    metadata : DriveMetadata
     """
 
     log: str
@@ -155,7 +150,6 @@ def ingest_logs(
         Presets or files, later over earlier; none for a table whose columns are named as a drive's.
     vehicle_path : path-like, optional
         Vehicle YAML or name of the library.
-    settings : IngestSettings, optional
     topics : dict of str to str, optional
         Over the map's ``topics``.
     message_paths : sequence of path-like

@@ -31,7 +31,6 @@ class IngestManifest:
 
     Attributes
     ----------
-    path : Path
     entries : dict
         By the source's place: ``source`` (fingerprint), ``settings`` (digest), ``drive`` (file), ``sha256`` of it.
     """

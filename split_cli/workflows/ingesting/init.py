@@ -52,8 +52,6 @@ class InitResult:
 
     Attributes
     ----------
-    map_path, vehicle_path : Path
-    draft : Draft
     log : str
         As the user named it, for the command to run.
     """

@@ -41,11 +41,7 @@ class ProofScore:
 
     Attributes
     ----------
-    seal : Seal
-    identified, cases : int
-    diagnosis : CaseSetScore
     baselines : tuple of (str, CaseSetScore)
-    scores : tuple of CaseScore
     failed : tuple of (str, str)
         Cases the diagnosis gave an error for; they count as undecided.
     """

@@ -32,14 +32,12 @@ class InjectionResult:
 
     Attributes
     ----------
-    drive, fault : str
     term : str
         That names it.
     value : float or None
         What was put in; None for the pair without a fault.
     outcome : str
         Of `proof.outcome.OUTCOMES`, or ``not put in`` where the car with the fault could not have made the drive.
-    said : str
     found : float or None
         The named parameter.
     interval : str
@@ -73,7 +71,6 @@ def prove_recording(
     ----------
     drives : sequence of path
         Drives that `split ingest` wrote.
-    vehicle_path : path
     output : Path
         Folder; gets the pairs of drives and a diagnosis each.
     only : sequence of str, optional

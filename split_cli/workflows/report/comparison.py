@@ -25,8 +25,6 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), t
 
     Parameters
     ----------
-    compared : ModelComparison
-    pictures : sequence of Chart
     table : str
         Content of the file that has the same numbers; the page names its digest.
     """

@@ -49,7 +49,6 @@ def findings_headline(findings: Sequence[Finding], unexplained: str = "") -> str
 
     Parameters
     ----------
-    findings : sequence of Finding
     unexplained : str
         How much has no name; empty where nothing is left.
     """

@@ -48,7 +48,6 @@ def plain_table(heads: Sequence[str], rows: Sequence[Sequence[str]], name: str =
 
     Parameters
     ----------
-    heads : sequence of str
     rows : sequence of sequence of str
     name : str
         Of the table, for links and tests.

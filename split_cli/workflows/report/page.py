@@ -19,7 +19,6 @@ def report_page(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
 
     Parameters
     ----------
-    diagnosis : Diagnosis
     charts : sequence of Chart
         Of the recordings behind it, which a diagnosis does not hold.
     """

@@ -20,10 +20,8 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
 
     Parameters
     ----------
-    drive : Drive
     found : mapping
         Its quality report, as the drive stores it.
-    charts : sequence of Chart
     """
     words = _findings(found)
     headline = words[0] if words else "The channels fit together."

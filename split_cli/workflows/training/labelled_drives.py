@@ -35,9 +35,6 @@ class Labelling:
 
     Attributes
     ----------
-    vehicle : Vehicle
-    features : FeatureSet
-    region : Region
     horizon : float
         Label interval [s].
     stride : int or None
@@ -83,7 +80,6 @@ class LabelledDrives:
     ----------
     paths : sequence of Path
         Drives, and files that `split label` wrote. Labels of a drive that is given too spare its labelling.
-    labelling : Labelling
     rows : sequence of ndarray of bool, optional
         For each drive, which rows may be learned; a label whose window touches another row is left out.
     seen : mapping of str to str

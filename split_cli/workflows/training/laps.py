@@ -21,7 +21,6 @@ class LapRow:
 
     Attributes
     ----------
-    drive : str
     lap : int
         From 1.
     time : float

@@ -51,7 +51,6 @@ def create_set(
 
     Parameters
     ----------
-    drives : LabelledDrives
     hyperparameters : str
         ``fit``, ``default``, or a YAML file.
     trust : str or None

@@ -69,9 +69,6 @@ def select(
 
     Parameters
     ----------
-    drives : sequence of Drive
-    vehicle : Vehicle
-    settings : SelectionSettings
     command : str
         What `split train` needs besides the settings chosen; for `Selection.command`.
     say : callable

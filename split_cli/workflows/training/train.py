@@ -95,7 +95,6 @@ class TrainRow:
 
     Attributes
     ----------
-    drive : str
     samples, accepted : int
         Labels, and those inside the valid region.
     rejected : tuple of (str, int)
@@ -130,18 +129,14 @@ class TrainResult:
 
     Attributes
     ----------
-    output : str
     rows : tuple of TrainRow
         One a drive of this run.
     total : TrainRow
         Of all drives the set has seen; time is of this run.
     horizons : tuple of float
         Label interval of each drive of this run [s].
-    kernel : Kernel
-    fit : KernelFit or None
     trust : Trust
         How far each output of the set is believed.
-    notes : tuple of str
     laps : tuple of LapRow
         With `per_lap`, one a lap of each drive.
     """
@@ -178,11 +173,8 @@ def train_set(
         Drives, and files of labels that `split label` wrote; folders, globs and addresses as `find_sources` takes
         them. Labels of a drive that is given too spare its labelling; labels alone train without their drive. Of
         a folder that is appended, only the drives that the set has not learned.
-    vehicle_path : path
     output : path
         The set; with `append` it must exist and is continued.
-    settings : TrainSettings
-    append : bool
     rows : sequence of ndarray of bool, optional
         For each drive, which rows may be learned; a label whose window touches another row is left out.
     batch : int, optional

@@ -17,7 +17,6 @@ class Verification:
     ----------
     path, kind : str
         Kind is what it was found to be: ``trained set``, ``export``, ``drive`` ...
-    items : tuple of VerifiedItem
     """
 
     path: str

@@ -117,7 +117,6 @@ def compare_sources(
 
     Parameters
     ----------
-    folders : iterable of Path
     sources : iterable of (str, str)
         Name and SHA-256.
     but : Path, optional
